@@ -82,8 +82,8 @@ class Record:
     """One segment as rows of time, each with the inputs and the measurements of that time.
 
     t (n_rows,) [s], increasing; u (n_rows, n_inputs) at each row; u_next (n_rows, n_inputs) at the end of the
-    interval that follows (equal to ``u`` for a zero-order hold); y (n_rows, n_outputs), NaN where nothing was
-    measured (a sensor's outputs are all there or all NaN); h (n_rows,) the interval that follows, 0 in the
+    interval that follows (equal to ``u`` for a zero-order hold that is not averaged); y (n_rows, n_outputs), NaN where
+    nothing was measured (a sensor's outputs are all there or all NaN); h (n_rows,) the interval that follows, 0 in the
     last row; ``start``: of a block from the middle of a run, mean and standard deviation of the states with which it
     begins, where no measurement gives them: not at rest, as the model has it.
     """
@@ -160,14 +160,15 @@ def build_record(
     """Rows for a model from channels named like its inputs and outputs.
 
     A sensor faster than ``rate`` [Hz] is averaged over blocks of 1/rate, whose noise is then smaller by the
-    root of their size; a slower one keeps its own times. Inputs that forces follow at once are averaged over as long,
-    or an acceleration would be less sharp than the thrust that makes it and the boat seem heavier (prefiltering: Ljung
-    1999, section 14.4). Rows are the union of all times, with more where a gap exceeds ``max_step`` [s], by default
-    that of the model, or where an input of hold ``zero`` changes that is not averaged. A sensor with a channel missing
-    is left out, and said in ``meta["missing"]``; where a signal ends so early that a tenth of the others is lost,
-    ``meta["cut"]`` has its name and the seconds.
+    root of their size; a slower one keeps its own times. Where all sensors that feel inputs at once are averaged,
+    inputs that forces follow at once are, too, over as long: an acceleration would be less sharp than the thrust that
+    makes it, and the boat seem heavier (prefiltering: Ljung 1999, section 14.4). Rows are the union of all times, with
+    more where a gap exceeds ``max_step`` [s], by default that of the model, or where an input of hold ``zero`` changes
+    that is not averaged. A sensor with a channel missing is left out, and said in ``meta["missing"]``; where a signal
+    ends so early that a tenth of the others is lost, ``meta["cut"]`` has its name and the seconds.
     """
-    channels = {**channels, **_derived_inputs(model, channels)}
+    derived = _derived_inputs(model, channels)
+    channels = {**channels, **derived}
     present = _present(model, channels, name)
     own = [i for i in model.inputs if i.name != TIME_INPUT and not i.tap]
     used = [channels[o.name] for s in present for o in s.outputs] + [channels[i.name] for i in own]
@@ -177,7 +178,9 @@ def build_record(
     if end - start < 2.0 / rate:
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
     samples = {s.name: _sensor_samples(name, s, channels, start, end, rate) for s in present}
-    window = max(_averaging_window(_interval(channels[s.outputs[0].name], start, end), rate) for s in present)
+    at_once = [s for s in present if _feels_inputs(model, s)]
+    windows = [_averaging_window(_interval(channels[s.outputs[0].name], start, end), rate) for s in at_once]
+    window = min(windows, default=0.0)
     exact = [i for i in own if i.hold == "zero" and not (i.prefilter and window)]
     switches = [_changes(channels[i.name]) for i in exact]
     t = _rows([times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
@@ -187,7 +190,7 @@ def build_record(
     return Record(
         name,
         t - start,
-        *_inputs(model, channels, t, start, window),
+        *_inputs(model, channels, t, start, window, frozenset(derived)),
         _measured(model, samples, t),
         tuple(i.name for i in model.inputs),
         tuple(o.name for o in model.outputs),
@@ -286,6 +289,15 @@ def _averaging_window(interval: float, rate: float) -> float:
     return math.sqrt(1.0 / rate**2 - interval**2) if interval <= AVERAGED / rate else 0.0
 
 
+def _feels_inputs(model: Model, sensor: Sensor) -> bool:
+    """Whether what a sensor reads changes with an input at once, as an accelerometer does with thrust."""
+    x, p = np.full(len(model.states), 0.1), list(model.values.values())
+    u = np.array([[0.3] * len(model.inputs), [0.4] * len(model.inputs)])
+    prefilter = np.array([i.prefilter and i.name != TIME_INPUT for i in model.inputs])
+    now, then = (model.signals(list(x), list(np.where(prefilter, row, u[0])), p).y for row in u)
+    return any(now[o.name] != then[o.name] for o in sensor.outputs)
+
+
 def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, end: float, max_step: float) -> Array:
     """Union of all times; times closer than a microsecond are one row."""
     t: Array = np.sort(np.concatenate([*measured, *[s[(s > start) & (s < end)] for s in switches], [start, end]]))
@@ -304,19 +316,22 @@ def _changes(channel: Channel) -> Array:
 
 
 def _inputs(
-    model: Model, channels: Mapping[str, Channel], t: Array, start: float, window: float
+    model: Model, channels: Mapping[str, Channel], t: Array, start: float, window: float, derived: frozenset[str]
 ) -> tuple[Array, Array]:
     """Inputs at the rows t (n_rows,) and at the ends of their intervals (n_rows, n_inputs); ``window`` [s]: that of
-    the moving average that the sensors went through."""
+    the moving average that the sensors went through; ``derived``: channels that were made of others."""
     u, u_next = np.empty((2, t.size, len(model.inputs)))
     known: dict[str, SmoothSignal] = {}  # of a signal with hundreds of delayed copies, once
     for j, signal in enumerate(model.inputs):
         if signal.name == TIME_INPUT:
             u[:, j], u_next[:, j] = t - start, np.append(t[1:], t[-1]) - start
         elif signal.prefilter and (window or signal.hold == "linear"):
-            own, late = (signal.tap_of, signal.delay) if signal.tap else (signal.name, 0.0)
+            copied = signal.tap_of if signal.tap and signal.name in derived else ""
+            own, late = (copied, signal.delay) if copied else (signal.name, 0.0)
             if own not in known:
-                known[own] = smooth_signal(channels[own], signal, window)
+                delays = [0.0, *(i.delay for i in model.inputs if i.tap_of == own)]
+                asked = t[0] - max(delays) - window, t[-1] - min(delays) + window
+                known[own] = smooth_signal(_between(channels[own], *asked), signal, window)
             u[:, j], u_next[:, j] = known[own].lines(t - late)
         elif signal.hold == "zero":
             u[:, j] = u_next[:, j] = sample_and_hold(channels[signal.name], t)
@@ -327,6 +342,13 @@ def _inputs(
         else:
             u[:, j], u_next[:, j] = held_lines(channels[signal.name], t)
     return u, u_next
+
+
+def _between(channel: Channel, t_from: float, t_to: float) -> Channel:
+    """The samples between two times [s], and the one on either side."""
+    first = max(int(np.searchsorted(channel.t, t_from, side="right")) - 1, 0)
+    last = max(int(np.searchsorted(channel.t, t_to)) + 1, first + 1)
+    return replace(channel, t=channel.t[first:last], value=channel.value[first:last])
 
 
 @dataclass(frozen=True)
@@ -353,7 +375,8 @@ class SmoothSignal:
 
 def smooth_signal(channel: Channel, signal: Input, window: float) -> SmoothSignal:
     """An input's signal, linear or held between its samples, as its centred moving average over ``window`` [s], exact
-    at each of its samples and half a window before and after; with a window of zero a linear one as it is."""
+    at each of its samples and half a window before and after, and linear in between; with a window of zero a linear one
+    as it is."""
     t, value, linear = channel.t, np.unwrap(channel.value) if signal.angle else channel.value, signal.hold == "linear"
     if not linear:  # before and after its samples it holds as well
         t, value = np.concatenate([t[:1] - window, t, t[-1:] + window]), np.pad(value, 1, mode="edge")

@@ -143,9 +143,11 @@ def fit_with_rescaling(
     options: EstimationOptions | None = None,
 ) -> FittedModel:
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said, or
-    the sensors noisier than declared; begun at the first fit's estimates where it loses its way."""
+    the sensors noisier than declared; begun at the first fit's shared estimates where it loses its way. The first fit
+    itself where nothing else converges, and only priors are of another size."""
     stage = fit_and_evaluate(full, records, unseen, options)
-    assumed, found, again = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
+    assumed, found, as_declared = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
+    again = as_declared
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
     if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         again = rescale(again, found)
@@ -162,7 +164,9 @@ def fit_with_rescaling(
             continue
         if refits[-1].fit.converged and refits[-1].fit.log_likelihood > first.log_likelihood - AS_LIKELY:
             return refits[-1]
-    return max(refits, key=lambda stage: stage.fit.log_posterior)
+    best = max(refits, key=lambda refit: (refit.fit.converged, refit.fit.log_posterior))
+    lost = first.converged and not best.fit.converged
+    return stage if lost and as_declared is full else best
 
 
 def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:

@@ -24,8 +24,8 @@ from ident.estimation import dynamic_parameters
 from ident.experiment_design.criteria import SINGULAR
 from ident.experiment_design.excitation import ThrusterResponse
 from ident.experiment_design.information import (
-    following,
     in_lanes,
+    interval_ends,
     parallel,
     prior_information,
     sensor_mask,
@@ -102,9 +102,9 @@ class HypothesisPair:
             given = {"s": with_covariance(self.fitted, s, p) if self.task.process_noise else s, "p": p,
                      "p_true": p_true, "s_true": start_in_lanes(self.truth, p_true), "h": h,
                      "low": np.full((groups, size, width), np.inf), "high": np.full((groups, size, width), -np.inf)}
-            for name, part in (("", u), ("_true", u_true)):
+            for name, model, part in (("", self.fitted, u), ("_true", self.truth, u_true)):
                 given[f"u{name}"] = in_lanes(part[:, :, lanes], groups, width)
-                given[f"u_next{name}"] = following(given[f"u{name}"])
+                given[f"u_next{name}"] = interval_ends(model, given[f"u{name}"], -2)
             done = kernel(t.size, mask, given, groups=groups)
             return tuple(a.transpose(0, 2, 1).reshape(groups * width, -1)[: lanes.stop - lanes.start]
                          for a in (done["ee"], done["score"], done["fisher"]))  # type: ignore[return-value]

@@ -110,7 +110,8 @@ class Experiments:
         rows = values[None] if values.ndim == 1 else values[lanes]
         p = in_lanes(np.broadcast_to(rows, (n, rows.shape[1])).T[None], groups, width)[0]
         part = u if u.ndim == 2 else in_lanes(u[:, :, lanes], groups, width)
-        return {"u": np.ascontiguousarray(part), "u_next": following(part), "p": p,
+        ends = interval_ends(self.model, part, -1 if part.ndim == 2 else -2)
+        return {"u": np.ascontiguousarray(part), "u_next": ends, "p": p,
                 "s": start_in_lanes(self.model, p), "h": self.h}
 
     def _run(self, kernel: Kernel, given: dict[str, Array], k: int) -> dict[str, Array]:
@@ -165,9 +166,13 @@ def in_lanes(a: Array, groups: int, width: int) -> Array:
     return np.ascontiguousarray(a.reshape(a.shape[0], a.shape[1], groups, width).transpose(0, 2, 1, 3))
 
 
-def following(u: Array) -> Array:
-    """The inputs at the end of each interval: those of the next row."""
-    return np.concatenate([u[1:], u[-1:]])
+def interval_ends(model: Model, u: Array, axis: int = -1) -> Array:
+    """The inputs at the end of each interval, of ``u`` (n_rows, ...), which has those of a row along ``axis``: those of
+    the next row where they are linear in between, else the same."""
+    linear = np.array([i.hold == "linear" for i in model.inputs])
+    shape = [1] * u.ndim
+    shape[axis] = linear.size
+    return np.where(linear.reshape(shape), np.concatenate([u[1:], u[-1:]]), u)
 
 
 def square(triangle: Array, q: int) -> Array:
@@ -197,8 +202,7 @@ def planned_record(model: Model, t: Array, u: Array, every: Mapping[str, int] | 
 
     t (n_rows,) s; u (n_rows, n_inputs).
     """
-    held = [i.hold != "linear" for i in model.inputs]
-    end = np.where(held, u, following(u))
+    end = interval_ends(model, u)
     columns = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
     blank = Record(name, t, u, end, np.full((t.size, len(model.outputs)), np.nan), *columns)
     y = simulate(model, blank, values).y

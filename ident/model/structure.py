@@ -125,6 +125,10 @@ class Input:
         return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap,
                        delay=step * tap).held(self.hold)
 
+    def like(self, source: Input) -> Input:
+        """This delayed copy, held and averaged as its source is."""
+        return replace(self.held(source.hold), prefilter=source.prefilter)
+
     def held(self, hold: str) -> Input:
         """This input as a log holds its signal; of a copy no change is a row. Empty: as it is."""
         if hold == "zero" and (self.tap or self.hold == "average"):
@@ -450,12 +454,12 @@ class Model:
             raise ValueError(
                 f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} has not"
             )
-        holds = {i.name: i.hold for i in self.inputs}
+        own = {i.name: i for i in self.inputs}
         return replace(
             self,
             states=self.states + effect.states,
             inputs=self.inputs
-            + tuple(i.held(holds.get(i.tap_of, "")) for i in effect.inputs if i.name not in holds),
+            + tuple(i.like(own[i.tap_of]) if i.tap_of in own else i for i in effect.inputs if i.name not in own),
             parameters=self.parameters + effect.parameters,
             effects=(*self.effects, effect),
         )

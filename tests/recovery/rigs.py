@@ -351,17 +351,22 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
     if not own:
         names = ",".join(n for n in PLANTS if any(r["rig"] == n for r in rows))
         return f"    python -m tests.recovery.rigs --rigs {names}\n\n{len(rows)} cases."
-    first, last = min(r["seed"] for r in own), max(r["seed"] for r in own)
     rigs, effects = ([n for n in every if any(r[key] == n for r in own)]
                      for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE))))
-    n = max(seeds, last - first + 1)
-    wanted = {case.key for case in cases_of(rigs, effects, first, n)}
+    blocks = list[list[int]]()  # of seeds that follow each other
+    for seed in sorted({r["seed"] for r in own}):
+        if not blocks or seed != blocks[-1][-1] + 1:
+            blocks.append([])
+        blocks[-1].append(seed)
+    sizes = [len(b) for b in blocks] if len(blocks) > 1 else [max(seeds, len(blocks[0]))]
+    wanted = {c.key for b, n in zip(blocks, sizes, strict=True) for c in cases_of(rigs, effects, b[0], n)}
     done = len({r["key"] for r in own} & wanted)
     far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
     far += ", each a boat of its own" if len({r.get("boat", r["seed"]) for r in own}) == len(own) else ""
     words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
-    words += ["--effects", ",".join(effects), "--seed", str(first), "--seeds", str(n)]
-    return f"    python -m tests.recovery.rigs {' '.join(words)}\n\n{far}."
+    commands = (" ".join([*words, "--effects", ",".join(effects), "--seed", str(b[0]), "--seeds", str(n)])
+                for b, n in zip(blocks, sizes, strict=True))
+    return "\n".join(f"    python -m tests.recovery.rigs {command}" for command in commands) + f"\n\n{far}."
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -14,12 +14,12 @@ from ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Se
 from ident.results.answers import cut_records
 
 
-def model(hold: str = "zero") -> Model:
-    """One input, an angle and a pair that arrives together."""
+def model(hold: str = "zero", feels: str = "") -> Model:
+    """One input, an angle and a pair that arrives together; ``feels``: the output that has the input in it."""
     return plain_model(
         "cart",
         f=lambda x, u, p: {"s": u.w},
-        h=lambda x, u, p: {"psi": x.s, "a": x.s, "b": x.s},
+        h=lambda x, u, p: {n: u.w if n == feels else x.s for n in ("psi", "a", "b")},
         states=(State("s"),),
         inputs=(Input("w", "N", hold),),  # type: ignore[arg-type]
         sensors=(
@@ -126,7 +126,7 @@ def test_no_impulse_of_a_linear_input_is_lost_between_the_rows() -> None:
     for psi in (5.0, 50.0):  # nothing averaged, and averaged
         value = np.pad(rng.normal(size=401), 50)
         given = channels() | {"w": Channel(np.arange(0.0, 10.001, 0.02), value), "psi": channel(psi)}
-        assert impulse(build_record(model("linear"), given)) == pytest.approx(0.02 * value.sum(), abs=1e-6)
+        assert impulse(build_record(model("linear", "psi"), given)) == pytest.approx(0.02 * value.sum(), abs=1e-6)
 
 
 @pytest.mark.parametrize("hold", ["linear", "average", "zero"])
@@ -138,13 +138,33 @@ def test_an_input_is_averaged_as_the_fast_sensors_are(hold: str) -> None:
     given = channels() | {"psi": Channel(t, force), "w": Channel(t[::35], force[::35])}
     if hold == "linear":
         given["w"] = Channel(t, force)
-    record = build_record(model(hold), given)
+    record = build_record(model(hold, "psi"), given)
     seen = np.isfinite(record.y[:, 0]) & (record.t > 0.1) & (record.t < 9.9)
     np.testing.assert_allclose(record.u[seen, 0], record.y[seen, 0], atol=0.04)
-    raw = replace(model(hold), inputs=(Input("w", "N", hold, prefilter=False),))  # type: ignore[arg-type]
-    sharp = build_record(raw, given)
-    seen = np.isfinite(sharp.y[:, 0])
-    assert np.abs(sharp.u[seen, 0] - sharp.y[seen, 0]).max() > 0.5
+    raw = replace(model(hold, "psi"), inputs=(Input("w", "N", hold, prefilter=False),))  # type: ignore[arg-type]
+    # nor where what feels the input is not averaged, though something else is, or nothing feels it
+    for other in (raw, model(hold, "a"), model(hold)):
+        sharp = build_record(other, given)
+        seen = np.isfinite(sharp.y[:, 0])
+        assert np.abs(sharp.u[seen, 0] - sharp.y[seen, 0]).max() > 0.5
+
+
+def test_what_an_input_was_before_the_part_does_not_matter() -> None:
+    """Not even where nothing is known of it."""
+    for hold in ("linear", "zero"):
+        known = channels() | {"w": channel(50.0)}
+        value = known["w"].value.copy()
+        value[3] = np.nan
+        unknown = known | {"w": Channel(known["w"].t, value)}
+        rows = [build_record(model(hold, "psi"), given, t_from=2.0) for given in (known, unknown)]
+        np.testing.assert_array_equal(rows[0].u, rows[1].u)
+
+
+def test_a_copy_that_the_data_have_is_theirs() -> None:
+    copies = replace(with_taps(0, 2), name="copies")
+    given = channels() | {"g~2": channel(50.0, f=lambda t: np.full(t.size, 7.0)), "g": channel(50.0)}
+    record = build_record(copies, given)
+    assert (record.u[:, list(record.inputs).index("g~2")] == 7.0).all()
 
 
 def test_a_command_that_is_repeated_is_no_row() -> None:
@@ -152,7 +172,7 @@ def test_a_command_that_is_repeated_is_no_row() -> None:
     repeated = channels() | {"w": Channel(t, np.where(t < 2.04, 1.0, np.where(t < 5.0, -2.0, 3.0)))}
     for psi in (5.0, 50.0):  # as it is, and averaged
         slow = {"psi": channel(psi)}
-        record, sparse = build_record(model(), repeated | slow), build_record(model(), channels() | slow)
+        record, sparse = (build_record(model(feels="psi"), given | slow) for given in (repeated, channels()))
         assert record.n_rows <= sparse.n_rows + 1
         assert sparse.n_rows < 0.4 * t.size
         same = slice(0, sparse.n_rows - 3)
@@ -172,6 +192,12 @@ def test_a_hold_between_rows_is_the_line_of_its_mean_and_first_moment() -> None:
     np.testing.assert_allclose((start / 2 + (end - start) / 3)[:-1] * h**2, moment, atol=1e-5)
     still = Channel(np.array([-1.0, 20.0]), np.array([0.3, 0.7]))
     np.testing.assert_allclose(held_lines(still, t), 0.3, atol=1e-12)
+
+
+def test_a_delayed_copy_is_averaged_as_its_signal_is() -> None:
+    own = replace(with_taps(0), inputs=(Input("g", "", "linear", prefilter=False),))
+    late = Effect("late", "late", {}, inputs=(Input("g", "", "linear").delayed(1), Input("h")))
+    assert [i.prefilter for i in (own + late).inputs] == [False, False, True]
 
 
 def test_a_delayed_copy_is_held_as_its_signal_is() -> None:

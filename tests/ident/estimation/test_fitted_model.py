@@ -50,7 +50,7 @@ def test_a_sensor_that_only_a_validation_run_has_is_no_judge(model: Model, estim
     assert stage.fit.converged
 
 
-@pytest.mark.parametrize("lost", ["fails", "ends too early"])
+@pytest.mark.parametrize("lost", ["fails", "ends too early", "never converges"])
 def test_a_refit_for_another_size_that_loses_its_way_begins_where_the_first_fit_ended(
     lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -63,7 +63,7 @@ def test_a_refit_for_another_size_that_loses_its_way_begins_where_the_first_fit_
 
     def once_lost(model: Model, *given: Any) -> fitted_model.FittedModel:
         asked.append(model.values["m_u"])
-        if len(asked) != 2:
+        if len(asked) == 1 or (len(asked) == 3 and lost != "never converges"):
             return fit_and_evaluate(model, *given)
         if lost == "fails":
             raise ValueError("the likelihood cannot be evaluated at the starting values")

@@ -83,3 +83,15 @@ def test_thrusts_that_jump_are_averaged_as_well() -> None:
         value, error = fit.estimate(name)
         assert abs(value - true) < 3.0 * error, (name, (value - true) / error)
         assert name == "d_u" or abs(value / true - 1.0) < 0.01, (name, value / true - 1.0)
+
+
+def test_where_the_accelerometer_is_not_averaged_thrusts_are_not() -> None:
+    """For a while the fastest sensor decided, whichever it was: with accelerations at 10 Hz the mass was 3 % too small,
+    6 standard errors."""
+    channels = pushed(100.0, 1)
+    channels |= {n: Channel(channels[n].t[::10], channels[n].value[::10]) for n in ("ax", "ay")}
+    fit = fit_nominal_model(horizontal_model("force", hold="zero"), [LogSegment("mission", channels)], []).fit
+    for name in ("m_u", "m_v"):
+        value, error = fit.estimate(name)
+        assert abs(value - TRUTH[name]) < 3.0 * error, (name, (value - TRUTH[name]) / error)
+        assert abs(value / TRUTH[name] - 1.0) < 0.005, (name, value / TRUTH[name] - 1.0)

@@ -113,6 +113,16 @@ def test_extremes_are_those_of_the_simulation() -> None:
     assert high[0, found.extremes.index("speed2")] == pytest.approx((x[:, 3] ** 2 + x[:, 4] ** 2).max())
 
 
+def test_a_thrust_that_is_held_is_held_in_the_design_too() -> None:
+    model, t = surge_model("force", "both"), np.arange(0.0, 20.0, 0.2)
+    u = np.where((t // 3).astype(int) % 2 == 0, 30.0, -40.0)[:, None]
+    found = Experiments(model, ("m_u", "d_uu"), t)
+    low, high = found.extents(u[:, :, None])
+    x = simulate(model, planned_record(model, t, u)).x
+    np.testing.assert_allclose(low[0, :2], x.min(axis=0), atol=1e-9)
+    np.testing.assert_allclose(high[0, :2], x.max(axis=0), atol=1e-9)
+
+
 def test_a_boat_that_diverges_has_no_information() -> None:
     model = horizontal_model(current=False).with_values({"m_u": 1e-3, "d_uu": 1e3})
     t, u = boat_inputs(10.0)
