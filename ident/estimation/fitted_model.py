@@ -143,7 +143,7 @@ def fit_with_rescaling(
     options: EstimationOptions | None = None,
 ) -> FittedModel:
     """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said, or
-    the sensors noisier than declared; begun at the first fit's shared estimates where it loses its way. The first fit
+    the sensors noisier than declared; started at the first fit's shared estimates where it loses its way. The first fit
     itself where nothing else converges, and only priors are of another size."""
     stage = fit_and_evaluate(full, records, unseen, options)
     assumed, found, as_declared = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
