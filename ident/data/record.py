@@ -177,10 +177,11 @@ def build_record(
     end = min(ends.values()) if t_to is None else t_to
     if end - start < 2.0 / rate:
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
-    samples = {s.name: _sensor_samples(name, s, channels, start, end, rate) for s in present}
-    at_once = [s for s in present if _feels_inputs(model, s)]
-    windows = [_averaging_window(_interval(channels[s.outputs[0].name], start, end), rate) for s in at_once]
-    window = min(windows, default=0.0)
+    windows = {s.name: _averaging_window(_interval(channels[s.outputs[0].name], start, end), rate) for s in present}
+    samples = {
+        s.name: _sensor_samples(name, s, channels, start, end, rate, averaged=windows[s.name] > 0.0) for s in present
+    }
+    window = min((windows[s.name] for s in present if _feels_inputs(model, s)), default=0.0)
     exact = [i for i in own if i.hold == "zero" and not (i.prefilter and window)]
     switches = [_changes(channels[i.name]) for i in exact]
     t = _rows([times for times, _ in samples.values()], switches, start, end, max_step or model.max_step)
@@ -254,11 +255,11 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
 
 
 def _sensor_samples(
-    name: str, sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float
+    name: str, sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float, *, averaged: bool
 ) -> tuple[Array, Array]:
     """Times (n,) and values (n, n_outputs) of a sensor. Raises ValueError where its outputs share no time."""
     first = channels[sensor.outputs[0].name]
-    if not _averaging_window(_interval(first, start, end), rate):
+    if not averaged:
         # an import drops NaN signal by signal: a row has all outputs of one time, or does not exist
         own_channels, inside = [channels[o.name] for o in sensor.outputs], (first.t >= start) & (first.t <= end)
         times = reduce(np.intersect1d, [c.t for c in own_channels[1:]], first.t[inside])

@@ -155,7 +155,7 @@ def horizontal_model(
         inputs = pair("f", "N", hold)
         first, provides = (("shaft", given_thrust), ("thrust_lag", unchanged), ("thrust", unchanged)), ("f", "f_input")
     elif propulsion == "command":
-        told = [replace(i, prefilter=False) for i in pair("n_cmd", "", "average")]
+        told = pair("n_cmd", "", "average", prefilter=False)
         inputs = tuple(i.delayed(k, DELAY_STEP) for i in told for k in range(N_DELAYS))
         first, provides, states = (("shaft", driven_shaft), *CHAIN[1:]), ("n", "f", "n_state"), states + SHAFT_STATES
     return Model(
@@ -172,9 +172,9 @@ def horizontal_model(
     )
 
 
-def pair(quantity: str, unit: str, hold: Hold) -> tuple[Input, ...]:
+def pair(quantity: str, unit: str, hold: Hold, *, prefilter: bool = True) -> tuple[Input, ...]:
     """One input for each thruster."""
-    return tuple(Input(f"{quantity}_{side}", unit, hold) for side in SIDES)
+    return tuple(Input(f"{quantity}_{side}", unit, hold, prefilter=prefilter) for side in SIDES)
 
 
 def shaft(s: Signals) -> None:

@@ -125,7 +125,7 @@ def nomoto_model(
     """The model, driven by the shaft speeds, or an autopilot's outputs, ``n_left`` and ``n_right`` (normalised);
     ``sampled``: inputs are uncertain in time."""
     # its GNSS is not averaged, and sees the jumps of a light vehicle
-    now = [replace(i, prefilter=False) for i in pair("n", "", hold)]
+    now = pair("n", "", hold, prefilter=False)
     past = tuple(replace(i.delayed(k, STEP), name=_past(i.name, k)) for i in now for k in TAPS if k)
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
     parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
