@@ -29,6 +29,7 @@ class StreamDecoder(ABC, Generic[T]):
         self.unparsed_bytes = 0
         self.remark = ""
         self._buffer = bytearray()
+        self._before = 0  # bytes of the stream in front of the buffer
         self._out: list[T] = []
 
     def feed(self, data: bytes, t_rx: float) -> list[T]:
@@ -51,12 +52,14 @@ class StreamDecoder(ABC, Generic[T]):
                 length = 1
             position = start + length
         del buffer[:position]
+        self._before += position
         out, self._out = self._out, []
         return out
 
     def reset(self) -> None:
         """Discard an incomplete frame (the port was reopened). Counters stay."""
         self._skip(self._buffer, 0, len(self._buffer))
+        self._before += len(self._buffer)
         self._buffer.clear()
 
     def _skip(self, buffer: bytearray, start: int, end: int) -> None:

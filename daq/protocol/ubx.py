@@ -9,15 +9,16 @@ Source: u-blox 8 / M8 Receiver Description (UBX-13003221) and, for the messages 
 from __future__ import annotations
 
 import calendar
-import itertools
 import math
 import re
 import struct
 import time
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from daq.protocol import nmea
 from daq.samples import NAN, WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS, Ahrs, Frame, Gnss, wrap_angle
@@ -58,6 +59,7 @@ LENGTHS: dict[tuple[int, int], frozenset[int]] = {
     (0x01, 0x04): frozenset({18}), (0x01, 0x14): frozenset({36}), (0x01, 0x05): frozenset({32}),
     (0x01, 0x03): frozenset({16}), HNR_PVT: frozenset({72}),
 }  # fmt: skip
+LONGEST = HEAD + max(max(lengths) for lengths in LENGTHS.values()) + 2  # of the messages that we read
 _LENGTHS_OF = {bytes(kind): lengths for kind, lengths in LENGTHS.items()}
 _CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # a position, or that there is none
 _FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a place known from before
@@ -76,6 +78,10 @@ class Decoder(nmea.Decoder):
     def __init__(self, declination: float | None = None) -> None:
         super().__init__(declination)
         self._epochs = Epochs()
+        # Messages that were met ahead of a header in doubt, by their places in the stream, and how far was looked:
+        # a stream full of such headers is looked through once, not once for each of them.
+        self._ahead: deque[tuple[int, int]] = deque()
+        self._looked = 0
 
     def flush(self) -> list[Frame]:
         """End of the stream: the sample of the epoch that has not been emitted, if there is one."""
@@ -102,7 +108,7 @@ class Decoder(nmea.Decoder):
         if n_payload > LENGTH_MAX or (known is not None and n_payload not in known):
             return -1
         length = HEAD + n_payload + 2
-        if known is None and _holds_message(buffer, start + 1, start + length):
+        if known is None and self._holds_message(buffer, start + 1, start + length):
             return -1  # the length was damaged: waiting for its end would hold back the fixes behind it
         if len(buffer) < start + length:
             return 0
@@ -115,25 +121,39 @@ class Decoder(nmea.Decoder):
             self._out += self._epochs.take(kind, body[4:], t_rx)
         return length
 
+    def _holds_message(self, buffer: bytearray, start: int, end: int) -> bool:
+        """Whether a whole message that we read lies between two places, as it does in no message of a receiver."""
+        before = self._before
+        while self._ahead and self._ahead[0][0] < before + start:
+            self._ahead.popleft()
+        first = max(self._looked - before, start)
+        last = min(end, len(buffer) - LONGEST)  # whatever begins before it has come whole
+        if first < last:
+            self._ahead += [(before + a, before + b) for a, b in _messages(buffer, first, last)]
+            self._looked = before + last
+            first = last
+        known = any(b <= before + end for a, b in self._ahead)
+        return known or any(b <= end for a, b in _messages(buffer, first, end))
+
     def _kept(self, found: list[Frame]) -> list[Frame]:
         return [f for f in found if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
 
 
-def _holds_message(buffer: bytearray, start: int, end: int) -> bool:
-    """Whether a whole message that we read lies between two places, as it does in no message of a receiver."""
-    while (start := buffer.find(SYNC, start, end)) >= 0:
+def _messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
+    """Where the whole messages that we read, and that begin between two places, begin and end."""
+    while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
         tail = start + HEAD + n_payload
         is_read = n_payload in _LENGTHS_OF.get(bytes(buffer[start + 2 : start + 4]), ())
-        if is_read and tail + 2 <= end and buffer[tail : tail + 2] == checksum(bytes(buffer[start + 2 : tail])):
-            return True
+        if is_read and buffer[tail : tail + 2] == checksum(bytes(buffer[start + 2 : tail])):
+            yield start, tail + 2
         start += 1
-    return False
 
 
 def checksum(body: bytes) -> bytes:
     """The two bytes of Fletcher's checksum (RFC 1145) over class, id, length and payload."""
-    return bytes((sum(body) & 0xFF, sum(itertools.accumulate(body)) & 0xFF))
+    values = np.frombuffer(body, np.uint8).astype(float)  # their sums are whole numbers below 2^53
+    return bytes((int(values.sum()) & 0xFF, int(values @ np.arange(len(body), 0.0, -1.0)) & 0xFF))
 
 
 def message(kind: tuple[int, int], payload: bytes) -> bytes:

@@ -31,6 +31,7 @@ PART = 10  # trials with one mock boat
 SAID = 60  # characters
 MARKS = ("<!-- python -m tests.bench.fault_trials -->", "<!-- end of the trials -->")
 NOT_TRIED = "not tried"
+INTERRUPTED_S = 2.0  # Ctrl-C ends the mock boats of this terminal too, perhaps before this program hears of it
 NO_DISK = "not tried: no small file system can be mounted here"
 Results = dict[str, dict[int, Trial]]  # by kind and seed
 
@@ -84,13 +85,15 @@ def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, s
         left = list(seeds)
         try:
             for found in trials(kind, seeds):  # none at all where it cannot be tried
-                if stopping.is_set():
+                if stopping.wait(INTERRUPTED_S if found.wrong else 0.0):
                     return
                 store.put(kind, left[0], found)
                 for problem in [*found.wrong, *filter(None, [found.spoilt and f"spoilt: {found.spoilt}"])]:
                     say(f"{kind.name}, seed {left[0]}: {problem}")
                 del left[0]
         except Exception as error:  # that trial has failed; the others are still worth running
+            if stopping.wait(INTERRUPTED_S):
+                return
             problem = f"{type(error).__name__}: {error}"
             store.put(kind, left[0], Trial(wrong=[problem]))
             say(f"{kind.name}, seed {left[0]}: {problem}")

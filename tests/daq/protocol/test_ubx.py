@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import time
 
 import pytest
 
@@ -178,6 +179,15 @@ def test_a_damaged_length_holds_no_fix_back(kind: bytes) -> None:
     decoder = ubx.Decoder()
     assert len(decoder.feed(whole, 1.0) + decoder.flush()) == 1
     assert (decoder.frames, decoder.unparsed_bytes) == (2, 0)
+
+
+@pytest.mark.parametrize("unit", [b"\xb5\x62\x01\x99\xff\x1f", b"\xb5\x62\x01\x99\xff\x1f\xb5\x62\x01\x07\x5c\x00"])
+def test_a_stream_of_false_headers_costs_no_more_than_its_length(unit: bytes) -> None:
+    false = unit * (30_000 // len(unit))
+    decoder, start = ubx.Decoder(), time.process_time()
+    found = decoder.feed(false + pvt() + false, 1.0) + decoder.flush()
+    assert time.process_time() - start < 3.0  # 0.4; each header by itself 15
+    assert (len(found), decoder.frames) == (1, 1)
 
 
 def test_an_attitude_has_the_time_of_its_week() -> None:
