@@ -452,7 +452,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     multiple=True,
     callback=parse_rates,
     metavar="SENSOR=HZ",
-    help="Rate of a sensor, position=1 [default: 10 each]; may be repeated.",
+    help="Rate of a sensor, position=1 [default: that of the fitted data, else 10]; may be repeated.",
 )
 @click.option(
     "--average-over",

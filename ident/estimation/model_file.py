@@ -77,6 +77,7 @@ class SavedModel:
     origin: FrameOrigin | None = None  # from which its fixed points count; None: it has none, or nobody knows
     # by parameter, factor by which correlated residuals made its standard error larger than by the information
     inflation: Mapping[str, float] = field(default_factory=dict)
+    rates: Mapping[str, float] = field(default_factory=dict)  # by sensor: its rows a second in the fitted data [Hz]
 
     def uncertainty(self, name: str) -> float:
         """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration; NaN where the
@@ -101,11 +102,12 @@ def save_model(
     effects_file: Path | None = None,
     calibration: float | None = None,
     origin: FrameOrigin | None = None,
+    rates: Mapping[str, float] | None = None,
 ) -> None:
     """Write the model of a fit, and beside it a copy of each Python file of the user's own that it is made with.
     ``effects_file``: where effects that are not in the catalogue come from; ``calibration``: relative standard
     uncertainty of the forces that were measured; ``origin``: of x and y of the logs, which a model with a fixed point
-    keeps."""
+    keeps; ``rates``: by sensor, rows a second of the fitted data in which it measured [Hz]."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
@@ -135,6 +137,8 @@ def save_model(
     if origin is not None and any(e.fixed_point for e in model.effects):
         document["origin"] = asdict(origin)
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
+    if rates:
+        document["rates"] = {k: float(f"{z:.4g}") for k, z in rates.items()}
     if states := _states_table(model, effects_file):
         document["states"] = states
     # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
@@ -237,6 +241,9 @@ def load_model(path: Path) -> SavedModel:
         place = table.get("origin")
         origin = place and FrameOrigin(float(place["latitude"]), float(place["longitude"]), str(place.get("log", "")))
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
+        rates = {k: float(z) for k, z in table.get("rates", {}).items()}
+        if bad := [k for k, z in rates.items() if not 0.0 < z < np.inf]:
+            raise ValueError(f"rates: {bad[0]} = {rates[bad[0]]:g}; a rate is above 0 Hz")
         between = table.get("correlation", {})
         names = tuple(str(n) for n in between.get("names", ()))
         correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
@@ -246,7 +253,7 @@ def load_model(path: Path) -> SavedModel:
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # attribute: a value where a table should be
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
     return SavedModel(
-        model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin, inflation
+        model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin, inflation, rates
     )
 
 

@@ -172,7 +172,7 @@ def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
     for side in SIDES:
         known = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
         then = sum(w * n for w, n in zip(weights, known, strict=True))
-        if errors and hasattr(s.p, "sigma_n"):
+        if errors and hasattr(s.x, f"stamp_error_{side}"):
             beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
             change = [(late - early) / (2 * STEP) for early, late in zip(beyond[:-2], beyond[2:], strict=True)]
             late = s.p.sigma_n * getattr(s.x, f"stamp_error_{side}") * np.exp(-ago / MEMORY)
@@ -193,6 +193,7 @@ def thrust(s: Signals) -> None:
 
 def force(s: Signals) -> None:
     """Thrust less damping X [N], and the yaw rate r_ref [rad/s] that the difference of the sides ends at."""
+    s.slip_time = 0.0  # s: sideslip per speed and yaw rate, of effects
     s.X = sum(s.f.values()) - _damping(s, s.x.u)
     s.r_ref = _steady_rate(s, s.x.u, list(s.n.values()))
 
@@ -200,15 +201,23 @@ def force(s: Signals) -> None:
 def rate(s: Signals) -> None:
     x = s.x
     s.r = first_order(s, "r", s.r_ref, s.p.T)
-    s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u)
-    s.rate["psi"], s.rate["u"], s.rate["v"] = s.r, s.X / s.p.m_u + x.v * s.r, -x.v / s.p.tau_v
-    for side in SIDES if hasattr(s.p, "sigma_n") else ():
+    v = _sideslip(s, x.u, s.r)
+    s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u, v)
+    s.rate["psi"], s.rate["u"] = s.r, s.X / s.p.m_u + v * s.r
+    if hasattr(x, "v"):
+        s.rate["v"] = -x.v / s.p.tau_v
+    for side in SIDES if hasattr(x, f"stamp_error_{SIDES[0]}") else ():
         s.rate[f"stamp_error_{side}"] = -getattr(x, f"stamp_error_{side}") / MEMORY
 
 
-def _over_ground(s: Signals, psi: Any, u: Any) -> tuple[Any, Any]:
+def _sideslip(s: Signals, u: Any, r: Any) -> Any:
+    """Sway [m/s]: the disturbance, where there is one, and what effects make of speed and yaw rate."""
+    return getattr(s.x, "v", 0.0) - s.slip_time * u * r
+
+
+def _over_ground(s: Signals, psi: Any, u: Any, v: Any) -> tuple[Any, Any]:
     """Velocity north and east [m/s]."""
-    cos, sin, v = np.cos(psi), np.sin(psi), s.x.v
+    cos, sin = np.cos(psi), np.sin(psi)
     return cos * u - sin * v + getattr(s.p, "V_x", 0.0), sin * u + cos * v + getattr(s.p, "V_y", 0.0)
 
 
@@ -223,34 +232,36 @@ def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]
     r = s.r - (1 - direct) * ago * s.rate["r"] + direct * (_steady_rate(s, u, n) - _steady_rate(s, x.u, now))
     gain = sum(_static_thrust(p, one) for one in n) - sum(_static_thrust(p, one) for one in now)
     gain = gain - _damping(s, u) + _damping(s, x.u)
-    return r, (s.X + gain) / p.m_u + x.v * r
+    return r, (s.X + gain) / p.m_u + _sideslip(s, u, r) * r
 
 
 def _back(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -> tuple[Any, ...]:
-    """Place, heading and speed a span [s] before those ``since``, of so long ago [s]: explicit midpoint rule."""
-    north, east, psi, u = since
+    """Place, heading, speed and sideslip a span [s] before those ``since``, so long ago [s]: explicit midpoint rule."""
+    north, east, psi, u, v = since
     step = span / steps
     for k in range(steps):
         middle = ago + (k + 0.5) * step
         n = _inputs(s, middle)
         slower = u - step / 2 * _rates_at(s, middle, u, n)[1]
         r, gain = _rates_at(s, middle, slower, n)
-        v_n, v_e = _over_ground(s, psi - step / 2 * r, slower)
+        v_n, v_e = _over_ground(s, psi - step / 2 * r, slower, _sideslip(s, slower, r))
         north, east, psi, u = north - step * v_n, east - step * v_e, psi - step * r, u - step * gain
-    return north, east, psi, u
+        v = _sideslip(s, u, r)  # its yaw rate is that of half a step later
+    return north, east, psi, u, v
 
 
 def output(s: Signals) -> None:
     x, y, p = s.x, s.y, s.p
+    v = _sideslip(s, x.u, s.r)
     y["psi"] = x.psi
     # What is known of the errors is of now, and a gyro that is exact would be late by what makes them fit.
     y["r"] = _rates_at(s, p.T_r, x.u - p.T_r * s.rate["u"], _inputs(s, p.T_r, errors=False))[0]
     first = p.tau_gnss - p.sigma_gnss
-    late = _back(s, (x.x, x.y, x.psi, x.u), 0.0, first, 2)
+    late = _back(s, (x.x, x.y, x.psi, x.u, v), 0.0, first, 2)
     early = _back(s, late, first, 2 * p.sigma_gnss, 4)
     y["x"], y["y"] = (late[0] + early[0]) / 2, (late[1] + early[1]) / 2
     (a_n, a_e), (b_n, b_e) = (_over_ground(s, *place[2:]) for place in (late, early))
     y["vx"], y["vy"] = (a_n + b_n) / 2, (a_e + b_e) / 2
-    for axis, own in zip("xy", _over_ground(s, x.psi, x.u), strict=True):
+    for axis, own in zip("xy", _over_ground(s, x.psi, x.u, v), strict=True):
         beyond = s.rate[axis] - own  # of effects, such as a current that wanders: steady over a fix's age
         y[axis], y[f"v{axis}"] = y[axis] - p.tau_gnss * beyond, y[f"v{axis}"] + beyond  # mean age of the two points

@@ -491,6 +491,9 @@ class Homogeneity(Part, frozen=True, kw_only=True):
     se_mean: float | None
     low: Annotated[float | None, Meta(description="95 % interval of `mean`")]
     high: float | None
+    left_out: Annotated[
+        tuple[str, ...], Meta(description="logs that do not inform the parameter; `df` does not count them")
+    ] = ()
 
 
 class FailedRun(Part, frozen=True, kw_only=True):

@@ -419,4 +419,5 @@ def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
         se_mean=finite(a.mean_error),
         low=finite(a.interval[0]),
         high=finite(a.interval[1]),
+        left_out=a.left_out,
     )

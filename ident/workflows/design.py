@@ -169,7 +169,8 @@ def _warnings(made: Design) -> list[ResultWarning]:
     said = design_warnings(task.model, task.actuation.full_thrust, pole)
     if assumed := [s.name for s in task.model.sensors if s.name not in task.rates]:
         text = (
-            f"Sensors are taken to measure at {RATE:g} Hz where --rate does not say else: {', '.join(assumed)}. "
+            f"Sensors are taken to measure at {RATE:g} Hz where neither --rate nor the model.toml says else: "
+            f"{', '.join(assumed)}. "
             "With slower ones a fit will know less."
         )
         said.append(ResultWarning(code="rates-assumed", text=text))
@@ -279,7 +280,7 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
         replace(steps, n_steps=n_steps),
         wish.criterion,
         wish.chosen,
-        wish.rates,
+        {**(saved.rates if saved is not None else {}), **wish.rates},
         wish.limits,
         wish.slew,
         robust=wish.robust,

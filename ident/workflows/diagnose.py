@@ -17,7 +17,7 @@ from ident.reporter import Reporter
 from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from ident.workflows.check import check_first, with_noise_floors
 from ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_signals
-from ident.workflows.output import validity, write_all
+from ident.workflows.output import sensor_rates, validity, write_all
 
 
 @dataclass(frozen=True)
@@ -85,5 +85,8 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         model_path=str(request.model),
         unused=unused,
     )
-    write_all(request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file)
+    write_all(
+        request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file,
+        rates=sensor_rates(found.after),
+    )  # fmt: skip
     return result

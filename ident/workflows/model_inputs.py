@@ -152,15 +152,25 @@ def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
     return [f"not used: {', '.join(s.signal for s in found if s.reason == r)}: {r}" for r in reasons]
 
 
-def thrust_from(model: Model) -> str:
-    """A line on what the thrust of a model follows; empty where it is given as such."""
+def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
+    """A line on what the thrust of a model follows in these logs, ``completed``; empty where it is given as such."""
     if "n_state" in model.provides:
         return ("thrust from the commands: no shaft speed is measured in time, so the shafts are states with a dead "
                 "zone, a delay and a time constant (--model horizontal:shaft takes the signals as shaft speeds)")
     if any(e.name == TELEMETRY_AGE for e in model.effects):
         return ("thrust from the shaft speeds that the autopilot relays, of an age that is estimated, with the sign of "
                 "the delayed output (--model horizontal:shaft takes them as they are, horizontal:command the outputs)")
-    return "thrust from the measured shaft speeds" if "n_input" in model.provides else ""
+    if "n_input" not in model.provides:
+        return ""
+    if any(_told_only(x) for x in loaded):
+        return "thrust from the commands, or an autopilot's outputs, followed at once: no shaft speed is measured"
+    return "thrust from the measured shaft speeds"
+
+
+def _told_only(one: LoadedLog) -> bool:
+    """Whether commands stand for the shaft speeds that the log has not."""
+    shaft, command = (one.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
+    return shaft is command and one.propulsion is PropulsionInput.COMMAND
 
 
 def as_logged(model: Model, holds: Mapping[str, str]) -> Model:

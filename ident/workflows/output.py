@@ -21,9 +21,10 @@ def write_all(
     ranges: Mapping[str, tuple[float, float]],
     effects_file: Path | None = None,
     calibration: float | None = None,
+    rates: Mapping[str, float] | None = None,
 ) -> None:
     """model.toml, result.json and report.html into a folder; ``calibration``: relative standard uncertainty of the
-    measured forces."""
+    measured forces; ``rates``: of the sensors [Hz]."""
     out.mkdir(parents=True, exist_ok=True)
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
@@ -31,7 +32,7 @@ def write_all(
                    for x in result.logs if x.role == "estimation" and x.origin is not None), None)
     save_model(
         out / "model.toml", fit, validity=ranges, provenance=made, effects_file=effects_file, calibration=calibration,
-        origin=origin,
+        origin=origin, rates=rates,
     )
     write_result(result, out / "result.json")
     write_report(result, out / "report.html")
@@ -48,4 +49,17 @@ def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
     for j, name, _ in shown_inputs(stage.model):
         z = np.concatenate([v.record.u[:, j] for v in views])
         found.setdefault(name, (float(z.min()), float(z.max())))  # a yaw rate that is an input, too, is the state's
+    return found
+
+
+def sensor_rates(stage: FittedModel) -> dict[str, float]:
+    """Rows a second [Hz] in which each sensor measured, in the estimation data that have it. One that is averaged
+    counts once a row, as its estimated noise does."""
+    found: dict[str, float] = {}
+    for sensor in stage.model.sensors:
+        seen = [(np.isfinite(v.record.y[:, v.record.outputs.index(sensor.outputs[0].name)]), v.record.duration)
+                for v in stage.estimation]  # fmt: skip
+        there = [(int(rows.sum()), seconds) for rows, seconds in seen if rows.any()]
+        if there:
+            found[sensor.name] = sum(n for n, _ in there) / sum(seconds for _, seconds in there)
     return found

@@ -10,7 +10,7 @@ from ident.results import Posed, VehicleResult, provenance, vehicle_result
 from ident.validation import evaluate
 from ident.workflows.check import check_first
 from ident.workflows.model_inputs import unused_lines
-from ident.workflows.output import validity, write_all
+from ident.workflows.output import sensor_rates, validity, write_all
 from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 
 
@@ -46,5 +46,5 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
             loaded[0].vehicle.get("length"),
         ),
     )
-    write_all(request.out, result, fitted.fit, validity(fitted))
+    write_all(request.out, result, fitted.fit, validity(fitted), rates=sensor_rates(fitted))
     return result

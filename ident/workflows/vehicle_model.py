@@ -141,4 +141,4 @@ def vehicle_problem(
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
     unused = unused_signals(model, loaded, unseen)
-    return VehicleProblem(model, segments, validation, [*notes, *untold, *floors], thrust_from(model), unused)
+    return VehicleProblem(model, segments, validation, [*notes, *untold, *floors], thrust_from(model, loaded), unused)

@@ -23,6 +23,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from daq.log import open_log
+from ident.data import channels
 from tests.bench.simulator_delays import delays
 from tests.daq.ardurover import MISSING, PROGRAM, Rover
 
@@ -35,13 +37,15 @@ SETTINGS = {"LOG_FILE_DSRMROT": 1}  # a BIN each time it is armed
 WAVES = "-waves"  # behind the name of a frame: they roll and pitch the boat, which keeps what it slips by that
 MARKS = ("<!-- python -m tests.bench.skid_missions -->", "<!-- end of the missions -->")
 STEER = math.radians(360 / (1.8 * math.pi) * 70) / math.sin(math.radians(35)) * math.pi / 180  # rad/m, of small angles
+ANGLE = math.radians(70)  # of the steering at full difference
+STEP = 1 / 1200  # s, of the simulator: after each, the part of the velocity that is not along the heading is dropped
 # Thrust that is given, for masses in kg, and what the source of the simulator has for the rest
 GIVEN = {"motorboat-skid": {"c1": 25.0, "c2": 0.0}, "rover-skid": {"c1": 70.0, "c2": 0.0}}
 TRUTH: Mapping[str, Mapping[str, float]] = {
-    "motorboat-skid": {"m_u": 2.0, "d_u": 0.0, "d_uu": 0.5, "lambda_n": 1.0, "K": 0.0, "K_u": STEER,
-                       "k_3": math.radians(70) ** 2 / 6},
-    "rover-skid": {"m_u": 10.0, "d_u": 35.0, "d_uu": 0.0, "lambda_n": 1.0, "K": math.radians(280), "K_u": 0.0,
-                   "k_3": 0.0},
+    "motorboat-skid": {"m_u": 2.0, "d_u": 0.0, "d_uu": 0.5, "tau_s": STEP / 2, "lambda_n": 1.0, "K": 0.0, "K_u": STEER,
+                       "k_3": ANGLE**2 / 6},
+    "rover-skid": {"m_u": 10.0, "d_u": 35.0, "d_uu": 0.0, "tau_s": STEP / 2, "lambda_n": 1.0, "K": math.radians(280),
+                   "K_u": 0.0, "k_3": 0.0},
 }  # fmt: skip
 
 
@@ -109,16 +113,35 @@ def fit(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
         given = [word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}")]
         logs = (*(f"{source}{k}.mcap" for k in range(1, missions)), "--validate", f"{source}{missions}.mcap")
         # a busy machine holds the simulator up now and then, which is a jump of its clock
-        words = ("--model", "nomoto", *given, "--despite-faults", "--out", out.name, "--force")
+        words = ("--model", "nomoto", "--effect", "sideslip", *given, "--despite-faults", "--out", out.name, "--force")
         command("ident", "vehicle", *logs, *words, cwd=folder)
     result: dict[str, Any] = msgspec.json.decode((out / "result.json").read_bytes())
     return result
 
 
-def rows(frame: str, source: str, result: Mapping[str, Any], sensors: Mapping[str, float]) -> Iterator[Row]:
-    """Every parameter whose truth is known (``sensors``: delays [s]); one at its bound, the truth, has no error."""
+def of_the_mission(frame: str, folder: Path) -> dict[str, float]:
+    """What the truth is in a mission: delays [s], by its state in the BIN, and the cubic that is nearest to the sine of
+    its steering angles.
+
+    The simulator keeps no sideslip but what is lost by it, so that its velocity is along the heading: the model, which
+    turns it outwards by ``tau_s`` r, sees that as so much less delay.
+    """
+    found = delays(folder / "BIN1.mcap", folder / "1.BIN")
+    found["tau_gnss"] -= STEP / 2
+    if TRUTH[frame.removesuffix(WAVES)]["k_3"]:
+        with open_log(folder / "BIN1.mcap") as log:
+            n = channels(log)
+        delta = (n["n_cmd_left"].value - n["n_cmd_right"].value) / 2
+        terms = np.column_stack((delta, -(delta**3)))
+        first, third = np.linalg.lstsq(terms, STEER / ANGLE * np.sin(ANGLE * delta), rcond=None)[0]
+        found |= {"K_u": float(first), "k_3": float(third / first)}
+    return found
+
+
+def rows(frame: str, source: str, result: Mapping[str, Any], known: Mapping[str, float]) -> Iterator[Row]:
+    """Every parameter whose truth is known (``known``: by the mission); one at its bound, the truth, has no error."""
     found = {p["name"]: (p["value"], p["se"]) for p in result["fit"]["parameters"]}
-    for name, truth in {**TRUTH[frame.removesuffix(WAVES)], **sensors}.items():
+    for name, truth in {**TRUTH[frame.removesuffix(WAVES)], **known}.items():
         value, se = found[name]
         yield Row(frame, source, name, value, se if se else math.nan, truth)
 
@@ -136,15 +159,15 @@ def off_after(result: Mapping[str, Any], seconds: float) -> tuple[float, float]:
     return abs(math.degrees(turn)), float(np.hypot(errors["x"], errors["y"]))
 
 
-UNITS = {"m_u": "kg", "d_u": "kg/s", "d_uu": "kg/m", "lambda_n": "-", "K": "rad/s", "K_u": "rad/m", "k_3": "-",
-         "T_r": "s", "tau_gnss": "s", "sigma_gnss": "s"}  # fmt: skip
+UNITS = {"m_u": "kg", "d_u": "kg/s", "d_uu": "kg/m", "tau_s": "s", "lambda_n": "-", "K": "rad/s", "K_u": "rad/m",
+         "k_3": "-", "T_r": "s", "tau_gnss": "s", "sigma_gnss": "s"}  # fmt: skip
 
 
-def table(results: Mapping[tuple[str, str], Mapping[str, Any]], sensors: Mapping[str, Mapping[str, float]]) -> str:
-    """Estimates and simulations of all frames and sources in Markdown; ``sensors``: delays [s] by frame."""
+def table(results: Mapping[tuple[str, str], Mapping[str, Any]], known: Mapping[str, Mapping[str, float]]) -> str:
+    """Estimates and simulations of all frames and sources in Markdown; ``known``: truths of the mission, by frame."""
     lines = ["| frame | log | parameter | estimate | truth | z | % |", "|---|---|---|---|---|---|---|"]
     for (frame, source), result in results.items():
-        for row in rows(frame, source, result, sensors[frame]):
+        for row in rows(frame, source, result, known[frame]):
             z, percent = (f"{x:.1f}" if math.isfinite(x) else "" for x in (row.z, row.percent))
             error = f" ± {row.se:.2g}" if math.isfinite(row.se) else ""
             estimate = f"{row.value:.4g}{error} | {row.truth:.4g}"
@@ -167,7 +190,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--docs", type=Path)
     options = parser.parse_args()
-    results, sensors = {}, {}
+    results, known = {}, {}
     for frame in options.frames:
         folder = (options.folder / frame).resolve()
         folder.mkdir(parents=True, exist_ok=True)
@@ -176,8 +199,8 @@ def main() -> None:
                 raise SystemExit(MISSING)
             record(frame, folder, options.seconds, options.missions)
         results |= {(frame, source): fit(frame, source, folder, options.missions) for source in SOURCES}
-        sensors[frame] = delays(folder / "BIN1.mcap", folder / "1.BIN")
-    text = table(results, sensors)
+        known[frame] = of_the_mission(frame, folder)
+    text = table(results, known)
     print(text)
     if options.docs is not None:
         page = options.docs.read_text(encoding="utf-8")

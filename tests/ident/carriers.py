@@ -6,13 +6,17 @@ from ident.model.structure import Effect, Model
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import SENSORS, horizontal_model
 from ident.models.kinematic import kinematic_model
+from ident.models.nomoto import nomoto_model
 from ident.models.thruster import thruster_model
 
 
 def vehicle_for(effect: Effect) -> Model:
-    """The horizontal model with the inputs and sensors that the effect wants, or the one with measured attitude."""
+    """The horizontal model with the inputs and sensors that the effect wants, or the one with measured attitude, or
+    without sway."""
     if "attitude" in effect.requires:
         return kinematic_model(yaw=True)
+    if "nomoto" in effect.requires:
+        return nomoto_model().with_values({"T": 0.5})  # without a lag its r is a copy of r_ref
     sensors = tuple(SENSORS)[: len(SENSORS) if "body_velocity" in effect.requires else -1]
     if "n_state" in effect.requires:
         return horizontal_model("command", sensors)

@@ -22,6 +22,7 @@ from ident.model.structure import ForceCurve, Input, Model, Output, Sensor, Stat
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
 from ident.models.kinematic import kinematic_model
+from ident.models.nomoto import nomoto_model
 from ident.models.surge import surge_model
 from ident.models.thruster import thruster_model
 from ident.models.yaw import yaw_model
@@ -77,6 +78,7 @@ MODELS = {
     "general": horizontal_model("general"),
     "as fitted": for_diagnosis(horizontal_model("shaft")) + catalogue()["pendulum"],
     "measured attitude": for_diagnosis(kinematic_model(yaw=True)),
+    "without sway": for_diagnosis(nomoto_model(sampled=True)) + catalogue()["sideslip"],
     "thruster": thruster_model(),
     "surge": surge_model("shaft", "both"),
     "yaw": yaw_model("both"),

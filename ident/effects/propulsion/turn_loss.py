@@ -41,7 +41,7 @@ BY_SWAY = Parameter(
 )
 EFFECTS = (
     _effect("turn-loss", "the loss of thrust with yaw rate", "r", BY_YAW, ("f",),
-            ("inflow-loss", "turning-resistance", "advance-ratio", "cg-offset")),
+            ("inflow-loss", "turning-resistance", "sideslip", "advance-ratio", "cg-offset")),
     _effect("inflow-loss", "the loss of thrust in sway inflow", "v", BY_SWAY, ("f", "hull"),
             ("turn-loss", "turning-resistance", "cross-flow")),
 )

@@ -111,6 +111,13 @@ def test_a_mission_that_has_no_place_is_refused_before_the_search(
     assert not list(tmp_path.iterdir())
 
 
+def test_sensors_measure_as_often_as_in_the_fitted_data(fitted: Path) -> None:
+    assert make_task(str(fitted), DesignRequest(duration=40.0)).rates == {"attitude": 10.0, "position": 5.0}
+    task = make_task(str(fitted), DesignRequest(duration=40.0, rates={"position": 1.0}))
+    assert task.rates == {"attitude": 10.0, "position": 1.0}
+    assert task.rate("gyro") == 10.0  # the file says nothing of it
+
+
 def test_the_default_number_of_steps_leaves_each_the_shortest() -> None:
     source = "horizontal:shaft:no-current"
     assert make_task(source, DesignRequest(duration=40.0)).steps.n_steps == 8
@@ -140,7 +147,7 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
     assert said.index("built-in 41 N") < said.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
     assert codes == ["thrust-scale-unknown", "shaft-lag-built-in", "rates-assumed"]
-    assert "taken to measure at 10 Hz where --rate does not say else: gyro." in " ".join(said.split())
+    assert "at 10 Hz where neither --rate nor the model.toml says else: gyro." in " ".join(said.split())
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
     np.testing.assert_array_equal(mission.segments[1].n[:, 0], -mission.segments[1].n[:, 1])

@@ -140,6 +140,7 @@ def test_a_log_that_does_not_inform_the_parameter_is_left_out(prior: tuple[float
     np.testing.assert_allclose([found.lr, found.p], [without.lr, without.p], atol=1e-3)
     np.testing.assert_allclose(found.interval, without.interval, rtol=1e-2)
     assert "still does not inform it" in homogeneity_sentence(found)
+    assert homogeneity_row(found).left_out == ("still",)
     lone = [data[0], still, replace(still, name="also")]
     alone = homogeneity_test(fit(model, lone), lone, "m")
     assert (alone.df, alone.left_out) == (0, ("still", "also"))

@@ -73,6 +73,8 @@ def test_a_fitted_model_comes_back(tmp_path: Path, found: Fit) -> None:
     assert np.isfinite(back.errors["m_r"])
     assert np.isnan(back.errors["c1"])
     assert back.validity == VALIDITY
+    assert back.rates == {}
+    assert load_model(saved(tmp_path / "with_rates.toml", found, rates={"gyro": 9.98765})).rates == {"gyro": 9.988}
     assert back.provenance == {"made_by": "a test", "logs": ["a"]}
 
 
@@ -252,6 +254,14 @@ def test_a_damaged_file_is_one_line(tmp_path: Path, found: Fit, damage: object, 
         load_model(path)
     assert says in str(problem.value)
     assert "\n" not in str(problem.value)
+
+
+@pytest.mark.parametrize("rate", ["0.0", "-1", "nan", "inf", "[1]"])
+def test_a_rate_is_a_positive_number(tmp_path: Path, found: Fit, rate: str) -> None:
+    path = saved(tmp_path / "model.toml", found, rates={"gyro": 10.0})
+    path.write_text(path.read_text(encoding="utf-8").replace("gyro = 10.0", f"gyro = {rate}"), encoding="utf-8")
+    with pytest.raises(SeatrialError, match=r"model\.toml: not a complete model: "):
+        load_model(path)
 
 
 @pytest.mark.parametrize("content", [b"format = ", b"\xff\xfe\x00", b"", b"[[parameter]]\n" * 3])

@@ -28,15 +28,21 @@ TRUTH = {
 
 
 def tracked_vehicle(
-    seconds: float, every: float = 0.04, slew: float = np.inf, hold: float = 0.02, quiet: float = 1.0
+    seconds: float,
+    every: float = 0.04,
+    slew: float = np.inf,
+    hold: float = 0.02,
+    quiet: float = 1.0,
+    slide: float = 0.0,
+    seed: int = 1,
 ) -> LogSegment:
     """u' = 3.5 (4 n - u), r = 140 deg/s (n_left - n_right); outputs known ``every`` so many seconds, of commands of
     this ``slew`` [1/s] that change after each ``hold`` [s]; a gyro 55 ms late, fixes 0.1 s late and smoothed.
 
-    ``quiet``: times the usual noise, of all but the gyro.
+    ``quiet``: times the usual noise, of all but the gyro; ``slide`` [s]: v' = -u r - v / slide, u' += v r.
     """
-    rng = np.random.default_rng(1)
-    mission = make_mission("mixed", seconds, 1, n_max=0.5)
+    rng = np.random.default_rng(seed)
+    mission = make_mission("mixed", seconds, seed, n_max=0.5)
     t = np.arange(0.0, mission.end, DT)
     began, rows = (np.concatenate([getattr(s, name) for s in mission.segments]) for name in ("t", "n"))
     stairs = np.arange(0.0, t[-1] + hold, hold)
@@ -45,11 +51,13 @@ def tracked_vehicle(
         steps[k] = steps[k - 1] + np.clip(steps[k] - steps[k - 1], -slew * hold, slew * hold)
     n = steps[np.searchsorted(stairs, t, side="right") - 1]
     r = np.radians(140.0) * (n[:, 0] - n[:, 1])
-    u = np.zeros(t.size)
+    u, v = np.zeros(t.size), np.zeros(t.size)
+    kept = np.exp(-DT / slide) if slide else 0.0
     for k in range(1, t.size):
-        u[k] = u[k - 1] + DT * 3.5 * (4.0 * n[k - 1].mean() - u[k - 1])
+        u[k] = u[k - 1] + DT * (3.5 * (4.0 * n[k - 1].mean() - u[k - 1]) + v[k - 1] * r[k - 1])
+        v[k] = v[k - 1] * kept - slide * (1.0 - kept) * u[k - 1] * r[k - 1]
     psi = np.cumsum(r) * DT
-    velocity = {"vx": u * np.cos(psi), "vy": u * np.sin(psi)}
+    velocity = {"vx": u * np.cos(psi) - v * np.sin(psi), "vy": u * np.sin(psi) + v * np.cos(psi)}
     told, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (every, 0.04, 0.2))
     clock = np.arange(told[0], told[-1], 0.01)
     found = {
@@ -159,6 +167,41 @@ def test_a_steady_speed_was_the_same_a_moment_ago(name: str, values: dict[str, f
     assert s.rate["u"] == pytest.approx(0.0, abs=1e-12)
     assert s.y["vx"] == pytest.approx(u, abs=1e-12)
     assert s.y["x"] == pytest.approx(-0.2 * u, abs=1e-12)
+
+
+def test_sideslip_costs_speed_and_is_seen_by_gnss() -> None:
+    """A steady circle about the origin, thrust against linear damping and what the slip costs: the velocity points
+    outwards of the heading by atan(tau_s r), and a fix is of where the boat was ``tau_gnss`` ago on that circle."""
+    tau, r, age = 0.3, 0.5, 0.2
+    u = 40.0 * (0.75**2 + 0.45**2) / (25.0 + 10.0 * tau * r * r)
+    course, radius = 0.4 - np.arctan(tau * r), u * np.hypot(1.0, tau * r) / r
+    before = course - r * age
+    now = {"u": u, "psi": 0.4, "n_left": 0.75, "n_right": 0.45}
+    now |= {"x": radius * np.sin(course), "y": -radius * np.cos(course)}
+    values = {"d_u": 25.0, "d_uu": 0.0, "m_u": 10.0, "c1": 40.0, "c2": 0.0, "K": r / 0.15, "K_u": 0.0, "k_3": 0.0}
+    s = signals(nomoto_model() + catalogue()["sideslip"], now, **values, tau_s=tau, tau_gnss=age, sigma_gnss=0.0)
+    assert s.r == pytest.approx(r)
+    assert s.rate["u"] == pytest.approx(0.0, abs=1e-12)
+    assert (s.rate["x"], s.rate["y"]) == pytest.approx((radius * r * np.cos(course), radius * r * np.sin(course)))
+    assert (s.y["vx"], s.y["vy"]) == pytest.approx((radius * r * np.cos(before), radius * r * np.sin(before)))
+    # two steps of the midpoint rule: third order in r age / 2
+    assert (s.y["x"], s.y["y"]) == pytest.approx((radius * np.sin(before), -radius * np.cos(before)), abs=1e-3 * radius)
+
+
+@pytest.mark.study
+def test_sideslip_is_found_where_it_is_and_only_there() -> None:
+    """A vehicle that slides by 0.15 s of its yaw rate, as boats do that the model takes for ones that do not."""
+    given = {"c1": 70.0, "c2": 0.0}
+    model = nomoto_model(current=False, hold="average")
+    model = model.replace_parameters(*(model.parameter(n).at(value).fixed() for n, value in given.items()))
+    for slide in (0.15, 0.0):
+        logs = [tracked_vehicle(90.0, slide=slide, seed=seed) for seed in (1, 2)]
+        fit = fit_nominal_model(model + catalogue()["sideslip"], logs[:1], []).fit
+        value, se = fit.estimate("tau_s")
+        assert value == 0.0 if np.isnan(se) else abs(value - slide) < 3.0 * se, (slide, value, se)
+        for name in ("m_u", "d_u", "K"):
+            value, se = fit.estimate(name)
+            assert abs(value - TRUTH[name]) < 4.0 * se, (slide, name, value, se)
 
 
 def test_a_dead_band_is_no_change_of_the_yaw_rate() -> None:

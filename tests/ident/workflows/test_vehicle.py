@@ -16,8 +16,8 @@ from ident.estimation.fitted_model import fit_nominal_model
 from ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
 from ident.models.catalogue import make_model
 from ident.models.horizontal import horizontal_model
-from ident.workflows.model_inputs import choose_model, thrust_from
-from ident.workflows.output import validity
+from ident.workflows.model_inputs import choose_model, completed, thrust_from
+from ident.workflows.output import sensor_rates, validity
 from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
 from tests.missions import boat_log, boat_with, rig_of
@@ -65,15 +65,27 @@ def test_the_thrust_follows_the_best_that_all_logs_have(
     ways: tuple[PropulsionInput, ...], source: str, aged: bool
 ) -> None:
     names = ("n_left", "n_right", "n_cmd_left", "n_cmd_right", *AHRS)
-    model = choose_model("auto", [replace(loaded(*names), propulsion=way) for way in ways])
+    logs = [replace(loaded(*names), propulsion=way) for way in ways]
+    model = choose_model("auto", logs)
     assert model.source == source
     assert ("tau_age" in model.values) == aged
     assert ("T_n" in model.values) == (source == "horizontal:command")
-    assert thrust_from(model)
+    assert thrust_from(model, logs)
     if source == "horizontal:command":
         assert {i.hold for i in model.inputs} == {"average"}
     chosen = choose_model("horizontal:shaft", [replace(loaded(*names), propulsion=way) for way in ways])
     assert (chosen.source, "tau_age" in chosen.values) == ("horizontal:shaft", False)
+
+
+@pytest.mark.parametrize(("names", "way", "says"), [
+    (("n_left", "n_right"), PropulsionInput.MEASURED, "thrust from the measured shaft speeds"),
+    (("n_cmd_left", "n_cmd_right"), PropulsionInput.COMMAND, "no shaft speed is measured"),
+    (("n_left", "n_right", "n_cmd_left", "n_cmd_right"), PropulsionInput.MEASURED, "the measured shaft speeds"),
+])
+def test_commands_are_not_called_measured_speeds(names: tuple[str, ...], way: PropulsionInput, says: str) -> None:
+    log = completed(replace(loaded(*names, *AHRS, *GNSS), propulsion=way), "nomoto", None)
+    assert says in thrust_from(make_model("nomoto"), [log])
+    assert thrust_from(horizontal_model("force"), [log]) == ""
 
 
 def test_inputs_that_only_some_logs_have_are_none() -> None:
@@ -101,6 +113,15 @@ def test_the_range_of_a_state_is_its_own_where_an_input_has_its_name() -> None:
     assert ranges["r"] == pytest.approx(tuple(np.percentile(r, (1, 99))))
     assert ranges["r"][1] < view.record.u[:, list(view.record.inputs).index("r")].max()
     assert {"u", "v", "n_left", "phi", "q"} <= set(ranges)
+
+
+def test_the_rates_of_sensors_are_those_of_their_rows(tmp_path: Path) -> None:
+    """50 Hz averaged to 10, 5 Hz as they are; of a sensor that one of the logs lacks, of the other log."""
+    logs = [load_run(boat_log(tmp_path / f"{k}.mcap", boat_with(None, 1), 30.0, k), "estimation").run for k in (1, 2)]
+    blind = replace(logs[1], channels={k: c for k, c in logs[1].channels.items() if k not in ("x", "y")})
+    model = horizontal_model("shaft", ("attitude", "position")).with_free(["d_vv"])
+    rates = sensor_rates(fit_nominal_model(model, [logs[0], blind], []))
+    assert rates == {"attitude": pytest.approx(10.0, rel=0.05), "position": pytest.approx(5.0, rel=0.05)}
 
 
 def test_logs_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
