@@ -77,7 +77,7 @@ class SavedModel:
     origin: FrameOrigin | None = None  # from which its fixed points count; None: it has none, or nobody knows
     # by parameter, factor by which correlated residuals made its standard error larger than by the information
     inflation: Mapping[str, float] = field(default_factory=dict)
-    rates: Mapping[str, float] = field(default_factory=dict)  # by sensor: its rows a second in the fitted data [Hz]
+    rates: Mapping[str, float] = field(default_factory=dict)  # by sensor: its samples a second in the fitted data [Hz]
 
     def uncertainty(self, name: str) -> float:
         """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration; NaN where the
@@ -107,7 +107,7 @@ def save_model(
     """Write the model of a fit, and beside it a copy of each Python file of the user's own that it is made with.
     ``effects_file``: where effects that are not in the catalogue come from; ``calibration``: relative standard
     uncertainty of the forces that were measured; ``origin``: of x and y of the logs, which a model with a fixed point
-    keeps; ``rates``: by sensor, rows a second of the fitted data in which it measured [Hz]."""
+    keeps; ``rates``: by sensor, its samples a second in the fitted data, of averages where it was averaged [Hz]."""
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name

@@ -88,12 +88,13 @@ class DesignProblem:
 
     Attributes:
         chosen: parameters to estimate, of those that the sensors observe (default: all).
-        rates: of the sensors [Hz].
+        rates: of the sensors [Hz], where they are given.
         belief: prior of the parameters; None: the default box.
         earlier: information (k, k) of earlier logs, by ``belief.names``.
         inflation: by parameter, factor by which the residuals of the earlier logs, being correlated, made its standard
             error larger than by the information; those of new logs will, too.
         validity: by signal, what the data of the model covered.
+        fitted_rates: of the sensors [Hz], in the data of the model: of its rows, whose noise the model has.
         robust: parameter samples over which the criterion is averaged (0: nominal only; with D this is ELD optimality,
             Walter and Pronzato 1997, section 6.4).
         process_noise: information of prediction error, else of output error.
@@ -112,6 +113,7 @@ class DesignProblem:
     earlier: Array | None = None
     inflation: Mapping[str, float] = field(default_factory=dict)
     validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fitted_rates: Mapping[str, float] = field(default_factory=dict)
     robust: int = 0
     process_noise: bool = True
     seed: int = 1
@@ -147,7 +149,7 @@ class DesignProblem:
         return {s.name: max(1, round(1.0 / (self.rate(s.name) * self.grid))) for s in self.model.sensors}
 
     def rate(self, sensor: str) -> float:
-        return self.rates.get(sensor, RATE)
+        return self.rates.get(sensor, self.fitted_rates.get(sensor, RATE))
 
     def observed(self, model: Model) -> Model:
         """The model with the measurement noise that its sensors have on the rows of this problem."""

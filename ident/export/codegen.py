@@ -37,6 +37,7 @@ class Content:
         output_noise: standard deviations, with the lasting errors that are not exported.
         left_out: disturbance states that are not exported.
         lasting: for how long [s] what they add to an output lasts, by output.
+        silent: those that are in neither noise, as they do nothing at rest.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Content:
     output_noise: tuple[float, ...]
     left_out: tuple[str, ...]
     lasting: Mapping[str, float]
+    silent: tuple[str, ...]
 
     @cached_property
     def own(self) -> tuple[Parameter, ...]:
@@ -102,7 +104,7 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
         tuple(math.hypot(a, b) for a, b in zip(noise, extra.process, strict=True)),
         tuple(math.hypot(a, b) for a, b in zip(white, extra.output, strict=True)),
         tuple(s.name for s in gone),
-        {n: tau for n, tau in zip(outputs, extra.lasting, strict=True) if tau > 0.0})
+        {n: tau for n, tau in zip(outputs, extra.lasting, strict=True) if tau > 0.0}, extra.silent)
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
@@ -145,30 +147,36 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
 class EquivalentNoise:
     """White noise in place of removed states: process (n_states,) [unit/sqrt(s)] and output (n_outputs,) [unit] of the
     states and outputs that are kept; lasting (n_outputs,): correlation time of what they add to an output, the longest
-    [s]; 0: nothing."""
+    [s]; 0: nothing; silent: removed states with a noise of their own that do nothing at rest, and so are in neither."""
 
     process: Array
     output: Array
     lasting: Array
+    silent: tuple[str, ...]
 
 
 def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     """Removed Gauss-Markov states as white noise, by the Jacobians at rest: of the rates with the same variance over
     times longer than their correlation time, ``|d rate / d state| q tau``, of the outputs with their stationary
-    variance, ``(d output / d state)^2 q^2 tau / 2``. Random walks, which have none, are left out."""
+    variance, ``(d output / d state)^2 q^2 tau / 2``; the mean over headings, which turn a sideslip. Random walks, which
+    have no such variance, are left out."""
     names, left = [s.name for s in whole.states], {s.name for s in kept.states}
     values, compiled = whole.values, VectorisedModel(whole)
-    at_rest = np.zeros((1, len(names))), np.zeros((1, len(whole.inputs))), np.array(list(values.values()))
-    A, H = compiled.rate_jacobian(*at_rest)[0], compiled.output_jacobian(*at_rest)[0]
-    gone = [j for j, s in enumerate(whole.states) if s.name not in left and A[j, j] < 0]
+    angles = {o.name for o in whole.outputs if o.angle}
+    turned = [0.5 * np.pi * (s.from_output in angles) for s in whole.states]
+    x = np.arange(4)[:, None] * np.array(turned)
+    at_rest = x, np.zeros((4, len(whole.inputs))), np.array(list(values.values()))
+    A, H = compiled.rate_jacobian(*at_rest), compiled.output_jacobian(*at_rest)
+    gone = [j for j, s in enumerate(whole.states) if s.name not in left and A[0, j, j] < 0]
     q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in gone)])
-    decay = -A[gone, gone]
-    rates = A[[names.index(s.name) for s in kept.states]][:, gone] * q / decay
-    outputs = H[:, gone] * q / np.sqrt(2 * decay)
+    decay = -A[0, gone, gone]
+    rates = A[:, [names.index(s.name) for s in kept.states]][:, :, gone] * q / decay
+    outputs = H[:, :, gone] * q / np.sqrt(2 * decay)
     return EquivalentNoise(
-        np.sqrt((rates**2).sum(axis=1)),
-        np.sqrt((outputs**2).sum(axis=1)),
-        np.where(outputs != 0.0, 1.0 / decay, 0.0).max(axis=1, initial=0.0),
+        np.sqrt((rates**2).sum(axis=2).mean(axis=0)),
+        np.sqrt((outputs**2).sum(axis=2).mean(axis=0)),
+        np.where((outputs != 0.0).any(axis=0), 1.0 / decay, 0.0).max(axis=1, initial=0.0),
+        tuple(names[j] for k, j in enumerate(gone) if not (rates[:, :, k].any() or outputs[:, :, k].any())),
     )
 
 
@@ -225,6 +233,8 @@ def _remarks(c: Content) -> list[str]:
             "(disturbance forces and sensor offsets; `--with-disturbance-states` keeps them). Over times longer than",
             "their correlation time the forces are part of the process noise here.",
         ]
+    if c.silent:
+        lines.append(f"In no noise, since they do nothing at rest: {', '.join(c.silent)}.")
     if c.lasting:
         lasting = ", ".join(f"{n} ({tau:.2g} s)" for n, tau in c.lasting.items())
         lines += [

@@ -94,11 +94,12 @@ STATES = (
     State("y", "m", "east", from_output="y", sd0=1.0),
     State("psi", "rad", "heading", "s_psi", from_output="psi", sd0=0.1),
     State("u", "m/s", "speed ahead", "s_u", sd0=0.3),
-    State("v", "m/s", "sideslip", "q_v", sd0=0.05, nuisance=True),
+    State("v", "m/s", "sideslip that nothing explains", "q_v", sd0=0.05, nuisance=True),
     State("r", "rad/s", "yaw rate behind its lag", "s_r", sd0=0.1),
 )
+STAMP_ERROR = "stamp_error_"  # and the side
 LATENESS = tuple(
-    State(f"stamp_error_{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
+    State(f"{STAMP_ERROR}{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
           nuisance=True)
     for side in SIDES
 )  # fmt: skip
@@ -172,10 +173,10 @@ def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
     for side in SIDES:
         known = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
         then = sum(w * n for w, n in zip(weights, known, strict=True))
-        if errors and hasattr(s.x, f"stamp_error_{side}"):
+        if errors and hasattr(s.x, STAMP_ERROR + side):
             beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
             change = [(late - early) / (2 * STEP) for early, late in zip(beyond[:-2], beyond[2:], strict=True)]
-            late = s.p.sigma_n * getattr(s.x, f"stamp_error_{side}") * np.exp(-ago / MEMORY)
+            late = s.p.sigma_n * getattr(s.x, STAMP_ERROR + side) * np.exp(-ago / MEMORY)
             then = then + late * sum(w * d for w, d in zip(weights, change, strict=True))
         found.append(then)
     return found
@@ -206,8 +207,8 @@ def rate(s: Signals) -> None:
     s.rate["psi"], s.rate["u"] = s.r, s.X / s.p.m_u + v * s.r
     if hasattr(x, "v"):
         s.rate["v"] = -x.v / s.p.tau_v
-    for side in SIDES if hasattr(x, f"stamp_error_{SIDES[0]}") else ():
-        s.rate[f"stamp_error_{side}"] = -getattr(x, f"stamp_error_{side}") / MEMORY
+    for side in SIDES if hasattr(x, STAMP_ERROR + SIDES[0]) else ():
+        s.rate[STAMP_ERROR + side] = -getattr(x, STAMP_ERROR + side) / MEMORY
 
 
 def _sideslip(s: Signals, u: Any, r: Any) -> Any:
@@ -237,7 +238,7 @@ def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]
 
 def _back(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -> tuple[Any, ...]:
     """Place, heading, speed and sideslip a span [s] before those ``since``, so long ago [s]: explicit midpoint rule."""
-    north, east, psi, u, v = since
+    north, east, psi, u, _ = since
     step = span / steps
     for k in range(steps):
         middle = ago + (k + 0.5) * step
@@ -246,8 +247,8 @@ def _back(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -
         r, gain = _rates_at(s, middle, slower, n)
         v_n, v_e = _over_ground(s, psi - step / 2 * r, slower, _sideslip(s, slower, r))
         north, east, psi, u = north - step * v_n, east - step * v_e, psi - step * r, u - step * gain
-        v = _sideslip(s, u, r)  # its yaw rate is that of half a step later
-    return north, east, psi, u, v
+    r = _rates_at(s, ago + span, u, _inputs(s, ago + span))[0]
+    return north, east, psi, u, _sideslip(s, u, r)
 
 
 def output(s: Signals) -> None:

@@ -60,6 +60,8 @@ def _facts(result: DesignResult) -> list[tuple[str, str]]:
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
     found.append(("better than all in", formatting.percent(result.share_won, 1) + " of the samples"))
+    if result.rates:
+        found.append(("sensors", ", ".join(f"{name} {hz:.3g} Hz" for name, hz in result.rates.items())))
     if result.apart is not None:
         first, second = result.apart.effects
         found += [

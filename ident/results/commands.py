@@ -411,6 +411,9 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
     inputs: tuple[CommandTrace, ...]
     track: Annotated[DesignTrack | None, Meta(description="null: the model has no position")]
     apart: Annotated[Discrimination | None, Meta(description="null: two effects were not named")] = None
+    rates: Annotated[
+        dict[str, float], Meta(description="by sensor [Hz], on which the errors rest; empty: an older file")
+    ] = msgspec.field(default_factory=dict)
 
     @property
     def margin(self) -> float:

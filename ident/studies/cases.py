@@ -19,7 +19,7 @@ from scipy import stats
 from daq.errors import SeatrialError
 from ident.characterisation import noise_model
 from ident.data import TIME_INPUT
-from ident.estimation import EstimationOptions, SampledInputs, load_model
+from ident.estimation import EstimationOptions, SampledInputs, SavedModel, load_model
 from ident.experiment_design import (
     GRID,
     SHAFT_POLE,
@@ -198,7 +198,7 @@ CASES: dict[str, Callable[..., Case]] = {
     "noise": noise_case,
     "designed": optimal_design_case,
 }
-STEP = 0.1  # s, of the sensors' samples; GNSS has every second
+STEP = 0.1  # s, of the samples of sensors whose rate no file has; GNSS has every second
 HOLD = (3.0, 10.0)  # s, of a level
 GNSS = ("position", "ground_velocity")
 SECONDS = 400.0  # of a mission
@@ -259,7 +259,7 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
         if not path.is_file():
             raise SeatrialError(f"{source}: no such file")
         saved = load_model(path)
-        case = _of_model(saved.model, saved.validity, source, seconds or SECONDS, seed)
+        case = _of_model(saved, source, seconds or SECONDS, seed)
         return _marked(replace(case, reml=saved.reml), path)
     file, _, name = source.rpartition(":")
     case = load_object(source)
@@ -281,8 +281,10 @@ def _marked(case: Case, path: Path) -> Case:
     return replace(case, model=replace(case.model, source=f"{case.model.source} {digest}"))
 
 
-def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: str, seconds: float, seed: int) -> Case:
-    step = _row_step(model)
+def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case:
+    model, ranges = saved.model, saved.validity
+    rates = {s.name: saved.rates.get(s.name, (0.5 if s.name in GNSS else 1.0) / STEP) for s in model.sensors}
+    step = _row_step(model, max(rates.values()))
     t = _clock(seconds, step)
     rng = np.random.default_rng(seed)
     u = np.empty((t.size, len(model.inputs)))
@@ -308,10 +310,9 @@ def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]], source: s
     for j, signal in enumerate(model.inputs):
         if signal.hold == "linear":
             u_next[:-1, j] = u[1:, j]
-    sample = round(STEP / step)
-    every = {s.name: sample * (2 if s.name in GNSS else 1) for s in model.sensors}
-    rates = "sensors 10 Hz" + ", GNSS 5 Hz" * bool({*every} & {*GNSS})
-    about = f"{seconds:g} s, inputs in steps of 3-10 s within the fitted ranges, {rates}"
+    every = {name: max(round(1.0 / (hz * step)), 1) for name, hz in rates.items()}
+    had = ", ".join(f"{name} {1.0 / (k * step):.3g} Hz" for name, k in every.items())
+    about = f"{seconds:g} s, inputs in steps of 3-10 s within the fitted ranges, {had}"
     return Case(f"{model.name}-{Path(source).parent.name or 'own'}", model, SampledInputs(t, u, u_next), every, about)
 
 
@@ -324,10 +325,10 @@ def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Arra
     return out
 
 
-def _row_step(model: Model) -> float:
-    """Spacing of the rows [s]: as a fit needs it, and such that delayed copies of the inputs are rows, too: rounded to
-    others, nothing would tell a delay."""
-    return divided(copy_spacing(model, STEP), model.max_step)
+def _row_step(model: Model, fastest: float) -> float:
+    """Spacing of the rows [s]: as a fit needs it, one for each sample of the fastest sensor [Hz], and such that delayed
+    copies of the inputs are rows, too: rounded to others, nothing would tell a delay."""
+    return divided(copy_spacing(model, STEP), min(model.max_step, 1.05 / fastest))
 
 
 def _measured(levels: Array, step: float) -> Array:

@@ -138,6 +138,7 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
         track=None if track is None else _track(track, task.limits), apart=apart,
+        rates={s.name: task.rate(s.name) for s in task.model.sensors},
         warnings=tuple(_warnings(made)),
     )  # fmt: skip
     title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
@@ -167,11 +168,20 @@ def _warnings(made: Design) -> list[ResultWarning]:
     task = made.task
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
     said = design_warnings(task.model, task.actuation.full_thrust, pole)
-    if assumed := [s.name for s in task.model.sensors if s.name not in task.rates]:
+    known = {**task.fitted_rates, **task.rates}
+    if assumed := [s.name for s in task.model.sensors if s.name not in known]:
         text = (
             f"Sensors are taken to measure at {RATE:g} Hz where neither --rate nor the model.toml says else: "
             f"{', '.join(assumed)}. "
             "With slower ones a fit will know less."
+        )
+        said.append(ResultWarning(code="rates-assumed", text=text))
+    fitted = {n: task.fitted_rates[n] for n, hz in task.rates.items() if hz > 1.05 * task.fitted_rates.get(n, hz)}
+    if fitted:
+        rows = ", ".join(f"{n} {hz:.3g} Hz" for n, hz in fitted.items())
+        text = (
+            f"--rate is above that of the rows that the model was fitted to ({rows}), whose noise it has. Of a sensor "
+            "that was averaged to them each sample would count as an average: leave its --rate out."
         )
         said.append(ResultWarning(code="rates-assumed", text=text))
     if beyond := beyond_validity(made):
@@ -280,7 +290,7 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
         replace(steps, n_steps=n_steps),
         wish.criterion,
         wish.chosen,
-        {**(saved.rates if saved is not None else {}), **wish.rates},
+        wish.rates,
         wish.limits,
         wish.slew,
         robust=wish.robust,
@@ -294,7 +304,10 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
     else:
         belief = believed(saved)
         earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
-        task = replace(task, belief=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity)
+        task = replace(
+            task, belief=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity,
+            fitted_rates=saved.rates,
+        )  # fmt: skip
     compared = hypotheses(model, wish.between) if wish.between else ()
     members = [(model, task.boats(N_TRACKS, 2)), *((m, np.array([list(m.values.values())])) for m in compared)]
     return replace(task, grid=row_spacing(members, GRID, wish.n_max))

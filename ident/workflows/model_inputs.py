@@ -162,9 +162,11 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
                 "the delayed output (--model horizontal:shaft takes them as they are, horizontal:command the outputs)")
     if "n_input" not in model.provides:
         return ""
-    if any(_told_only(x) for x in loaded):
-        return "thrust from the commands, or an autopilot's outputs, followed at once: no shaft speed is measured"
-    return "thrust from the measured shaft speeds"
+    told = [_told_only(x) for x in loaded]
+    if not any(told):
+        return "thrust from the measured shaft speeds"
+    where = "" if all(told) else f" in {', '.join(x.run.name for x, only in zip(loaded, told, strict=True) if only)}"
+    return f"thrust from the commands, or an autopilot's outputs, followed at once: no shaft speed is measured{where}"
 
 
 def _told_only(one: LoadedLog) -> bool:

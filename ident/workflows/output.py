@@ -53,13 +53,13 @@ def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
 
 
 def sensor_rates(stage: FittedModel) -> dict[str, float]:
-    """Rows a second [Hz] in which each sensor measured, in the estimation data that have it. One that is averaged
-    counts once a row, as its estimated noise does."""
+    """Samples a second [Hz] of each sensor in the estimation data, by the median interval: gaps do not count. One that
+    is averaged has one a row, as its estimated noise is that of a row."""
     found: dict[str, float] = {}
     for sensor in stage.model.sensors:
-        seen = [(np.isfinite(v.record.y[:, v.record.outputs.index(sensor.outputs[0].name)]), v.record.duration)
-                for v in stage.estimation]  # fmt: skip
-        there = [(int(rows.sum()), seconds) for rows, seconds in seen if rows.any()]
-        if there:
-            found[sensor.name] = sum(n for n, _ in there) / sum(seconds for _, seconds in there)
+        records = [v.record for v in stage.estimation]
+        seen = [r.t[np.isfinite(r.y[:, r.outputs.index(sensor.outputs[0].name)])] for r in records]
+        between = np.concatenate([np.diff(t) for t in seen])
+        if between.size:
+            found[sensor.name] = float(1.0 / np.median(between))
     return found

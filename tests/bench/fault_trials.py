@@ -85,7 +85,7 @@ def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, s
         left = list(seeds)
         try:
             for found in trials(kind, seeds):  # none at all where it cannot be tried
-                if stopping.wait(INTERRUPTED_S if found.wrong else 0.0):
+                if stopping.wait(INTERRUPTED_S if found.wrong or found.spoilt else 0.0):
                     return
                 store.put(kind, left[0], found)
                 for problem in [*found.wrong, *filter(None, [found.spoilt and f"spoilt: {found.spoilt}"])]:

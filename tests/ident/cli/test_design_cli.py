@@ -112,10 +112,21 @@ def test_a_mission_that_has_no_place_is_refused_before_the_search(
 
 
 def test_sensors_measure_as_often_as_in_the_fitted_data(fitted: Path) -> None:
-    assert make_task(str(fitted), DesignRequest(duration=40.0)).rates == {"attitude": 10.0, "position": 5.0}
-    task = make_task(str(fitted), DesignRequest(duration=40.0, rates={"position": 1.0}))
-    assert task.rates == {"attitude": 10.0, "position": 1.0}
-    assert task.rate("gyro") == 10.0  # the file says nothing of it
+    task = make_task(str(fitted), DesignRequest(duration=40.0, rates={"attitude": 2.0}))
+    assert {s.name: task.rate(s.name) for s in task.model.sensors} == {"attitude": 2.0, "gyro": 10.0, "position": 5.0}
+
+
+@pytest.mark.parametrize(("rate", "said"), [("1", False), ("10", False), ("100", True)])
+def test_samples_of_a_sensor_are_not_taken_for_averages(
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rate: str, said: bool
+) -> None:
+    out = tmp_path / "next.toml"
+    words = ("--parameters", "m_u", "--rate", f"attitude={rate}", "--rate", "gyro=10", "--out", str(out))
+    assert run(capsys, "design", str(fitted), *QUICK, *words)[0] == 0
+    made = json.loads(out.with_suffix(".json").read_text())
+    assert made["rates"] == {"attitude": float(rate), "gyro": 10.0, "position": 5.0}
+    assert said == any("attitude 10 Hz), whose noise" in w["text"] for w in made["warnings"])
+    assert f"attitude {rate} Hz, gyro 10 Hz" in out.with_suffix(".html").read_text(encoding="utf-8")
 
 
 def test_the_default_number_of_steps_leaves_each_the_shortest() -> None:

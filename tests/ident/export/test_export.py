@@ -24,6 +24,7 @@ from ident.models.components import estimator_error
 from ident.models.disturbances import for_diagnosis
 from ident.models.horizontal import horizontal_model
 from ident.models.kinematic import kinematic_model
+from ident.models.nomoto import nomoto_model
 from ident.models.thruster import thruster_model
 from tests.ident.exported import ALONE, MODELS, compare, moved, points, run_c, run_casadi, run_python, saved
 from tests.test_docs import ROOT, blocks
@@ -153,6 +154,20 @@ def test_errors_that_last_are_in_the_noise_of_their_outputs(target: str) -> None
     bench = thruster_model()
     force, values = content(saved(bench)).output_noise[-1], bench.values
     assert force == pytest.approx(math.hypot(values["e_f"], values["q_f"] * math.sqrt(values["tau_f"] / 2)))
+
+
+def test_a_sideslip_that_is_left_out_is_noise_of_both_axes() -> None:
+    """A filter may head anywhere: all of it east, as at a heading of zero, would take the north for exact."""
+    model = nomoto_model(sampled=True)
+    c, values = content(saved(model)), model.values
+    diffusion, spread = values["q_v"] * values["tau_v"], values["q_v"] * math.sqrt(values["tau_v"] / 2)
+    for names, noise, own, whole in (
+        (("x", "y"), dict(zip(c.states, c.state_noise, strict=True)), 0.0, diffusion),
+        (("vx", "vy"), dict(zip(c.outputs, c.output_noise, strict=True)), values["e_vxy"], spread),
+    ):
+        assert noise[names[0]] == pytest.approx(noise[names[1]]) == pytest.approx(math.hypot(own, whole / math.sqrt(2)))
+    assert c.silent == ("stamp_error_left", "stamp_error_right")
+    assert "do nothing at rest: stamp_error_left, stamp_error_right." in " ".join(export(saved(model), "c").split())
 
 
 @pytest.mark.parametrize("target", TARGETS)
