@@ -17,12 +17,15 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
 
 from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from ident.engine import VectorisedModel
 from ident.estimation import SavedModel, scale_of
 from ident.model import Input, Model, Parameter, ParameterRole, Signals, State
 from ident.numerics import Array
+
+NOTHING = 1e-12  # of the steady response of rates and outputs to a unit: rounding
 
 
 @dataclass(frozen=True)
@@ -146,8 +149,8 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
 @dataclass(frozen=True)
 class EquivalentNoise:
     """White noise in place of removed states: process (n_states,) [unit/sqrt(s)] and output (n_outputs,) [unit] of the
-    states and outputs that are kept; lasting (n_outputs,): correlation time of what they add to an output, the longest
-    [s]; 0: nothing; silent: removed states with a noise of their own that do nothing at rest, and so are in neither."""
+    states and outputs that are kept; lasting (n_outputs,): integral time scale of what they add to an output [s]; 0:
+    nothing; silent: removed states with a noise of their own that do nothing at rest, and so are in neither."""
 
     process: Array
     output: Array
@@ -156,10 +159,10 @@ class EquivalentNoise:
 
 
 def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
-    """Removed Gauss-Markov states as white noise, by the Jacobians at rest: of the rates with the same variance over
-    times longer than their correlation time, ``|d rate / d state| q tau``, of the outputs with their stationary
-    variance, ``(d output / d state)^2 q^2 tau / 2``; the mean over headings, which turn a sideslip. Random walks, which
-    have no such variance, are left out."""
+    """Removed Gauss-Markov states, which may drive each other, as white noise, by the Jacobians at rest: of the rates
+    with the same spectral density at frequencies below theirs, of the outputs with their stationary variance, by
+    Lyapunov's equation; the mean over headings, which turn a sideslip. Random walks, which have no such variance, are
+    left out. What they add to an output lasts for its integral time scale, the area under its autocorrelation."""
     names, left = [s.name for s in whole.states], {s.name for s in kept.states}
     values, compiled = whole.values, VectorisedModel(whole)
     angles = {o.name for o in whole.outputs if o.angle}
@@ -169,14 +172,16 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     A, H = compiled.rate_jacobian(*at_rest), compiled.output_jacobian(*at_rest)
     gone = [j for j, s in enumerate(whole.states) if s.name not in left and A[0, j, j] < 0]
     q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in gone)])
-    decay = -A[0, gone, gone]
-    rates = A[:, [names.index(s.name) for s in kept.states]][:, :, gone] * q / decay
-    outputs = H[:, :, gone] * q / np.sqrt(2 * decay)
+    own, H = A[:, gone][:, :, gone], H[:, :, gone]
+    to_rates, inverse = A[:, [names.index(s.name) for s in kept.states]][:, :, gone], np.linalg.inv(own)
+    covariance = np.array([solve_continuous_lyapunov(a, -np.diag(q**2)) for a in own]).reshape(own.shape)
+    rates = ((to_rates @ inverse * q) ** 2).sum(axis=2).mean(axis=0)
+    outputs = np.einsum("hij,hjk,hik->hi", H, covariance, H).mean(axis=0)
+    area = -np.einsum("hij,hjk,hik->hi", H, inverse @ covariance, H).mean(axis=0)
+    reach = np.abs(np.concatenate([to_rates, H], axis=1) @ inverse).max(axis=(0, 1), initial=0.0)
     return EquivalentNoise(
-        np.sqrt((rates**2).sum(axis=2).mean(axis=0)),
-        np.sqrt((outputs**2).sum(axis=2).mean(axis=0)),
-        np.where((outputs != 0.0).any(axis=0), 1.0 / decay, 0.0).max(axis=1, initial=0.0),
-        tuple(names[j] for k, j in enumerate(gone) if not (rates[:, :, k].any() or outputs[:, :, k].any())),
+        np.sqrt(rates), np.sqrt(outputs), np.divide(area, outputs, out=np.zeros_like(area), where=outputs > 0.0),
+        tuple(names[j] for j, far in zip(gone, reach, strict=True) if far < NOTHING),
     )
 
 

@@ -10,18 +10,21 @@ import numpy as np
 
 from ident.model import Effect, EffectKind, Input, Model, Parameter, ParameterOrigin, ParameterRole, Signals, State
 from ident.models import rotations
-from ident.models.horizontal import BUILT_IN, SENSORS, SIDES, shift_in_time
+from ident.models.horizontal import BUILT_IN, SIDES, shift_in_time
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
 THRUST_CALIBRATION = "thrust-calibration"
 ESTIMATOR_ERROR = "estimator-error"
-# By sensor: name of the error, standard deviation, unit, correlation time [s]; usual ones of a small boat's estimator.
-LASTING = {
-    "position": ("xy", 0.1, "m", 3.0),
-    "ground_velocity": ("vxy", 0.05, "m/s", 3.0),
-    "body_velocity": ("uv", 0.05, "m/s", 3.0),
+# Errors of an estimator: name of their size and time, standard deviation, unit, correlation time [s]; usual ones of a
+# small boat's. By what they are of, in the order of the chain: each is part of the rate of the next.
+ERRORS = {
+    "gyro": ("r", 0.003, "rad/s", 0.1),
     "attitude": ("psi", 0.01, "rad", 3.0),
+    "acceleration": ("axy", 0.05, "m/s2", 50.0),
+    "velocity": ("vxy", 0.05, "m/s", 3.0),
+    "position": ("xy", 0.1, "m", 3.0),
 }
+LASTING = ("gyro", "attitude", "ground_velocity", "body_velocity", "position")  # sensors that get them
 N_AHEAD = 5  # copies of a shaft speed that is known late, each a step earlier: ages up to half a second; and one later
 
 
@@ -133,45 +136,82 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
 
 
 def estimator_error(sensors: Sequence[str]) -> Effect:
-    """Time-correlated measurement errors of a state estimator's output: first-order Gauss-Markov processes beside the
-    white noise (Gelb 1974, section 4.5: coloured measurement noise by state augmentation).
+    """Errors of a state estimator's output: those of inertial navigation (Groves 2013, chapter 14), as augmented states
+    beside the white noise (Gelb 1974, section 4.5).
 
-    What an autopilot's filter makes of a receiver and a compass is smooth from sample to sample, and off for seconds.
-    Taken for white, such errors look like motion: masses and damping become those that explain them.
+    What an autopilot's filter makes of a receiver, a gyro and accelerometers is smooth from sample to sample, and off
+    for seconds, in all channels together: its heading is off by the integral of what its gyro is, its velocity by that
+    of its accelerometers, its position by that of its velocity, and fixes and compass draw each back in a correlation
+    time. With white noise of its own beside what it integrates, each is
 
-    sensors: those of the model; position, velocities and heading get such an error.
+        e' = -e / tau + (the one before it) + A sqrt(2 / tau) w
+
+    in north and east; accelerations are off in the axes of the boat, where accelerometers are, and velocities of the
+    body are those over ground turned by the estimated heading. Taken for white, such errors look like motion: masses
+    and damping become those that explain them.
+
+    sensors: those of the model; yaw rate, heading, velocities and position get such errors.
     """
-    errors = {o.name: LASTING[s] for s in sensors if s in LASTING for o in SENSORS[s].outputs}
+    there = {"gyro", "attitude", "position"} & set(sensors)
+    if {"ground_velocity", "body_velocity"} & set(sensors):
+        there |= {"acceleration", "velocity"}
+    errors = {of: row for of, row in ERRORS.items() if of in there}
+    axes = {"gyro": ("r",), "attitude": ("psi",), "acceleration": ("ax", "ay"), "velocity": ("vx", "vy"),
+            "position": ("x", "y")}  # fmt: skip
+    states = [(f"error_{axis}", errors[of]) for of in errors for axis in axes[of]]
+
+    def size(s: Signals, of: str) -> Any:
+        """Of the unit noise that drives its states."""
+        name = errors[of][0]
+        return getattr(s.p, f"A_{name}") * np.sqrt(2 / getattr(s.p, f"tau_{name}"))
+
+    def error(s: Signals, of: str) -> list[Any]:
+        return [size(s, of) * getattr(s.x, f"error_{axis}") for axis in axes[of]] if of in errors else [0.0, 0.0]
+
+    def grow(s: Signals) -> None:
+        for state, (name, *_) in states:
+            s.rate[state] = -getattr(s.x, state) / getattr(s.p, f"tau_{name}")
+        cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
+        ahead, starboard = error(s, "acceleration")
+        integrated = {"attitude": error(s, "gyro"), "position": error(s, "velocity"),
+                      "velocity": [cos * ahead - sin * starboard, sin * ahead + cos * starboard]}  # fmt: skip
+        for of in errors.keys() & integrated.keys():
+            for axis, rate in zip(axes[of], integrated[of], strict=False):
+                s.rate[f"error_{axis}"] = s.rate[f"error_{axis}"] + rate / size(s, of)
 
     def add(s: Signals) -> None:
-        for output, (name, *_) in errors.items():
-            size = getattr(s.p, f"A_{name}") * np.sqrt(2 / getattr(s.p, f"tau_{name}"))  # unit noise drives the state
-            s.y[output] = s.y[output] + size * getattr(s.x, f"error_{output}")
-
-    def decay(s: Signals) -> None:
-        for output, (name, *_) in errors.items():
-            s.rate[f"error_{output}"] = -getattr(s.x, f"error_{output}") / getattr(s.p, f"tau_{name}")
+        turn, (north, east) = error(s, "attitude")[0], error(s, "velocity")
+        for of in errors.keys() & {"gyro", "attitude", "position"}:
+            for axis, off in zip(axes[of], error(s, of), strict=False):
+                s.y[axis] = s.y[axis] + off
+        s.y["vx"], s.y["vy"] = s.y["vx"] + north, s.y["vy"] + east
+        if "body_velocity" in sensors:
+            cos, sin = np.cos(turn), np.sin(turn)
+            s.y["u"], s.y["v"] = cos * s.y["u"] + sin * s.y["v"], cos * s.y["v"] - sin * s.y["u"]
+            cos, sin = np.cos(s.x.psi + turn), np.sin(s.x.psi + turn)
+            s.y["u"], s.y["v"] = s.y["u"] + cos * north + sin * east, s.y["v"] + cos * east - sin * north
 
     return Effect(
         ESTIMATOR_ERROR,
         "errors of the estimator that last",
-        {"rate": decay, "reading": add},
+        {"rate": grow, "reading": add},
         parameters=tuple(
             p
-            for name, sd, unit, tau in dict.fromkeys(errors.values())
+            for of, (name, sd, unit, tau) in errors.items()
             for p in (
-                Parameter(f"A_{name}", sd, unit, f"error of {name} that lasts, standard deviation", "log",
+                Parameter(f"A_{name}", sd, unit, f"own error of the {of} that lasts, standard deviation", "log",
                           prior=(sd, 3 * sd), role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
-                Parameter(f"tau_{name}", tau, "s", f"correlation time of the error of {name}", "log",
-                          prior=(tau, 3 * tau), bounds=(0.2, 200.0), role=ParameterRole.DISTURBANCE,
-                          origin=BUILT_IN),
+                Parameter(f"tau_{name}", tau, "s", f"correlation time of the error of the {of}", "log",
+                          prior=(tau, 3 * tau), bounds=(0.02 if of == "gyro" else 0.2, 200.0),
+                          role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
             )
         ),
         states=tuple(
-            State(f"error_{output}", "", f"error of {output} that lasts, scaled", 1.0, sd0=1.0, nuisance=True)
-            for output in errors
+            State(state, "", f"error of {state.removeprefix('error_')} that lasts, scaled", 1.0,
+                  sd0=float(np.sqrt(tau / 2)), nuisance=True)
+            for state, (*_, tau) in states
         ),
         place="sensor",
-        requires=("plane",),
+        requires=("heading",),
         kind=EffectKind.SENSOR_OFFSET,
     )

@@ -165,7 +165,7 @@ def horizontal_model(
         tuple(SENSORS[s] for s in sensors),
         parameters,
         (*first, ("force", force), ("rate", rate), ("output", output)),
-        provides=(*provides, "hull", *(("body_velocity",) if "body_velocity" in sensors else ())),
+        provides=(*provides, "hull", "heading", *(("body_velocity",) if "body_velocity" in sensors else ())),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
         max_step=DRIVEN_STEP if propulsion == "command" else 0.1,
         start_grid=DEAD_ZONES if propulsion == "command" else None,

@@ -140,7 +140,7 @@ def nomoto_model(
         (*parameters, *(NOISE[s.name] for s in chosen)),
         (("shaft", delayed), ("dead_band", unchanged), ("thrust_lag", unchanged), ("thrust", thrust), ("force", force),
          ("rate", rate), ("output", output)),
-        provides=("n", "f", "n_input", "plane", "nomoto"),
+        provides=("n", "f", "n_input", "plane", "heading", "nomoto"),
         source="nomoto" + ":sampled" * sampled + ":no-current" * (not current),
         residuals=RESIDUALS,
         variables=VARIABLES,

@@ -80,12 +80,12 @@ def with_estimator_errors(
     """
     position = next((o.noise for o in model.outputs if o.name == "x" and o.noise), None)
     there = ESTIMATOR_ERROR in {e.name for e in model.effects}
-    if position is None or there or not {"hull", "nomoto"} & set(model.provides) or position in given:
+    if position is None or there or "heading" not in model.provides or position in given:
         return model, []
     if not any(estimated(log.run.channels) for log in logs):
         return model, []
-    line = ("Position by an estimator (its noise is less than a receiver's): errors of position, velocity and heading "
-            f"that last are states; --fix {position}=... gives white noise instead.")
+    line = ("Position by an estimator (its noise is less than a receiver's): errors of position, velocity, heading "
+            f"and yaw rate that last are states; --fix {position}=... gives white noise instead.")
     return model + estimator_error([s.name for s in model.sensors]), [line]
 
 

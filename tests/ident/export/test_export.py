@@ -146,9 +146,11 @@ def test_errors_that_last_are_in_the_noise_of_their_outputs(target: str) -> None
     model = (model + estimator_error([s.name for s in model.sensors])).with_values({"e_xy": 0.001, "A_xy": 0.2})
     noise = dict(zip(content(saved(model)).outputs, content(saved(model)).output_noise, strict=True))
     assert noise["x"] == noise["y"] == pytest.approx(math.hypot(0.001, 0.2))
-    assert noise["psi"] == pytest.approx(math.hypot(*(model.values[n] for n in ("e_psi", "A_psi"))))
-    assert noise["r"] == model.values["e_r"]
-    assert "psi (3 s), x (3 s), y (3 s)." in " ".join(export(saved(model), target).split())
+    v = model.values
+    turn = v["A_r"] * v["tau_psi"] * math.sqrt(v["tau_r"] / (v["tau_r"] + v["tau_psi"]))  # the gyro's, integrated
+    assert noise["psi"] == pytest.approx(math.hypot(v["e_psi"], v["A_psi"], turn))
+    assert noise["r"] == pytest.approx(math.hypot(v["e_r"], v["A_r"]))
+    assert "psi (3 s), r (0.1 s), x (3 s), y (3 s)." in " ".join(export(saved(model), target).split())
     kept = content(saved(model), nuisance=True)
     assert (kept.output_noise[kept.outputs.index("x")], kept.lasting) == (0.001, {})
     bench = thruster_model()

@@ -94,7 +94,6 @@ def test_the_errors_of_an_estimator_are_gauss_markov_of_the_size_that_it_says() 
     model = (horizontal_model("shaft", sensors) + estimator_error(sensors)).with_values({"A_xy": 0.3, "tau_xy": 7.0})
     names = [s.name for s in model.states]
     assert {p.origin for p in model.effects[-1].parameters} == {ParameterOrigin.BUILT_IN}  # nobody gave their priors
-    assert names[-5:] == ["error_psi", "error_x", "error_y", "error_u", "error_v"]
     k, y = names.index("error_x"), len(names) + [o.name for o in model.outputs].index("x")
     x = np.zeros((2, len(names)))
     x[1, k] = 1.0
@@ -102,6 +101,48 @@ def test_the_errors_of_an_estimator_are_gauss_markov_of_the_size_that_it_says() 
     decay, gain = found[1, k] - found[0, k], found[1, y] - found[0, y]
     assert decay == pytest.approx(-1 / 7.0)
     assert gain * np.sqrt(1 / (2 * -decay)) == pytest.approx(0.3)  # the variance of dz = -z/tau dt + dw is tau / 2
+
+
+@pytest.mark.parametrize(
+    ("sensors", "wanted"),
+    [
+        (("attitude", "gyro", "position", "body_velocity"), "r psi ax ay vx vy x y"),
+        (("attitude", "position", "ground_velocity", "body_velocity"), "psi ax ay vx vy x y"),
+        (("attitude", "accelerometer", "position"), "psi x y"),
+    ],
+)
+def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(
+    sensors: tuple[str, ...], wanted: str
+) -> None:
+    """Against the error equations of a strapdown navigator in the plane: its heading integrates its gyro, its velocity
+    its accelerations turned to the north, its position its velocity; the body's velocity is turned by its heading."""
+    model = horizontal_model("shaft", sensors) + estimator_error(sensors)
+    plain, values = horizontal_model("shaft", sensors), model.values
+    names, outs = [s.name for s in model.states], [o.name for o in model.outputs]
+    assert " ".join(n.removeprefix("error_") for n in names[len(plain.states):]) == wanted
+    x = np.random.default_rng(4).normal(size=(10, len(names)))
+    found = outputs(model, x, np.full((10, len(model.inputs)), 0.4))
+    at = dict(zip(names, x.T, strict=True))
+    rate = dict(zip(names, found[:, :len(names)].T, strict=True))
+    y = dict(zip(outs, found[:, len(names):].T, strict=True))
+    still = outputs(plain, x[:, :len(plain.states)], np.full((10, len(plain.inputs)), 0.4))[:, len(plain.states):]
+    true = dict(zip(outs, still.T, strict=True))
+    has = wanted.split()
+    of = {"r": "r", "psi": "psi", "ax": "axy", "ay": "axy", "vx": "vxy", "vy": "vxy", "x": "xy", "y": "xy"}
+    scale = {axis: values[f"A_{n}"] * np.sqrt(2 / values[f"tau_{n}"]) for axis, n in of.items() if axis in has}
+    e = {axis: size * at[f"error_{axis}"] for axis, size in scale.items()}
+    de = {axis: size * rate[f"error_{axis}"] + e[axis] / values[f"tau_{of[axis]}"] for axis, size in scale.items()}
+    cos, sin, zero = np.cos(at["psi"]), np.sin(at["psi"]), np.zeros(10)
+    ax, ay, vx, vy = (e.get(n, zero) for n in ("ax", "ay", "vx", "vy"))
+    parts = {"psi": e.get("r", zero), "vx": cos * ax - sin * ay, "vy": sin * ax + cos * ay, "x": vx, "y": vy}
+    for axis in e:
+        np.testing.assert_allclose(de[axis], parts.get(axis, zero), atol=1e-12, err_msg=axis)
+    for name in y.keys() & {"psi", "r", "x", "y", "vx", "vy"}:
+        np.testing.assert_allclose(y[name], true[name] + e.get(name, zero), atol=1e-12, err_msg=name)
+    if "u" in y:
+        ground = (true["u"] + 1j * true["v"]) * np.exp(1j * at["psi"]) + vx + 1j * vy
+        body = ground * np.exp(-1j * (at["psi"] + e["psi"]))
+        np.testing.assert_allclose(y["u"] + 1j * y["v"], body, atol=1e-12)
 
 
 def test_whatever_moves_the_water_is_in_the_velocity_over_ground_of_the_body() -> None:
