@@ -509,12 +509,13 @@ def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:
 
 def _starts(effect: Effect, score: Score) -> Iterator[Effect]:
     """The effect at the one-step estimate of the score test; then nearer to nothing, at the neighbours of a scanned
-    value, and on the other side."""
+    value, and on the other side; at last at nothing, from where a search that only climbs loses nothing."""
     scans = [score.scan]
     for name, tried in effect.scan.items():
         at = tried.index(score.scan[name]) if score.scan.get(name) in tried else 0
         scans += [score.scan | {name: tried[k]} for k in (at - 1, at + 1) if 0 <= k < len(tried)]
-    for scan, share in [(scans[0], 1.0), (scans[0], 0.3), *((s, 1.0) for s in scans[1:]), (scans[0], -0.3)]:
+    for scan, share in [(scans[0], 1.0), (scans[0], 0.3), *((s, 1.0) for s in scans[1:]), (scans[0], -0.3),
+                        (scans[0], 0.0)]:
         yield replace(effect, parameters=tuple(_start(p, score, scan, share) for p in effect.parameters))
 
 

@@ -350,11 +350,12 @@ def _untold_noise(model: Model, records: Sequence[Record]) -> set[str]:
 
 def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
     """With a start for noise that an earlier fit put to zero, from where no search comes back: the median second
-    difference of what was measured, as white noise has it."""
+    difference of what was measured, as white noise has it. Noise with a floor stays: it does not get there, and of a
+    smoothed signal the differences are motion."""
     new, names = [], records[0].outputs
     for o in model.outputs:
         p = model.parameter(o.noise) if o.noise else None
-        if p is None or not p.free or o.name not in names:
+        if p is None or not p.free or p.bounds[0] > 0.0 or o.name not in names:
             continue
         parts = [r.y[np.isfinite(r.y[:, names.index(o.name)]), names.index(o.name)] for r in records]
         white = noise_from_differences(np.concatenate([np.diff(np.unwrap(y) if o.angle else y, 2) for y in parts]))

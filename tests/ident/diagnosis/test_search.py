@@ -234,13 +234,13 @@ SCANNED = Effect(
 SCORE = Score("scanned", 100.0, 1, 50.0, {"A": 5.0}, {"w": 1.0})
 
 
-def test_a_refit_begins_at_the_score_test_then_nearer_then_at_its_neighbours() -> None:
+def test_a_refit_begins_at_the_score_test_then_nearer_then_at_its_neighbours_and_at_last_at_nothing() -> None:
     assert [tuple(p.value for p in e.parameters) for e in _starts(SCANNED, SCORE)] == [
-        (1.0, 1.0), (0.6, 1.0), (1.0, 0.5), (1.0, 2.0), (-0.6, 1.0),
+        (1.0, 1.0), (0.6, 1.0), (1.0, 0.5), (1.0, 2.0), (-0.6, 1.0), (0.0, 1.0),
     ]
 
 
-@pytest.mark.parametrize(("n_failures", "untested"), [(0, False), (3, False), (5, True)])
+@pytest.mark.parametrize(("n_failures", "untested"), [(0, False), (5, False), (6, True)])
 def test_a_refit_that_fails_is_begun_again_and_named_where_none_helps(
     monkeypatch: pytest.MonkeyPatch, n_failures: int, untested: bool
 ) -> None:
@@ -261,7 +261,7 @@ def test_a_refit_that_fails_is_begun_again_and_named_where_none_helps(
     mine = a_search(SCANNED)
     mine.n = 1000
     found = mine._refit(blank(fit=blank(model=Model(), log_posterior=10.0)), SCANNED, SCORE)
-    assert len(tried) == min(n_failures + 1, 5)
+    assert len(tried) == min(n_failures + 1, 6)
     if untested:
         assert found == UntestedCandidate(SCANNED, "SVD did not converge")
     else:

@@ -145,6 +145,8 @@ def test_noise_that_was_put_to_nought_begins_again() -> None:
     assert reset_collapsed_noise(model, [record]).parameter("e_n").value == pytest.approx(0.01, rel=0.15)
     kept = model.with_values({"e_n": 2e-3})
     assert reset_collapsed_noise(kept, [record]) == kept
+    floor = model.replace_parameters(replace(model.parameter("e_n"), value=1e-9, bounds=(1e-9, np.inf)))
+    assert reset_collapsed_noise(floor, [record]) == floor  # of a smoothed signal: its differences are motion
 
 
 def loaded(**channels: Channel) -> LoadedLog:
