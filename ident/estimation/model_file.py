@@ -270,10 +270,12 @@ def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
 
 def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
     model = own_model(source) if is_own_model(source) else catalogue_model(source, table["sensors"])
-    size = _size(model, table["parameter"])
+    size, written = _size(model, table["parameter"]), {row["name"] for row in table["parameter"]}
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
             effect = own[name] if name in own else _effect(name, model, table.get("curves", {}))
+            if name == ESTIMATOR_ERROR and not {p.name for p in effect.parameters} <= written:
+                raise ValueError("its errors of an estimator are of an older form: fit the model again")
             if _is_sized(effect, own):
                 _check_units(effect, table["parameter"])
                 effect = _holding(scale_priors(effect, size), table["parameter"])

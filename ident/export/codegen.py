@@ -25,8 +25,6 @@ from ident.estimation import SavedModel, scale_of
 from ident.model import Input, Model, Parameter, ParameterRole, Signals, State
 from ident.numerics import Array
 
-NOTHING = 1e-12  # of the steady response of rates and outputs to a unit: rounding
-
 
 @dataclass(frozen=True)
 class Content:
@@ -172,6 +170,9 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     A, H = compiled.rate_jacobian(*at_rest), compiled.output_jacobian(*at_rest)
     gone = [j for j, s in enumerate(whole.states) if s.name not in left and A[0, j, j] < 0]
     q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in gone)])
+    if not gone:
+        none = np.zeros(len(whole.outputs))
+        return EquivalentNoise(np.zeros(len(left)), none, none, ())
     own, H = A[:, gone][:, :, gone], H[:, :, gone]
     to_rates, inverse = A[:, [names.index(s.name) for s in kept.states]][:, :, gone], np.linalg.inv(own)
     covariance = np.array([solve_continuous_lyapunov(a, -np.diag(q**2)) for a in own]).reshape(own.shape)
@@ -181,7 +182,7 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     reach = np.abs(np.concatenate([to_rates, H], axis=1) @ inverse).max(axis=(0, 1), initial=0.0)
     return EquivalentNoise(
         np.sqrt(rates), np.sqrt(outputs), np.divide(area, outputs, out=np.zeros_like(area), where=outputs > 0.0),
-        tuple(names[j] for j, far in zip(gone, reach, strict=True) if far < NOTHING),
+        tuple(names[j] for j, far in zip(gone, reach, strict=True) if far == 0.0),
     )
 
 

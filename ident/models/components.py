@@ -1,10 +1,10 @@
 """Components that the rig, the logs or the user ask for, and no search adds: antenna lever arm, age of telemetry,
-random-walk current, time-correlated errors of an estimator, calibration of a thrust curve."""
+random-walk current, navigation errors of an estimator, calibration of a thrust curve."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,16 +15,34 @@ from ident.models.horizontal import BUILT_IN, SIDES, shift_in_time
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
 THRUST_CALIBRATION = "thrust-calibration"
 ESTIMATOR_ERROR = "estimator-error"
-# Errors of an estimator: name of their size and time, standard deviation, unit, correlation time [s]; usual ones of a
-# small boat's. By what they are of, in the order of the chain: each is part of the rate of the next.
-ERRORS = {
-    "gyro": ("r", 0.003, "rad/s", 0.1),
-    "attitude": ("psi", 0.01, "rad", 3.0),
-    "acceleration": ("axy", 0.05, "m/s2", 50.0),
-    "velocity": ("vxy", 0.05, "m/s", 3.0),
-    "position": ("xy", 0.1, "m", 3.0),
-}
-LASTING = ("gyro", "attitude", "ground_velocity", "body_velocity", "position")  # sensors that get them
+
+
+class NavigationError(NamedTuple):
+    """An error of an estimator's output that lasts. axes: a state of each; sensors: of one of which the model needs an
+    output; sd, unit, tau: usual standard deviation of its own part and correlation time [s] on a small boat; whole:
+    that of all of it, with what it integrates; shortest: correlation time [s] that rows 0.1 s apart can carry."""
+
+    of: str
+    name: str
+    axes: tuple[str, ...]
+    sensors: tuple[str, ...]
+    sd: float
+    unit: str
+    tau: float
+    whole: float
+    shortest: float = 0.2
+
+
+VELOCITIES = ("ground_velocity", "body_velocity")
+ERRORS = (  # each is part of the rate of another: yaw rate of heading, acceleration of velocity, velocity of position
+    NavigationError("yaw rate", "r", ("r",), ("gyro",), 0.003, "rad/s", 0.1, 0.003, 0.08),
+    NavigationError("heading", "psi", ("psi",), ("attitude",), 0.01, "rad", 3.0, 0.01),
+    NavigationError("acceleration", "axy", ("ax", "ay"), VELOCITIES, 0.05, "m/s2", 50.0, 0.05),
+    NavigationError("velocity", "vxy", ("vx", "vy"), VELOCITIES, 0.05, "m/s", 3.0, 0.15),
+    NavigationError("position", "xy", ("x", "y"), ("position",), 0.1, "m", 3.0, 0.45),
+)
+LASTING = frozenset(sensor for e in ERRORS for sensor in e.sensors)
+UNCERTAIN = 2.0  # times its usual standard deviation: how far off an error may begin
 N_AHEAD = 5  # copies of a shaft speed that is known late, each a step earlier: ages up to half a second; and one later
 
 
@@ -135,6 +153,11 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
     )
 
 
+def navigation_errors(sensors: Collection[str]) -> list[NavigationError]:
+    """Those that a model with these sensors has, as far as it is an estimator's output that they read."""
+    return [e for e in ERRORS if not set(sensors).isdisjoint(e.sensors)]
+
+
 def estimator_error(sensors: Sequence[str]) -> Effect:
     """Errors of a state estimator's output: those of inertial navigation (Groves 2013, chapter 14), as augmented states
     beside the white noise (Gelb 1974, section 4.5).
@@ -147,43 +170,42 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
         e' = -e / tau + (the one before it) + A sqrt(2 / tau) w
 
     in north and east; accelerations are off in the axes of the boat, where accelerometers are, and velocities of the
-    body are those over ground turned by the estimated heading. Taken for white, such errors look like motion: masses
-    and damping become those that explain them.
+    body are those over ground turned by the heading and its error. What the heading's error adds to the velocity's,
+    itself times the acceleration, is left out. Taken for white, such errors look like motion: masses and damping become
+    those that explain them.
 
-    sensors: those of the model; yaw rate, heading, velocities and position get such errors.
+    sensors: those of the model; yaw rate, heading, velocities and position get such errors, each where it is measured.
     """
-    there = {"gyro", "attitude", "position"} & set(sensors)
-    if {"ground_velocity", "body_velocity"} & set(sensors):
-        there |= {"acceleration", "velocity"}
-    errors = {of: row for of, row in ERRORS.items() if of in there}
-    axes = {"gyro": ("r",), "attitude": ("psi",), "acceleration": ("ax", "ay"), "velocity": ("vx", "vy"),
-            "position": ("x", "y")}  # fmt: skip
-    states = [(f"error_{axis}", errors[of]) for of in errors for axis in axes[of]]
+    errors = {e.of: e for e in navigation_errors(sensors)}
 
-    def size(s: Signals, of: str) -> Any:
+    def size(s: Signals, e: NavigationError) -> Any:
         """Of the unit noise that drives its states."""
-        name = errors[of][0]
-        return getattr(s.p, f"A_{name}") * np.sqrt(2 / getattr(s.p, f"tau_{name}"))
+        return getattr(s.p, f"A_{e.name}") * np.sqrt(2 / getattr(s.p, f"tau_{e.name}"))
 
-    def error(s: Signals, of: str) -> list[Any]:
-        return [size(s, of) * getattr(s.x, f"error_{axis}") for axis in axes[of]] if of in errors else [0.0, 0.0]
+    def value(s: Signals, of: str) -> list[Any]:
+        if of not in errors:
+            return [0.0, 0.0]
+        return [size(s, errors[of]) * getattr(s.x, f"error_{axis}") for axis in errors[of].axes]
 
     def grow(s: Signals) -> None:
-        for state, (name, *_) in states:
-            s.rate[state] = -getattr(s.x, state) / getattr(s.p, f"tau_{name}")
         cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
-        ahead, starboard = error(s, "acceleration")
-        integrated = {"attitude": error(s, "gyro"), "position": error(s, "velocity"),
-                      "velocity": [cos * ahead - sin * starboard, sin * ahead + cos * starboard]}  # fmt: skip
-        for of in errors.keys() & integrated.keys():
-            for axis, rate in zip(axes[of], integrated[of], strict=False):
-                s.rate[f"error_{axis}"] = s.rate[f"error_{axis}"] + rate / size(s, of)
+        ahead, starboard = value(s, "acceleration")
+        integrated = {
+            "heading": value(s, "yaw rate"),
+            "velocity": [cos * ahead - sin * starboard, sin * ahead + cos * starboard],
+            "position": value(s, "velocity"),
+        }
+        for of, e in errors.items():
+            for axis, rate in zip(e.axes, integrated.get(of, [0.0, 0.0]), strict=False):
+                state = f"error_{axis}"
+                s.rate[state] = rate / size(s, e) - getattr(s.x, state) / getattr(s.p, f"tau_{e.name}")
 
     def add(s: Signals) -> None:
-        turn, (north, east) = error(s, "attitude")[0], error(s, "velocity")
-        for of in errors.keys() & {"gyro", "attitude", "position"}:
-            for axis, off in zip(axes[of], error(s, of), strict=False):
-                s.y[axis] = s.y[axis] + off
+        turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
+        for of in ("yaw rate", "heading", "position"):
+            if of in errors:
+                for axis, off in zip(errors[of].axes, value(s, of), strict=True):
+                    s.y[axis] = s.y[axis] + off
         s.y["vx"], s.y["vy"] = s.y["vx"] + north, s.y["vy"] + east
         if "body_velocity" in sensors:
             cos, sin = np.cos(turn), np.sin(turn)
@@ -197,19 +219,19 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
         {"rate": grow, "reading": add},
         parameters=tuple(
             p
-            for of, (name, sd, unit, tau) in errors.items()
+            for e in errors.values()
             for p in (
-                Parameter(f"A_{name}", sd, unit, f"own error of the {of} that lasts, standard deviation", "log",
-                          prior=(sd, 3 * sd), role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
-                Parameter(f"tau_{name}", tau, "s", f"correlation time of the error of the {of}", "log",
-                          prior=(tau, 3 * tau), bounds=(0.02 if of == "gyro" else 0.2, 200.0),
+                Parameter(f"A_{e.name}", e.sd, e.unit, f"error of the estimator's {e.of} that lasts, its own part",
+                          "log", prior=(e.sd, 3 * e.sd), role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
+                Parameter(f"tau_{e.name}", e.tau, "s", f"correlation time of the error of the estimator's {e.of}",
+                          "log", prior=(e.tau, 3 * e.tau), bounds=(e.shortest, 200.0),
                           role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
             )
         ),
         states=tuple(
-            State(state, "", f"error of {state.removeprefix('error_')} that lasts, scaled", 1.0,
-                  sd0=float(np.sqrt(tau / 2)), nuisance=True)
-            for state, (*_, tau) in states
+            State(f"error_{axis}", "", f"error of the estimator's {e.of} ({axis}) that lasts, scaled", 1.0,
+                  sd0=UNCERTAIN * e.whole / e.sd * float(np.sqrt(e.tau / 2)), nuisance=True)
+            for e in errors.values() for axis in e.axes
         ),
         place="sensor",
         requires=("heading",),

@@ -19,7 +19,7 @@ from ident.checks import (
 )
 from ident.data import LoadedLog
 from ident.model import INF, Model
-from ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_error
+from ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_error, navigation_errors
 from ident.report import write_check_page
 
 LEAST_WHITE = 0.02  # least white noise of an estimator's output, relative to a usual sensor's
@@ -74,7 +74,7 @@ def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
 def with_estimator_errors(
     model: Model, logs: Sequence[LoadedLog], given: Collection[str] = ()
 ) -> tuple[Model, list[str]]:
-    """The model with time-correlated measurement errors where the position is an estimator's, and a line that says so.
+    """The model with errors of inertial navigation where the position is an estimator's, and a line that says so.
 
     given: parameters of which the user said something; who says what the noise of the position is, takes it for white.
     """
@@ -84,9 +84,11 @@ def with_estimator_errors(
         return model, []
     if not any(estimated(log.run.channels) for log in logs):
         return model, []
-    line = ("Position by an estimator (its noise is less than a receiver's): errors of position, velocity, heading "
-            f"and yaw rate that last are states; --fix {position}=... gives white noise instead.")
-    return model + estimator_error([s.name for s in model.sensors]), [line]
+    sensors = [s.name for s in model.sensors]
+    line = (f"Position by an estimator (its noise is less than a receiver's): its errors of "
+            f"{', '.join(e.of for e in navigation_errors(sensors))} that last are states; "
+            f"--fix {position}=... gives white noise instead.")
+    return model + estimator_error(sensors), [line]
 
 
 def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, list[str]]:

@@ -55,6 +55,31 @@ def key(model: Model) -> str | None:
     return kernel_key(model, True, False)
 
 
+KEYS = """
+from ident.engine.kernel_cache import kernel_key
+from ident.effects.registry import catalogue
+from ident.models.components import current_walk, estimator_error
+from ident.models.disturbances import for_diagnosis
+from ident.models.horizontal import SENSORS, horizontal_model
+sensors = tuple(SENSORS)
+model = for_diagnosis(horizontal_model("shaft", sensors) + current_walk() + estimator_error(sensors))
+for effect in catalogue().values():
+    if model.accepts(effect):
+        print(effect.name, kernel_key(model + effect, True, False))
+"""
+
+
+def test_a_key_is_the_same_in_every_process() -> None:
+    """The order of a set of names is another in each: a rate that was summed in such an order was compiled anew."""
+    found = [
+        subprocess.run([sys.executable, "-c", KEYS], capture_output=True, text=True, check=True,
+                       env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed}).stdout
+        for seed in ("1", "2", "3")
+    ]  # fmt: skip
+    assert found[0].count("\n") > 20
+    assert found[0] == found[1] == found[2]
+
+
 @needs_llvm
 def test_a_second_process_has_the_same_numbers_without_casadi(tmp_path: Path) -> None:
     environment = {**os.environ, "SEATRIAL_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}

@@ -158,6 +158,31 @@ def test_errors_that_last_are_in_the_noise_of_their_outputs(target: str) -> None
     assert force == pytest.approx(math.hypot(values["e_f"], values["q_f"] * math.sqrt(values["tau_f"] / 2)))
 
 
+def test_errors_that_drive_each_other_are_as_large_as_their_simulation() -> None:
+    """Of an estimator with velocities: its accelerations end in its position. Euler's method, at any heading."""
+    model = horizontal_model(sensors=("attitude", "position", "ground_velocity"))
+    model = model + estimator_error([s.name for s in model.sensors])
+    v = {"tau_axy": 8.0, "tau_vxy": 2.0, "tau_xy": 4.0, "A_axy": 0.1, "A_vxy": 0.03, "A_xy": 0.2}
+    model = model.with_values(v)
+    c = content(saved(model))
+    noise = dict(zip(c.outputs, c.output_noise, strict=True))
+    rng, dt, n, white = np.random.default_rng(1), 0.02, 4000, model.values
+    a, speed, place = rng.normal(0, v["A_axy"], 4000), np.zeros(4000), np.zeros(4000)
+    for _ in range(n):
+        a, speed, place = (
+            e + dt * (driven - e / v[f"tau_{name}"]) + v[f"A_{name}"] * np.sqrt(2 * dt / v[f"tau_{name}"]) * w
+            for e, driven, name, w in zip((a, speed, place), (0.0, a, speed), ("axy", "vxy", "xy"),
+                                          rng.normal(size=(3, 4000)), strict=True)
+        )  # fmt: skip
+    gain, area = 1.0, 0.0  # under the autocovariance: half the spectral density at zero, of each noise by what it passes
+    for name in ("xy", "vxy", "axy"):
+        gain *= v[f"tau_{name}"]
+        area += gain**2 * v[f"A_{name}"] ** 2 / v[f"tau_{name}"]
+    assert noise["vx"] == noise["vy"] == pytest.approx(math.hypot(speed.std(), white["e_vxy"]), rel=0.03)
+    assert noise["x"] == pytest.approx(math.hypot(place.std(), white["e_xy"]), rel=0.03)
+    assert c.lasting["x"] == pytest.approx(area / place.var(), rel=0.06)
+
+
 def test_a_sideslip_that_is_left_out_is_noise_of_both_axes() -> None:
     """A filter may head anywhere: all of it east, as at a heading of zero, would take the north for exact."""
     model = nomoto_model(sampled=True)

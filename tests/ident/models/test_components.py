@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_lyapunov
 
 from daq.errors import SeatrialError
 from ident.data.record import build_record
@@ -117,6 +118,9 @@ def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(
     """Against the error equations of a strapdown navigator in the plane: its heading integrates its gyro, its velocity
     its accelerations turned to the north, its position its velocity; the body's velocity is turned by its heading."""
     model = horizontal_model("shaft", sensors) + estimator_error(sensors)
+    own = [p.name for p in model.effects[-1].parameters]
+    apart = dict(zip(own, (0.7, 1.1, 1.3, 1.7, 0.5, 1.9, 2.3, 0.9, 1.5, 3.1), strict=False))
+    model = model.with_values({n: factor * model.values[n] for n, factor in apart.items()})
     plain, values = horizontal_model("shaft", sensors), model.values
     names, outs = [s.name for s in model.states], [o.name for o in model.outputs]
     assert " ".join(n.removeprefix("error_") for n in names[len(plain.states):]) == wanted
@@ -143,6 +147,32 @@ def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(
         ground = (true["u"] + 1j * true["v"]) * np.exp(1j * at["psi"]) + vx + 1j * vy
         body = ground * np.exp(-1j * (at["psi"] + e["psi"]))
         np.testing.assert_allclose(y["u"] + 1j * y["v"], body, atol=1e-12)
+
+
+def test_the_errors_of_an_estimator_begin_with_what_they_integrate() -> None:
+    """By Lyapunov's equation of the chain at its usual values, with the doubt that its correlation times deserve."""
+    sensors = ("attitude", "gyro", "position", "ground_velocity")
+    model = horizontal_model("shaft", sensors) + estimator_error(sensors)
+    first = len(model.states) - 8
+    x = np.zeros((1, len(model.states)))
+    u, values = np.zeros((1, len(model.inputs))), np.array(list(model.values.values()))
+    A = VectorisedModel(model).rate_jacobian(x, u, values)[0][first:, first:]
+    stationary = np.sqrt(np.diag(solve_continuous_lyapunov(A, -np.eye(8))))
+    begins = np.array([s.sd0 for s in model.states[first:]])
+    np.testing.assert_allclose(begins, 2.0 * stationary, rtol=0.05)
+
+
+def test_errors_of_an_older_form_are_named(tmp_path: Path) -> None:
+    """Their A_vxy was that of all of it: read as its own part, a navigation filter would trust what it should not."""
+    path, sensors = tmp_path / "model.toml", ("attitude", "gyro", "position", "ground_velocity")
+    base = for_diagnosis(horizontal_model("shaft", sensors) + estimator_error(sensors)).with_free(["m_r"])
+    record = build_record(base, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
+    save_model(path, fit(base, [record], settings=SearchSettings(max_iterations=1)), validity={}, provenance={})
+    rows = path.read_text(encoding="utf-8").split("[[parameter]]")
+    assert any('name = "A_axy"' in row for row in rows)
+    path.write_text("[[parameter]]".join(r for r in rows if 'name = "A_axy"' not in r), encoding="utf-8")
+    with pytest.raises(SeatrialError, match="errors of an estimator are of an older form: fit the model again"):
+        load_model(path)
 
 
 def test_whatever_moves_the_water_is_in_the_velocity_over_ground_of_the_body() -> None:
