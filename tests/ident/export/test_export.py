@@ -174,7 +174,7 @@ def test_errors_that_drive_each_other_are_as_large_as_their_simulation() -> None
             for e, driven, name, w in zip((a, speed, place), (0.0, a, speed), ("axy", "vxy", "xy"),
                                           rng.normal(size=(3, 4000)), strict=True)
         )  # fmt: skip
-    gain, area = 1.0, 0.0  # under the autocovariance: half the spectral density at zero, of each noise by what it passes
+    gain, area = 1.0, 0.0  # under the autocovariance: half of the spectral density at zero
     for name in ("xy", "vxy", "axy"):
         gain *= v[f"tau_{name}"]
         area += gain**2 * v[f"A_{name}"] ** 2 / v[f"tau_{name}"]
