@@ -85,7 +85,7 @@ def test_a_position_without_a_receivers_noise_has_errors_that_last(run: dict[str
     log = LoadedLog(LogSegment("run", smooth), {}, {}, None)
     model, said = with_estimator_errors(horizontal_model(), [log])
     assert len(said) == 1
-    assert {"A_psi", "A_xy", "A_vxy", "tau_psi", "tau_xy", "tau_vxy"} <= set(model.free)
+    assert {f"{p}_{of}" for p in ("A", "tau") for of in ("r", "psi", "axy", "vxy", "xy")} <= set(model.free)
     assert "A_psi" in with_estimator_errors(nomoto_model(), [log])[0].free
     again, told = with_noise_floors(model, [log])  # their white noise may go to nearly nothing, not to nothing
     assert told == []
