@@ -164,7 +164,8 @@ def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
 
 
 def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
-    """Uncertain by nine orders more than the sensor: the shorter form loses the difference to rounding."""
+    """Uncertain by 8.5 orders more than the sensor: the shorter form loses some of the difference to rounding, and of the
+    error 3 %. At nine orders Joseph's form converges on one processor and not on the next."""
     def slide(sd0: float) -> Model:
         return plain_model(
             "slide", f=lambda x, u, p: {"s": x.v, "v": -p.d * x.v}, h=lambda x, u, p: {"y": x.s},
@@ -176,9 +177,10 @@ def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
     t = 0.1 * np.arange(100)
     y = 3.0 + (1.0 - np.exp(-0.3 * t)) / 0.3 + 0.001 * np.random.default_rng(0).normal(size=100)
     record = Record("slide", t, np.zeros((100, 0)), np.zeros((100, 0)), y[:, None], (), ("y",))
-    known, joseph = fit(slide(1e3), [record]), fit(slide(1e6), [record], settings=SearchSettings(joseph=True))
+    known, joseph = fit(slide(1e3), [record]), fit(slide(3e5), [record], settings=SearchSettings(joseph=True))
     assert joseph.converged
-    assert joseph.estimate("d") == pytest.approx(known.estimate("d"), rel=0.05)
+    assert joseph.estimate("d")[0] == pytest.approx(known.estimate("d")[0], rel=1e-3)
+    assert joseph.estimate("d")[1] == pytest.approx(known.estimate("d")[1], rel=0.01)
 
 
 def test_a_record_that_cannot_be_evaluated_names_itself() -> None:
