@@ -164,8 +164,8 @@ def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
 
 
 def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
-    """Uncertain by 8.5 orders more than the sensor: the shorter form loses some of the difference to rounding, and of the
-    error 3 %. At nine orders Joseph's form converges on one processor and not on the next."""
+    """Uncertain by 8.5 orders more than the sensor: the shorter form loses some of the difference to rounding, and 3 %
+    of the error. At nine orders Joseph's form converges on one processor and not on the next."""
     def slide(sd0: float) -> Model:
         return plain_model(
             "slide", f=lambda x, u, p: {"s": x.v, "v": -p.d * x.v}, h=lambda x, u, p: {"y": x.s},
