@@ -33,6 +33,7 @@ NEUTRAL_S = 0.3  # of neutral sticks before arming
 # EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
 EKF_WANTED, EKF_UNWANTED = 1 | 2 | EKF_POSITION, EKF_STANDS
 TOLERANCE, WINDOW_S = 0.05, 0.25  # of an output from the commands of the last moment, and that moment; run s
+LASTS_S = 0.1  # run s that it is another one before the run ends: with the link's own delays, thrust is zero in 0.5 s
 RIVAL = "another ground station has our own system id: its heartbeats hide the loss of ours"
 MANUAL, MANUAL_NUMBER = "MANUAL", 0.0
 
@@ -42,7 +43,7 @@ class OutputCheck:
     crosses commands shows there."""
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
-        self._thruster, self._window = thruster, WINDOW_S * speed
+        self._thruster, self._window, self._lasts = thruster, WINDOW_S * speed, LASTS_S * speed
         self._commands: deque[tuple[float, float]] = deque()  # run time, n_cmd
         self._wrong_since = math.nan
 
@@ -60,10 +61,11 @@ class OutputCheck:
             self._wrong_since = math.nan
             return ""
         self._wrong_since = latest.t if math.isnan(self._wrong_since) else self._wrong_since
-        if latest.t - self._wrong_since < self._window:
+        if latest.t - self._wrong_since < self._lasts:
             return ""
         name, device = self._thruster.name, self._thruster.device
-        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else "a parameter of it bends commands"
+        bent = "a parameter bends commands, or its link is late"
+        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else bent
         return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: {why}"
 
 

@@ -173,7 +173,7 @@ WRONG: tuple[tuple[str, float], ...] = (
     ("RCMAP_THROTTLE", 1), ("SERVO3_FUNCTION", 70), ("SERVO1_MAX", 1900), ("MOT_THR_MIN", 40), ("MOT_SLEWRATE", 20),
     ("RC1_DZ", 190), ("BATT_FS_LOW_ACT", 1), ("BATT_FS_CRT_ACT", 3),
 )  # fmt: skip
-SUPERVISED_S = 0.5
+SUPERVISED_S = 0.5  # from the first thrust to the last, with all delays
 
 
 def write_files(folder: Path, rover: Rover, setting: Setting) -> None:
@@ -271,7 +271,7 @@ def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: 
     seconds = rover.last_push_after(started) if refused else rover.neutral_after(begun)
     rover.set(name, before)
     _put_right(rover)
-    allowed = SUPERVISED_S + AT_ONCE_S + SAMPLE_S
+    allowed = SUPERVISED_S
     return Trial(f"{name} {value:g}", setting.name, seconds, allowed, says[0], not rover.armed, False)
 
 
