@@ -13,7 +13,6 @@ estimates of each run's other blocks: else it would be judged by the data that i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +25,7 @@ from ident.models import residuals_of
 from ident.numerics import Array
 from ident.validation import (
     PredictionChange,
+    PredictionErrors,
     horizon_errors,
     one_step_calibration,
     pooled_calibration,
@@ -64,8 +64,23 @@ class Comparison:
     def error_ratio(self) -> float:
         """Ratio of the prediction error by inputs alone of the first model to that of the second, ``HORIZON`` blocks
         ahead: geometric mean over the channels of the validation data, else of the estimation data."""
-        before, after = (_log_error(s.model, views or s.estimation) for s, views in self._common)
+        before, after = (
+            np.mean([np.log(e.rms) for e in pooled_errors(list(of.values())).values()]) for of in self._errors_by_inputs
+        )
         return float(np.exp(before - after))
+
+    @cached_property
+    def by_inputs(self) -> PredictionChange:
+        """Change of those errors, with its interval."""
+        before, after = self._errors_by_inputs
+        return prediction_change_by_record(before, after, HORIZON * self.before.model.block)
+
+    @cached_property
+    def _errors_by_inputs(self) -> list[dict[str, dict[str, PredictionErrors]]]:
+        """Of both models, by record."""
+        return [
+            {v.record.name: _errors_by_inputs(s.model, v) for v in views or s.estimation} for s, views in self._common
+        ]
 
     @property
     def _common(self) -> list[tuple[FittedModel, list[RecordEvaluation]]]:
@@ -127,12 +142,9 @@ def _t(x: Array) -> float:
     return float(np.copysign((8 * df + 1) / (8 * df + 3) * np.sqrt(df * np.log1p(t * t / df)), t))
 
 
-def _log_error(model: Model, views: Sequence[RecordEvaluation]) -> float:
-    """The mean over channels of the logarithm of the error ``HORIZON`` blocks ahead, without disturbance forces."""
+def _errors_by_inputs(model: Model, of: RecordEvaluation) -> dict[str, PredictionErrors]:
+    """Errors ``HORIZON`` blocks ahead, without disturbance forces."""
     forces = [i for i, s in enumerate(model.states) if s.name in {r.state for r in residuals_of(model)}]
-    parts = []
-    for v in views:
-        x = v.run.x_filt.copy()
-        x[:, forces] = 0.0
-        parts.append(horizon_errors(model, v.record, v.values, x, HORIZON * model.block))
-    return float(np.mean([np.log(e.rms) for e in pooled_errors(parts).values()]))
+    x = of.run.x_filt.copy()
+    x[:, forces] = 0.0
+    return horizon_errors(model, of.record, of.values, x, HORIZON * model.block)

@@ -40,8 +40,8 @@ class Refit:
 
     gain: 2 d ln L (with priors); df: parameters added; criterion: gain - df ln n; validation_gain: d ln L on all the
     validation data, and t its statistic over blocks; prediction: change of the prediction errors over the horizon, on
-    the validation data, None where it was not asked for; total: the same, from the nominal model; error: of
-    ``EffectImportance``, against the round's model.
+    the validation data, None where it was not asked for; total: the same, from the nominal model; by_inputs: change of
+    the errors three seconds ahead by inputs alone (``Comparison.by_inputs``), of a nonparametric effect.
     """
 
     effect: Effect
@@ -54,7 +54,7 @@ class Refit:
     prediction: PredictionChange | None = None
     outcome: Outcome = Outcome.OUTRANKED
     total: PredictionChange | None = None
-    error: float = float("nan")
+    by_inputs: PredictionChange | None = None
 
     @property
     def validated(self) -> bool:
@@ -64,11 +64,13 @@ class Refit:
     @property
     def accepted(self) -> bool:
         """Whether it is validated and the prediction is not worse with it beyond its interval, neither than without it
-        nor than that of the nominal model. A nonparametric effect has no story but its prediction: it has to be better,
-        or at least better by the point estimate beside effects that make it better.
+        nor than that of the nominal model. A nonparametric effect has no story but its prediction: it has to be better
+        beyond an interval, over the horizon or by inputs alone, or at least better by the point estimate beside effects
+        that make it better.
         """
         worse = any(p is not None and p.verdict == "rose" for p in (self.prediction, self.total))
-        earned = self.prediction is None or predicts(self.prediction, self.error)
+        earned = self.prediction is None or self.prediction.verdict == "fell"
+        earned = earned or (self.by_inputs is not None and self.by_inputs.verdict == "fell" and helps(self.by_inputs))
         if self.total is not None and self.total.verdict == "fell":
             earned = earned or helps(self.prediction)
         return self.validated and not worse and (earned or not self.unknown)

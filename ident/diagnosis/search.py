@@ -420,10 +420,10 @@ class _Search:
             if stage.fit.converged or not current.fit.converged:
                 assert self.nominal is not None
                 total = prediction if current is self.nominal else Comparison(self.nominal, stage).prediction
-                error = compared.error_ratio if rough.unknown else rough.error
                 exact = replace(
-                    rough, stage=stage, validation_gain=gain, t=t, prediction=prediction, total=total, error=error
-                )
+                    rough, stage=stage, validation_gain=gain, t=t, prediction=prediction, total=total,
+                    by_inputs=compared.by_inputs if rough.unknown else None,
+                )  # fmt: skip
                 return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
             reason = f"the fit with it did not converge: it {stage.fit.message}"
         raise ValueError(reason)

@@ -143,7 +143,7 @@ def diagnosis_result(
 
 def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | None, horizon: float) -> str:
     """What is missing, how the prediction over the horizon [s] changes with it, and what validated it."""
-    said = [_found(diagnosis)]
+    said = [_found(diagnosis, prediction)]
     if diagnosis.effects and prediction is not None:
         said.append(change_sentence(prediction, horizon))
     if diagnosis.cross_validated:
@@ -154,10 +154,10 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | 
     return " ".join(said)
 
 
-def _found(diagnosis: Diagnosis) -> str:
+def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> str:
     """What is missing, in a sentence or two."""
     if diagnosis.effects:
-        return f"{what_is_lacking(diagnosis)}."
+        return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
     if diagnosis.mismatches:
         quiet = "" if diagnosis.rounds else f" {_too_short(diagnosis) or 'In the estimation data no effect is seen.'}"
         return f"{' '.join(mismatch_sentence(m) for m in reported_mismatches(diagnosis))}{quiet}"
@@ -242,14 +242,16 @@ def _passed(one: Round) -> str:
     return names[0] if len(names) == 1 else f"{len(names)} candidates"
 
 
-def what_is_lacking(diagnosis: Diagnosis) -> str:
-    """The beginning of the answer: names that are sure, then likenesses, then what has no name, unless that leads."""
+def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
+    """The beginning of the answer: names that are sure, then likenesses, then what has no name, unless that leads.
+    ``fell``: the prediction error over the horizon did; a curve without a name, whose only story is its prediction, is
+    else no more than a likeness."""
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
     for r, judged in zip(diagnosis.effects, diagnosis.judgements, strict=True):
         titles[judged.attribution].append(r.effect.title)
     sure, alike, unknown = titles.values()
     if unknown and diagnosis.judgements[0].attribution == "nonparametric":
-        found = f"The model lacks {_listed(unknown)}"
+        found = f"{'The model lacks' if fell else 'What the model lacks resembles'} {_listed(unknown)}"
         rest = [*sure, *(f"something that resembles {title}" for title in alike)]
         return f"{found}, and beside it {_listed(rest)}" if rest else found
     if sure and alike:

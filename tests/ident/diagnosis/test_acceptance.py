@@ -74,6 +74,9 @@ def change(ratio: float, low: float, high: float) -> PredictionChange:
     return PredictionChange(ratio, low, high, 10.0, {})
 
 
+SAME, NEARLY = change(1.0, 0.99, 1.01), change(0.99, 0.98, 1.004)
+
+
 def refit(
     *, criterion: float = 50.0, gain: float = 30.0, t: float = 4.0, kind: EffectKind = EffectKind.CATALOGUE, **more: Any
 ) -> Refit:
@@ -95,20 +98,22 @@ def refit(
         ({"prediction": change(1.1, 0.97, 1.25), "total": change(1.86, 1.09, 3.19)}, False),
         ({"prediction": change(1.1, 0.97, 1.25), "total": change(1.2, 0.9, 1.5)}, True),
         # a force without a story has to predict better; an effect with one may gain too little for the interval
-        ({"kind": EffectKind.RESONANT, "prediction": change(0.99, 0.98, 1.004), "error": 1.001}, False),
-        ({"kind": EffectKind.RESONANT, "prediction": change(0.99, 0.98, 1.004), "error": 1.05}, True),
-        ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(0.7, 0.5, 0.9), "error": 1.0}, True),
+        ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": SAME}, False),
+        ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": change(0.95, 0.9, 0.98)}, True),
+        # by inputs alone it has to be better beyond the interval, and by as much as counts
+        ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": change(0.95, 0.89, 1.01)}, False),
+        ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": change(0.99, 0.98, 0.999)}, False),
+        ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(0.7, 0.5, 0.9), "by_inputs": SAME}, True),
         # beside effects that make the prediction better the point estimate is enough
         *(
-            ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(ratio, 0.94, 1.02), "error": 1.0, "total": total},
-             accepted)
+            ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(ratio, 0.94, 1.02), "total": total}, accepted)
             for ratio, total, accepted in (
                 (0.98, change(0.4, 0.2, 0.7), True),
                 (0.995, change(0.4, 0.2, 0.7), False),
                 (0.98, change(0.9, 0.8, 1.02), False),
             )
         ),
-        ({"prediction": change(0.99, 0.98, 1.004), "error": 1.001}, True),
+        ({"prediction": NEARLY}, True),
     ],
 )
 def test_every_condition_counts(given: dict[str, Any], accepted: bool) -> None:

@@ -31,6 +31,7 @@ from ident.model.parameter import Parameter
 from ident.model.structure import Effect, EffectKind, ForceCurve, Input
 from ident.models.horizontal import horizontal_model
 from ident.reporter import QUIET
+from ident.results import parts
 from ident.results.diagnosis import (
     _blocks_note,
     _mismatch,
@@ -143,6 +144,23 @@ def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
     assert answer.endswith("too short to test 2 of 3 candidates: give 105 s or more.")
     assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
     assert [scores[k].least_blocks for k in range(3)] == [7, 14, 21]
+
+
+@pytest.mark.parametrize("fell", [True, False])
+def test_a_curve_without_a_name_is_a_likeness_where_it_does_not_predict_better(fell: bool) -> None:
+    curve = Effect("unknown X(u)", "a curve: the force X depends on u", {}, kind=EffectKind.NONPARAMETRIC)
+    chosen = Refit(curve, blank(), 90.0, 1, 82.0, 30.0, 4.0)
+    found = Diagnosis(
+        blank(), blank(cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
+        (EffectAttribution(curve.name, "nonparametric"),), (EffectImportance(curve.name, 90.0, 1.02),),
+    )  # fmt: skip
+    change = parts.PredictionChange(
+        role="validation", ratio=0.98, low=0.96, high=0.99 if fell else 1.01, verdict="fell" if fell else "unchanged",
+        better=(), worse=(),
+    )  # fmt: skip
+    answer = diagnosis_answer(found, change, 10.0)
+    assert answer.startswith("The model lacks a curve" if fell else "What the model lacks resembles a curve")
+    assert ("falls" in answer) is fell
 
 
 def test_a_search_in_which_nothing_passes_says_what_was_tested() -> None:
