@@ -17,5 +17,6 @@ from .signal_processing import LagFit as LagFit
 from .signal_processing import first_order_lag as first_order_lag
 from .signal_processing import fit_first_order_lag as fit_first_order_lag
 from .signal_processing import noise_from_differences as noise_from_differences
+from .signal_processing import rounding_step as rounding_step
 from .signal_processing import steady_segments as steady_segments
 from .signal_processing import wrap as wrap

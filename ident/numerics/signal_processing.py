@@ -104,6 +104,24 @@ def noise_from_differences(second_differences: Array) -> float:
     return float(NORMAL_MAD * float(np.median(np.abs(second_differences))) / SECOND_DIFFERENCE)
 
 
+GRID_FEWEST, GRID_NEAR = 12, 0.05  # steps that tell a grid, and how near to whole ones each is, relative to one
+
+
+def rounding_step(value: Array) -> float:
+    """Step of the grid that all values (n,) but zero are on, as a message of integers has them; zero where there is
+    none. (What was cut towards zero is told as the middle of its step, and zero as it is.)
+
+    Values on no grid pass by chance with a probability of ``(2 GRID_NEAR)^GRID_FEWEST``.
+    """
+    steps = np.diff(np.unique(value[np.isfinite(value) & (value != 0.0)]))
+    steps = steps[steps > 1e-6 * steps.sum()]  # what is the same but for the last digits
+    if steps.size < GRID_FEWEST:
+        return 0.0
+    whole = np.round(steps / steps.min())
+    step = float(steps.sum() / whole.sum())
+    return step if np.all(np.abs(steps / step - np.round(steps / step)) < GRID_NEAR) else 0.0
+
+
 def wrap(e: Array, angle: bool) -> Array:
     """Differences e (...) of an ``angle`` [rad] within -pi and pi; other differences as they are."""
     return np.mod(e + np.pi, 2 * np.pi) - np.pi if angle else e

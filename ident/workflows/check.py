@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from daq.checks import OK, CheckReport
 from daq.errors import SeatrialError, counted
@@ -17,9 +20,10 @@ from ident.checks import (
     smoothed,
     spoils_a_fit,
 )
-from ident.data import LoadedLog
+from ident.data import Channel, LoadedLog
 from ident.model import INF, Model
 from ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_error, navigation_errors
+from ident.numerics import rounding_step
 from ident.report import write_check_page
 
 LEAST_WHITE = 0.02  # least white noise of an estimator's output, relative to a usual sensor's
@@ -96,16 +100,35 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
 
     A filter's output has errors that last and no noise from sample to sample: a fit that takes it for white estimates
     next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``); a small part
-    of it, and not worth a line, where errors that last are states.
+    of it, and not worth a line, where errors that last are states. Nowhere is it less than what rounding does: of a
+    signal in whole centimetres less is estimated, since from sample to sample rounding may change little, and forces
+    follow its steps.
     """
     usual, states = {p.name: p.value for p in NOISE.values()}, ESTIMATOR_ERROR in {e.name for e in model.effects}
     lasting = {o.name for s in model.sensors if states and s.name in LASTING for o in s.outputs}
     smooth = {name for log in logs for name in smoothed(log.run.channels)} - lasting
     part = dict.fromkeys(smooth, 1.0) | dict.fromkeys(lasting, LEAST_WHITE)
-    least = {o.noise: part[o.name] * usual[o.noise] for o in model.outputs if o.name in part and o.noise in usual}
+    least: dict[str, float] = {}
+    for o in model.outputs:
+        if o.name in part and o.noise in usual:
+            rounded = max((_rounding_error(log.run.channels, o.name) for log in logs), default=0.0)
+            least[o.noise] = max(least.get(o.noise, 0.0), part[o.name] * usual[o.noise], rounded)
     floors = [replace(p, value=max(p.value, BEGIN * least[p.name]), bounds=(least[p.name], INF))
               for p in model.parameters if p.free and p.name in least]  # fmt: skip
     told = {o.noise for o in model.outputs if o.name in smooth}
     said = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in told)
     line = f"Smoothed signals ({', '.join(sorted(smooth))}): their noise is not estimated below {said}; --fix gives it."
     return model.replace_parameters(*floors), [line] if said else []
+
+
+def _rounding_error(channels: Mapping[str, Channel], name: str) -> float:
+    """Standard deviation of the error of a signal in whole steps, which is uniform (Bennett 1948); zero where it has
+    none. A velocity may have them along its way, as of a receiver that tells speed and course."""
+    if name not in channels:
+        return 0.0
+    step = rounding_step(channels[name].value)
+    if name in ("vx", "vy") and {"vx", "vy"} <= channels.keys():
+        north, east = channels["vx"], channels["vy"]
+        if not step and np.array_equal(north.t, east.t):
+            step = rounding_step(np.hypot(north.value, east.value))
+    return step / math.sqrt(12.0)

@@ -91,6 +91,14 @@ def test_a_position_without_a_receivers_noise_has_errors_that_last(run: dict[str
     assert told == []
     assert again.parameter("e_psi").bounds[0] == pytest.approx(0.02 * model.parameter("e_psi").value)
     assert again.parameter("e_xy").value == model.parameter("e_xy").value
+    assert again.parameter("e_vxy").bounds[0] == 0.02 * model.parameter("e_vxy").value
+    # of a speed in whole cm/s, along whatever course, no less than rounding makes of it
+    speed = np.hypot(smooth["vx"].value, smooth["vy"].value)
+    whole = (np.floor(100.0 * speed) + 0.5) / 100.0 / speed
+    cm = smooth | {n: replace(smooth[n], value=whole * smooth[n].value) for n in ("vx", "vy")}
+    rounded, _ = with_noise_floors(model, [replace(log, run=LogSegment("run", cm))])
+    assert rounded.parameter("e_vxy").bounds[0] == pytest.approx(0.01 / np.sqrt(12.0), rel=1e-3)
+    assert rounded.parameter("e_xy").bounds == again.parameter("e_xy").bounds
     assert with_estimator_errors(model, [log]) == (model, [])
     assert with_estimator_errors(horizontal_model(), [log], {"e_xy"}) == (horizontal_model(), [])
     assert with_estimator_errors(horizontal_model(), [replace(log, run=LogSegment("run", run))])[1] == []

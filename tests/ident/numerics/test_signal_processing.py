@@ -15,6 +15,7 @@ from ident.numerics.signal_processing import (
     first_order_lag,
     fit_first_order_lag,
     noise_from_differences,
+    rounding_step,
     steady_segments,
     wrap,
 )
@@ -82,3 +83,21 @@ def test_an_estimate_does_not_wait_for_scipy() -> None:
     """Its import would take more than half of the time of a small fit."""
     program = "import sys; from ident.estimation import Likelihood, fit; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.01, 0.0111317])
+def test_the_step_of_rounded_values_is_found(step: float) -> None:
+    x = np.random.default_rng(1).normal(size=400)
+    assert rounding_step(step * np.round(x / step)) == pytest.approx(step, rel=1e-6)
+    assert rounding_step((step * np.round(x / step)).astype(np.float32).astype(float)) == pytest.approx(step, rel=1e-3)
+    cut = np.trunc(x / step)  # told as the middle of its step, but for zero
+    assert rounding_step(step * (cut + 0.5 * np.sign(cut))) == pytest.approx(step, rel=1e-6)
+
+
+def test_values_on_no_grid_have_no_step() -> None:
+    rng = np.random.default_rng(2)
+    assert rounding_step(rng.normal(size=400)) == 0.0
+    assert rounding_step(np.cumsum(rng.normal(size=400))) == 0.0
+    assert rounding_step(np.append(0.01 * np.arange(50), 0.123)) == 0.0
+    assert rounding_step(np.zeros(100)) == 0.0
+    assert rounding_step(np.array([1.0, 2.0, 4.0, np.nan])) == 0.0  # too few to tell
