@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from ident.engine.expressions import instructions
-from ident.engine.llvm_operations import COMPARISONS, FAST, LIBRARY, STRICT, TEMPLATES, rewritten
+from ident.engine.llvm_operations import COMPARISONS, FAST, FLUSH_TO_ZERO, LIBRARY, STRICT, TEMPLATES, rewritten
 from ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
 
 FRAME = '"frame-pointer"="all"'  # so that LLVM can align the stack for the vectors it keeps there
@@ -72,13 +72,13 @@ class LlvmEmitter:
         row = "%last, %i" if self.plan.backward else "%i, 0"
         fetched, held, kept = self._ends()
         return "\n".join([
-            *sorted(self.declared), *self.functions,
+            *FLUSH_TO_ZERO.declared, *sorted(self.declared), *self.functions,
             f"define void @kernel(i64 %n, i64 %groups, ptr %mask, {_pointers(self.plan.sizes)}{steps}) {FRAME} {{",
-            "entry:", *self.entry, *fetched, "%last = sub i64 %n, 1", "br label %loop",
+            "entry:", *FLUSH_TO_ZERO.first, *self.entry, *fetched, "%last = sub i64 %n, 1", "br label %loop",
             "loop:", f"%i = phi i64 [0, %entry], [%i.next, %end{self.number}]", *held, f"%k = sub i64 {row}",
             "%mask.p = getelementptr i32, ptr %mask, i64 %k", "%mask.k = load i32, ptr %mask.p", *self.body,
             "%i.next = add i64 %i, 1", "%more = icmp slt i64 %i.next, %n", "br i1 %more, label %loop, label %exit",
-            "exit:", *kept, "ret void", "}", "",
+            "exit:", *kept, *FLUSH_TO_ZERO.last, "ret void", "}", "",
         ])
 
     def _in_memory(self, name: str) -> bool:

@@ -13,6 +13,7 @@ from ident.data.record import Preparer
 from ident.engine import jit
 from ident.engine.filter_kernels import Programs, programs_for
 from ident.engine.kernel import Arena, Kernel
+from ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero
 from ident.engine.loop_plan import Gram, Plan, stage
 from ident.model.parameter import Parameter
 from ident.model.structure import Model, Output, Sensor, State, plain_model
@@ -139,6 +140,18 @@ def test_one_kernel_takes_any_number_of_groups_and_sums_or_keeps_rows() -> None:
         np.testing.assert_allclose(kernel(5, None, given, groups=groups)["total"], 10.0 * a_lanes)
         kept = kernel(5, None, given, groups=groups, per_row={"total"})["total"]
         np.testing.assert_allclose(kept, x_rows[:, None, None, None] * a_lanes)
+
+
+@needs_llvm
+@pytest.mark.skipif(FlushToZero() == FLUSH_TO_ZERO, reason="nothing is known of this processor's control register")
+def test_what_dies_out_is_zero_within_a_kernel_and_no_other_program_sees_that() -> None:
+    """A processor is a hundred times slower with numbers below the smallest normal one."""
+    p = ca.SX.sym("p")
+    kernel = Kernel(Plan((stage({"p": p}, {"p": 0.5 * p}),), frozenset()))
+    smallest = np.finfo(float).tiny
+    assert kernel(9, None, {"p": np.array([1024 * smallest])})["p"].item() == 2 * smallest
+    assert kernel(20, None, {"p": np.array([1024 * smallest])})["p"].item() == 0.0
+    assert np.array([smallest])[0] * 0.25 > 0.0
 
 
 def test_arrays_start_at_cache_lines_and_are_kept() -> None:
