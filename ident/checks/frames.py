@@ -382,7 +382,8 @@ def _reversed(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, 
     at about its size."""
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
-    squares = X.T @ X
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = X.T @ X
     if not np.isfinite(squares).all():  # of infinite ones LAPACK seeks the singular values for ever
         return None
     inverse = np.linalg.pinv(squares)

@@ -4,6 +4,7 @@ from .answers import design_warnings as design_warnings
 from .answers import estimation_warnings as estimation_warnings
 from .answers import frame_warnings as frame_warnings
 from .answers import plus_minus as plus_minus
+from .answers import scale_warnings as scale_warnings
 from .commands import AIMS as AIMS
 from .commands import APART as APART
 from .commands import BIAS as BIAS

@@ -11,12 +11,13 @@ from ident.data import WHOLE, TimeWindow, load_all
 from ident.diagnosis import diagnose, evaluate_diagnosis
 from ident.effects import catalogue
 from ident.estimation import EstimationOptions, load_model
+from ident.model import ModelKind
 from ident.model import with_outlier_model as with_outliers
 from ident.models import effects_for
 from ident.reporter import Reporter
 from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from ident.workflows.check import check_first, with_noise_floors
-from ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_signals
+from ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_lines, unused_signals
 from ident.workflows.output import sensor_rates, validity, write_all
 
 
@@ -65,6 +66,8 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     unused = unused_signals(model, loaded, unseen)
     loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
+    for line in unused_lines(unused) if model.kind is ModelKind.VEHICLE else ():
+        reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)
     own = effects_for(model, effects_file) if effects_file else {}
     found = diagnose(
@@ -80,7 +83,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         found,
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
-        warnings=estimation_warnings(found.after.fit, found.after.records),
+        warnings=estimation_warnings(found.after.fit, found.after.records, loaded[0].vehicle.get("length")),
         notes=[*floors, *found.after.outlier_notes],
         model_path=str(request.model),
         unused=unused,

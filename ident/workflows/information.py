@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.errors import SeatrialError
 from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_runs, make_record
-from ident.estimation import dynamic_parameters, fit, load_model, reported_units, without_absent_sensors
+from ident.estimation import dynamic_parameters, fit, load_model, reported_units, scale_of, without_absent_sensors
 from ident.experiment_design import InformationSegment, characteristic_steps, not_commanded, segment_information
 from ident.model import Model
 from ident.numerics import Array
@@ -27,6 +27,7 @@ from ident.results import (
     format_number,
     provenance,
     record_inputs,
+    scale_warnings,
     write_result,
 )
 from ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
@@ -99,7 +100,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
             for r in records
             for row in record_inputs(model, r)
         ),
-        warnings=tuple(assumed),
+        warnings=(*scale_warnings(scale_of(saved.model)), *assumed),
         notes=tuple(_notes(parameters, records, model)),
     )
     out.mkdir(parents=True, exist_ok=True)

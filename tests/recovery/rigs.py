@@ -6,8 +6,9 @@
 Each case is a boat of its own with one effect or none, logged as the rig logs it (`rig_logs`), and the two commands of
 a user: `seatrial ident vehicle` and `seatrial ident diagnose`. Nothing but their result files is judged. A case is a
 line in the out file as soon as it is done; a study that was interrupted goes on where it was. That of all effects takes
-many hours: its cases are kept in `tests/recovery/rigs-effects.jsonl`, those of clean boats in `rigs-clean.jsonl` beside
-it, from which --out goes on. --docs writes the sections of which there are cases and leaves the others.
+many hours: its cases are kept in `tests/recovery/rigs-effects.jsonl`, those of clean boats in `rigs-clean.jsonl` and
+those of plants in `rigs-plants.jsonl` beside it, from which --out goes on. --docs writes the sections of which there
+are cases and leaves the others.
 """
 
 from __future__ import annotations
@@ -225,12 +226,31 @@ def asked(rows: Sequence[Row]) -> tables.Lines:
         ("clean estimates within three standard errors", int(np.sum(np.abs(z) <= 3)), z.size, ">=", 0.99),
     ]
     table = [["share", "asked for", "found", "95 % interval", "cases", "met"]]
+    lines += _worst_rigs(rows)
     for says, k, n, sign, limit in lines:
         if n:
             met = k / n >= limit if sign == ">=" else k / n <= limit
             table.append([says, f"{sign} {limit:.0%}", f"{k / n:.1%}", tables.interval(k, n), f"{k}/{n}",
                           "yes" if met else "no"])
     return table
+
+
+def _worst_rigs(rows: Sequence[Row]) -> list[tuple[str, int, int, str, float]]:
+    """The same shares of clean boats on the rig where each is worst."""
+    alarms, within = list[tuple[str, int, int]](), list[tuple[str, int, int]]()
+    for rig in dict.fromkeys(r["rig"] for r in rows if r["effect"] == NONE):
+        own = [r for r in rows if r["rig"] == rig and r["effect"] == NONE]
+        alarms.append((rig, sum(verdict(r) == FALSE_ALARM for r in own), len(own)))
+        z = _z(own)
+        within += [(rig, int(np.sum(np.abs(z) <= 3)), z.size)] if z.size else []
+    lines = []
+    if alarms:
+        rig, k, n = max(alarms, key=lambda found: found[1] / found[2])
+        lines.append((f"told that something is missing, the worst rig ({rig})", k, n, "<=", 0.05))
+    if within:
+        rig, k, n = min(within, key=lambda found: found[1] / found[2])
+        lines.append((f"within three standard errors, the worst rig ({rig})", k, n, ">=", 0.99))
+    return lines
 
 
 def by_rig(rows: Sequence[Row]) -> tables.Lines:
@@ -350,7 +370,10 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
     own = [r for r in rows if r["rig"] in RIGS]
     if not own:
         names = ",".join(n for n in PLANTS if any(r["rig"] == n for r in rows))
-        return f"    python -m tests.recovery.rigs --rigs {names}\n\n{len(rows)} cases."
+        return (
+            f"    python -m tests.recovery.rigs --rigs {names}\n\n{len(rows)} cases. Estimates are of `ident vehicle`, "
+            "whose model lacks what is in the plant's equations besides."
+        )
     rigs, effects = ([n for n in every if any(r[key] == n for r in own)]
                      for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE))))
     blocks = list[list[int]]()  # of seeds that follow each other
@@ -359,13 +382,16 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
             blocks.append([])
         blocks[-1].append(seed)
     sizes = [len(b) for b in blocks] if len(blocks) > 1 else [max(seeds, len(blocks[0]))]
-    wanted = {c.key for b, n in zip(blocks, sizes, strict=True) for c in cases_of(rigs, effects, b[0], n)}
+    there = [[n for n in rigs if any(r["rig"] == n and r["seed"] in b for r in own)] for b in blocks]
+    wanted = {
+        c.key for names, b, n in zip(there, blocks, sizes, strict=True) for c in cases_of(names, effects, b[0], n)
+    }
     done = len({r["key"] for r in own} & wanted)
     far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
     far += ", each a boat of its own" if len({r.get("boat", r["seed"]) for r in own}) == len(own) else ""
-    words = [] if rigs == [*RIGS] else ["--rigs", ",".join(rigs)]
-    commands = (" ".join([*words, "--effects", ",".join(effects), "--seed", str(b[0]), "--seeds", str(n)])
-                for b, n in zip(blocks, sizes, strict=True))
+    words = ([] if names == [*RIGS] else ["--rigs", ",".join(names)] for names in there)
+    commands = (" ".join([*own_words, "--effects", ",".join(effects), "--seed", str(b[0]), "--seeds", str(n)])
+                for own_words, b, n in zip(words, blocks, sizes, strict=True))
     return "\n".join(f"    python -m tests.recovery.rigs {command}" for command in commands) + f"\n\n{far}."
 
 

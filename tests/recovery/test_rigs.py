@@ -18,6 +18,7 @@ from tests.missions import boat_with
 from tests.recovery import rigs, tables
 from tests.recovery.cases import Row, code_state, z_scores
 from tests.recovery.logged import seatrial
+from tests.recovery.resumable import read
 from tests.recovery.rig_logs import PLANTS, RIGS, measured_columns, navigation_filter
 from tests.recovery.rigs import CHOSEN, RigCase, cases_of, verdict
 
@@ -109,7 +110,10 @@ def test_the_tables_of_the_rigs() -> None:
     parts = rigs.sections(rows)
     assert {title: len(own) for title, own in parts.items()} == {rigs.CLEAN: 2, rigs.LACKING: 3, rigs.OTHERS: 1}
     clean, lacking = ([line[2:] for line in rigs.asked(parts[title][:2])[1:]] for title in (rigs.CLEAN, rigs.LACKING))
-    assert clean == [["50.0%", "9.5-90.5", "1/2", "no"], ["50.0%", "15.0-85.0", "2/4", "no"]]
+    assert clean[:2] == [["50.0%", "9.5-90.5", "1/2", "no"], ["50.0%", "15.0-85.0", "2/4", "no"]]
+    worst = [line for line in rigs.asked(parts[rigs.CLEAN]) if "worst" in line[0]]
+    assert [line[0].split("(")[1] for line in worst] == ["ekf)", "vesc)"]
+    assert [line[4:] for line in worst] == [["1/1", "no"], ["1/2", "no"]]
     assert lacking == [["50.0%", "9.5-90.5", "1/2", "no"], ["0.0%", "0.0-65.8", "0/2", "yes"]]
     assert "What failed" in rigs.report(parts[rigs.LACKING], tables.as_text)
     assert "otter-none" in rigs.report(parts[rigs.OTHERS], tables.as_text)
@@ -135,9 +139,14 @@ def test_a_study_that_was_cut_short_says_so() -> None:
     assert rigs.how_made(lacking, 2) == (
         f"{command} vesc --effects wind --seed 1 --seeds 2\n\n1 of its 2 cases so far, {alike}."
     )
+    more = rigs.how_made([*clean, row("ekf", "none", []) | {"key": "ekf/none/5", "seed": 5, "boat": 5}], 1)
+    assert more == (
+        f"{command} vesc,ekf --effects none --seed 1 --seeds 1\n"
+        f"{command} ekf --effects none --seed 5 --seeds 1\n\n3 cases, {alike}."
+    )
     assert rigs.how_made(clean, 1).endswith(f"\n\n2 cases, {alike}.")
     assert rigs.how_made([{**r, "boat": 1} for r in clean], 1).endswith("\n\n2 cases.")
-    assert rigs.how_made([row("otter-none", "none", [])], 1) == f"{command} otter-none\n\n1 cases."
+    assert rigs.how_made([row("otter-none", "none", [])], 1).startswith(f"{command} otter-none\n\n1 cases. Estimates")
 
 
 def test_cases_leave_out_what_a_rig_cannot_see() -> None:
@@ -178,3 +187,16 @@ def test_the_house_rig_is_diagnosed_by_the_commands() -> None:
     clean = rigs.run_case(RigCase("short", "none", 2))
     assert clean.get("error") is None
     assert verdict(clean) == rigs.RIGHT
+
+
+def test_the_readme_has_the_figures_of_the_cases_that_are_kept() -> None:
+    here = Path(__file__).parent
+    clean, lacking = ([*read(here / f"rigs-{name}.jsonl").values()] for name in ("clean", "effects"))
+    words, z = [verdict(r) for r in lacking], [z for r in clean for z in r["z"].values()]
+    readme = (here.parents[1] / "README.md").read_text(encoding="utf-8")
+    assert {verdict(r) for r in clean} == {rigs.RIGHT}
+    assert f"({len(clean)} boats that lack nothing, on {len(RIGS)} kinds of rig: of none something is said" in readme
+    assert f"{np.mean(np.abs(z) <= 3):.1%}".replace("%", " %") + " of the estimates are within three" in readme
+    told = f"of {words.count(rigs.NAMED) + words.count(rigs.LIKENED)} it is named or likened, of "
+    assert f"{len(lacking)} boats with one of 14 effects" in readme
+    assert f"{told}{words.count(rigs.WRONG)} a wrong name is sure" in readme

@@ -185,7 +185,6 @@ def test_a_part_of_a_log_is_a_copy(run: dict[str, Channel]) -> None:
     assert [f.where for f in check_copies([("a", run), ("b", other), ("c", later)])] == ["c"]
 
 
-@pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
 def test_a_number_whose_square_is_infinite_is_no_search_without_end() -> None:
     n = 60
     rng = np.random.default_rng(1)

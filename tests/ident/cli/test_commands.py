@@ -8,12 +8,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
+import msgspec
 import pytest
 
 import seatrial
+from ident.cli.options import run_workflow
 from ident.estimation.model_file import load_model
+from ident.results.parts import VehicleResult
+from ident.results.result_file import read_result
 from mocks.hidden_effects.catalogue import make_effect
 from mocks.plant.bench import draw_bench
+from mocks.plant.boat import Boat
 from tests.missions import bench_log, boat_log, boat_with, sail, write_log
 
 SEED, EFFECT = 2, "cubic-drag"
@@ -143,16 +149,43 @@ def test_a_diagnosed_model_is_where_the_next_diagnosis_starts(fitted: Path, run:
     assert EFFECT not in [e["name"] for e in result_of(fitted / "again")["effects"]]
 
 
-@pytest.mark.study
-def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_same(tmp_path: Path, run: Run) -> None:
+def swapped_sides(path: Path) -> Boat:
+    """A log whose thrusters have each other's names."""
     boat = boat_with(None, 3)
     recording, mission = sail(boat, 120.0, 5)
     cross = {1: 2, 2: 1}
-    swapped = [
+    readings = [
         r._replace(sample=replace(r.sample, node=cross[r.sample.node])) if hasattr(r.sample, "node") else r
         for r in recording.readings
     ]
-    write_log(tmp_path / "swapped.mcap", "boat", swapped, mission)
+    write_log(path, "boat", readings, mission)
+    return boat
+
+
+def test_a_diagnosis_refuses_what_a_fit_refuses(fitted: Path, tmp_path: Path, run: Run) -> None:
+    swapped_sides(tmp_path / "swapped.mcap")
+    status, _, err = run("ident", "diagnose", fitted / "vehicle" / "model.toml", tmp_path / "swapped.mcap",
+                         "--out", tmp_path / "refused")
+    assert status == 1
+    assert "[thruster-sides-swapped]" in err
+    assert "--despite-faults" in err
+    assert not (tmp_path / "refused").exists()
+
+
+def test_a_fit_that_did_not_converge_is_status_1(fitted: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = read_result(fitted / "vehicle" / "result.json")
+    assert isinstance(result, VehicleResult)
+    run_workflow(lambda reporter: result, fitted / "vehicle")
+    fit = msgspec.structs.replace(result.fit, converged=False)
+    with pytest.raises(click.exceptions.Exit) as leaving:
+        run_workflow(lambda reporter: msgspec.structs.replace(result, fit=fit), fitted / "vehicle")
+    assert leaving.value.exit_code == 1
+    assert "report.html" in capsys.readouterr().out
+
+
+@pytest.mark.study
+def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_same(tmp_path: Path, run: Run) -> None:
+    boat = swapped_sides(tmp_path / "swapped.mcap")
     fit = ("ident", "vehicle", tmp_path / "swapped.mcap", "--model", "horizontal:shaft:no-current")
     status, _, err = run(*fit, "--out", tmp_path / "refused")
     assert status == 1
