@@ -119,6 +119,20 @@ def test_runs_that_no_fit_has_seen_are_predicted_from_their_inputs(left_out: dic
     assert not left_out["boat"]["unconverged"]
 
 
+SUBSETS = [pytest.param(k, marks=() if k == 1 else pytest.mark.study) for k in range(1, 13)]
+
+
+@pytest.mark.parametrize("seed", SUBSETS)
+def test_a_fit_to_any_eight_runs_converges(folder: Path, seed: int) -> None:
+    script, models = example()
+    logs = sorted(folder.glob("fixed_*.mcap"))
+    some = [logs[k] for k in sorted(np.random.default_rng(seed).choice(len(logs), 8, replace=False))]
+    model = models.boat()
+    found = script.fitted_from_first_samples(model, script.records_of(model, some), {})
+    assert found.converged
+    assert 10.0 < found.model.values["m_u"] < 25.0
+
+
 @pytest.mark.study
 def test_the_explanation_is_physical(left_out: dict[str, dict[str, Any]]) -> None:
     found = left_out["boat"]["parameters"]
