@@ -78,9 +78,10 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
         options = {"shaft": {"n_left", "n_right"}, "force": {"f_left", "f_right"}, "general": {"X", "N"}}
         fitting = [kind for kind, wanted in options.items() if wanted <= names]
         if not fitting:
+            hints = dict.fromkeys(h for n in sorted(names) if (h := _called_elsewhere(n)) and "shaft speed" in h)
             raise SeatrialError(
                 f"{loaded[0].about['path']}: no inputs for the horizontal model (n_left and n_right, or f_left and "
-                f"f_right, or X and N); the log has {', '.join(sorted(names))}"
+                f"f_right, or X and N); the log has {', '.join(sorted(names))}{''.join(f'; {h}' for h in hints)}"
             )
         ways = {item.propulsion for item in loaded} if fitting[0] == "shaft" else set()
         late = PropulsionInput.COMMAND not in ways and PropulsionInput.TELEMETRY in ways
@@ -128,8 +129,13 @@ def unused_signals(
     return found
 
 
+def _called_elsewhere(name: str) -> str | None:
+    """What to do with a signal of this name; None for one that is not known."""
+    return next((text for other, text in OTHER_NAMES.items() if name == other or name.startswith(f"{other}_")), None)
+
+
 def _unused(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> UnusedSignal:
-    known = next((text for other, text in OTHER_NAMES.items() if name == other or name.startswith(f"{other}_")), None)
+    known = _called_elsewhere(name)
     sensors = [[o.name for o in s.outputs] for s in SENSORS.values()]
     needs = [other for names in sensors if name in names for other in names if other not in there]
     if needs:

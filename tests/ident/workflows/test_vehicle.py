@@ -93,6 +93,11 @@ def test_inputs_that_only_some_logs_have_are_none() -> None:
         choose_model("auto", [loaded("n_left", "n_right", "psi", "r"), loaded("psi", "r")])
 
 
+def test_pulses_alone_are_refused_with_what_to_do() -> None:
+    with pytest.raises(SeatrialError, match=r"the log has psi, pwm_left, pwm_right, r; a pulse is no shaft speed: map"):
+        choose_model("auto", [loaded("pwm_left", "pwm_right", "psi", "r")])
+
+
 def test_what_is_known_is_taken_and_fixed() -> None:
     model, _ = fix_parameters(apply_rig_geometry(horizontal_model(), rig_of("boat"))[0], None, {"d_uu": 30.0})
     assert (model.values["d_vv"], model.values["d_uu"]) == (20.0, 30.0)
