@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -65,6 +65,7 @@ class Rig:
         payload: on board in each mission [kg], those to validate last; nothing by default.
         blind: effects that nothing in these logs can show.
         there: effects of the catalogue that every log of it has.
+        brings: those that come with another: what a rig makes of it.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Rig:
     payload: tuple[float, ...] = ()
     blind: frozenset[str] = field(default_factory=frozenset)
     there: frozenset[str] = field(default_factory=frozenset)
+    brings: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     def boat(self, effect: str | None, seed: int) -> Boat:
         """The boat of a seed, its thrusters its own; of an unknown scale, up to twice or half the usual one."""
@@ -292,7 +294,8 @@ RIGS: dict[str, Rig] = {
             partial(csv_log, of=position_and_compass), TEN_HERTZ, blind=NO_RATES),
         Rig("ekf", "CSV: position, heading, yaw rate and body velocities smoothed by an estimator, 10 Hz",
             partial(csv_log, of=navigation_filter), blind=NO_RATES | {"gnss-latency"},
-            there=frozenset({"filter-lag"})),  # its yaw rate is late by 50 ms
+            there=frozenset({"filter-lag"}),  # its yaw rate is late by 50 ms
+            brings={"lever-arm": frozenset({"velocity-point"})}),  # it draws its velocity to that of the antenna
         replace(VESC, name="noise-third", says="sensor noise declared a third of the true one", declared=1 / 3),
         replace(VESC, name="noise-triple", says="sensor noise declared three times the true one", declared=3.0),
         replace(VESC, name="scale-unknown", says="thrust known to nobody", scale_known=False),

@@ -160,7 +160,8 @@ def verdict(row: Row) -> str:
     own = _own_names()
     row = row | {"found": [own.get(n, n) for n in row["found"]]}
     row["not_excluded"] = [[own.get(n, n) for n in names] for names in row["not_excluded"]]
-    there = {row["effect"]} if row["rig"] in RIGS else {row["effect"], *PLANTS[row["rig"]].there}
+    rig = RIGS.get(row["rig"])
+    there = {row["effect"], *(rig.brings.get(row["effect"], ()) if rig else PLANTS[row["rig"]].there)}
     found = [name for name in row["found"] if not _expected(row, name)]
     if row["effect"] == NONE:
         return RIGHT if not set(found) - there else FALSE_ALARM

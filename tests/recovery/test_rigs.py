@@ -95,6 +95,9 @@ def row(rig: str, effect: str, found: list[str], how: str = "identified", not_ex
         (row("vesc", "none", ["between-runs:payload"]), rigs.FALSE_ALARM),
         (row("ekf", "none", ["filter-lag"], "ambiguous"), rigs.RIGHT),
         (row("ekf", "wind", ["filter-lag"]), rigs.MISSED),
+        (row("ekf", "lever-arm", ["lever-arm", "velocity-point"]), rigs.NAMED),  # its velocity is the antenna's
+        (row("ekf", "wind", ["wind", "velocity-point"]), rigs.WRONG),
+        (row("vesc", "lever-arm", ["lever-arm", "velocity-point"]), rigs.WRONG),
         (row("vesc", "none", ["filter-lag"], "ambiguous"), rigs.FALSE_ALARM),
         (row("otter-none", "none", ["cross-flow"]), rigs.RIGHT),
         (row("otter-none", "none", ["lag"]), rigs.FALSE_ALARM),

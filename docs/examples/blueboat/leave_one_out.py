@@ -1,6 +1,6 @@
 """Leave one run out: fit all runs but one, predict that one from its inputs alone, and so on through all runs.
 
-    python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--nested] [--out FILE.json]
+    python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--nested] [--subsets N] [--out FILE.json]
 
 The fit is by output error (``ident.estimation.output_error``). Fit and prediction start at the first sample of the run
 from the speeds and the heading measured there, and the prediction sees nothing but the commands after it. The score is
@@ -11,6 +11,8 @@ and pooled, with the squares of all runs summed and every run's own mean taken a
 heading's gain (``e_drift``) are chosen by leaving out the other runs one by one, by the geometric mean over channels of
 the pooled errors; the choice is then fitted to the others and predicts the run. So nothing about a run, not even which
 model is used for it, comes from that run.
+
+``--subsets``: whether the fit of ``boat`` converges on every choice of so many runs and more.
 
 Fits that do not converge are named; they have no score, no choice falls on them, and the exit status is 1.
 """
@@ -151,6 +153,15 @@ def nested(models: Mapping[str, Model], logs: Sequence[Path], jobs: int) -> dict
     return {**found, "chosen": dict(zip(names, chosen, strict=True)), "unconverged": failed}
 
 
+def subsets(model: Model, logs: Sequence[Path], least: int, jobs: int) -> dict[str, Any]:
+    """How many fits to ``least`` and more of the runs there are, and which of them did not converge."""
+    records = records_of(model, logs)
+    chosen = [some for n in range(least, len(logs) + 1) for some in combinations(records, n)]
+    done = joblib.Parallel(n_jobs=jobs)(joblib.delayed(fitted_from_first_samples)(model, [*c], {}) for c in chosen)
+    failed = [", ".join(r.name for r in c) for c, found in zip(chosen, done, strict=True) if not found.converged]
+    return {"fits": len(chosen), "unconverged": failed}
+
+
 def trace(record: Record, predicted: Array) -> dict[str, Any]:
     """Measured and predicted by channel, at the times of the samples, for figures.py."""
     rows = np.isfinite(record.y[:, record.outputs.index("u")])
@@ -179,10 +190,17 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--model", nargs="+", choices=MODELS, default=list(MODELS))
     parser.add_argument("--fix", nargs="+", default=[], metavar="NAME=VALUE", help="give parameters other values")
     parser.add_argument("--nested", action="store_true", help="choose the model inside each run left out; see above")
+    parser.add_argument("--subsets", type=int, metavar="N", help="fit every choice of N runs and more; see above")
     parser.add_argument("--jobs", type=int, default=2, help="processes of --nested (2)")
     parser.add_argument("--out", type=Path, help="write everything, for people and plots, as JSON")
     given = parser.parse_args(words)
     found: dict[str, Any] = {}
+    if given.subsets:
+        found = subsets(with_fixed(boat.boat(), given.fix), given.logs, given.subsets, given.jobs)
+        print(f"{found['fits']} fits to {given.subsets} runs and more: {len(found['unconverged'])} did not converge")
+        for which in found["unconverged"]:
+            print(f"  no convergence: {which}")
+        return finish(found, given.out, failed=bool(found["unconverged"]))
     print(f"{'fit in per cent':<26}{'surge':>8}{'sway':>8}{'yaw rate':>9}")
     if given.nested:
         found = nested(candidates(given.fix), given.logs, given.jobs)
