@@ -65,8 +65,9 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     loaded, unseen = in_one_frame(plain, loaded, unseen, saved.origin)
     model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     unused = unused_signals(model, loaded, unseen)
+    told = unused_lines(unused) if model.kind is ModelKind.VEHICLE else []
     loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
-    for line in unused_lines(unused) if model.kind is ModelKind.VEHICLE else ():
+    for line in told:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)
     own = effects_for(model, effects_file) if effects_file else {}
