@@ -166,14 +166,14 @@ def _damping(s: Signals, u: Any) -> Any:
     return s.p.d_u * u + s.p.d_uu * abs(u) * u
 
 
-def _inputs(s: Signals, ago: Any, *, errors: bool = True) -> list[Any]:
+def _inputs(s: Signals, ago: Any) -> list[Any]:
     """Inputs that acted so long ago [s], by cubic convolution, with what is known now of their errors in time."""
     weights = delay_weights((s.p.tau_n + ago) / STEP - TAPS[0], len(TAPS))
     found = []
     for side in SIDES:
         known = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
         then = sum(w * n for w, n in zip(weights, known, strict=True))
-        if errors and hasattr(s.x, STAMP_ERROR + side):
+        if hasattr(s.x, STAMP_ERROR + side):
             beyond = [2 * known[0] - known[1], *known, 2 * known[-1] - known[-2]]
             change = [(late - early) / (2 * STEP) for early, late in zip(beyond[:-2], beyond[2:], strict=True)]
             late = s.p.sigma_n * getattr(s.x, STAMP_ERROR + side) * np.exp(-ago / MEMORY)
@@ -255,8 +255,7 @@ def output(s: Signals) -> None:
     x, y, p = s.x, s.y, s.p
     v = _sideslip(s, x.u, s.r)
     y["psi"] = x.psi
-    # What is known of the errors is of now, and a gyro that is exact would be late by what makes them fit.
-    y["r"] = _rates_at(s, p.T_r, x.u - p.T_r * s.rate["u"], _inputs(s, p.T_r, errors=False))[0]
+    y["r"] = _rates_at(s, p.T_r, x.u - p.T_r * s.rate["u"], _inputs(s, p.T_r))[0]
     first = p.tau_gnss - p.sigma_gnss
     late = _back(s, (x.x, x.y, x.psi, x.u, v), 0.0, first, 2)
     early = _back(s, late, first, 2 * p.sigma_gnss, 4)

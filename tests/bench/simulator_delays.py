@@ -3,7 +3,8 @@
 `nomoto` takes the heading for true at its time stamps and the velocity for one along it, so that what it estimates is
 how late the others are behind the heading, which is 0.9 ms late itself, and behind a velocity along it: that of the
 simulator is a step of its integration, 0.83 ms, ahead of its own heading. A gyro behind a low-pass filter has no delay
-but one for each frequency: its number is that of the samples of the fit, for the motion that there was.
+but one for each frequency: its number is that of the samples of the fit, for the motion that there was. The receiver
+cuts its speed to whole mm/s, which is slower by some half of one, and in turns passes for a spread.
 """
 
 from __future__ import annotations
@@ -63,13 +64,14 @@ def delays(log: Path, bin_log: Path) -> dict[str, float]:
     t_r, rate = part(_as_fitted(c["r"]))
     gyro = _best(lambda p: rate - p[1] - heading(t_r - p[0], 1), [0.05, 0.0])[0]
     (t_v, v_n), (_, v_e) = part(c["vx"]), part(c["vy"])
-    both = [(CubicSpline(t, of), seen) for of, seen in ((north, v_n), (east, v_e))]
+    speed = np.hypot(v_n, v_e)
+    both = [(CubicSpline(t, of), v, v / np.where(speed > 0, speed, 1.0)) for of, v in ((north, v_n), (east, v_e))]
 
     def of_fix(p: Array) -> Array:
-        then = [(of(t_v - p[0] - p[1]) + of(t_v - p[0] + p[1])) / 2 - seen for of, seen in both]
+        then = [(of(t_v - p[0] - p[1]) + of(t_v - p[0] + p[1])) / 2 - v - p[2] * way for of, v, way in both]
         return np.concatenate(then)
 
-    age, spread = _best(of_fix, [0.1, 0.1])
+    age, spread, _ = _best(of_fix, [0.1, 0.1, 0.0])
     return {"T_r": gyro - late, "tau_gnss": age - late, "sigma_gnss": abs(spread)}
 
 
