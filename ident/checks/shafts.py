@@ -185,6 +185,7 @@ def response(told: Channel, shaft: Channel) -> Response | NoResponse:
     near = np.minimum(np.abs(after), np.abs(before))
     used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
     n = turned[longest:] if used.all() else np.where(used, turned[longest:], 0.0)
+    total = float(n @ n)
 
     def delayed(lagged: Array, delay: float) -> Array:
         late = longest - round(delay / STEP)
@@ -192,7 +193,7 @@ def response(told: Channel, shaft: Channel) -> Response | NoResponse:
         return x if used.all() else np.where(used, x, 0.0)
 
     def fitted(at: slice, band: float) -> LagFit:
-        data = LagData(_outside(command, band), lambda lagged, delay: _misfit(delayed(lagged, delay), n)[0])
+        data = LagData(_outside(command, band), lambda lagged, delay: _misfit(delayed(lagged, delay), n, total)[0])
         return fit_first_order_lag([data], DELAYS[at], TIME_CONSTANTS, STEP, hold="backward", start="steady")
 
     linear = fitted(slice(None), 0.0)
@@ -202,8 +203,8 @@ def response(told: Channel, shaft: Channel) -> Response | NoResponse:
         if (one := fitted(slice(max(k - 3, 0), k + 4), b)).misfit < best.misfit:
             best, band = one, b
     lagged = first_order_lag(_outside(command, band), best.time_constant, STEP, hold="backward", start="steady")
-    total, gain = float(n @ n), 1.0 - best.misfit / max(linear.misfit, 1e-300)
-    scale = _misfit(delayed(lagged, best.delay), n)[1]
+    gain = 1.0 - best.misfit / max(linear.misfit, 1e-300)
+    scale = _misfit(delayed(lagged, best.delay), n, total)[1]
     # A command that stays the same shows no delay, nor does one whose steps all lie before the first time of the fit.
     limit = round(MAX_DELAY / STEP) + 1
     other = fitted(slice(0, limit) if DELAYS.index(best.delay) >= limit else slice(limit, None), band)
@@ -217,14 +218,12 @@ def _outside(command: Array, band: float) -> Array:
     return np.where(np.abs(command) < band, 0.0, command)
 
 
-def _misfit(x: Array, n: Array) -> tuple[float, float]:
-    """Squared error of n by a multiple of x, and that multiple."""
-    size = float(x @ x)
+def _misfit(x: Array, n: Array, total: float) -> tuple[float, float]:
+    """Squared error of n, whose own square is ``total``, by a multiple of x, and that multiple."""
+    size, both = float(x @ x), float(x @ n)
     if size == 0.0:
-        return float(n @ n), 0.0
-    scale = float(x @ n) / size
-    e = n - scale * x
-    return float(e @ e), scale
+        return total, 0.0
+    return max(total - both * both / size, 0.0), both / size
 
 
 class Hold(NamedTuple):

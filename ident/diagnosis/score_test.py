@@ -10,9 +10,10 @@ the bench), and stays valid where the innovations are not white.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,6 +147,17 @@ class NormalEquations:
         self.blocks.append(sums)
 
 
+class WhitenedRows(NamedTuple):
+    """Rows (n,) of a record that have equally many samples, k: by what these, whitened, change with the outputs (n, k,
+    n_outputs) and with the state (n, k, n_states), both with the innovations' sign; at (n, k): where they are among all
+    samples."""
+
+    rows: NDArray[np.int64]
+    by_output: Array
+    by_state: Array
+    at: NDArray[np.int64]
+
+
 class SensitivityFilter:
     """Propagates columns of sensitivities through the filter of one record.
 
@@ -158,18 +170,19 @@ class SensitivityFilter:
         P_pred, _, Phi = run.covariances(rows)
         self.half = np.asarray(record.h[rows] / 2)[:, None, None]
         self.seen = np.isfinite(record.y[rows]) & ~run.outliers[rows]
-        self.H = np.where(self.seen[:, :, None], jacobian[: len(P_pred)], 0.0)
-        cross = P_pred @ self.H.swapaxes(1, 2)
-        S = self.H @ cross
+        H = np.where(self.seen[:, :, None], jacobian[: len(P_pred)], 0.0)
+        cross = P_pred @ H.swapaxes(1, 2)
+        S = H @ cross
         each = np.arange(S.shape[1])
         S[:, each, each] += np.where(self.seen, run.R, 1.0)  # missing outputs are decoupled, with a gain of zero
         gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
         self.Phi = np.where(self.half > 0, Phi, np.eye(cross.shape[1]))
         self.Phi_gain = self.Phi @ gain
-        self.transition = self.Phi - self.Phi_gain @ self.H  # from one prediction to the next
-        self.whiten = np.linalg.inv(np.linalg.cholesky(S))
-        self.e = (self.whiten @ np.where(self.seen, run.e[rows], 0.0)[:, :, None])[self.seen][:, 0]
+        self.transition = self.Phi - self.Phi_gain @ H  # from one prediction to the next
+        whiten = np.linalg.inv(np.linalg.cholesky(S))
+        self.e = (whiten @ np.where(self.seen, run.e[rows], 0.0)[:, :, None])[self.seen][:, 0]
         self.t = np.repeat(record.t[rows], self.seen.sum(axis=1))
+        self.whitened = list(_by_size(self.seen, whiten, H))
         self.end = np.zeros((cross.shape[1], 0))
 
     def __call__(self, columns: Sequence[SensitivityColumns], begin: Array | None = None) -> Array:
@@ -179,32 +192,36 @@ class SensitivityFilter:
         sensitivities of the state before the rows, none at the start of a record.
         """
         delta, touched = self._together(columns)
-        n_rows, n_states, n_outputs = len(self.H), self.Phi.shape[1], self.H.shape[1]
-        rates, outputs = touched < n_states, touched[touched >= n_states] - n_states
-        read = np.where(self.seen[:, outputs, None], delta[:n_rows, ~rates], 0.0)
-        delta = delta[:, rates]
-        found, dx = [], np.zeros((N_ROWS + 1, n_states, delta.shape[2]))
+        n_rows, n_states = self.seen.shape[0], self.Phi.shape[1]
+        n_rates = int(np.searchsorted(touched, n_states))
+        rates, outputs = touched[:n_rates], touched[n_rates:] - n_states
+        read = np.where(self.seen[:, outputs, None], delta[:n_rows, n_rates:], 0.0)
+        found, dx = np.empty((self.e.size, delta.shape[2])), np.zeros((N_ROWS + 1, n_states, delta.shape[2]))
         dx[0] = 0.0 if begin is None else begin
         for first, last in pairwise([*range(0, n_rows, N_ROWS), n_rows]):
             rows, n = slice(first, last), last - first
-            drive = self.Phi[rows][:, :, touched[rates]] @ (self.half[rows] * delta[rows])
-            drive -= self.Phi_gain[rows][:, :, outputs] @ read[rows]
-            end = delta[first + 1 : last + 1]  # the record's last row leads nowhere
-            drive[: len(end), touched[rates]] += self.half[rows][: len(end)] * end
-            for k, A in enumerate(self.transition[rows]):
-                np.matmul(A, dx[k], out=dx[k + 1])
-                dx[k + 1] += drive[k]
-            change = np.zeros((n, n_outputs, delta.shape[2]))
-            change[:, outputs] = -read[rows]
-            change -= self.H[rows] @ dx[:n]
-            found.append((self.whiten[rows] @ change)[self.seen[rows]])
+            drive = (self.half[rows] * self.Phi[rows][:, :, rates]) @ delta[rows, :n_rates]
+            if outputs.size:
+                drive -= self.Phi_gain[rows][:, :, outputs] @ read[rows]
+            end = delta[first + 1 : last + 1, :n_rates]  # the record's last row leads nowhere
+            drive[: len(end), rates] += self.half[rows][: len(end)] * end
+            for A, pushed, now, after in zip(self.transition[rows], drive, dx[:n], dx[1:], strict=False):
+                np.matmul(A, now, out=after)
+                after += pushed
+            for same in self.whitened:
+                chosen = slice(*np.searchsorted(same.rows, (first, last)))
+                among = same.rows[chosen]
+                change = same.by_state[chosen] @ dx[among - first]
+                if outputs.size:
+                    change += same.by_output[chosen][:, :, outputs] @ read[among]
+                found[same.at[chosen]] = change
             dx[0] = dx[n]
         self.end = dx[0].copy()
-        return np.concatenate(found)
+        return found
 
     def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64]]:
         """Sensitivities of all candidates (n_rows, n_touched, n_columns), and the rates and outputs that they touch."""
-        every = np.arange(self.Phi.shape[1] + self.H.shape[1])
+        every = np.arange(self.Phi.shape[1] + self.seen.shape[1])
         each = [every if c.touched is None else c.touched for c in columns]
         touched = np.unique(np.concatenate(each))
         widths = [c.delta.shape[2] for c in columns]
@@ -213,6 +230,16 @@ class SensitivityFilter:
             delta[:, np.searchsorted(touched, own), first : first + width] = c.delta
             first += width
         return delta, touched
+
+
+def _by_size(seen: NDArray[np.bool_], whiten: Array, H: Array) -> Iterator[WhitenedRows]:
+    """The rows that have samples, by how many; whiten (n_rows, n_outputs, n_outputs)."""
+    sizes = seen.sum(axis=1)
+    begin = np.cumsum(sizes) - sizes
+    for size in np.unique(sizes[sizes > 0]).tolist():
+        rows = np.flatnonzero(sizes == size)
+        by_output = -whiten[rows][seen[rows]].reshape(rows.size, size, -1)
+        yield WhitenedRows(rows, by_output, by_output @ H[rows], begin[rows, None] + np.arange(size))
 
 
 def propagate_sensitivities(

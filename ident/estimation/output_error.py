@@ -81,13 +81,20 @@ def free_start(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str
     return extended.replace_parameters(*given), begin
 
 
-def simulate(model: Model, record: Record, values: Array | None = None, x0: Array | None = None) -> Simulation:
+def simulate(
+    model: Model,
+    record: Record,
+    values: Array | None = None,
+    x0: Array | None = None,
+    preparer: Preparer | None = None,
+) -> Simulation:
     """Run the model through a record's inputs, from ``x0`` (n_states,) or the model's own initial state.
 
-    Measurements matter only to states that start from one (``from_output``).
+    Measurements matter only to states that start from one (``from_output``). ``preparer``: of the model, which keeps
+    what it makes of a record that is simulated many times.
     """
     values = _values(model, values)
-    data = Preparer(model)(record)
+    data = (preparer or Preparer(model))(record)
     start = initial_condition(model, values, data, covariance=False).s if x0 is None else x0
     given = {n: data.rows[n] for n in INPUTS} | {"p": values, "s": np.array(start, dtype=np.float64)}
     done = _kernel(model)(data.n_rows, None, given)

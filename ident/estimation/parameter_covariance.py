@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.data import Record
+from ident.data import Preparer, Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import Fit
 from ident.estimation.output_error import simulate
@@ -71,9 +71,10 @@ def prediction_variance(
     """Variance (n_rows, n_outputs) that this adds to predictions from the inputs after the first ``known`` rows,
     of which the filter has the measurements; before that nothing is added, since those hold the prediction."""
     head, tail = record.rows(slice(0, known)), record.rows(slice(known - 1, None))
+    preparer = Preparer(model)
 
     def outputs(v: Array) -> Array:
-        return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1]).y[1:]
+        return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1], preparer).y[1:]
 
     total = np.zeros((record.n_rows, len(model.outputs)))
     for plus, minus in uncertainty.around(model, values):
