@@ -38,6 +38,7 @@ RATES: dict[str, float | None] = {
     "GPS_RAW_INT": 5.0,
     "EKF_STATUS_REPORT": 2.0,
     "SYSTEM_TIME": 1.0,
+    "RC_CHANNELS": 1.0,
     "BATTERY_STATUS": 2.0,
     "ESC_TELEMETRY_1_TO_4": 10.0,
 }

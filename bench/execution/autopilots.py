@@ -27,6 +27,7 @@ POLL_S = 0.05
 LINK_AGE_S = 3.0  # heartbeats come once a second
 LEAVE_S = 10.0  # for the disarming to be seen, where the link has to come back first
 ASK_S = 1.0  # between two requests to disarm
+RECEIVER_S = 3.0  # for RC_CHANNELS, which come once a second
 REASONS_S = 1.0  # for the texts that come after a refusal
 STATUS_AGE_S = 0.1  # of what the acquisition says of a link, at most
 NEUTRAL_S = 0.3  # of neutral sticks before arming
@@ -89,7 +90,8 @@ class Autopilots:
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
         self._armed: dict[str, float] = {}  # by us: when arming, then disarming, was asked for first (monotonic)
         self._prepared = False
-        behind = [rig.thruster(name) for name in thrusters if rig.thruster(name).output is not None]
+        # Those that the mission does not command, too: a crossed command pushes there.
+        behind = [t for t in rig.thrusters if t.device in names and t.output is not None]
         self._outputs = [OutputCheck(thruster, clock.speed) for thruster in behind]
 
     @property
@@ -157,8 +159,15 @@ class Autopilots:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
             raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
         if self._n_max > self._rig.limits.link_test_n:
-            seconds = require_link_test(self._rig, device.name, link.parameters, self._n_max)
+            link = self.await_receivers()[device.name]
+            seconds = require_link_test(self._rig, device.name, link, self._n_max)
             self._acquisition.mark("parameter", f"{device.name}: a lost link was tested, neutral after {seconds:.2f} s")
+
+    def await_receivers(self) -> dict[str, LinkStatus]:
+        """What each autopilot says of itself, once it has said whether it hears a receiver, or had its time to."""
+        for device in self._devices:
+            self._await(device, lambda link: link.receiver is not None, RECEIVER_S)
+        return {device.name: self._link(device) for device in self._devices}
 
     def _await_estimator(self, device: Device) -> None:
         def ready(link: LinkStatus) -> bool:

@@ -2,7 +2,8 @@
 
 Which of its failsafes ends thrust, and when, depends on parameters, on the receiver and on its version; so it is tried:
 a tenth of full command, nothing more is sent, and SERVO_OUTPUT_RAW is watched. The result stands beside the rig
-(`RIG.link-test.json`) with the hash of the parameters that decide it, and missions beyond `limits.link_test_n` need it.
+(`RIG.link-test.json`) with the hash of the parameters that decide it and whether a receiver was heard, and missions
+beyond `limits.link_test_n` need it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import msgspec
 import numpy as np
 
 from daq.config import STATIC, Mission, Segment
-from daq.drivers import link_loss_hash
+from daq.drivers import LinkStatus, link_loss_hash
 from daq.errors import SeatrialError
 from daq.log import Log
 from daq.rig import Device, Rig
@@ -40,6 +41,7 @@ class LinkTest(msgspec.Struct, frozen=True):
     n: float  # commanded before
     date: str  # ISO 8601, UTC
     parameters: str  # SHA-256 of those that decide (daq.drivers.link_loss_hash)
+    receiver: bool | None = None  # whether one was heard; None: not known
 
     @property
     def passed(self) -> bool:
@@ -82,8 +84,11 @@ def save_link_tests(rig: Rig, tests: Mapping[str, LinkTest]) -> None:
     link_test_path(rig).write_bytes(msgspec.json.format(text, indent=2) + b"\n")
 
 
-def require_link_test(rig: Rig, device: str, parameters: Mapping[str, float], n_max: float) -> float:
-    """Seconds that a passed test has measured with these parameters. Raises SeatrialError where there is none."""
+def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> float:
+    """Seconds that a passed test has measured with the parameters and the receiver of `link`.
+
+    Raises SeatrialError where there is none.
+    """
     test = load_link_tests(rig).get(device)
     if test is None:
         why = "it was never done"
@@ -91,8 +96,14 @@ def require_link_test(rig: Rig, device: str, parameters: Mapping[str, float], n_
         why = f"on {test.date} thrust went on for {test.seconds:.2f} s"
     elif test.n < N_TEST:
         why = f"that of {test.date} commanded n = {test.n:g}, which is below {N_TEST:g}"
-    elif test.parameters != link_loss_hash(parameters):
+    elif test.parameters != link_loss_hash(link.parameters):
         why = f"parameters that decide it have changed since {test.date}"
+    elif link.receiver is None or test.receiver is None:
+        whose = "now" if link.receiver is None else f"in that of {test.date}"
+        why = f"whether it hears a receiver, which decides it, is not known {whose} (RC_CHANNELS)"
+    elif test.receiver != link.receiver:
+        then, now = ("no receiver", "one") if link.receiver else ("a receiver", "none")
+        why = f"that of {test.date} was done with {then}, and {now} is heard now"
     else:
         return test.seconds
     raise SeatrialError(
@@ -121,8 +132,9 @@ def link_test_plan(rig: Rig) -> Mission:
     return Mission("link test", "mission", names, segments, end, n_max=N_TEST, made_by="seatrial check --link-test")
 
 
-def measure_link_loss(log: Log, device: Device, parameters: Mapping[str, float], n: float) -> LinkTest:
-    """What the log of a link test says about one device; infinite seconds where thrust went on to the end.
+def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> LinkTest:
+    """What the log of a link test says about one device; SILENCE_S where thrust went on to the end. `link` is its state
+    before the silence.
 
     Raises SeatrialError where the log has no such test, or where an output did not push before the silence: then its
     being at neutral says nothing.
@@ -152,4 +164,5 @@ def measure_link_loss(log: Log, device: Device, parameters: Mapping[str, float],
         k = int(pushes[-1]) + 1 if pushes.size else 0
         seconds = max(seconds, (float(table["t"][k]) - last) / rig.speed if k < len(table) else math.inf)
     date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    return LinkTest(seconds if math.isfinite(seconds) else SILENCE_S, n, date, link_loss_hash(parameters))
+    seconds = seconds if math.isfinite(seconds) else SILENCE_S
+    return LinkTest(seconds, n, date, link_loss_hash(link.parameters), link.receiver)

@@ -198,7 +198,7 @@ class _Runner:
             try:
                 self._vehicles.begin_link_test()
                 self._await_ready(arm)
-                parameters = {name: self._acquisition.status().links[name].parameters for name in self._vehicles.names}
+                links = self._vehicles.await_receivers()
                 self._fall_silent()
                 self._acquisition.zero("end of the link test")
                 self._vehicles.release()
@@ -208,7 +208,7 @@ class _Runner:
                 raise
         n = self._mission.n_max or 0.0
         with open_log(self._path) as log:
-            return {name: measure_link_loss(log, self._rig.device(name), parameters[name], n) for name in parameters}
+            return {name: measure_link_loss(log, self._rig.device(name), links[name], n) for name in links}
 
     def _fall_silent(self) -> None:
         """Command the plan, send nothing more, and go on when the outputs are at neutral, or have had their time."""

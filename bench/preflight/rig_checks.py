@@ -126,6 +126,8 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
         yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "what it asks for")
     trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
     state = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}"
+    if link.receiver is not None:
+        state += ", a receiver was heard" if link.receiver else ", no receiver heard"
     text = f"{link.vehicle}, {state}, EKF flags {link.ekf}{' (position)' * bool(link.ekf & EKF_POSITION)}{trip}"
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
         text, advice = f"{text}: its estimator has no position", "open sky, 40 s after power-on; no run begins before"

@@ -184,6 +184,10 @@ def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMisma
             if value != pulses[k]:
                 why = f"{key} of thruster {thruster.name} in the rig says so; one of both is wrong"
                 found.append(ParameterMismatch(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
+    threshold = p.get("FS_THR_VALUE", 0.0)
+    if p.get("RCMAP_THROTTLE") == output.rc_channel and threshold >= min(output.rc_us):
+        why = f"pulses of {thruster.name} below it are a lost transmitter, so reverse is a failsafe"
+        found.append(ParameterMismatch("FS_THR_VALUE", threshold, f"below {min(output.rc_us):g}", why, False))
     turns = "the sign of the command or of the output alone turns"
     dead = "a dead zone around neutral"
     for name, why in ((f"{channel}_DZ", dead), (f"{channel}_REVERSED", turns), (f"{servo}_REVERSED", turns)):

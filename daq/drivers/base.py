@@ -40,6 +40,7 @@ class LinkStatus:
     refused: tuple[str, ...] = ()  # message rates that it refused, one line each
     answer: str = ""  # to the last request: "arm: accepted", "arm: failed (PreArm: ...)"; empty while awaited
     alarm: str = ""  # the last text of severity critical or above
+    receiver: bool | None = None  # whether it has heard one of a transmitter since it started; None: not said
     rivals: int = 0  # frames of another ground station with our own system id
     lost: int = 0  # frames that its sequence numbers count and that did not come
     round_trip: float = math.nan  # wall s, the shortest of a TIMESYNC

@@ -112,6 +112,7 @@ class MavlinkDriver(DeviceDriver):
         self._attitudes = self._slow_beats = 0
         self._chunk = (0, "")
         self._synced, self._trips = -math.inf, 0
+        self._status = replace(self._status, receiver=None)
 
     def receive(self, message: Any, now: float) -> None:
         """A message of the autopilot."""
@@ -132,6 +133,8 @@ class MavlinkDriver(DeviceDriver):
             self._receive_text(message)
         elif name == "EKF_STATUS_REPORT":
             self._status = replace(self._status, ekf=message.flags)
+        elif name == "RC_CHANNELS":  # no channels where no receiver was ever heard; our overrides are none
+            self._status = replace(self._status, receiver=message.chancount > 0)
         elif name == "TIMESYNC" and message.tc1 and message.ts1:
             self._receive_timesync(message, now)
 

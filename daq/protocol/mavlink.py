@@ -16,7 +16,7 @@ from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, 
 
 # Besides messages that become samples: those that the driver of the link needs.
 SERVICE = (
-    *("HEARTBEAT", "COMMAND_ACK", "PARAM_VALUE", "STATUSTEXT", "EKF_STATUS_REPORT", "TIMESYNC"),
+    *("HEARTBEAT", "COMMAND_ACK", "PARAM_VALUE", "STATUSTEXT", "EKF_STATUS_REPORT", "TIMESYNC", "RC_CHANNELS"),
     *("RC_CHANNELS_OVERRIDE", "COMMAND_LONG", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_SET"),
 )
 GRAVITY = 9.80665

@@ -121,6 +121,9 @@ class Reports:
             return self._codec.encode(name, utc, ms)
         if name == "EKF_STATUS_REPORT":
             return self._codec.encode(name, self.ekf, 0.01, 0.01, 0.01, 0.01, 0.0, 0.0)
+        if name == "RC_CHANNELS":
+            heard = 8 if self._vehicle.receiver else 0
+            return self._codec.encode(name, ms, heard, *([1500] * heard + [0] * (18 - heard)), 0xFF)
         return self._say_slow(name)
 
     def _say_slow(self, name: str) -> bytes:

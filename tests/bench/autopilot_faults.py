@@ -46,8 +46,12 @@ REBOOT_S = 0.5  # it lets go of its outputs after this
 MARKS = ("<!-- python -m tests.bench.autopilot_faults -->", "<!-- end of the faults -->")
 
 
+REFUSAL, OUTPUT = "to drive, yours to set", "puts out n = "
+PARAMETER = re.compile(r"[A-Z0-9]+_[A-Z0-9_]+")
+
+
 class Trial(NamedTuple):
-    """One fault under one setting."""
+    """One fault, or one wrong parameter (`NAME value`), under one setting."""
 
     fault: str
     setting: str
@@ -59,7 +63,12 @@ class Trial(NamedTuple):
 
     @property
     def good(self) -> bool:
-        """As it has to be: thrust ended in time, and who is left armed is named."""
+        """As it has to be: thrust ended in time, who is left armed is named, and a wrong parameter was the reason."""
+        name, _, value = self.fault.partition(" ")
+        if PARAMETER.fullmatch(name) and value:
+            refused = REFUSAL in self.says and f"{name} is" in self.says and self.seconds == 0.0
+            ended = OUTPUT in self.says and 0.0 < self.seconds <= self.allowed
+            return (refused or ended) and self.disarmed
         return self.seconds <= self.allowed and (self.disarmed or self.told)
 
 
@@ -267,12 +276,14 @@ def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: 
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
     says = process.communicate()[1].strip().splitlines()[-1:] or [""]
-    refused = "to drive, yours to set" in says[0]
+    refused = REFUSAL in says[0]
     seconds = rover.last_push_after(started) if refused else rover.neutral_after(begun)
+    ended = time.monotonic()
+    rover.until(lambda: rover.beats[-1][0] > ended, 10.0, "a heartbeat")
+    trial = Trial(f"{name} {value:g}", setting.name, seconds, SUPERVISED_S, says[0], not rover.armed, False)
     rover.set(name, before)
     _put_right(rover)
-    allowed = SUPERVISED_S
-    return Trial(f"{name} {value:g}", setting.name, seconds, allowed, says[0], not rover.armed, False)
+    return trial
 
 
 @contextlib.contextmanager

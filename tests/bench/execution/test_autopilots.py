@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import pytest
@@ -13,12 +14,13 @@ import pytest
 from bench.execution import autopilots
 from bench.execution.autopilots import LASTS_S, TOLERANCE, Autopilots, OutputCheck
 from daq.acquisition.session import Acquisition
-from daq.acquisition.status import Latest, Status
+from daq.acquisition.status import Latest, PortStatus, Status
 from daq.clock import RunClock
 from daq.drivers.base import LinkStatus
-from daq.errors import SeatrialError
+from daq.errors import SafetyStop, SeatrialError
+from daq.protocol.mavlink import ROVER
 from daq.samples import Servo
-from tests.daq.mavlink_ends import mav_rig
+from tests.daq.mavlink_ends import Ends, mav_rig
 
 T = 1_763_616_000.0
 LATE_S = 0.06  # a command, the autopilot's loop and the message about it
@@ -68,6 +70,103 @@ def test_one_wrong_output_is_no_reason() -> None:
 
 def test_an_output_that_is_not_known_is_no_reason() -> None:
     assert run(lambda t: math.nan) == (math.inf, "")
+
+
+def test_an_output_that_the_mission_does_not_command_is_watched_too() -> None:
+    """A crossed channel: the one that is commanded rests, and its neighbour pushes."""
+    vehicles = fit(LINK)
+    outputs = {("autopilot", node): Latest(Servo(node, 1500.0, n), T) for node, n in ((1, 0.0), (3, 0.3))}
+    vehicles.check(Status(T, {}, outputs, {"left": 0.0}, 0, "", 1, 1, 0.0, "", (), links={"autopilot": LINK}))
+    late = {key: latest._replace(t=T + 0.3) for key, latest in outputs.items()}
+    with pytest.raises(SafetyStop, match=r"autopilot puts out n = \+0.30 for right, commanded \+0.00"):
+        vehicles.check(Status(T + 0.3, {}, late, {"left": 0.0}, 0, "", 1, 1, 0.0, "", (), links={"autopilot": LINK}))
+
+
+LINK = LinkStatus(
+    received=True, vehicle=ROVER, age=0.1, armed=True, mode="MANUAL", parameters_pending=False, receiver=True
+)
+
+
+class Told:
+    """An acquisition with an autopilot that is always of this state; it keeps what it is to log."""
+
+    path = Path("run.mcap")
+
+    def __init__(self, link: LinkStatus, message: str = "") -> None:
+        port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, message)
+        links, ports = {"autopilot": link}, {"autopilot": port}
+        self._status = Status(T, ports, {}, {}, 0, "run.mcap", 1, 1, 0.0, "", (), links=links)
+        self.marks: list[str] = []
+
+    def mark(self, kind: str, text: str) -> None:
+        self.marks.append(text)
+
+    def status(self) -> Status:
+        return self._status
+
+
+def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, message: str = "") -> Autopilots:
+    """Those of a rig with one autopilot of this state, while a mission of the left thruster is under way."""
+    acquisition = cast("Acquisition", Told(link, message))
+    say: Callable[[str], None] = (lambda line: None) if said is None else said.append
+    vehicles = Autopilots(mav_rig(), ("left",), acquisition, RunClock(1.0), time.sleep, say, n_max)
+    if link.armed and link.mode == "MANUAL":
+        vehicles.prepare(arm=False)
+    return vehicles
+
+
+@pytest.mark.parametrize(
+    ("link", "reason"),
+    [
+        (replace(LINK, age=3.2), "autopilot: no heartbeat for 3.2 s"),
+        (replace(LINK, age=math.inf), "autopilot: no heartbeat for inf s"),
+        (replace(LINK, armed=False, alarm="critical: Leak"), r"autopilot was disarmed \(critical: Leak\)"),
+        (replace(LINK, mode="HOLD"), "autopilot went over to HOLD"),
+        (replace(LINK, alarm="critical: Leak"), "autopilot says critical: Leak"),
+        (replace(LINK, rivals=1), "another ground station has our own system id"),
+    ],
+)
+def test_whatever_an_autopilot_does_by_itself_ends_a_run(link: LinkStatus, reason: str) -> None:
+    vehicles, status = fit(LINK), Told(link).status()
+    vehicles.check(Told(replace(LINK, age=2.8)).status())
+    with pytest.raises(SafetyStop, match=reason):
+        vehicles.check(status)
+
+
+def answered(**wrong: float) -> dict[str, float]:
+    """The parameters of a vehicle that is set up as it has to be, but for these."""
+    return {**Ends(mav_rig()).autopilot.vehicle.parameters, **wrong}
+
+
+@pytest.mark.parametrize(
+    ("link", "n_max", "reason"),
+    [
+        (replace(LINK, received=False), 0.0, r"no heartbeat or no parameters in 0.2 s \(its port is shut\)"),
+        (replace(LINK, parameters_pending=True), 0.0, "no heartbeat or no parameters in 0.2 s"),
+        (replace(LINK, vehicle="PX4"), 0.0, "autopilot is PX4: only ArduPilot Rover is driven"),
+        (replace(LINK, vehicle=""), 0.0, "autopilot is of an unknown kind"),
+        (replace(LINK, rivals=2), 0.0, "another ground station has our own system id"),
+        (LINK, 0.0, "parameters forbid to drive, yours to set: RC_OVERRIDE_TIME was not answered"),
+        (replace(LINK, parameters=answered(FS_ACTION=1.0)), 0.0, "1 parameter forbids to drive, yours to set: FS_ACT"),
+        (replace(LINK, parameters=answered()), 0.9, "a link test is needed; it was never done"),
+    ],
+)  # fmt: skip
+def test_what_is_not_fit_to_be_driven_is_refused(
+    link: LinkStatus, n_max: float, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(autopilots, "AWAIT_S", 0.2)
+    with pytest.raises(SeatrialError, match=reason):
+        fit(link, n_max, message="its port is shut").await_ready()
+
+
+def test_what_does_not_forbid_to_drive_is_said_and_logged() -> None:
+    said: list[str] = []
+    link = replace(LINK, parameters=answered(MOT_SLEWRATE=9.0), refused=("RAW_IMU at 50 Hz: denied",), ekf=0x33F)
+    vehicles = fit(link, said=said)
+    vehicles.await_ready()
+    assert said[1:] == ["autopilot refuses RAW_IMU at 50 Hz: denied"]
+    assert said[0].startswith("autopilot: MOT_SLEWRATE is 9, wanted 0")
+    assert cast("Told", vehicles._acquisition).marks == said[:1]
 
 
 class Stubborn:

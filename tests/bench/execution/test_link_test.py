@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from bench.execution.link_test import MUTED, N_TEST, LinkTest, link_test_plan, measure_link_loss
+from daq.drivers.base import LinkStatus
 from daq.errors import SeatrialError
 from tests.daq.mavlink_ends import mav_rig
 
 SILENT, ENDED = 3.0, 3.5  # s: nothing is sent from here on, and the thrust is over
 
 
-def measured(left: float, right: float = N_TEST) -> LinkTest:
+def measured(left: float, right: float = N_TEST, receiver: bool | None = None) -> LinkTest:
     """Of a log in which both outputs are at these n until ENDED."""
     rig, t = mav_rig(), np.arange(0.0, 10.0, 0.025)
     outputs = {1: left, 3: right}
@@ -34,13 +35,14 @@ def measured(left: float, right: float = N_TEST) -> LinkTest:
         events=lambda: [(SILENT, MUTED, "")],
         raw=lambda _device: [(at, "tx", b"") for at in np.arange(0.0, SILENT, 0.02)],
     )
-    return measure_link_loss(log, rig.device("autopilot"), {}, N_TEST)
+    return measure_link_loss(log, rig.device("autopilot"), LinkStatus(receiver=receiver), N_TEST)
 
 
 def test_the_time_from_the_last_frame_to_neutral_is_measured() -> None:
     found = measured(N_TEST)
     assert found.seconds == pytest.approx(ENDED - SILENT, abs=0.05)
-    assert (found.passed, found.n) == (True, N_TEST)
+    assert (found.passed, found.n, found.receiver) == (True, N_TEST, None)
+    assert measured(N_TEST, receiver=False).receiver is False
 
 
 @pytest.mark.parametrize("n", [0.0, 0.4 * N_TEST, np.nan])

@@ -22,7 +22,7 @@ from bench.execution.link_test import LinkTest, require_link_test, save_link_tes
 from daq.config.mission_file import Mission, Segment, save_mission
 from daq.config.rig_file import load_rig
 from daq.drivers.ardupilot_parameters import link_loss_hash
-from daq.drivers.base import DISARMED
+from daq.drivers.base import DISARMED, LinkStatus
 from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Servo
@@ -282,7 +282,7 @@ def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path, allowed: float)
         assert run.returncode == 0, err
     kept = json.loads((tmp_path / "rig.link-test.json").read_text())["devices"]["autopilot"]
     assert kept["seconds"] == pytest.approx(OVERRIDE_S, abs=0.3)
-    assert kept["n"] == 0.1
+    assert (kept["n"], kept["receiver"]) == (0.1, True)
     with open_log(tmp_path / "link.mcap") as log:
         sent = np.array([t for t, way, _ in log.raw("autopilot") if way == "tx"])
         assert np.abs(log.table(Servo, "autopilot", node=1)["n"]).max() == pytest.approx(0.1, abs=0.003)
@@ -293,19 +293,25 @@ def test_a_link_test_counts_for_its_parameters_and_only_when_passed(tmp_path: Pa
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     rig = load_rig(tmp_path / "rig.toml")
     parameters = {"RC_OVERRIDE_TIME": 1.0, "FS_ACTION": 2.0, "MOT_SLEWRATE": 0.0}
-    good = LinkTest(0.55, 0.1, "2026-01-01T00:00:00Z", link_loss_hash(parameters))
-    for test, asked, why in (
-        (None, parameters, "never done"),
-        (replace(good, seconds=10.0), parameters, "went on for 10.00 s"),
-        (good, {**parameters, "FS_ACTION": 5.0}, "have changed since 2026"),
-        (replace(good, n=0.05), parameters, "commanded n = 0.05, which is below 0.1"),
+    good = LinkTest(0.55, 0.1, "2026-01-01T00:00:00Z", link_loss_hash(parameters), receiver=False)
+    link = LinkStatus(parameters=parameters, receiver=False)
+    for test, now, why in (
+        (None, link, "never done"),
+        (replace(good, seconds=10.0), link, "went on for 10.00 s"),
+        (good, LinkStatus(parameters={**parameters, "FS_ACTION": 5.0}, receiver=False), "have changed since 2026"),
+        (replace(good, n=0.05), link, "commanded n = 0.05, which is below 0.1"),
+        (good, LinkStatus(parameters=parameters, receiver=True), "was done with no receiver, and one is heard now"),
+        (replace(good, receiver=True), link, "was done with a receiver, and none is heard now"),
+        (good, LinkStatus(parameters=parameters), "is not known now"),
+        (replace(good, receiver=None), link, "is not known in that of 2026"),
     ):
         if test is not None:
             save_link_tests(rig, {"autopilot": test})
         with pytest.raises(SeatrialError, match=why):
-            require_link_test(rig, "autopilot", asked, 0.6)
+            require_link_test(rig, "autopilot", now, 0.6)
     save_link_tests(rig, {"autopilot": good})
-    assert require_link_test(rig, "autopilot", {**parameters, "MOT_SLEWRATE": 9.0}, 0.6) == 0.55
+    more = LinkStatus(parameters={**parameters, "MOT_SLEWRATE": 9.0}, receiver=False)
+    assert require_link_test(rig, "autopilot", more, 0.6) == 0.55
     (tmp_path / "rig.link-test.json").write_text("{}")
     with pytest.raises(SeatrialError, match=r"link-test\.json"):
-        require_link_test(rig, "autopilot", parameters, 0.6)
+        require_link_test(rig, "autopilot", link, 0.6)

@@ -113,6 +113,37 @@ def test_check_refuses_thrusters_behind_px4() -> None:
     assert "PX4: only ArduPilot Rover is driven" in found.text
 
 
+GOOD = LinkStatus(
+    received=True, vehicle="ArduPilot Rover", age=0.1, mode="MANUAL", ekf=0x33F, parameters_pending=False, receiver=True
+)
+
+
+@pytest.mark.parametrize(
+    ("link", "level", "code", "text"),
+    [
+        (GOOD, "ok", "autopilot-answers", "mode MANUAL, disarmed, a receiver was heard, EKF flags 831 (position)"),
+        (replace(GOOD, receiver=False), "ok", "autopilot-answers", "no receiver heard"),
+        (replace(GOOD, ekf=0xA7), "warning", "estimator-not-ready", "its estimator has no position"),
+        (LinkStatus(), "fault", "no-heartbeat", "no heartbeat"),
+        (replace(GOOD, parameters={"FS_ACTION": 1.0}), "fault", "autopilot-parameter", "FS_ACTION is 1, wanted 2"),
+        (replace(GOOD, parameters_pending=True), "warning", "parameters-unanswered", "not all have been answered"),
+        (replace(GOOD, refused=("RAW_IMU at 50 Hz: denied",)), "warning", "rate-refused", "refuses RAW_IMU at 50 Hz"),
+        (replace(GOOD, rivals=3), "fault", "rival-station", "another ground station has system id 255, as this rig"),
+        (replace(GOOD, lost=20), "warning", "frames-lost", "20 frames lost on the way, 999 came"),
+        (replace(GOOD, alarm="critical: Leak"), "warning", "autopilot-alarm", "says critical: Leak"),
+    ],
+    ids=lambda value: value if isinstance(value, str) and "-" in value else "",
+)
+def test_what_an_autopilot_says_of_itself_is_judged(link: LinkStatus, level: str, code: str, text: str) -> None:
+    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 999, 999, 0, 0, 0, 0, 9999, 0.0, 0.0, "")
+    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
+    found = next(one for one in check_ports(mav_rig(), status) if one.code == code and text in one.text)
+    assert (found.level, found.where) == (level, "autopilot")
+    few = replace(link, lost=9)  # less than 1 % of what came
+    status = replace(status, links={"autopilot": few})
+    assert not [one for one in check_ports(mav_rig(), status) if one.code == "frames-lost"]
+
+
 @pytest.mark.parametrize("remark", ["", "frames of node 7, which no thruster of the rig has"])
 def test_what_is_only_to_be_known_of_a_stream_is_no_fault(remark: str) -> None:
     said = remark or "[Errno 5] it hung up"

@@ -192,6 +192,7 @@ def test_signed_both_ways(tmp_path: Path) -> None:
         ("MOT_THST_EXPO", 0.5, True),
         ("MOT_SLEWRATE", 100.0, False),
         ("RC3_DZ", 30.0, False),
+        ("FS_THR_VALUE", 1050.0, False),
     ],
 )
 def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool) -> None:
@@ -339,6 +340,16 @@ def test_after_a_reboot_everything_is_asked_for_again() -> None:
     asked = {message.get_type() for message in parsed(ear, ends.driver.poll(ends.t + 1.0))}
     assert {"COMMAND_LONG", "PARAM_REQUEST_READ"} <= asked
     assert any("restarted" in event.text for event in ends.driver.events())
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_whether_a_receiver_was_heard_is_told_and_forgotten_with_a_restart(heard: bool) -> None:
+    ends = Ends(mav_rig())
+    ends.autopilot.vehicle.receiver = heard
+    ready(ends)
+    assert ends.driver.link_at(ends.t).receiver is heard
+    ends.to_ground(Codec(1, 1).encode("ATTITUDE", 5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    assert ends.driver.link_at(ends.t).receiver is None
 
 
 def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
