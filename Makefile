@@ -87,6 +87,7 @@ study: .venv/ready
 	@$(BIN)/python -m tests.golden.fuzz --n 1000000 $(SEED_OPTION)
 	@$(BIN)/python -m tests.daq.hostile_files $(SEED_OPTION)
 	@$(BIN)/python -m tests.bench.fault_trials --n $(or $(N),20) $(SEED_OPTION)
+	@$(BIN)/python -m tests.bench.autopilot_faults
 	@$(BIN)/python -m tests.bench.check_study --each 10 $(SEED_OPTION)
 	@$(BIN)/python -m tests.bench.check_study --each 10 --actuators $(SEED_OPTION)
 

@@ -14,7 +14,7 @@ import math
 import os
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,13 +29,17 @@ from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, 
 
 Found = list[Sample]
 OLDEST_FIX_S = 1.0  # between a fix and its message: more is no age
+# MAV_TYPE by how the first text begins
+FIRMWARE = {"ArduRover": 10, "ArduSub": 12, "ArduCopter": 2, "ArduPlane": 1, "Blimp": 7, "AntennaTracker": 5}
+NO_TYPE = 0  # MAV_TYPE: its modes have no names
 
 
 class _Reader:
     """Messages -> samples, by type, and what `joined` adds to them: where no shaft speed of a log is below zero, its
     sign is that of the output."""
 
-    def __init__(self, rig: Rig | None, device: Device | None) -> None:
+    def __init__(self, rig: Rig | None, device: Device | None, vehicle: int = NO_TYPE) -> None:
+        self._vehicle = vehicle  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
         self._imu: list[tuple[float, ...]] = []  # time and readings
@@ -129,7 +133,7 @@ class _Reader:
 
     def _mode(self, m: Any) -> Found:
         self._pilot = replace(self._pilot, mode=m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode))
-        return [self._pilot, Event("autopilot", mode_name(self._pilot.mode))]
+        return [self._pilot, Event("autopilot", mode_name(self._pilot.mode, self._vehicle))]
 
     def _arm(self, m: Any) -> Found:
         self._pilot = replace(self._pilot, armed=int(bool(m.ArmState)), state=3 + bool(m.ArmState))
@@ -148,12 +152,13 @@ class _Reader:
 
 def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str, dict[str, float]]:
     """The samples of a DataFlash log, a summary, and its parameters. Raises SeatrialError where it holds none."""
-    reader = _Reader(rig, device)
+    reader = _Reader(rig, device)  # until the log says of what vehicle it is
     rows: list[Timed] = []
     n_messages, skipped, stopped = 0, 0, ""
     strange: Counter[str] = Counter()
     try:
         with _opened(path) as log:
+            reader = _Reader(rig, device, _vehicle(log))
             skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
                 n_messages += 1
@@ -176,6 +181,19 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
         warnings.warn(f"{path}: {one}", SeatrialWarning, stacklevel=2)
     read = [counted(n_messages, "message"), f"{counted(max(skipped, 0), 'byte')} not understood", *odd]
     return list(reader.joined(rows)), ", ".join(read), reader.parameters
+
+
+def firmware_type(texts: Iterable[str]) -> int | None:
+    """MAV_TYPE by the first text that names a firmware, as "ArduRover V4.7.0"; None where none does."""
+    return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
+
+
+def _vehicle(log: Any) -> int:
+    """MAV_TYPE by the texts of a log, which is at its beginning again then."""
+    texts = (str(getattr(message, "Message", "")) for message in iter(lambda: log.recv_match(type="MSG"), None))
+    found = firmware_type(texts)
+    log.rewind()
+    return NO_TYPE if found is None else found
 
 
 @contextlib.contextmanager

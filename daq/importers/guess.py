@@ -18,7 +18,7 @@ from daq.importers.recognise import (
     CAVEATS,
     DRIVES,
     NAMES,
-    PULSES,
+    OUTPUT,
     SET_POINTS,
     SETPOINT,
     Candidate,
@@ -363,8 +363,9 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         assert node is not None
         known = "n" in nodes[node].columns  # by a rig
         by_parameters = bool(functions) and f"SERVO{node}_TRIM" in p
-        extra, caveat = _pulses(p, node) if by_parameters else (PULSES, CAVEATS["RCOut"])
-        taken = Taken(name, ("n" if known else "pwm",), "1", "", 'role = "input"' if known else extra)
+        extra, caveat = _pulses(p, node) if by_parameters else (OUTPUT, CAVEATS["RCOut"])
+        extra = 'role = "input", hold = "sampled"' if known else extra
+        taken = Taken(name, ("n" if known else "pwm",), "1", "", extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
     shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_node_of)
     # One scale for all: equal speeds stay equal.
@@ -393,11 +394,12 @@ def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
     """The scale of an output by its own parameters, and the caveat about it."""
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
     if not low < high:
-        return PULSES, f"SERVO{node}_MIN is not below SERVO{node}_MAX: {CAVEATS['RCOut']}"
+        return OUTPUT, f"SERVO{node}_MIN is not below SERVO{node}_MAX: {CAVEATS['RCOut']}"
     scale = (-2.0 if p.get(f"SERVO{node}_REVERSED", 0.0) else 2.0) / (high - low)
     ends = abs(scale) * (high - rest), abs(scale) * (low - rest)
     caveat = f"SERVO{node}_TRIM is not in the middle: full is {ends[0]:.3g} and {ends[1]:.3g}; name a [mavlink] rig"
-    extra = f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, missing = 0, missing_is = 0, role = "input"'
+    extra = f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, missing = 0, missing_is = 0, role = "input", '
+    extra += 'hold = "sampled"'
     return extra, caveat if high - rest != rest - low else ""
 
 

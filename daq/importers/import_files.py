@@ -17,6 +17,7 @@ from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
 from daq.importers.signals import SignalData, Signals, read_signals
 from daq.importers.sources import source_kind
 from daq.importers.write_log import sha256_of, write_signals
+from daq.samples import Event
 
 _WHOLE = Piece("", -1e18, 1e18)
 
@@ -76,6 +77,7 @@ class _File(NamedTuple):
     signals: Signals
     origin: float
     remarks: tuple[str, ...]  # what was odd about it
+    events: tuple[tuple[float, Event], ...] = ()  # with their times, s since 1970
 
 
 def _read(path: Path, source: Source) -> _File:
@@ -89,7 +91,9 @@ def _read(path: Path, source: Source) -> _File:
     empty = [one.signal.name for one in signals.signals if not len(one.t)]
     if empty:
         remarks.append(f"{path}: not in the log, without a sample: {', '.join(empty)}")
-    return _File(path, kind.name, sha256_of(path), signals, source.time.origin if source.time else 0.0, tuple(remarks))
+    origin = source.time.origin if source.time else 0.0
+    events = tuple(event for one in tables for event in one.events)
+    return _File(path, kind.name, sha256_of(path), signals, origin, tuple(remarks), events)
 
 
 def _beside(import_map: ImportMap) -> list[Path]:
@@ -102,6 +106,7 @@ def _write_piece(
     import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
 ) -> None:
     signals: list[SignalData] = []
+    events = [(t, event) for one in data for t, event in one.events if piece.t_from <= t <= piece.t_to]
     kinds = ", ".join(dict.fromkeys(one.kind for one in data))
     metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
     for i, one in enumerate(data, start=1):
@@ -117,7 +122,9 @@ def _write_piece(
     attachments = {"import.toml": import_map.text.encode()}
     if import_map.vehicle:
         attachments["vehicle.toml"] = "".join(f"{k} = {v!r}\n" for k, v in import_map.vehicle.items()).encode()
-    write_signals(target, signals, metadata=metadata, attachments=attachments, note=note, force=force, reads=reads)
+    write_signals(
+        target, signals, metadata=metadata, attachments=attachments, note=note, events=events, force=force, reads=reads
+    )
 
 
 def _cut(signal: SignalData, piece: Piece) -> SignalData:

@@ -61,7 +61,7 @@ class Signal:
     sign: float = 1.0
     angle: str = "keep"  # keep | wrap | unwrap
     role: str = "output"  # input | output
-    hold: str = "linear"  # zero | linear
+    hold: str = "linear"  # zero | linear | sampled
     nan: str = ""  # as TextStyle.nan
     timeout: float = 0.0  # s after which an input that is not repeated is zero; 0: never
     missing: float | None = None  # the value of a cell without a measurement
@@ -257,7 +257,7 @@ def _signal(table: TomlTable, frame: str) -> Signal:
     angle = table.text("angle", "keep", choices=("keep", "wrap", "unwrap"))
     if angle != "keep" and UNITS[unit][0] != "rad":
         raise table.error("angle", f"goes with deg and rad, not with {unit}")
-    hold = table.text("hold", "zero" if role == "input" else "linear", choices=("zero", "linear"))
+    hold = table.text("hold", "zero" if role == "input" else "linear", choices=("zero", "linear", "sampled"))
     timeout = table.number("timeout", positive=True) if table.has("timeout") else 0.0
     if timeout and hold != "zero":
         raise table.error("timeout", "needs hold = 'zero': a value that is held until it is repeated")

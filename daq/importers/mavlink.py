@@ -11,6 +11,7 @@ from typing import Any
 from daq.clock import ClockMap
 from daq.drivers import ParameterMismatch, check_parameters
 from daq.errors import SeatrialError, counted
+from daq.importers.dataflash import firmware_type, read_dataflash
 from daq.importers.write_log import Timed, clock_steps, replacing, sha256_of
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
@@ -19,7 +20,6 @@ from daq.samples import Event
 
 STAMP = 8  # bytes before each frame of a tlog: us since 1970, big-endian
 DATAFLASH = b"\xa3\x95"
-FIRMWARE = {"ArduRover": 10, "ArduSub": 12, "ArduCopter": 2, "ArduPlane": 1}  # MAV_TYPE
 DEVICE = "autopilot"  # the name in the log where there is no rig
 
 
@@ -35,7 +35,7 @@ def import_mavlink(
     device = _device(rig)
     counts = Counter(type(row.frame.sample).__name__ for row in rows)
     said += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
-    said += "".join(f"; not as the rig has it: {finding}" for finding in _mismatches(parameters, rig, device))
+    said += "".join(f"; not as the rig has it: {finding}" for finding in mismatches(parameters, rig))
     target = out or Path(f"{path.stem}.mcap")
     about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": sha256_of(path)}
     name = device.name if device is not None else DEVICE
@@ -52,8 +52,6 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if data.startswith(DATAFLASH):
-        from daq.importers.dataflash import read_dataflash
-
         return read_dataflash(path, rig, _device(rig))
     return read_tlog(path, data, rig, _device(rig), system)
 
@@ -108,8 +106,9 @@ def read_tlog(
     return rows, f"system {system}, {read}, {delay}", parameters
 
 
-def _mismatches(p: Mapping[str, float], rig: Rig | None, device: Device | None) -> list[ParameterMismatch]:
-    """What the autopilot's outputs are scaled by, where the log says so and the rig says otherwise."""
+def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatch]:
+    """What the autopilot's outputs are scaled by, where its parameters `p` say so and the rig says otherwise."""
+    device = _device(rig)
     here = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
     outputs = tuple(f"SERVO{thruster.node}_" for thruster in here)
     return [one for one in check_parameters(p, here, 0) if one.value is not None and one.name.startswith(outputs)]
@@ -158,7 +157,7 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
     data = path.read_bytes()
     if data.startswith(DATAFLASH):
         texts = [row.frame.sample.text for row in rows if isinstance(row.frame.sample, Event)]
-        return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
+        return firmware_type(texts)
     return next((kind for found, kind in _heartbeats(data) if system in (None, found.system)), None)
 
 

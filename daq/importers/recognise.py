@@ -58,6 +58,7 @@ def _fix(lat: str, lon: str, unit: str, rank: int) -> Row:
 
 _Q = "q[1] q[2] q[3] q[0]"  # PX4 writes w first
 PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, missing_is = 0, role = "input"'  # no pulse: it stands
+OUTPUT = f'{PULSES}, hold = "sampled"'  # that an autopilot reports at a rate
 _UNWRAP = 'angle = "unwrap"'
 # Types of messages -> (group, rank, signals). Of ROS the type without its package, of PX4 the topic's name.
 KNOWN: dict[str, tuple[Row, ...]] = {
@@ -109,12 +110,14 @@ KNOWN: dict[str, tuple[Row, ...]] = {
         _fix("lat", "lon", "degE7", 0),
         _vector("velocity", "vx vy", "vel_n_m_s vel_e_m_s", "m/s", 0),
     ),
-    "actuator_motors": (_vector("drive", "n_left n_right", "control[1] control[0]", "1", 0, 'role = "input"'),),
+    "actuator_motors": (
+        _vector("drive", "n_left n_right", "control[1] control[0]", "1", 0, 'role = "input", hold = "sampled"'),
+    ),
     "actuator_outputs": (
-        _vector("drive", "n_left n_right", "output[1] output[0]", "1", 2, PULSES),
+        _vector("drive", "n_left n_right", "output[1] output[0]", "1", 2, OUTPUT),
     ),
     "RCOut": (
-        _vector("drive", "n_left n_right", "channels[0] channels[2]", "1", 2, PULSES),
+        _vector("drive", "n_left n_right", "channels[0] channels[2]", "1", 2, OUTPUT),
     ),
     "Ahrs": (
         _vector("heading", "psi", "yaw", "rad", 0, _UNWRAP),

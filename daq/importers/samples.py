@@ -10,9 +10,9 @@ import numpy as np
 
 from daq.config import load_rig
 from daq.errors import SeatrialError
-from daq.importers.mavlink import read_autopilot, vehicle_type
+from daq.importers.mavlink import mismatches, read_autopilot, vehicle_type
 from daq.importers.table import SourceOptions, Table, ran_back
-from daq.samples import MEASURED, Frame, Gnss
+from daq.samples import MEASURED, Event, Frame, Gnss
 
 FIX_2D = 2
 
@@ -51,7 +51,12 @@ def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
     rows, _, parameters = read_autopilot(path, rig, options.system)
     if not (tables := sample_tables(path, [("", row.t, row.frame) for row in rows])):
         raise SeatrialError(f"{path}: no attitude, fixes or outputs in it")
-    vehicle = vehicle_type(path, rows, options.system)
+    vehicle, wrong = vehicle_type(path, rows, options.system), mismatches(parameters, rig)
     for table in tables:
         table.vehicle, table.parameters = vehicle, parameters
+        own = f"{table.topic.upper().replace('_', '')}_"  # SERVO1_ of servo_1
+        found = [str(one) for one in wrong if one.name.startswith(own)]
+        remarks = [*([table.remark] if table.remark else []), *(f"not as the rig has it: {one}" for one in found)]
+        table.remark = "; ".join(remarks)
+    tables[0].events = [(row.t, row.frame.sample) for row in rows if isinstance(row.frame.sample, Event)]
     return tables

@@ -16,7 +16,7 @@ from daq.clock import CLOCK_STEP_S
 from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.signals import SignalData
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
-from daq.samples import Frame, Scalar
+from daq.samples import Event, Frame, Scalar
 
 
 class SignalRow(NamedTuple):
@@ -41,11 +41,12 @@ def write_signals(
     metadata: Mapping[str, str],
     attachments: Mapping[str, bytes],
     note: str,
+    events: Sequence[tuple[float, Event]] = (),
     force: bool = False,
     reads: Sequence[Path] = (),
 ) -> None:
-    """Write one log of signals, messages in the order of time, with `note` as its first event; never in the place of
-    what it is made of, `reads`."""
+    """Write one log of signals and events, messages in the order of time, with `note` as its first event; never in the
+    place of what it is made of, `reads`."""
     times = [one.t for one in signals if len(one.t)]
     if not times:
         raise SeatrialError(f"{out}: no samples left to write; look at the map's t_from, t_to and nan")
@@ -57,28 +58,39 @@ def write_signals(
     with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments=attachments, time_ns=first)
         try:
-            _write(writer, signals, t_ns, note, first)
+            _write(writer, signals, t_ns, note, first, events)
         finally:
             writer.close()
 
 
 def _write(
-    writer: LogWriter, signals: Sequence[SignalData], t_ns: Sequence[np.typing.NDArray[np.int64]], note: str, first: int
+    writer: LogWriter,
+    signals: Sequence[SignalData],
+    t_ns: Sequence[np.typing.NDArray[np.int64]],
+    note: str,
+    first: int,
+    events: Sequence[tuple[float, Event]],
 ) -> None:
-    event = writer.channel("/event", schema.EVENT)
-    writer.add(event, first, first, 0, cdr_layout(schema.EVENT, b"").pack(first, tail=(b"import", note.encode())))
+    event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
+    writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
     channels, layouts = [], []
     for one in signals:
         signal = one.signal
-        about = {"unit": one.unit, "hold": signal.hold, "role": signal.role}
+        told = {"unit": one.unit, "hold": signal.hold, "role": signal.role}
         topic = schema.topic(Scalar, signal.name)
-        channels.append(writer.channel(topic, schema.TYPES[Scalar], about))
+        channels.append(writer.channel(topic, schema.TYPES[Scalar], told))
         layouts.append(cdr_layout(schema.TYPES[Scalar], signal.name.encode()))
-    times = np.concatenate(list(t_ns))
-    which = np.repeat(np.arange(len(signals)), [len(t) for t in t_ns])
-    row = np.concatenate([np.arange(len(t)) for t in t_ns])
+    # What was said before the first sample (its mode) is of its beginning.
+    t_event = np.array([max(round(t * NANO), first) for t, _ in events], np.int64)
+    times = np.concatenate([*t_ns, t_event])
+    which = np.repeat(np.arange(len(signals) + 1), [*(len(t) for t in t_ns), len(t_event)])
+    row = np.concatenate([*(np.arange(len(t)) for t in t_ns), np.arange(len(t_event))])
     order = np.lexsort((which, times))
     for t, i, k in zip(times[order].tolist(), which[order].tolist(), row[order].tolist(), strict=True):
+        if i == len(signals):
+            tail = (events[k][1].kind.encode(), events[k][1].text.encode())
+            writer.add(event, t, t, 0, about.pack(t, tail=tail))
+            continue
         values = (float(signals[i].t[k]), float("nan"), float(signals[i].values[k]))
         writer.add(channels[i], t, t, k + 1, layouts[i].pack(t, *values))
 

@@ -351,7 +351,8 @@ class Log:
         return self._about(signal).get("unit", "")
 
     def hold(self, signal: str) -> str:
-        """How an imported signal goes on between its samples: "zero" or "linear"."""
+        """How an imported signal goes on between its samples: "zero", "linear" or, of an output that comes at a rate,
+        "sampled": a change came at some time since the sample before."""
         return self._about(signal).get("hold", "linear")
 
     def role(self, signal: str) -> str:

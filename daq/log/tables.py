@@ -79,14 +79,15 @@ def log_tables(log: Log) -> Iterator[LogTable]:
                 units = {column: UNITS[column] for column in rows.dtype.names or () if column in UNITS}
                 held = kind in HELD
                 if kind is Scalar:
-                    units["value"], held = log.unit(source), log.hold(source) == "zero"
+                    units["value"], held = log.unit(source), log.hold(source) in ("zero", "sampled")
                 yield LogTable(name, kind, rows, units, held)
 
 
 def resample(log: Log, rate: float) -> Resampled:
     """Every number of a log at `rate` [Hz], from the first sample to the last.
 
-    What is held (commands, outputs, whole numbers, signals with hold "zero") keeps its last value; of anything else the
+    What is held (commands, outputs, whole numbers, signals with hold "zero" or
+    "sampled") keeps its last value; of anything else the
     samples of an interval about each time are averaged where there are several, and interpolated where there are none;
     angles [rad] and longitudes over the shortest way. Columns are named TABLE_COLUMN, signals by themselves. Raises
     SeatrialError.

@@ -76,11 +76,12 @@ SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; from slower ones no change o
 def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str, str]) -> PropulsionInput | None:
     """What drives a model of the boat, by where its signals come from, their hold and their rate; None: no such signal.
 
-    A shaft speed that is held from one sample to the next is a command: no shaft jumps.
+    A shaft speed that is held from one sample to the next, or is an output that was sampled, is a command: no shaft
+    jumps.
     """
     if not all(n in found for n in SHAFTS):
         return PropulsionInput.COMMAND if all(n in found for n in COMMANDS) else None
-    if any(holds.get(n) == "zero" for n in SHAFTS):
+    if any(found[n].sampled or holds.get(n) == "zero" for n in SHAFTS):
         return PropulsionInput.COMMAND
     if all(n in found for n in COMMANDS) and max(np.median(np.diff(found[n].t)) for n in SHAFTS) > SLOWEST_TELEMETRY:
         return PropulsionInput.COMMAND
@@ -93,7 +94,8 @@ def channels(log: Log) -> dict[str, Channel]:
     found: dict[str, Channel] = {}
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
-        found[source] = _channel(table, "value", log.unit(source), source)
+        channel = _channel(table, "value", log.unit(source), source)
+        found[source] = _sampled(channel) if log.hold(source) == "sampled" else channel
     rig = log.rig
     for source in log.sources(Ahrs):
         table = log.table(Ahrs, source)
@@ -170,15 +172,20 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
         found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
     if node in log.nodes(Servo, device):
-        # What the autopilot put out is what the thruster was told: between it and our command are its own delays. It
-        # is sampled: a change came at some time since the sample before, of which the straight line is the mean.
+        # What the autopilot put out is what the thruster was told: between it and our command are its own delays.
         output = _channel(log.table(Servo, device, node=node), "n", "", device)
-        clock = np.arange(output.t[0], output.t[-1] + GRID_STEP, GRID_STEP) if output.t.size else output.t
-        mean = np.interp(clock + GRID_STEP / 2, output.t, output.value)
-        interval = float(np.median(np.diff(output.t))) if output.t.size > 1 else 0.0
-        found[f"n_cmd_{thruster.name}"] = replace(output, t=clock, value=mean, hold="average", sampled=interval)
+        found[f"n_cmd_{thruster.name}"] = _sampled(output)
     elif node in log.nodes(Command, device):
         found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
+
+
+def _sampled(output: Channel) -> Channel:
+    """An output that was sampled at a rate: a change came at some time since the sample before, of which the straight
+    line is the mean."""
+    clock = np.arange(output.t[0], output.t[-1] + GRID_STEP, GRID_STEP) if output.t.size else output.t
+    mean = np.interp(clock + GRID_STEP / 2, output.t, output.value) if output.t.size else output.value
+    interval = float(np.median(np.diff(output.t))) if output.t.size > 1 else 0.0
+    return replace(output, t=clock, value=mean, hold="average", sampled=interval)
 
 
 def _channel(table: Table, column: str, unit: str, source: str) -> Channel:

@@ -1,10 +1,10 @@
 """What dies, on a real autopilot: faults by settings of its failsafes, and the parameters with which it is not driven.
 
-    python -m tests.bench.autopilot_faults --out trials.jsonl --docs docs/safety.md
+    python -m tests.bench.autopilot_faults --n 2 --out tests/bench/autopilot-faults.jsonl --docs docs/safety.md
 
 Each trial is a mission of the public command against ArduPilot Rover in its own simulator (SEATRIAL_ARDUROVER) over a
-relay that can be cut, while another station beside it looks at the outputs 40 times a second. Kept trials are not run
-again. `--docs` puts the table between its marks in a page.
+relay that can be cut, while another station beside it looks at the outputs 40 times a second. Trials are kept, all of
+them, and only what is missing is run. `--docs` puts the table between its marks in a page.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -231,7 +232,6 @@ def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measur
     rover.beat_as(None)
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(timeout=20.0 if fault.name not in ("runner hangs",) else 0.1)
-    says, disarmed = "", not rover.armed
     for pid in (run.pid, run.acquisition, run.watchdog):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGCONT)
@@ -299,8 +299,14 @@ def ready_rover(setting: Setting) -> Iterator[tuple[Path, Rover]]:
             yield folder, rover
 
 
-def trials(only: str, known: set[tuple[str, str]]) -> Iterator[Trial]:
-    """Every trial that is not known yet."""
+def trials(only: str, n: int, rows: Sequence[Trial]) -> Iterator[Trial]:
+    """What `rows` lack of `n` trials of each fault and each parameter, one round after the other."""
+    for k in range(1, n + 1):
+        often = Counter((row.fault, row.setting) for row in rows)
+        yield from _round(only, {cell for cell, m in often.items() if m >= k})
+
+
+def _round(only: str, known: set[tuple[str, str]]) -> Iterator[Trial]:
     wanted = [(s, f) for s in SETTINGS for f in FAULTS if re.search(only, f"{f.name}, {s.name}")]
     for setting in SETTINGS:
         faults = [f for s, f in wanted if s is setting and (f.name, s.name) not in known]
@@ -319,35 +325,56 @@ def trials(only: str, known: set[tuple[str, str]]) -> Iterator[Trial]:
 
 def page(rows: list[Trial]) -> str:
     """The tables of docs/safety.md, as Markdown: faults by settings, and what is refused."""
-    cells = {(row.fault, row.setting): row for row in rows}
-    out = ["", "| what fails | " + " | ".join(s.name for s in SETTINGS) + " |", "|---|" + "---:|" * len(SETTINGS)]
+    cells: dict[tuple[str, str], list[Trial]] = {}
+    for row in rows:
+        cells.setdefault((row.fault, row.setting), []).append(row)
+    good = sum(row.good for row in rows)
+    out = ["", f"{good} of {len(rows)} trials as they have to be."]
+    late = [f"{r.fault} ({r.setting}) {r.seconds:.2f} s of {r.allowed:.2f}" for r in rows if not r.good]
+    out[-1] += f" Not so: {'; '.join(late)}." if late else ""
+    out += ["", "| what fails | " + " | ".join(s.name for s in SETTINGS) + " |", "|---|" + "---:|" * len(SETTINGS)]
     for fault in FAULTS:
-        found = [cells.get((fault.name, setting.name)) for setting in SETTINGS]
-        words = ["-" if t is None else f"{t.seconds:.2f}{'' if t.disarmed else ' (armed)'}" for t in found]
+        words = [_cell(cells.get((fault.name, setting.name), [])) for setting in SETTINGS]
         out.append(f"| {fault.name} | {' | '.join(words)} |")
-    refused, ended = [], []
+    refused: list[tuple[str, float]] = []
+    ended: list[tuple[str, float]] = []
     for name, value in WRONG:
-        trial = cells.get((f"{name} {value:g}", SETTINGS[2].name))
-        if trial is not None:
-            (ended if trial.seconds else refused).append((trial.fault, trial.seconds))
+        found = cells.get((f"{name} {value:g}", SETTINGS[2].name), [])
+        if found:
+            longest = max(trial.seconds for trial in found)
+            (ended if longest else refused).append((found[0].fault, longest))
     out += ["", "Refused before any thrust: " + ", ".join(f"`{name}`" for name, _ in refused) + "."]
     out += ["", "Ended by the comparison of outputs with commands: "]
     out[-1] += ", ".join(f"`{name}` after {seconds:.2f} s" for name, seconds in ended) + "."
     return "\n".join([*out, ""])
 
 
+def _cell(found: list[Trial]) -> str:
+    """The longest of a cell's trials, s."""
+    if not found:
+        return "-"
+    armed = "" if all(trial.disarmed for trial in found) else " (armed)"
+    return f"{max(trial.seconds for trial in found):.2f}{armed}"
+
+
+def kept(path: Path | None) -> list[Trial]:
+    """The trials of a file, in their order; none where there is no file."""
+    lines: list[str] = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else []
+    return [msgspec.json.decode(line, type=Trial) for line in lines]
+
+
 def main() -> None:
     """Run what is missing, and say what is not as it has to be; exit status 1 then."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="regular expression of 'fault, setting' or 'PARAMETER value'")
+    parser.add_argument("--n", type=int, default=1, help="trials of each")
     parser.add_argument("--out", type=Path, help="file of JSON lines to keep trials in and to go on from")
     parser.add_argument("--docs", type=Path, help="page that gets the table")
     options = parser.parse_args()
+    rows = kept(options.out)
     if not PROGRAM:
-        raise SystemExit(MISSING)
-    lines: list[Any] = options.out.read_text().splitlines() if options.out and options.out.exists() else []
-    rows = [msgspec.json.decode(line, type=Trial) for line in lines]
-    for trial in trials(options.only, {(row.fault, row.setting) for row in rows}):
+        print(f"nothing was tried: {MISSING}")
+    for trial in trials(options.only, options.n, rows) if PROGRAM else ():
         rows.append(trial)
         state = "ok " if trial.good else "BAD"
         took = f"{trial.seconds:5.2f} of {trial.allowed:.2f} s"

@@ -355,7 +355,7 @@ def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
         Table(Path("x"), f"servo_{k}", {"pwm": 1500.0 + TIME}, TIME, "Servo", parameters=PARAMETERS) for k in (1, 2, 3)
     ]
     found = {c.signals[0].name: (c.table.topic, c.signals[0].extra, c.caveat) for c in outputs(tables)}
-    rest = 'missing = 0, missing_is = 0, role = "input"'
+    rest = 'missing = 0, missing_is = 0, role = "input", hold = "sampled"'
     assert found["n_left"] == ("servo_2", f"scale = 0.0025, offset = -3.75, {rest}", "")
     assert found["n_right"] == ("servo_1", f"scale = -0.002, offset = 3, {rest}", "")
     for table in tables:

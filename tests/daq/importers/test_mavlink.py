@@ -12,13 +12,17 @@ import numpy as np
 import pytest
 from pymavlink import DFReader
 
+from daq.config.rig_file import load_rig
 from daq.errors import SeatrialError, SeatrialWarning
 from daq.importers.dataflash import _Reader
+from daq.importers.guess import guess_map
+from daq.importers.import_files import import_files
 from daq.importers.mavlink import STAMP, _frames, import_mavlink
 from daq.importers.write_log import Timed
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Autopilot, Battery, Esc, Frame, Gnss, Servo
-from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
+from ident.data.loading import PropulsionInput, channels, load_run
+from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig, rig_text
 
 T0 = 1_790_000_000.0
 
@@ -118,11 +122,11 @@ FORMATS = {
     "PARM": (6, "QNf", "<Q16sf", "TimeUS,Name,Value"), "ARM": (7, "QB", "<QB", "TimeUS,ArmState"),
     "EV": (8, "QB", "<QB", "TimeUS,Id"), "ERR": (9, "QBB", "<QBB", "TimeUS,Subsys,ECode"),
     "IMU": (10, "QBffffff", "<QB6f", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    "GPA": (11, "QBI", "<QBI", "TimeUS,I,SMS"),
+    "GPA": (11, "QBI", "<QBI", "TimeUS,I,SMS"), "MSG": (12, "QZ", "<Q64s", "TimeUS,Message"),
 }  # fmt: skip
 
 
-def dataflash(path: Path) -> None:
+def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)") -> None:
     """Two seconds of a boat that turns, at 10 Hz."""
     out = b""
     for name, (number, form, code, columns) in FORMATS.items():
@@ -143,10 +147,53 @@ def dataflash(path: Path) -> None:
         out += add("RCOU", us, 1700, 0, 1300)
         out += add("BAT", us, 0, 15.5, 15.5, 4.0, 0.0, 0.0, 2500, 0, 77)
         if k == 3:
-            out += add("MODE", us, 4, 4, 1)
+            out += add("MODE", us, 4, 4, 1) + add("MSG", us, b"a text") + add("MSG", us, firmware.encode())
             out += add("ARM", us, 1) + add("EV", us, 10) + add("ERR", us, 12, 1)
             out += add("PARM", us, b"SERVO1_MIN", 1000.0) + add("PARM", us, b"SERVO3_MIN", 1100.0)
     path.write_bytes(out)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "mode"),
+    [("ArduRover V4.7.0", "HOLD"), ("ArduSub V4.5.0", "GUIDED"), ("ArduPlane V4.6.0", "ACRO"), ("strange", "mode 4")],
+)
+def test_modes_of_a_dataflash_log_are_those_of_its_vehicle(tmp_path: Path, firmware: str, mode: str) -> None:
+    """The text that names it comes after the mode."""
+    dataflash(tmp_path / "00000001.BIN", firmware)
+    out, _ = import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
+    with open_log(out) as log:
+        assert next(text for _, kind, text in log.events() if kind == "autopilot") == mode
+
+
+@pytest.mark.parametrize("source", ["BIN", "tlog"])
+def test_a_map_keeps_what_an_autopilot_told_and_compares_its_rig(tmp_path: Path, source: str) -> None:
+    path = tmp_path / f"run.{source}"
+    if source == "BIN":
+        dataflash(path)
+    else:
+        tlog(path)
+    text = rig_text()
+    if source == "tlog":
+        text = text.replace("rc_channel = 1\n", "rc_channel = 1\npwm_us = [1000.0, 1500.0, 1900.0]\n")
+    (tmp_path / "rig.toml").write_text(text)
+    guess = guess_map(path)
+    assert not guess.problem
+    (tmp_path / "map.toml").write_text(f'{guess.text}\n[mavlink]\nrig = "rig.toml"\n')
+    was, wanted = (1000, 1100) if source == "BIN" else (1100, 1000)
+    said = rf"servo_1: not as the rig has it: SERVO1_MIN is {was}, wanted {wanted}"
+    with pytest.warns(SeatrialWarning, match=said):
+        (out,) = import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
+    direct, _ = import_mavlink(path, rig=load_rig(tmp_path / "rig.toml"), out=tmp_path / "direct.mcap")
+    with open_log(out) as log, open_log(direct) as other:
+        told = [(kind, text) for _, kind, text in log.events() if kind not in ("import", "clock")]
+        assert told == [(kind, text) for _, kind, text in other.events() if kind not in ("import", "clock")]
+        assert told or source == "tlog"
+        assert log.hold("n_left") == "sampled"
+        by_map, by_rig = channels(log)["n_left"], channels(other)["n_cmd_left"]
+    assert by_map.sampled == pytest.approx(by_rig.sampled)
+    assert by_map.sampled > 0.03
+    assert by_map.hold == by_rig.hold == "average"
+    assert load_run(out, "estimation").propulsion is PropulsionInput.COMMAND
 
 
 def test_what_a_damaged_dataflash_log_holds_is_not_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
