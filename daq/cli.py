@@ -211,10 +211,13 @@ def import_() -> None:
 @import_.command("map", short_help="MAP SOURCE...: signals by a map; the word map may be left out.")
 @click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
 @click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
+@click.option("--dbc", type=_EXISTING, help="With --guess: what the frames of a CAN log are.")
 @click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, where it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
-def import_map(sources: tuple[Path, ...], guess: bool, out: Path | None, out_dir: Path | None, force: bool) -> None:
+def import_map(
+    sources: tuple[Path, ...], guess: bool, dbc: Path | None, out: Path | None, out_dir: Path | None, force: bool
+) -> None:
     """Turn SOURCEs (files, or folders of ROS 2 bags) into logs by a MAP from columns and topics to signals.
 
     The map is described in docs/formats/import.md.
@@ -223,10 +226,13 @@ def import_map(sources: tuple[Path, ...], guess: bool, out: Path | None, out_dir
     Example:
       seatrial import map docs/examples/blueboat/blueboat.toml runs/*.csv --out-dir logs
       seatrial import --guess run2.ulg -o px4.toml
+      seatrial import --guess candump.log --dbc boat.dbc -o can.toml
     """
     if guess:
-        _guess(sources, out, force)
+        _guess(sources, dbc, out, force)
         return
+    if dbc is not None:
+        raise click.UsageError("--dbc goes with --guess; a map has it as [can] dbc")
     from daq.importers.import_files import import_files as run
 
     if out is not None and out_dir is not None:
@@ -237,13 +243,13 @@ def import_map(sources: tuple[Path, ...], guess: bool, out: Path | None, out_dir
         click.echo(str(path))
 
 
-def _guess(sources: tuple[Path, ...], out: Path | None, force: bool) -> None:
+def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
     from daq.importers.guess import guess_map
     from daq.importers.write_log import replacing
 
     if len(sources) != 1:
         raise click.UsageError("--guess takes one source")
-    found = guess_map(sources[0])
+    found = guess_map(sources[0], dbc, None if out is None else out.parent)
     if out is None:
         click.echo(found.text, nl=False)
     else:

@@ -79,8 +79,8 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
         rows = max(tried, key=len)
     if not rows:
         raise SeatrialError(
-            f"{path}: {counted(len(frames), 'frame')}, none of VESC, DroneCAN or NMEA 2000; name a DBC in the map: "
-            '[can] dbc = "boat.dbc"'
+            f"{path}: {counted(len(frames), 'frame')}, none of VESC, DroneCAN or NMEA 2000; name a DBC, by "
+            '--guess --dbc boat.dbc or in the map: [can] dbc = "boat.dbc"'
         )
     return sample_tables(path, [(name, frame.t_rx, frame) for name, frame in rows])
 
@@ -105,6 +105,7 @@ def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
     """A table for each message of the DBC that came, as MESSAGE, or MESSAGE_SENDER where a PGN has several senders;
     where several buses have such messages, with the bus in front: can0_MESSAGE."""
     messages = dbc.load_dbc(str(database)).messages
+    messages_by_name = {m.name: m for m in messages}
     exact = {m.frame_id | (EXTENDED if m.is_extended_frame else 0): m for m in messages if not dbc.is_j1939(m)}
     by_pgn = {dbc.pgn_bits(m.frame_id): m for m in messages if dbc.is_j1939(m)}
     found: dict[tuple[str, str, int], tuple[list[float], list[dict[str, float]]]] = {}
@@ -134,7 +135,8 @@ def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
         topic += f"_{sender}" if sum(other[:2] == key[:2] for other in found) > 1 else ""
         columns = {k: np.array([row.get(k, np.nan) for row in rows]) for k in dict.fromkeys(k for r in rows for k in r)}
         remark = f"{counted(refused[key], 'frame')} left out that the DBC does not fit" if refused[key] else ""
-        tables.append(Table(path, topic, columns, np.array(t), "dbc", remark=remark))
+        units = {s.name: s.unit for s in messages_by_name[name].signals if s.unit}
+        tables.append(Table(path, topic, columns, np.array(t), "dbc", remark=remark, units=units))
     return tables
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -63,12 +64,15 @@ class Guess(NamedTuple):
     problem: str
 
 
-def guess_map(path: Path) -> Guess:
-    """What a source holds, as a map for `seatrial import`. Raises SeatrialError where it cannot be read."""
+def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -> Guess:
+    """What a source holds, as a map for `seatrial import`; a CAN log may have a `dbc`, whose place the map has from its
+    own `folder` (default: here). Raises SeatrialError where it cannot be read."""
     kind = source_kind(path)
     if kind.name == "ros" and _is_log(path):
         raise SeatrialError(f"{path}: is a log of seatrial: check, ident and export take it as it is")
-    options = SourceOptions()
+    if dbc is not None and kind.name != "can":
+        raise SeatrialError(f"{path}: --dbc is for a CAN log (candump, .asc, .blf), and this is none")
+    options = SourceOptions(dbc=dbc)
     if kind.name == "csv":
         style = sniff_style(path, text_head(path))
         if style is None:
@@ -82,6 +86,9 @@ def guess_map(path: Path) -> Guess:
     ]
     if kind.name == "ros":
         head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; the other one is "NED"')
+    if dbc is not None:
+        place = os.path.relpath(dbc, folder or Path())
+        head.append(f"can = {{ dbc = {_quoted(Path(place).as_posix())} }}")
     clocks = {id(table): clock_of(table) for table in tables}
     drives: dict[frozenset[str], list[Column]] = {}  # left and right together have one scale
     for table in tables:
@@ -169,8 +176,10 @@ def _columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozense
             values = table.numbers(column)
         except SeatrialError:
             continue
-        name = read_name(table.topic.rpartition("/")[2] if alone else column)
-        yield column, name, name.words | (read_name(table.topic).words if scalar else frozenset()), values
+        unit = f" [{table.units[column]}]" if column in table.units else ""
+        name = read_name(table.topic.rpartition("/")[2] if alone else column + unit)
+        by_topic = scalar or table.kind == "dbc"
+        yield column, name, name.words | (read_name(table.topic).words if by_topic else frozenset()), values
 
 
 def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:

@@ -126,6 +126,7 @@ KNOWN: dict[str, tuple[Row, ...]] = {
     ),
     "Gnss": (_fix("lat", "lon", "deg", 0), _vector("velocity", "vx vy", "vel_n vel_e", "m/s", 0)),
 }  # fmt: skip
+BODY_FRD = 3  # velocity_frame of PX4's vehicle_odometry; NED is 1
 KNOWN["vehicle_gps_position"] = KNOWN["sensor_gps"]
 CAVEATS = {
     "actuator_motors": "PX4's motor 1 is taken for the right one, 2 for the left, as on its differential rovers",
@@ -225,6 +226,8 @@ def read_name(column: str) -> Name:
     unit = behind if behind in UNITS else _UNITS.get(behind.lower(), "")
     if unit == "ms" and _SI.get(meaning) == "m/s":  # m/s, in a name that can have no /
         unit = "m/s"
+    if meaning == "speed" and unit in _SPEED_UNITS:  # of a shaft
+        meaning = ""
     fits = unit and (not meaning or UNITS.get(unit, ("",))[0] == _SI[meaning])
     return Name(meaning, unit if fits else "", words, plain, "" if fits or behind.isdecimal() else behind)
 
@@ -237,6 +240,8 @@ def message_candidates(table: Table) -> list[Candidate]:
     rows = KNOWN.get(kind, ())
     if kind in ("TwistStamped", "Twist", "TwistWithCovarianceStamped"):
         rows = _twist(table, {"Twist": "", "TwistStamped": "twist."}.get(kind, "twist.twist."))
+    if kind == "vehicle_odometry" and np.all(table.columns.get("velocity_frame", np.zeros(1)) == BODY_FRD):
+        rows = (*rows[:-1], _vector("body", "u v", "velocity[0] velocity[1]", "m/s", 2))
     if kind == "TransformStamped" and not _is_pose(table):
         rows = ()
     if kind == "Vector3Stamped" and re.search("(?i)vel", table.topic):

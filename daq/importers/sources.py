@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from daq.errors import SeatrialError
 from daq.importers.table import SourceOptions, Table
+from daq.importers.text_table import TextTable, wide_encoding
 
 _HEAD = 65536
 
@@ -48,7 +49,7 @@ def source_kind(path: Path) -> SourceKind:
 
     if reader_name(head):
         return SourceKind("can", read_can)
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16 is text all the same
+    if b"\0" in head and not wide_encoding(head):
         raise SeatrialError(
             f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
             "MATLAB (.mat), Parquet, CAN (candump, .asc, .blf)"
@@ -63,8 +64,6 @@ def _bag() -> SourceKind:
 
 
 def _read_text(path: Path, options: SourceOptions) -> list[Table]:
-    from daq.importers.text_table import TextTable
-
     return [TextTable(path, options.style)]
 
 

@@ -30,6 +30,7 @@ class Table:
     vehicle: int | None = None  # MAV_TYPE, of logs of autopilots that say it
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, where its log has them
     events: Sequence[tuple[float, Event]] = ()  # of the whole source, s since 1970; its first table has them
+    units: Mapping[str, str] = field(default_factory=dict)  # of columns, where the source says them
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of text, by name, which have no numbers
     seconds: frozenset[str] = frozenset()  # columns that the source calls times or durations: they are in s
     strict = False  # text: rows out of order and cells without a number are errors unless the map says otherwise

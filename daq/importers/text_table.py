@@ -15,6 +15,7 @@ from daq.importers.table import Column, Table, TextStyle
 
 _EMPTY = {"", "nan", "na", "null", "none"}
 BLANK = "blank"
+ASCII = 0.8  # of the characters of a table at least
 
 
 class TextTable(Table):
@@ -33,10 +34,11 @@ class TextTable(Table):
                 for _ in range(style.skip_rows):
                     file.readline()
                 self._read(file)
-        except UnicodeDecodeError as error:
+        except UnicodeError as error:
+            name = "UTF-8" if style.encoding == "utf-8-sig" else style.encoding
             raise SeatrialError(
-                f"{path}: not {'UTF-8' if 'utf' in style.encoding else style.encoding} text ({error.reason}); "
-                'save it as UTF-8, or say csv.encoding = "latin-1"'
+                f"{path}: not {name} text ({getattr(error, 'reason', error)}); "
+                'save it as UTF-8, or say csv.encoding = "latin-1", "utf-16"'
             ) from error
         except csv.Error as error:
             raise SeatrialError(f"{path}: not a CSV file: {error}") from error
@@ -112,13 +114,24 @@ def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[st
             yield rows.line_num, cells
 
 
+def wide_encoding(head: bytes) -> str:
+    """The encoding of text of two bytes a character (Excel's "Unicode text") that begins so; "" where it is none."""
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    first, second = head[::2], head[1::2]  # the bytes of characters that are ASCII, as those of a table nearly all are
+    for name, zeros, letters in (("utf-16-le", second, first), ("utf-16-be", first, second)):
+        if zeros and zeros.count(0) > ASCII * len(zeros) and not letters.count(0):
+            return name
+    return ""
+
+
 def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     """The style of a text table of which ``head`` is the beginning; None where it looks like none."""
-    encoding = "utf-8-sig"
+    encoding = wide_encoding(head) or "utf-8-sig"
     try:
         text = head.decode(encoding)
     except UnicodeDecodeError as error:
-        encoding = "utf-8-sig" if error.start > len(head) - 4 else "latin-1"
+        encoding = encoding if error.start > len(head) - 4 else "latin-1"
         text = head.decode(encoding, "ignore")
     lines = text.splitlines()[:-1] or text.splitlines()
     best: tuple[float, TextStyle] | None = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import json
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
 from daq.log.reader import open_log
 from daq.samples import Scalar
+from tests.daq.ulog_files import Topic, write_ulog
 from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]
@@ -26,7 +26,8 @@ pytestmark = [pytest.mark.measured, pytest.mark.slow]
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
-SURGE = ("--model", "surge:force:speed", "--despite-faults")  # a fit of seconds
+SURGE = ("--model", "surge:force:speed")  # a fit of seconds
+ENGINES = ((0, "right"), (1, "left"))  # as PX4 counts them
 Edit = tuple[str, str]
 
 
@@ -47,12 +48,18 @@ def signals(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         return {name: (t["t"], t["value"]) for name in log.sources(Scalar) for t in [log.table(Scalar, name)]}
 
 
-def estimates(path: Path, out: Path, *options: str) -> dict[str, float]:
-    """The fit by the command."""
-    run("ident", "vehicle", str(path), *options, "--out", str(out))
+def fitted(path: Path, out: Path, *options: str) -> tuple[dict[str, float], dict[str, float]]:
+    """Estimates and standard errors of the fit by the command."""
+    run("ident", "vehicle", str(path), *options, "--despite-faults", "--out", str(out))
     result = json.loads((out / "result.json").read_text())
     assert result["fit"]["converged"], result["fit"]
-    return {row["name"]: row["value"] for row in result["fit"]["parameters"] if row["se"]}
+    rows = [row for row in result["fit"]["parameters"] if row["se"]]
+    return {row["name"]: row["value"] for row in rows}, {row["name"]: row["se"] for row in rows}
+
+
+def estimates(path: Path, out: Path, *options: str) -> dict[str, float]:
+    """The estimates alone."""
+    return fitted(path, out, *options)[0]
 
 
 def same(one: Path, other: Path, names: str, atol: float = 1e-9) -> None:
@@ -141,38 +148,51 @@ def test_blueboat_as_a_bag_of_ros_2(blueboat: tuple[Path, dict[str, np.ndarray]]
     assert fits[1] == pytest.approx(fits[0], rel=1e-6)
 
 
-def message(kind: bytes, body: bytes) -> bytes:
-    return struct.pack("<Hc", len(body), kind) + body
+def px4(fields: str, t: np.ndarray, *columns: np.ndarray) -> Topic:
+    """A topic of floats."""
+    return Topic(fields, f"{len(columns)}f", t, np.stack(columns, 1))
 
 
-def write_ulog(path: Path, t: np.ndarray, topics: dict[str, tuple[str, np.ndarray]]) -> None:
-    """Header, definitions, data; docs.px4.io, "ULog file format". Of each topic the fields and (n, fields) floats."""
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message(b"B", bytes(40))
-    for name, (fields, _) in topics.items():
-        out += message(b"F", f"{name}:uint64_t timestamp;{fields};".encode())
-    for number, name in enumerate(topics):
-        out += message(b"A", struct.pack("<BH", 0, number) + name.encode())
-    for k, when in enumerate(t):
-        for number, (_, rows) in enumerate(topics.values()):
-            body = struct.pack(f"<HQ{rows.shape[1]}f", number, round(when * 1e6), *rows[k])
-            out += message(b"D", body)
-    path.write_bytes(out)
+def blueboat_px4(path: Path, log: Path, c: dict[str, np.ndarray]) -> None:
+    t, half = c["original_timestamp"] * 1e-3, np.radians(c["yaw"]) / 2
+    n = {side: signals(log)[f"n_{side}"][1] for side in ("left", "right")}
+    zero = np.zeros(len(t))
+    write_ulog(path, {
+        "vehicle_local_position": px4("float x;float y", t, c["x_ned"], c["y_ned"]),
+        "vehicle_attitude": px4("float[4] q", t, np.cos(half), zero, zero, np.sin(half)),
+        "vehicle_angular_velocity": px4("float[3] xyz", t, zero, zero, c["yaw_rate"]),
+        "actuator_motors": px4("float[2] control", t, n["right"], n["left"]),
+    })  # fmt: skip
 
 
 def test_blueboat_as_a_log_of_px4(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
     log, c = blueboat
-    t, half = c["original_timestamp"] * 1e-3, np.radians(c["yaw"]) / 2
-    n = {side: signals(log)[f"n_{side}"][1] for side in ("left", "right")}
-    zero = np.zeros(len(t))
-    write_ulog(tmp_path / "run.ulg", t, {
-        "vehicle_local_position": ("float x;float y", np.stack([c["x_ned"], c["y_ned"]], 1)),
-        "vehicle_attitude": ("float[4] q", np.stack([np.cos(half), zero, zero, np.sin(half)], 1)),
-        "vehicle_angular_velocity": ("float[3] xyz", np.stack([zero, zero, c["yaw_rate"]], 1)),
-        "actuator_motors": ("float[2] control", np.stack([n["right"], n["left"]], 1)),
-    })  # fmt: skip
+    blueboat_px4(tmp_path / "run.ulg", log, c)
     again = by_guess(tmp_path / "run.ulg", tmp_path)
     assert sorted(signals(again)) == ["n_left", "n_right", "psi", "r", "x", "y"]
     same(log, again, "x y psi r n_left n_right", atol=5e-6)  # float32
+
+
+def test_a_fit_of_blueboat_as_a_log_of_px4(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
+    """Its estimator's odometry, with velocities of the body; shares of the thrust become newtons by two lines."""
+    log, c = blueboat
+    t, half, full = c["original_timestamp"] * 1e-3, np.radians(c["yaw"]) / 2, 80.0
+    zero, body = np.zeros(len(t)), np.full(len(t), 3.0)
+    place = (c["x_ned"], c["y_ned"], zero, np.cos(half), zero, zero, np.sin(half), c["surge"], c["sway"], zero)
+    odometry = np.stack([body, *place], 1)
+    write_ulog(tmp_path / "run.ulg", {
+        "vehicle_odometry": Topic(
+            "uint8_t velocity_frame;float[3] position;float[4] q;float[3] velocity", "B10f", t, odometry
+        ),
+        "actuator_motors": px4("float[2] control", t, c["right_force"] / full, c["left_force"] / full),
+    })  # fmt: skip
+    usual = 'topic = "actuator_motors", field = "control[{}]", unit = "1", role = "input", hold = "sampled"'
+    force = f'topic = "actuator_motors", field = "control[{{}}]", unit = "N", scale = {full}, role = "input"'
+    edits = [(f'name = "n_{s}", {usual.format(k)}', f'name = "f_{s}", {force.format(k)}') for k, s in ENGINES]
+    again = by_guess(tmp_path / "run.ulg", tmp_path, tuple(edits))
+    same(log, again, "x y u v psi f_left f_right", atol=1e-5)  # float32
+    fits = [estimates(path, tmp_path / str(k), *SURGE, "--fix", "e_u=0.05") for k, path in enumerate((log, again))]
+    assert fits[1] == pytest.approx(fits[0], rel=1e-4)
 
 
 @pytest.mark.parametrize("form", ["mat", "parquet"])
@@ -188,12 +208,14 @@ def test_blueboat_as_columns(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_p
         pyarrow.parquet.write_table(pyarrow.table(c), path)
     again = by_guess(path, tmp_path)
     same(log, again, "x y u v psi r f_left f_right", atol=1e-12)
+    fits = [estimates(path, tmp_path / str(k), *SURGE, "--fix", "e_u=0.05") for k, path in enumerate((log, again))]
+    assert fits[1] == pytest.approx(fits[0], rel=1e-6)
 
 
 # The Kingfisher: two clocks, commands of -1..1
 
 
-@pytest.mark.parametrize("form", ["bag", pytest.param("mat", marks=pytest.mark.study)])
+@pytest.mark.parametrize("form", ["bag", "ulg", pytest.param("mat", marks=pytest.mark.study)])
 def test_kingfisher(tmp_path: Path, form: str) -> None:
     files = sorted(measured("kingfisher").glob("surge_*.csv"))
     reference = (EXAMPLES / "kingfisher/surge.toml").read_text()
@@ -218,18 +240,27 @@ def test_kingfisher(tmp_path: Path, form: str) -> None:
         })  # fmt: skip
         source = tmp_path / "bag"
         edit = 'name = "n_left", topic = "/left_thrust_cmd", field = "data", unit = "1"'
+    elif form == "ulg":
+        source = tmp_path / "run.ulg"
+        write_ulog(source, {
+            "vehicle_local_position": px4("float vx;float vy", t_vel, vel["vel_x"], vel["vel_y"]),
+            "actuator_motors": px4("float[2] control", t_cmd, cmd["cmd_right"], cmd["cmd_left"]),
+        })  # fmt: skip
+        edit = 'name = "n_left", topic = "actuator_motors", field = "control[1]", unit = "1", role = "input", '
+        edit += 'hold = "sampled"'
     else:
         source = tmp_path / "run.mat"
         savemat(source, {"t_cmd": t_cmd, "cmd_left": cmd["cmd_left"], "cmd_right": cmd["cmd_right"], "t_vel": t_vel,
                          "vel_x": vel["vel_x"], "vel_y": vel["vel_y"]})  # fmt: skip
         edit = 'name = "n_left", column = "cmd_left", unit = "1"'
-    force = edit.replace("n_left", "X").replace('"1"', '"N", scale = 40.0')
+    force = edit.replace("n_left", "X").replace('"1"', '"N", scale = 40.0').replace('"sampled"', '"zero"')
+    rounding = 2e-6 if form == "ulg" else 1e-12  # float32
     again = by_guess(source, tmp_path, ((edit, force),))
     a, b = signals(log), signals(again)
-    np.testing.assert_allclose(b["X"][1], a["X"][1], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(b["X"][1], a["X"][1], rtol=0, atol=rounding)
     np.testing.assert_allclose(b["n_right"][0] - 1.0, a["n_right"][0], rtol=0, atol=1e-6)
     speed = [np.hypot(found[x][1], found[y][1]) for found, x, y in ((a, "speed_x", "speed_y"), (b, "vx", "vy"))]
-    np.testing.assert_allclose(speed[1], speed[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(speed[1], speed[0], rtol=0, atol=rounding)
     fits = [estimates(path, tmp_path / str(k), *SURGE) for k, path in enumerate((log, again))]
     assert fits[1] == pytest.approx(fits[0], rel=1e-5)
 

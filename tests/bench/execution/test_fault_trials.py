@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from tests.bench import autopilot_faults
 from tests.bench.fault_kinds import KINDS
 from tests.bench.fault_runs import Trial, trials
 from tests.bench.fault_trials import MARKS, NOT_TRIED, PART, Store, into, page, parts, row, table
 
+ROOT = Path(__file__).resolve().parents[3]
 SAMPLE = ("VESC, temperature not told", "DroneCAN, AHRS lost", "MAVLink, capsized")
 
 
@@ -44,3 +46,42 @@ def test_what_was_interrupted_goes_on_where_it_was(tmp_path: Path) -> None:
     assert "old" not in written
     assert written.endswith(f"{MARKS[1]}\nafter\n")
     assert page(again.results, kinds).endswith("| runner killed | 350 ms | 1/2: 350, 400 (50) | - | - |")
+
+
+def between(marks: tuple[str, str]) -> str:
+    """What the page has between these marks."""
+    return (ROOT / "docs/safety.md").read_text(encoding="utf-8").partition(marks[0])[2].partition(marks[1])[0].strip()
+
+
+def test_the_tables_of_the_page_are_those_of_the_kept_trials() -> None:
+    assert between(MARKS) == page(Store(ROOT / "tests/bench/fault-trials.jsonl").results, KINDS).strip()
+    rows = autopilot_faults.kept(ROOT / "tests/bench/autopilot-faults.jsonl")
+    assert between(autopilot_faults.MARKS) == autopilot_faults.page(rows).strip()
+
+
+def test_every_fault_and_parameter_was_tried_on_a_real_autopilot_and_was_as_it_has_to_be() -> None:
+    rows = autopilot_faults.kept(ROOT / "tests/bench/autopilot-faults.jsonl")
+    assert [row for row in rows if not row.good] == []
+    settings = autopilot_faults.SETTINGS
+    wanted = {(fault.name, setting.name) for fault in autopilot_faults.FAULTS for setting in settings}
+    wanted |= {(f"{name} {value:g}", settings[2].name) for name, value in autopilot_faults.WRONG}
+    assert {(row.fault, row.setting) for row in rows} == wanted
+
+
+def test_a_trial_that_ended_for_another_reason_is_not_as_it_has_to_be() -> None:
+    says = "autopilot: 1 parameter forbids to drive, yours to set: FS_ACTION is 1"
+    refused = autopilot_faults.Trial("FS_ACTION 1", "", 0.0, 0.5, says, True, False)
+    ended = refused._replace(fault="RC1_DZ 190", seconds=0.4, says="autopilot puts out n = +0.00 for left, commanded")
+    assert refused.good
+    assert ended.good
+    for bad in (
+        refused._replace(fault="RC_OPTIONS 34"),  # another parameter was the reason
+        refused._replace(seconds=0.1),  # thrust before the refusal
+        refused._replace(disarmed=False),
+        refused._replace(says="stopped by Ctrl-C: thrust is zero"),
+        ended._replace(seconds=0.6),
+        ended._replace(says="autopilot went over to HOLD"),
+        refused._replace(fault="link cut", seconds=0.6),
+        refused._replace(fault="link cut", disarmed=False),
+    ):
+        assert not bad.good, bad

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import can
@@ -112,6 +114,50 @@ def test_a_dbc_makes_a_topic_of_each_message(log: Path, tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(text)
     (out,) = import_files(tmp_path / "map.toml", [log], out=tmp_path / "x.mcap")
     np.testing.assert_allclose(values(out, "force")[1], -1.0 * np.arange(N))
+
+
+BOAT = """VERSION ""
+BS_:
+BU_: A
+BO_ 291 MotorLeft: 4 A
+ SG_ Speed : 0|16@1- (0.25,0) [0|0] "rpm" A
+ SG_ Current : 16|16@1- (0.1,0) [0|0] "A" A
+
+BO_ 292 MotorRight: 4 A
+ SG_ Speed : 0|16@1- (0.25,0) [0|0] "rpm" A
+ SG_ Current : 16|16@1- (0.1,0) [0|0] "A" A
+
+BO_ 293 Compass: 4 A
+ SG_ Heading : 0|16@1+ (0.01,0) [0|360] "deg" A
+ SG_ YawRate : 16|16@1- (0.01,0) [0|0] "deg/s" A
+"""
+
+
+def test_a_guess_by_a_dbc_knows_messages_and_units(tmp_path: Path) -> None:
+    (tmp_path / "dbc").mkdir()
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "dbc/boat.dbc").write_text(BOAT)
+    rows = []
+    for k in range(N):
+        frames = {291: struct.pack("<hh", 40 * k, 10), 292: struct.pack("<hh", -20 * k, 10)}
+        frames[293] = struct.pack("<Hh", 9000 + 100 * k, 1000)
+        rows += [f"({T0 + 0.05 * k:.6f}) can0 {number:03X}#{data.hex()}\n" for number, data in frames.items()]
+    (tmp_path / "run.log").write_text("".join(rows))
+    words = ["--guess", "run.log", "--dbc", "dbc/boat.dbc", "-o", "maps/map.toml"]
+    run = [sys.executable, "-m", "seatrial", "import"]
+    subprocess.run([*run, *words], cwd=tmp_path, check=True, capture_output=True)
+    (out,) = import_files(tmp_path / "maps/map.toml", [tmp_path / "run.log"], out=tmp_path / "x.mcap")
+    np.testing.assert_allclose(values(out, "psi")[1], np.radians(90.0 + np.arange(N)), rtol=1e-9)
+    np.testing.assert_allclose(values(out, "r")[1], np.radians(10.0), rtol=1e-9)
+    left, right = (values(out, f"n_{side}")[1] for side in ("left", "right"))
+    np.testing.assert_allclose(left, np.arange(N) / (N - 1.0), atol=1e-9)
+    np.testing.assert_allclose(right, -0.5 * np.asarray(left), atol=1e-9)
+    words = ["maps/map.toml", *words[1:4]]
+    done = subprocess.run([*run, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "--dbc goes with --guess" in done.stderr
+    with pytest.raises(SeatrialError, match="--dbc is for a CAN log"):
+        guess_map(tmp_path / "dbc/boat.dbc", tmp_path / "dbc/boat.dbc")
 
 
 def by_dbc(folder: Path, *lines: str) -> list[Table]:

@@ -85,6 +85,22 @@ def test_blanks_between_columns_other_encodings_and_blank_rows(tmp_path: Path) -
     np.testing.assert_allclose(psi, np.radians(10.0 + np.arange(N)))
 
 
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-16 BE with its mark"])
+def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
+    """As Excel saves "Unicode text"."""
+    text = "t\tKurs \N{DEGREE SIGN}\tyaw[deg]\r\n" + "".join(f"{0.1 * k:.1f}\t1\t{10 + k}.0\r\n" for k in range(N))
+    name, _, mark = encoding.partition(" ")
+    path = tmp_path / "run.txt"
+    path.write_bytes(b"\xfe\xff" + text.encode("utf-16-be") if mark else text.encode(name))
+    assert guessed(path)["psi"]["unit"] == "deg"
+    np.testing.assert_allclose(values(tmp_path / "run.mcap", "psi")[1], np.radians(10.0 + np.arange(N)))
+    path.write_bytes(text.encode())
+    said = r"run\.txt: not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
+    with pytest.raises(SeatrialError, match=said) as caught:
+        import_files(tmp_path / "run.map.toml", [path], out=tmp_path / "again.mcap")
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("column", "meaning", "unit"),
     [
@@ -93,6 +109,7 @@ def test_blanks_between_columns_other_encodings_and_blank_rows(tmp_path: Path) -
         ("u_m_s", "u", "m/s"), ("gyro_z (deg/s)", "r", "deg/s"), ("t_ms", "", "ms"), ("speed_ms", "speed", "m/s"),
         ("x [cm]", "x", "cm"), ("u [mm/s]", "u", "mm/s"), ("thrust_left [N]", "", "N"), ("lat [degE7]", "lat", "degE7"),
         ("x_s", "x", ""), ("r [1/s]", "r", ""), ("t [ns]", "", "ns"), ("cmd [-]", "", "1"),
+        ("Speed [rpm]", "", "rev/min"),
     ],
 )  # fmt: skip
 def test_names_of_columns(column: str, meaning: str, unit: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import math
-import struct
 import sys
 from pathlib import Path
 
@@ -16,52 +15,41 @@ from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
 from daq.log.reader import open_log
 from daq.samples import Scalar
+from tests.daq.ulog_files import Topic, write_ulog
 
 HAS_PYULOG = importlib.util.find_spec("pyulog") is not None
 UTC = 1_700_000_000.0
 BOOT = 5.0  # s on the autopilot's clock at its first message
 N = 30
 FORMATS = {
-    "vehicle_attitude": ("uint64_t timestamp;float[4] q", "<Q4f"),
-    "vehicle_angular_velocity": ("uint64_t timestamp;float[3] xyz", "<Q3f"),
+    "vehicle_attitude": ("float[4] q", "4f"),
+    "vehicle_angular_velocity": ("float[3] xyz", "3f"),
     "sensor_gps": (
-        "uint64_t timestamp;uint64_t time_utc_usec;double latitude_deg;double longitude_deg;double altitude_msl_m;"
+        "uint64_t time_utc_usec;double latitude_deg;double longitude_deg;double altitude_msl_m;"
         "float vel_n_m_s;float vel_e_m_s;float vel_d_m_s;float hdop;float eph;uint8_t fix_type;uint8_t satellites_used",
-        "<QQ3d5f2B",
+        "Q3d5f2B",
     ),
-    "battery_status": ("uint64_t timestamp;float voltage_v", "<Qf"),
+    "battery_status": ("float voltage_v", "f"),
 }  # fmt: skip
 
 
-def message(kind: bytes, body: bytes) -> bytes:
-    return struct.pack("<Hc", len(body), kind) + body
-
-
-def write_ulog(path: Path) -> None:
-    """Header, definitions, data; docs.px4.io, "ULog file format"."""
-    out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", round(BOOT * 1e6)) + message(b"B", bytes(40))
-    for name, (fields, _) in FORMATS.items():
-        out += message(b"F", f"{name}:{fields};".encode())
-    for number, name in enumerate(FORMATS):
-        out += message(b"A", struct.pack("<BH", 0, number) + name.encode())
-    yaw = 1.0
-    for k in range(N):
-        t = round((BOOT + 0.1 * k) * 1e6)
-        utc = round((UTC + 0.1 * k) * 1e6)
-        values: tuple[tuple[float, ...], ...] = (
-            (t, math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)),
-            (t, 0.01, 0.02, 0.001 * k),
-            (t, utc, 41.0, -8.0, 3.0, 0.5, 0.25, 0.125, 0.9, 1.4142135, 6, 17),
-            (t, 16.0 - 0.01 * k),
-        )
-        for number, (row, (_, form)) in enumerate(zip(values, FORMATS.values(), strict=True)):
-            out += message(b"D", struct.pack("<H", number) + struct.pack(form, *row))
-    path.write_bytes(out)
+def flight(path: Path) -> None:
+    """Attitude, rates, fixes and a battery at 10 Hz."""
+    t, yaw, k = BOOT + 0.1 * np.arange(N), 1.0, np.arange(N)
+    one, zero = np.ones(N), np.zeros(N)
+    fixes = (1e6 * (UTC + 0.1 * k), 41.0 * one, -8.0 * one, 3.0 * one, 0.5 * one, 0.25 * one, 0.125 * one, 0.9 * one)
+    rows = {
+        "vehicle_attitude": np.stack([math.cos(yaw / 2) * one, zero, zero, math.sin(yaw / 2) * one], 1),
+        "vehicle_angular_velocity": np.stack([0.01 * one, 0.02 * one, 0.001 * k], 1),
+        "sensor_gps": np.stack([*fixes, 1.4142135 * one, 6 * one, 17 * one], 1),
+        "battery_status": (16.0 - 0.01 * k)[:, None],
+    }
+    write_ulog(path, {name: Topic(*FORMATS[name], t, found) for name, found in rows.items()}, BOOT)
 
 
 @pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
 def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
-    write_ulog(tmp_path / "flight.ulg")
+    flight(tmp_path / "flight.ulg")
     guess = guess_map(tmp_path / "flight.ulg")
     assert "no commands" in guess.problem
     (tmp_path / "map.toml").write_text(guess.text)
@@ -79,7 +67,7 @@ def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
 @pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
 def test_a_topic_without_times_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "flight.ulg"
-    write_ulog(path)
+    flight(path)
     path.write_bytes(path.read_bytes().replace(b"uint64_t timestamp;float[4] q", b"uint64_t timestamq;float[4] q"))
     assert "vehicle_attitude" not in guess_map(path).text
 
@@ -101,6 +89,6 @@ def test_a_file_that_is_damaged(tmp_path: Path) -> None:
 
 def test_without_its_library_it_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyulog", None)
-    write_ulog(tmp_path / "flight.ulg")
+    flight(tmp_path / "flight.ulg")
     with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[ulog\]'"):
         guess_map(tmp_path / "flight.ulg")
