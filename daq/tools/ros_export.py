@@ -86,7 +86,7 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
                 bag.write(connections[name], stamp_ns, data)
         _write_package(made[1])
         plots = _plots(log)
-        made[2].write_text(json.dumps(_foxglove(log, plots), indent=1) + "\n", encoding="utf-8")
+        made[2].write_text(json.dumps(_foxglove(log, plots, "/tf" in connections), indent=1) + "\n", encoding="utf-8")
         made[3].write_text(_plotjuggler(plots), encoding="utf-8")
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
@@ -310,8 +310,8 @@ def _plots(log: Log) -> list[Plot]:
     return found
 
 
-def _foxglove(log: Log, plots: Sequence[Plot]) -> dict[str, Any]:
-    """A layout of Foxglove Studio: a map, the frames, and the plots below each other."""
+def _foxglove(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, Any]:
+    """A layout of Foxglove Studio: a map and the frames of what has them, and the plots below each other."""
     panels: dict[str, Any] = {}
     for number, plot in enumerate(plots):
         panels[f"Plot!{number}"] = {
@@ -326,8 +326,10 @@ def _foxglove(log: Log, plots: Sequence[Plot]) -> dict[str, Any]:
     side: list[str] = []
     if receivers := log.sources(Gnss):
         panels["map!0"] = {"followTopic": f"/{receivers[0]}/fix", "layer": "map"}
+        side = ["map!0"]
+    if has_frames:
         panels["3D!0"] = {"followTf": "base_link", "fixedFrame": "odom"}
-        side = ["map!0", "3D!0"]
+        side.append("3D!0")
     columns = [_stacked([name for name in panels if name not in side]), _stacked(side)]
     left, right = columns
     layout = left if right is None else right if left is None else {

@@ -97,6 +97,21 @@ def test_odometry_is_between_the_fixes_and_agrees_with_tf(exported: Path) -> Non
     assert len(found["/tf"]) == len(found["/odom"]) == 41
 
 
+def test_a_layout_has_no_panel_of_what_the_bag_has_not(tmp_path: Path) -> None:
+    """Fixes without a heading: a map, and no frames; without fixes neither."""
+    for name, panels in (("gps", ["map!0"]), ("ahrs", [])):
+        log = recorder(tmp_path / f"{name}.mcap")
+        for k in range(5):
+            t = T0 + 0.1 * k
+            fix, attitude = Gnss(utc=t, lat=LAT, lon=LON, fix=3), Ahrs(yaw=0.0, pitch=0.0, roll=0.0)
+            log.write(name, Frame(fix if name == "gps" else attitude, t, t), t)
+        log.close()
+        with open_log(tmp_path / f"{name}.mcap") as opened:
+            export_ros(opened, tmp_path / name)
+        layout = json.loads((tmp_path / name / "foxglove.json").read_text())
+        assert [panel for panel in layout["configById"] if not panel.startswith("Plot")] == panels
+
+
 def test_no_position_is_made_up_where_fixes_are_missing(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for k in range(100):
@@ -208,6 +223,11 @@ def test_layouts_show_topics_that_are_there(exported: Path) -> None:
         for field in fields:
             value = getattr(value, field)
         assert isinstance(value, float | int)
+    (fix,) = found[layout["configById"]["map!0"]["followTopic"]][:1]
+    assert fix.__msgtype__ == "sensor_msgs/msg/NavSatFix"
+    frames = layout["configById"]["3D!0"]
+    (transform,) = found["/tf"][0].transforms
+    assert (frames["fixedFrame"], frames["followTf"]) == (transform.header.frame_id, transform.child_frame_id)
     root = ElementTree.parse(exported / "out/plotjuggler.xml").getroot()
     split = root.find("tabbed_widget/Tab/Container/DockSplitter")
     assert split is not None
