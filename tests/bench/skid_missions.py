@@ -3,9 +3,10 @@
     python -m tests.bench.skid_missions runs --docs docs/examples/ardurover/README.md
 
 On each frame of ArduPilot Rover's simulator (SEATRIAL_ARDUROVER): `devices --toml`, link test, missions of 300 s, by
-the public commands; the live log, the tlog of a second station and the autopilot's BIN of all but the last are fitted,
-and the last is simulated. What a folder has already is not recorded or fitted again. `--docs` puts the table between
-its marks in a page.
+the public commands; the live log, the tlog of a second station and the autopilot's BIN of all but the last are fitted
+and diagnosed, and the last is simulated. What a folder has already is not recorded or fitted again. `--docs` puts the
+table between its marks in a page. Says what is not as it has to be, with exit status 1: an estimate beyond 3 standard
+errors or 3 %, a simulation beyond 10 degrees or 1 m, a diagnosis that names what the simulator has not.
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ WAVES = "-waves"  # behind the name of a frame: they roll and pitch the boat, wh
 MARKS = ("<!-- python -m tests.bench.skid_missions -->", "<!-- end of the missions -->")
 STEER = math.radians(360 / (1.8 * math.pi) * 70) / math.sin(math.radians(35)) * math.pi / 180  # rad/m, of small angles
 ANGLE = math.radians(70)  # of the steering at full difference
+WITHIN_SE, WITHIN_PERCENT, WITHIN_DEG, WITHIN_M = 3.0, 3.0, 10.0, 1.0
+THERE = {"sideslip"}  # what the simulator has and the fitted model has not
+TINY = {"tau_s": 1e-3}  # differences that no percentage is taken of: the truth of tau_s is half a step
 STEP = 1 / 1200  # s, of the simulator: after each, the part of the velocity that is not along the heading is dropped
 # Thrust that is given, for masses in kg, and what the source of the simulator has for the rest
 GIVEN = {"motorboat-skid": {"c1": 25.0, "c2": 0.0}, "rover-skid": {"c1": 70.0, "c2": 0.0}}
@@ -104,18 +108,32 @@ def record(frame: str, folder: Path, seconds: float, missions: int) -> None:
 
 def fit(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
     """The result of `ident vehicle` on all missions of a source but the last, with that one to judge by."""
-    out = folder / f"fit-{source}-sideslip"
-    if not (out / "result.json").exists():
-        for k in range(1, missions + 1) if source != "live" else ():
-            words = ("--rig", "rig.toml", "-o", f"{source}{k}.mcap", "--force")
-            command("import", "mavlink", f"{k}.{source}", *words, cwd=folder)
-        thrust = GIVEN[frame.removesuffix(WAVES)]
-        given = [word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}")]
+    thrust = GIVEN[frame.removesuffix(WAVES)]
+    given = [word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}")]
+    words = ("vehicle", "--model", "nomoto", "--effect", "sideslip", *given)
+    return identified(source, folder, missions, f"fit-{source}-sideslip", *words)
+
+
+def diagnosed(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
+    """The result of `ident diagnose` on the same, of a fit without the effect."""
+    thrust = GIVEN[frame.removesuffix(WAVES)]
+    given = [word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}")]
+    identified(source, folder, missions, f"plain-{source}", "vehicle", "--model", "nomoto", *given)
+    return identified(source, folder, missions, f"diag-{source}", "diagnose", f"plain-{source}/model.toml")
+
+
+def identified(source: str, folder: Path, missions: int, out: str, command_name: str, *words: str) -> dict[str, Any]:
+    """The result of a command of ident on the logs of a source."""
+    if not (folder / out / "result.json").exists():
+        for k in range(1, missions + 1) if source != "live" and not (folder / f"{source}1.mcap").exists() else ():
+            how = ("--rig", "rig.toml", "-o", f"{source}{k}.mcap", "--force")
+            command("import", "mavlink", f"{k}.{source}", *how, cwd=folder)
+        first = words[:1] if command_name == "diagnose" else ()  # the model stands before the logs
         logs = (*(f"{source}{k}.mcap" for k in range(1, missions)), "--validate", f"{source}{missions}.mcap")
         # a busy machine holds the simulator up now and then, which is a jump of its clock
-        words = ("--model", "nomoto", "--effect", "sideslip", *given, "--despite-faults", "--out", out.name, "--force")
-        command("ident", "vehicle", *logs, *words, cwd=folder)
-    result: dict[str, Any] = msgspec.json.decode((out / "result.json").read_bytes())
+        rest = (*words[len(first) :], "--despite-faults", "--out", out, "--force")
+        command("ident", command_name, *first, *logs, *rest, cwd=folder)
+    result: dict[str, Any] = msgspec.json.decode((folder / out / "result.json").read_bytes())
     return result
 
 
@@ -163,8 +181,31 @@ UNITS = {"m_u": "kg", "d_u": "kg/s", "d_uu": "kg/m", "tau_s": "s", "lambda_n": "
          "k_3": "-", "T_r": "s", "tau_gnss": "s", "sigma_gnss": "s"}  # fmt: skip
 
 
-def table(results: Mapping[tuple[str, str], Mapping[str, Any]], known: Mapping[str, Mapping[str, float]]) -> str:
-    """Estimates and simulations of all frames and sources in Markdown; ``known``: truths of the mission, by frame."""
+Results = Mapping[tuple[str, str], Mapping[str, Any]]  # by frame and source
+
+
+def missed(results: Results, diagnoses: Results, known: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """What is not as it has to be, a line each."""
+    found = []
+    for (frame, source), result in results.items():
+        where = f"{frame}, {source}"
+        for row in rows(frame, source, result, known[frame]):
+            if abs(row.z) > WITHIN_SE:
+                found.append(f"{where}: {row.name} is {row.z:+.1f} standard errors from the truth")
+            if abs(row.percent) > WITHIN_PERCENT and abs(row.value - row.truth) > TINY.get(row.name, 0.0):
+                found.append(f"{where}: {row.name} is {row.percent:+.1f} % from the truth")
+        turn, place = off_after(result, AHEAD_S)
+        if turn > WITHIN_DEG or place > WITHIN_M:
+            found.append(f"{where}: {turn:.1f} degrees and {place:.2f} m off after {AHEAD_S:g} s")
+        named = [effect["name"] for effect in diagnoses[frame, source]["effects"] if effect["name"] not in THERE]
+        if named:
+            found.append(f"{where}: the diagnosis names {', '.join(named)}")
+    return found
+
+
+def table(results: Results, diagnoses: Results, known: Mapping[str, Mapping[str, float]]) -> str:
+    """Estimates, simulations and diagnoses of all frames and sources in Markdown; ``known``: truths of the mission, by
+    frame."""
     lines = ["| frame | log | parameter | estimate | truth | z | % |", "|---|---|---|---|---|---|---|"]
     for (frame, source), result in results.items():
         for row in rows(frame, source, result, known[frame]):
@@ -178,6 +219,12 @@ def table(results: Mapping[tuple[str, str], Mapping[str, Any]], known: Mapping[s
     for (frame, source), result in results.items():
         turn, place = off_after(result, AHEAD_S)
         lines.append(f"| {frame} | {source} | {turn:.1f} deg | {place:.2f} m |")
+    lines += ["", "| frame | log | what the diagnosis answers |", "|---|---|---|"]
+    lines += [f"| {frame} | {source} | {found['answer']} |" for (frame, source), found in diagnoses.items()]
+    wrong = missed(results, diagnoses, known)
+    bounds = f"{WITHIN_SE:g} standard errors and {WITHIN_PERCENT:g} %, {WITHIN_DEG:g} degrees and {WITHIN_M:g} m"
+    lines += ["", f"Beyond {bounds}, or named though it is not there:" if wrong else f"All within {bounds}."]
+    lines += ["", *(f"- {line}" for line in wrong)] if wrong else []
     return "\n".join(lines)
 
 
@@ -190,7 +237,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--docs", type=Path)
     options = parser.parse_args()
-    results, known = {}, {}
+    results, diagnoses, known = {}, {}, {}
     for frame in options.frames:
         folder = (options.folder / frame).resolve()
         folder.mkdir(parents=True, exist_ok=True)
@@ -199,14 +246,16 @@ def main() -> None:
                 raise SystemExit(MISSING)
             record(frame, folder, options.seconds, options.missions)
         results |= {(frame, source): fit(frame, source, folder, options.missions) for source in SOURCES}
+        diagnoses |= {(frame, source): diagnosed(frame, source, folder, options.missions) for source in SOURCES}
         known[frame] = of_the_mission(frame, folder)
-    text = table(results, known)
+    text = table(results, diagnoses, known)
     print(text)
     if options.docs is not None:
         page = options.docs.read_text(encoding="utf-8")
         pattern = re.escape(MARKS[0]) + ".*?" + re.escape(MARKS[1])
         page = re.sub(pattern, lambda _: f"{MARKS[0]}\n\n{text}\n\n{MARKS[1]}", page, flags=re.DOTALL)
         options.docs.write_text(page, encoding="utf-8")
+    raise SystemExit(1 if missed(results, diagnoses, known) else 0)
 
 
 if __name__ == "__main__":
