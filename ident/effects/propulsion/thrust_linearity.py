@@ -23,5 +23,5 @@ EFFECT = Effect(
     source="ArduPilot's MOT_THST_EXPO, whose exponent is 1 - lambda_n; jets; controllers that are linearised in thrust",
     experiment="many levels of steady command, those below a third of full ahead held long",
     requires=("n", "f"),
-    alternatives=("dead-band", "reverse-thrust", "advance-ratio"),
+    alternatives=("thrust-power", "dead-band", "reverse-thrust", "advance-ratio"),
 )

@@ -96,6 +96,11 @@ def partly_linear(share: float) -> Loss:
     return lambda side, now: 1 - share + share / max(abs(now.n[side]), 1e-3)
 
 
+def powered(exponent: float) -> Loss:
+    """Thrust by this power of the shaft speed."""
+    return lambda side, now: max(abs(now.n[side]), 1e-3) ** (exponent - 2)
+
+
 def rudder(k: float) -> Force:
     """A moment by the difference of the sides that grows with the speed squared."""
     return lambda now: (0.0, 0.0, k * abs(now.u) * now.u * (now.n["left"] - now.n["right"]) / 2)
@@ -113,6 +118,7 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
              {"F_north": 3.0, "F_east": -4.0}),
     "wind": (IndependentBoat(SMALL, wind(3.0, -2.5, 0.1, -0.15)), False, "wind", {"w_x": 0.9, "w_n": -0.15}),
     "linear": (IndependentBoat(loss=partly_linear(0.6)), True, "thrust-linearity", {"lambda_n": 0.6}),
+    "power": (IndependentBoat(loss=powered(1.6)), True, "thrust-power", {"p_n": -0.4}),
     "rudder": (IndependentBoat(force=rudder(12.0)), True, "steering", {"N_delta": 12.0}),
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
