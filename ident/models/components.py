@@ -10,7 +10,7 @@ import numpy as np
 
 from ident.model import Effect, EffectKind, Input, Model, Parameter, ParameterOrigin, ParameterRole, Signals, State
 from ident.models import rotations
-from ident.models.horizontal import BUILT_IN, SIDES, shift_in_time
+from ident.models.horizontal import BUILT_IN, SIDES, VELOCITIES, shift_in_time
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
 THRUST_CALIBRATION = "thrust-calibration"
@@ -33,7 +33,6 @@ class NavigationError(NamedTuple):
     shortest: float = 0.2
 
 
-VELOCITIES = ("ground_velocity", "body_velocity")
 ERRORS = (  # each is part of the rate of another: yaw rate of heading, acceleration of velocity, velocity of position
     NavigationError("yaw rate", "r", ("r",), ("gyro",), 0.003, "rad/s", 0.1, 0.003, 0.08),
     NavigationError("heading", "psi", ("psi",), ("attitude",), 0.01, "rad", 3.0, 0.01),

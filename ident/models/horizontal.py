@@ -111,6 +111,7 @@ SENSORS = {
     "ground_velocity": Sensor("ground_velocity", (Output("vx", "m/s", "e_vxy"), Output("vy", "m/s", "e_vxy"))),
     "body_velocity": Sensor("body_velocity", (Output("u", "m/s", "e_uv"), Output("v", "m/s", "e_uv"))),
 }
+VELOCITIES = ("ground_velocity", "body_velocity")
 STANDARD = ("attitude", "gyro", "accelerometer", "position", "ground_velocity")
 NOISE = {
     "attitude": Parameter("e_psi", 0.01, "rad", "noise of the heading", "log"),
@@ -165,7 +166,7 @@ def horizontal_model(
         tuple(SENSORS[s] for s in sensors),
         parameters,
         (*first, ("force", force), ("rate", rate), ("output", output)),
-        provides=(*provides, "hull", "heading", *(("body_velocity",) if "body_velocity" in sensors else ())),
+        provides=(*provides, "hull", "heading", *(name for name in VELOCITIES if name in sensors)),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
         max_step=DRIVEN_STEP if propulsion == "command" else 0.1,
         start_grid=DEAD_ZONES if propulsion == "command" else None,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -99,6 +100,18 @@ def earth_fixed(c: Channels) -> Channels:
     return c | {"u": Channel(c["u"].t, w.real, "m/s"), "v": Channel(c["v"].t, w.imag, "m/s")}
 
 
+def mounted(quarters: int) -> Callable[[Channels], Channels]:
+    """The AHRS screwed on turned clockwise by so many quarters: its heading, and what it takes for ahead."""
+    turn = quarters * np.pi / 2
+
+    def of(c: Channels) -> Channels:
+        w = (c["ax"].value + 1j * c["ay"].value) * np.exp(-1j * turn)
+        psi = replace(c["psi"], value=wrapped(c["psi"].value + turn))
+        return c | {"psi": psi, "ax": replace(c["ax"], value=w.real), "ay": replace(c["ay"], value=w.imag)}
+
+    return of
+
+
 negated = np.negative
 HEADED, GYRO, FULL, BODY = ("full", "position", "compass", "body"), ("full", "position", "body"), ("full",), ("body",)
 KINDS: dict[str, Kind] = {
@@ -143,6 +156,9 @@ KINDS: dict[str, Kind] = {
     "acceleration in g": Kind(each(lambda a: a / 9.81, "ax", "ay"), ("velocity-and-acceleration-scale",), FULL),
     "ax and ay swapped": Kind(swapped(("ax", "ay")), ("acceleration-axes",), FULL),
     "ay negated": Kind(each(negated, "ay"), ("acceleration-axes",), FULL),
+    "AHRS turned by 90 deg": Kind(mounted(1), ("heading-offset",), FULL),
+    "AHRS turned by 180 deg": Kind(mounted(2), ("heading-half-turn",), FULL),
+    "AHRS turned by 270 deg": Kind(mounted(3), ("heading-offset",), FULL),
     "time in ms": Kind(timed(1e3), ("time-scale",)),
     "time in us": Kind(timed(1e6), ("time-scale",)),
     "time doubled": Kind(timed(2.0), ("time-scale", "gyro-scale"), GYRO),

@@ -19,7 +19,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -94,9 +94,11 @@ def run_case(case: RigCase) -> Row:
 def _boat(case: RigCase, folder: Path) -> Row:
     rig = RIGS[case.rig]
     boat = rig.boat(None if case.effect == NONE else case.effect, case.boat_seed)
-    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat), judged_with_effects=bool(rig.there))
-    z = {} if rig.payload else z_scores(row.pop("fit").parameters, truth_of(boat))
-    return {k: v for k, v in row.items() if k != "fit"} | {"z": z}
+    with_effects = bool(rig.there or rig.payload)
+    row = _identified(folder, *rig.sail(boat, folder), rig.options(boat), judged_with_effects=with_effects)
+    load = float(np.mean(rig.payload[: len(rig.estimation)])) if rig.payload else 0.0  # its parts are about the mean
+    truth = truth_of(replace(boat, hull=replace(boat.hull, mass=boat.hull.mass + load)))
+    return row | {"z": z_scores(row.pop("fit").parameters, truth)}
 
 
 def _plant(plant: Plant, folder: Path) -> Row:

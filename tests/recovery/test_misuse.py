@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
+import seatrial
 from tests.recovery.misuse import COPY, KINDS, SENSORS, logged, outcomes, refusal, written
 
 LONG = ("full", "position", "body")
@@ -17,6 +19,23 @@ def test_mistakes_are_refused_by_their_names(rig: str, tmp_path: Path) -> None:
     rows = list(outcomes([1], mine, [rig], tmp_path))
     assert [r.line for r in rows if not r.kind] == [None]
     assert [(r.kind, r.line) for r in rows if r.kind and not r.named] == []
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", ["AHRS turned by 90 deg", "AHRS turned by 180 deg", "AHRS turned by 270 deg"])
+def test_a_fit_despite_a_mounting_ends_with_a_result_or_one_line(
+    kind: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """They ended in an error of a singular value decomposition."""
+    logs = [written(tmp_path / f"{k}.mcap", KINDS[kind].of(logged(1, "full", 150.0, k))) for k in (1, 2)]
+    words = ["ident", "vehicle", str(logs[0]), "--validate", str(logs[1]), "--despite-faults", "--out"]
+    with pytest.raises(SystemExit) as left:
+        seatrial.main([*words, str(tmp_path / "out")])
+    out, err = capfd.readouterr()
+    assert left.value.code in (0, 1)
+    assert "Despite faults of the logs" in " ".join(out.split())
+    assert "Traceback" not in err
+    assert not re.search("SVD|Warning:|singular", out + err)
 
 
 def test_every_kind_is_in_the_cut() -> None:

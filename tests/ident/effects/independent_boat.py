@@ -59,6 +59,7 @@ class IndependentBoat:
     force: Force | None = None
     loss: Loss | None = None
     slosh: Slosh | None = None
+    told: tuple[float, float] = (1.0, 0.0)  # factor on the velocity of the receiver, and offset of its course, rad
     current: tuple[float, float] = (0.12, -0.08)
 
     @property
@@ -103,7 +104,11 @@ def sail(boat: IndependentBoat, seconds: float = 300.0, seed: int = 1, gyro: boo
         again, _ = _rate(boat, (k + 1) * STEP, end, later, calm)
         state = [x + STEP * (d1 + d2) / 2 for x, d1, d2 in zip(state, rate, again, strict=True)]
         n = later
-    return _measured(np.array(rows), rng, gyro, seed)
+    found = np.array(rows)
+    factor, offset = boat.told
+    over_ground = (found[:, 9] + 1j * found[:, 10]) * factor * np.exp(1j * offset)
+    found[:, 9], found[:, 10] = over_ground.real, over_ground.imag
+    return _measured(found, rng, gyro, seed)
 
 
 def _rate(

@@ -119,6 +119,8 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "wind": (IndependentBoat(SMALL, wind(3.0, -2.5, 0.1, -0.15)), False, "wind", {"w_x": 0.9, "w_n": -0.15}),
     "linear": (IndependentBoat(loss=partly_linear(0.6)), True, "thrust-linearity", {"lambda_n": 0.6}),
     "power": (IndependentBoat(loss=powered(1.6)), True, "thrust-power", {"p_n": -0.4}),
+    "speed": (IndependentBoat(told=(1.05, 0.0)), True, "velocity-scale", {"k_V": 0.05}),
+    "course": (IndependentBoat(told=(1.0, 0.07)), True, "velocity-course", {"chi_0": 0.07}),
     "rudder": (IndependentBoat(force=rudder(12.0)), True, "steering", {"N_delta": 12.0}),
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),

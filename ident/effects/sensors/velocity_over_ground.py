@@ -1,0 +1,47 @@
+"""Errors of the velocity over ground beside the positions of the same receiver: of its scale, and of its direction."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.model import Effect, Parameter, Signals
+
+
+def scale(s: Signals) -> None:
+    s.y["vx"], s.y["vy"] = s.y["vx"] * (1 + s.p.k_V), s.y["vy"] * (1 + s.p.k_V)
+
+
+def turn(s: Signals) -> None:
+    cos, sin = np.cos(s.p.chi_0), np.sin(s.p.chi_0)
+    s.y["vx"], s.y["vy"] = cos * s.y["vx"] - sin * s.y["vy"], sin * s.y["vx"] + cos * s.y["vy"]
+
+
+COMMON: dict[str, Any] = {
+    "place": "sensor",
+    "experiment": "long straight runs at full speed, on opposite courses",
+    "requires": ("hull", "ground_velocity"),
+}
+EFFECTS = (
+    Effect(
+        "velocity-scale",
+        "a scale-factor error of the velocity over ground",
+        {"axes": scale},
+        (Parameter("k_V", 0.0, "", "relative scale-factor error of the velocity", prior=(0.0, 0.1), step=0.005),),
+        formula="v_measured = (1 + k) v",
+        source="units (knots for m/s, a nautical mile of 1.85 km), filters of slow receivers",
+        alternatives=("accelerometer-scale", "gnss-latency"),
+        **COMMON,
+    ),
+    Effect(
+        "velocity-course",
+        "an offset of the course over ground",
+        {"axes": turn},
+        (Parameter("chi_0", 0.0, "rad", "offset of the course, clockwise", prior=(0.0, 0.1), step=0.01),),
+        formula="course_measured = course + chi_0",
+        source="a course from magnetic north, or from the north of a grid, beside positions from true north",
+        alternatives=("mount", "compass", "lever-arm"),
+        **COMMON,
+    ),
+)
