@@ -52,6 +52,7 @@ PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., u
 _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
 SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # messages that only their topics name
 MOST_LISTED = 12  # signals that were not recognised and are offered all the same
+UNKNOWN_CDEG = 65535  # a heading that MAVLink does not know (hdg)
 TURN = 6.6  # rad: a whole turn and a little
 Clocks = Mapping[int, Clock]  # of each table, by its id
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
@@ -305,8 +306,11 @@ def _motion(
             yield Candidate("body", 2, table, (Taken("speed", (column,), speed),), caveat)
     if "psi" in names:
         column, name = names["psi"]
+        unknown = numbers[column] == UNKNOWN_CDEG
+        numbers = {**numbers, column: np.where(unknown, np.nan, numbers[column])}
         unit, caveat = _angle_unit(name, numbers[column])
-        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", 'angle = "unwrap"'),), caveat)
+        extra = f", missing = {UNKNOWN_CDEG}" if unknown.any() else ""
+        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", f'angle = "unwrap"{extra}'),), caveat)
     if "r" in names:
         column, name = names["r"]
         unit, caveat = (name.unit, "") if name.unit else _rate_unit(t, numbers, column, names)

@@ -135,6 +135,15 @@ def test_a_receiver_and_a_pwm(tmp_path: Path) -> None:
     np.testing.assert_allclose(t, 100.0 + TIME, atol=1e-6)
 
 
+def test_a_heading_that_mavlink_does_not_know_is_none(tmp_path: Path) -> None:
+    hdg = np.where(np.arange(N) < 5, 65535.0, 35_000.0 + 40.0 * np.arange(N)) % 65536
+    path = write(tmp_path, {"t": TIME, "hdg": np.where(hdg == 65535, hdg, hdg % 36_000)})
+    assert guessed(path)["psi"]["unit"] == "cdeg"
+    t, psi = values(tmp_path / "run.mcap", "psi")
+    np.testing.assert_allclose(t, TIME[5:], atol=1e-9)
+    np.testing.assert_allclose(np.diff(psi), np.radians(0.4), atol=1e-9)
+
+
 def test_a_unit_that_is_none_is_a_caveat(tmp_path: Path) -> None:
     path = write(tmp_path, {"t": TIME, "x [fathom]": TIME, "y [cm]": TIME, "heading [m]": 100.0 + TIME})
     found = guessed(path)
