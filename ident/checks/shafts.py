@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.checks import Finding
 from ident.checks.sensors import Channels
@@ -26,6 +27,7 @@ MIN_COMMAND, MIN_SPEED = 0.1, 0.02  # of full command, of full speed: from which
 MIN_HOLD, MIN_STEP = 4.0, 0.05  # s; of full command: from which the end of a step is known, and its size
 MIN_TOLD = 1.0  # s of command, after which a shaft that has not moved is dead
 FEWEST = 40  # samples of the common grid
+SEARCHED = 36_000  # samples of it, from the first command on, in which delay, lag and dead band are searched
 # What explains a response clearly worse: a misfit larger by this part, and by so many variances of a sample.
 CLEARLY, CLEARLY_VARIANCES = 0.1, 30.0
 MAX_RISE_TIME = 1.0  # s until half of a step shows
@@ -185,15 +187,22 @@ def response(told: Channel, shaft: Channel) -> Response | NoResponse:
     near = np.minimum(np.abs(after), np.abs(before))
     used = near < max(0.5, 2.0 * float(np.median(np.diff(shaft.t))))
     n = turned[longest:] if used.all() else np.where(used, turned[longest:], 0.0)
-    total = float(n @ n)
 
-    def delayed(lagged: Array, delay: float) -> Array:
+    def delayed(lagged: Array, delay: float, seen: NDArray[np.bool_]) -> Array:
         late = longest - round(delay / STEP)
-        x = lagged[late : late + n.size]
-        return x if used.all() else np.where(used, x, 0.0)
+        x = lagged[late : late + seen.size]
+        return x if seen.all() else np.where(seen, x, 0.0)
+
+    begin = max(int(np.argmax(commanded)) - longest, 0) if n.size > SEARCHED else 0
+    part = slice(begin, begin + SEARCHED)
+    told_part, n_part, used_part = command[begin : begin + SEARCHED + longest], n[part], used[part]
+    total_part = float(n_part @ n_part)
 
     def fitted(at: slice, band: float) -> LagFit:
-        data = LagData(_outside(command, band), lambda lagged, delay: _misfit(delayed(lagged, delay), n, total)[0])
+        def misfit(lagged: Array, delay: float) -> float:
+            return _misfit(delayed(lagged, delay, used_part), n_part, total_part)[0]
+
+        data = LagData(_outside(told_part, band), misfit)
         return fit_first_order_lag([data], DELAYS[at], TIME_CONSTANTS, STEP, hold="backward", start="steady")
 
     linear = fitted(slice(None), 0.0)
@@ -204,13 +213,14 @@ def response(told: Channel, shaft: Channel) -> Response | NoResponse:
             best, band = one, b
     lagged = first_order_lag(_outside(command, band), best.time_constant, STEP, hold="backward", start="steady")
     gain = 1.0 - best.misfit / max(linear.misfit, 1e-300)
-    scale = _misfit(delayed(lagged, best.delay), n, total)[1]
+    total = float(n @ n)
+    misfit, scale = _misfit(delayed(lagged, best.delay, used), n, total)
     # A command that stays the same shows no delay, nor does one whose steps all lie before the first time of the fit.
     limit = round(MAX_DELAY / STEP) + 1
     other = fitted(slice(0, limit) if DELAYS.index(best.delay) >= limit else slice(limit, None), band)
-    clear = best.misfit * max(CLEARLY, CLEARLY_VARIANCES / n.size)
+    clear = best.misfit * max(CLEARLY, CLEARLY_VARIANCES / n_part.size)
     known = bool(np.ptp(command[longest:]) > MIN_STEP) and other.misfit - best.misfit > clear
-    return Response(best.delay, best.time_constant, band, scale, 1.0 - best.misfit / total, gain, known)
+    return Response(best.delay, best.time_constant, band, scale, 1.0 - misfit / total, gain, known)
 
 
 def _outside(command: Array, band: float) -> Array:

@@ -139,11 +139,10 @@ class NormalEquations:
         """g (n_samples, n_columns) whitened, e (n_samples,) whitened, block (n_samples,) its block's index."""
         at = np.asarray(positions)
         self.information[np.ix_(at, at)] += g.T @ g
-        product = -g * e[:, None]
-        self.score[at] += product.sum(0)
-        starts = np.flatnonzero(np.append(True, np.diff(block) > 0))
-        sums = np.zeros((starts.size, len(self.names)))
-        sums[:, at] = np.add.reduceat(product, starts, axis=0)
+        edges = [*np.flatnonzero(np.append(True, np.diff(block) > 0)).tolist(), len(e)]
+        sums = np.zeros((len(edges) - 1, len(self.names)))
+        sums[:, at] = [-(e[first:last] @ g[first:last]) for first, last in pairwise(edges)]
+        self.score += sums.sum(axis=0)
         self.blocks.append(sums)
 
 
@@ -195,16 +194,17 @@ class SensitivityFilter:
         n_rows, n_states = self.seen.shape[0], self.Phi.shape[1]
         n_rates = int(np.searchsorted(touched, n_states))
         rates, outputs = touched[:n_rates], touched[n_rates:] - n_states
+        where = slice(n_rates) if np.array_equal(rates, np.arange(n_rates)) else rates  # in place, where it can be
         read = np.where(self.seen[:, outputs, None], delta[:n_rows, n_rates:], 0.0)
         found, dx = np.empty((self.e.size, delta.shape[2])), np.zeros((N_ROWS + 1, n_states, delta.shape[2]))
         dx[0] = 0.0 if begin is None else begin
         for first, last in pairwise([*range(0, n_rows, N_ROWS), n_rows]):
             rows, n = slice(first, last), last - first
-            drive = (self.half[rows] * self.Phi[rows][:, :, rates]) @ delta[rows, :n_rates]
+            drive = (self.half[rows] * self.Phi[rows][:, :, where]) @ delta[rows, :n_rates]
             if outputs.size:
                 drive -= self.Phi_gain[rows][:, :, outputs] @ read[rows]
             end = delta[first + 1 : last + 1, :n_rates]  # the record's last row leads nowhere
-            drive[: len(end), rates] += self.half[rows][: len(end)] * end
+            drive[: len(end), where] += self.half[rows][: len(end)] * end
             for A, pushed, now, after in zip(self.transition[rows], drive, dx[:n], dx[1:], strict=False):
                 np.matmul(A, now, out=after)
                 after += pushed

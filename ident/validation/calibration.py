@@ -23,9 +23,10 @@ from ident.engine import VectorisedModel
 from ident.estimation import FilterResult, Likelihood
 from ident.model import Model
 from ident.numerics import Array, effective_sample_size, wrap
-from ident.validation.prediction_errors import MOST, WARM_UP, SimulationRun
+from ident.validation.prediction_errors import WARM_UP, SimulationRun
 
 STRIDE = 0.2  # of the horizon, between the starts of predictions over it
+MOST_STARTS = 1000  # of a record; errors within a horizon are much alike, so that more say little more
 LATE = 0.2  # of the horizon, or a row where that is longer: within which after its end a sample must come
 HALF, NEARLY_ALL = 0.6744898, 1.9599640  # quantiles of 50 % and 95 %
 BINS = 10
@@ -107,7 +108,7 @@ def horizon_forecasts(
     starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - seconds, STRIDE * seconds)))
     if not starts.size:
         return {}
-    starts = starts[:: -(-starts.size // MOST)]
+    starts = starts[:: -(-starts.size // MOST_STARTS)]
     due = np.searchsorted(t, t[starts] + seconds - 1e-6)
     ends = np.array([_next(np.isfinite(record.y[:, j]), due) for j in range(len(model.outputs))])
     latest = t[starts] + seconds + max(LATE * seconds, 1.01 * float(np.median(np.diff(t))))
