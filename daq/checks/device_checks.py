@@ -506,7 +506,9 @@ def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, Flo
     """Time and offset of the earliest arrival in each block, which is longer for a slow device."""
     long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
     block = ((received - received[0]) / long).astype(int)
-    best = [rows[np.argmin(offset[rows])] for k in np.unique(block) if (rows := np.flatnonzero(block == k)).size > 2]
+    order = np.lexsort((offset, block))  # the earliest of each block first
+    _, first, count = np.unique(block[order], return_index=True, return_counts=True)
+    best = order[first[count > 2]]
     return received[best], offset[best]
 
 

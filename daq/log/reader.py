@@ -34,7 +34,7 @@ from daq.log.segments import open_raw
 from daq.log.tables import resample
 from daq.log.watchdog_note import read_note
 from daq.rig import Rig
-from daq.samples import Ahrs, Command, Esc, PortHealth, Scalar, Servo
+from daq.samples import MEASURED, Ahrs, Command, Esc, PortHealth, Scalar, Servo
 
 _COUNTERS = ("bytes_in", "frames", "checksum_errors", "unparsed_bytes", "dropped", "reconnects")
 _DIRECTIONS = ("rx", "tx")
@@ -76,11 +76,13 @@ class Log:
         self.start, self.end = (ns / NANO for ns in self._file.span_ns or (0, 0))
         self._span_ns = _WHOLE
         self._kept: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
+        self._read_spans: set[tuple[int, int]] = set()  # of which all tables are kept
 
     @contextlib.contextmanager
     def keeping_tables(self) -> Iterator[None]:
-        """Within this, tables are read once, and are not to be written to: for who looks at them more than once."""
-        self._kept = {}
+        """Within this, all tables are read at once with the first, and are not to be written to: for who looks at many
+        of them, and more than once."""
+        self._kept, self._read_spans = {}, set()
         try:
             yield
         finally:
@@ -241,13 +243,16 @@ class Log:
             node = self._only_node(kind, source, node)
         topic = schema.topic(kind, source, node)
         span = _span_ns(begin, end, self._span_ns)
-        if self._kept is not None and (topic, span) in self._kept:
-            return self._kept[topic, span]
         try:
-            table = self._ahrs(topic, source, span) if kind is Ahrs else self._own(kind, topic, span)
-            if self._kept is not None:
-                table.flags.writeable = False
-                self._kept[topic, span] = table
+            if self._kept is None:
+                return self._read_table(kind, topic, source, span)
+            if span not in self._read_spans:
+                self._read_spans.add(span)
+                self._kept |= self._read_tables(span)
+            if (topic, span) not in self._kept:
+                self._kept[topic, span] = self._read_table(kind, topic, source, span)
+            table = self._kept[topic, span]
+            table.flags.writeable = False
             return table
         except MemoryError:
             raise self._error(
@@ -255,19 +260,49 @@ class Log:
                 "read a part of the time (begin, end), or a segment by itself"
             ) from None
 
-    def _own(self, kind: type[Measured], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
-        type_name = schema.TYPES[kind]
-        numbers = self._channels(topic, type_name)
-        fixed = cdr_layout(type_name, b"").dtype
-        table = _Growing(_table_type(kind, [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]))
-        for messages in self._file.read(numbers, *span):
-            rows = self._rows(messages, topic, type_name)
-            part = table.more(len(rows))
-            part["t"] = stamps(rows)
-            columns = schema.own_columns(kind, rows)
-            for name in (part.dtype.names or ())[1:]:
-                part[name] = columns[name]
-        return self._in_order(table.done(), topic, span)
+    def _read_table(
+        self, kind: type[Measured], topic: str, source: str, span: tuple[int, int], join: bool = True
+    ) -> NDArray[np.void]:
+        """One table, by its own reading of the file."""
+        rows = self._rows_of(kind, topic, source, join)
+        try:
+            for messages in self._file.read(rows.channels, *span):
+                rows.take(messages)
+        except _NotNumberedError:
+            return self._read_table(kind, topic, source, span, join=False)
+        return self._in_order(rows.done(), topic, span)
+
+    def _rows_of(self, kind: type[Measured], topic: str, source: str, join: bool = True) -> _Rows:
+        """What becomes the table of a topic; of an AHRS with its other topics, where they are to ``join``. Raises
+        SeatrialError."""
+        return _AhrsRows(self, topic, source, join) if kind is Ahrs else _SampleRows(self, kind, topic)
+
+    def _read_tables(self, span: tuple[int, int]) -> dict[tuple[str, tuple[int, int]], NDArray[np.void]]:
+        """Every table of the log by one reading of the file: its chunks hold all topics. What is wrong with one is said
+        when it is asked for by itself."""
+        rows: dict[str, _Rows] = {}
+        for kind in (*MEASURED, Command):
+            for source in self.sources(kind):
+                nodes = self._nodes(kind) if kind in schema.NODE_TOPICS else [(source, None)]
+                for node in (node for name, node in nodes if name == source):
+                    topic = schema.topic(kind, source, node)
+                    with contextlib.suppress(SeatrialError):
+                        rows[topic] = self._rows_of(kind, topic, source)
+        every = [number for one in rows.values() for number in one.channels]
+        for messages in self._file.read(every, *span):
+            channel = messages.heads["channel"]
+            for topic, one in list(rows.items()):
+                part = messages.where(np.isin(channel, one.channels))
+                try:
+                    if len(part.offsets):
+                        one.take(part)
+                except SeatrialError:
+                    del rows[topic]
+        found = {}
+        for topic, one in rows.items():
+            with contextlib.suppress(SeatrialError):
+                found[topic, span] = self._in_order(one.done(), topic, span)
+        return found
 
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
         nodes = self.nodes(kind, source)
@@ -276,35 +311,6 @@ class Log:
         if node is None and len(nodes) > 1:
             raise self._error(f"{source} has nodes {nodes}: name one")
         return 0 if node is None else node
-
-    def _ahrs(self, topic: str, source: str, span: tuple[int, int], join: bool = True) -> NDArray[np.void]:
-        numbers = {"imu": self._channels(topic, schema.IMU)}
-        for name, (type_name, _) in _COMPANIONS.items() if join else ():
-            with contextlib.suppress(SeatrialError):
-                numbers[name] = self._channels(f"/{source}/{name}", type_name)
-        table, order = _Growing(_table_type(Ahrs)), _Growing(np.dtype(np.uint32))
-        waiting = {name: _Waiting(np.zeros(0, np.uint32), {}) for name in numbers}
-        last = -1
-        for messages in self._file.read([number for group in numbers.values() for number in group], *span):
-            parts = {n: messages.where(np.isin(messages.heads["channel"], group)) for n, group in numbers.items()}
-            own = parts.pop("imu")
-            rows, part = self._rows(own, topic, schema.IMU), table.more(len(own.heads))
-            part["t"], part["t_rx"], part["t_device"] = stamps(rows), own.heads["log_ns"] / NANO, np.nan
-            for name in ("mx", "my", "mz"):
-                part[name] = np.nan
-            for name, column in schema.imu_columns(rows).items():
-                part[name] = column
-            sequence = np.append(last, own.heads["sequence"])
-            if parts and np.any(np.diff(sequence) <= 0):  # not numbered by us
-                return self._ahrs(topic, source, span, join=False)
-            order.more(len(rows))[:] = sequence[1:]
-            last = sequence[-1]
-            for name, companions in parts.items():
-                type_name, fields = _COMPANIONS[name]
-                found = self._rows(companions, f"/{source}/{name}", type_name)
-                columns = {column: found[field] for column, field in fields.items()}
-                waiting[name] = waiting[name].join(companions.heads["sequence"], columns, table.rows, order.rows)
-        return self._in_order(table.done(), topic, span)
 
     def _in_order(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
         if not len(table) and span == _WHOLE:
@@ -465,6 +471,81 @@ class _Growing:
         """All of them."""
         self._all.resize(self._n, refcheck=False)
         return self._all
+
+
+class _Rows:
+    """The table of a topic, that grows with the messages of its ``channels``."""
+
+    def __init__(self, log: Log, topic: str, channels: list[int], dtype: np.dtype[np.void]) -> None:
+        self.topic, self.channels = topic, channels
+        self._log, self._table = log, _Growing(dtype)
+
+    def take(self, messages: Messages) -> None:
+        """The next messages of these channels. Raises SeatrialError."""
+        raise NotImplementedError
+
+    def done(self) -> NDArray[np.void]:
+        """The table."""
+        return self._table.done()
+
+
+class _SampleRows(_Rows):
+    """Of one topic, whose messages are samples."""
+
+    def __init__(self, log: Log, kind: type[Measured], topic: str) -> None:
+        self._kind, self._type_name = kind, schema.TYPES[kind]
+        fixed = cdr_layout(self._type_name, b"").dtype
+        whole = [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]
+        super().__init__(log, topic, log._channels(topic, self._type_name), _table_type(kind, whole))
+
+    def take(self, messages: Messages) -> None:
+        rows = self._log._rows(messages, self.topic, self._type_name)
+        part = self._table.more(len(rows))
+        part["t"] = stamps(rows)
+        columns = schema.own_columns(self._kind, rows)
+        for name in (part.dtype.names or ())[1:]:
+            part[name] = columns[name]
+
+
+class _NotNumberedError(SeatrialError):
+    """Messages of an Imu whose numbers do not ascend: not ours, so that nothing is joined to them."""
+
+
+class _AhrsRows(_Rows):
+    """Of an Imu and the topics that have the rest of its sample."""
+
+    def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
+        self._source, self._numbers = source, {"imu": log._channels(topic, schema.IMU)}
+        for name, (type_name, _) in _COMPANIONS.items() if join else ():
+            with contextlib.suppress(SeatrialError):
+                self._numbers[name] = log._channels(f"/{source}/{name}", type_name)
+        every = [number for group in self._numbers.values() for number in group]
+        super().__init__(log, topic, every, _table_type(Ahrs))
+        self._order = _Growing(np.dtype(np.uint32))
+        self._waiting = {name: _Waiting(np.zeros(0, np.uint32), {}) for name in self._numbers}
+        self._last = -1
+
+    def take(self, messages: Messages) -> None:
+        parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
+        own = parts.pop("imu")
+        rows, part = self._log._rows(own, self.topic, schema.IMU), self._table.more(len(own.heads))
+        part["t"], part["t_rx"], part["t_device"] = stamps(rows), own.heads["log_ns"] / NANO, np.nan
+        for name in ("mx", "my", "mz"):
+            part[name] = np.nan
+        for name, column in schema.imu_columns(rows).items():
+            part[name] = column
+        sequence = np.append(self._last, own.heads["sequence"])
+        if parts and np.any(np.diff(sequence) <= 0):
+            raise _NotNumberedError(self.topic)
+        self._order.more(len(rows))[:] = sequence[1:]
+        self._last = sequence[-1]
+        for name, companions in parts.items():
+            type_name, fields = _COMPANIONS[name]
+            found = self._log._rows(companions, f"/{self._source}/{name}", type_name)
+            columns = {column: found[field] for column, field in fields.items()}
+            waiting = self._waiting[name]
+            table, order = self._table.rows, self._order.rows
+            self._waiting[name] = waiting.join(companions.heads["sequence"], columns, table, order)
 
 
 class _Waiting(NamedTuple):

@@ -243,6 +243,40 @@ def test_a_summary_is_not_believed_where_it_does_not_tell_all(tmp_path: Path) ->
         assert (log.complete, log.warnings) == (True, [])
 
 
+def test_tables_that_are_read_together_are_those_that_are_read_one_by_one(whole: Path, tmp_path: Path) -> None:
+    """Of a whole log, of samples whose parts lie in several chunks, of a cut log, and of one with a chunk twice, in
+    which nothing is joined."""
+    joined = a_run(tmp_path / "run.mcap", 600, chunk=40)
+    data = joined.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: 2 * len(data) // 3])
+    last = RawLog(joined)._chunks[-1]
+    (tmp_path / "twice.mcap").write_bytes(data[: last["stop"]] + data[last["at"] : last["stop"]])
+    for path in (whole, joined, tmp_path / "cut.mcap", tmp_path / "twice.mcap"):
+        with open_log(path) as log:
+            one_by_one = tables(log)
+        with open_log(path) as log, log.keeping_tables():
+            assert repr(tables(log)) == repr(one_by_one), path
+        with open_log(path) as log, log.part(T0 + 1.0, T0 + 2.0).keeping_tables():
+            assert len(log.table(Ahrs, "ahrs")) == len(one_by_one["Ahrs ahrs"])
+
+
+def test_what_is_wrong_with_one_topic_is_said_by_its_table_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    log = LogWriter(path, metadata={}, attachments={}, time_ns=0)
+    good, other, short = (log.channel(topic(Scalar, n), TYPES[Scalar]) for n in ("good", "short", "shorter"))
+    wrong = log.channel(topic(Gnss, "gnss"), TYPES[Scalar])
+    for k in range(5):
+        data = cdr_layout(TYPES[Scalar], b"").pack(k * NANO, 0.0, 0.0, 1.0 * k)
+        for channel, payload in ((good, data), (other, data[:20]), (short, b"\0"), (wrong, data)):
+            log.add(channel, k * NANO, k * NANO, k + 1, payload)
+    log.close()
+    with open_log(path) as opened, opened.keeping_tables():
+        assert opened.table(Scalar, "good")["value"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+        for kind, name in ((Scalar, "short"), (Scalar, "shorter"), (Gnss, "gnss")):
+            with pytest.raises(SeatrialError, match=topic(kind, name)):
+                opened.table(kind, name)
+
+
 MEASURE = """
 import sys
 from benchmarks.measure import peak_mb
