@@ -13,6 +13,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.interpolate import BSpline
 from scipy.linalg import solve_banded
@@ -62,7 +63,7 @@ class TrajectoryLinearisation:
         on."""
         part = copy(self)
         part.record, part.own, part.x = self.record.rows(rows), self.own.rows(rows), self.x[rows]
-        for computed in ("base", "jacobian"):
+        for computed in ("base", "jacobian", "steps"):
             part.__dict__.pop(computed, None)
         return part
 
@@ -75,6 +76,12 @@ class TrajectoryLinearisation:
     def jacobian(self) -> Array:
         """Of the outputs by the state (n_rows, n_outputs, n_states)."""
         return self.rowwise.output_jacobian(self.x, self.own.u, self.values)
+
+    @cached_property
+    def steps(self) -> tuple[Array, NDArray[np.int64]]:
+        """The different lengths of its intervals, s, and which of them each has."""
+        lengths, which = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
+        return lengths, which
 
     def parameter(self, name: str) -> Array:
         """d(rates, outputs) / d parameter, (n_rows, n_states + n_outputs)."""
@@ -147,7 +154,7 @@ class TrajectoryLinearisation:
         coefficients), for each set of values, from those at the first row."""
         n, m = len(self.model.states), begin[0].size
         x = np.column_stack([self.x, np.zeros((len(self.x), m))])
-        steps, step_of = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
+        steps, step_of = self.steps
         found = []
         for z, values in zip(begin, all_values, strict=True):
             drive = rowwise(x, u, values)[:, n : n + m]

@@ -10,22 +10,22 @@ the bench), and stays valid where the innovations are not white.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from ident.data import Record
+from ident.engine import NOWHERE, apply_rows, padded
 from ident.estimation import FilterResult
 from ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
 from ident.numerics import Array, scaled_eigen
 
 BLOCK = 5.0  # s, of the block-robust version
-N_COLUMNS, N_ROWS = 96, 256  # propagated through the filter at a time: a size that fits the cache of the processor
+N_COLUMNS = 96  # propagated through the filter at a time: a size that fits the cache of the processor
 WHOLE, PART = 8192, 2048  # rows; a longer record than the first is done in parts of the second
 ALPHA = 0.05  # family-wise false-alarm probability of the score tests
 P_BLOCK = 0.01  # level of the block-robust version
@@ -146,17 +146,6 @@ class NormalEquations:
         self.blocks.append(sums)
 
 
-class WhitenedRows(NamedTuple):
-    """Rows (n,) of a record that have equally many samples, k: by what these, whitened, change with the outputs (n, k,
-    n_outputs) and with the state (n, k, n_states), both with the innovations' sign; at (n, k): where they are among all
-    samples."""
-
-    rows: NDArray[np.int64]
-    by_output: Array
-    by_state: Array
-    at: NDArray[np.int64]
-
-
 class SensitivityFilter:
     """Propagates columns of sensitivities through the filter of one record.
 
@@ -167,22 +156,31 @@ class SensitivityFilter:
 
     def __init__(self, run: FilterResult, record: Record, jacobian: Array, rows: slice = slice(None)) -> None:
         P_pred, _, Phi = run.covariances(rows)
-        self.half = np.asarray(record.h[rows] / 2)[:, None, None]
+        self.half = np.ascontiguousarray(record.h[rows] / 2)
         self.seen = np.isfinite(record.y[rows]) & ~run.outliers[rows]
         H = np.where(self.seen[:, :, None], jacobian[: len(P_pred)], 0.0)
         cross = P_pred @ H.swapaxes(1, 2)
         S = H @ cross
-        each = np.arange(S.shape[1])
+        n_outputs, n_states = H.shape[1:]
+        each = np.arange(n_outputs)
         S[:, each, each] += np.where(self.seen, run.R, 1.0)  # missing outputs are decoupled, with a gain of zero
         gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
-        self.Phi = np.where(self.half > 0, Phi, np.eye(cross.shape[1]))
-        self.Phi_gain = self.Phi @ gain
-        self.transition = self.Phi - self.Phi_gain @ H  # from one prediction to the next
+        Phi = np.where(self.half[:, None, None] > 0, Phi, np.eye(n_states))
+        Phi_gain = Phi @ gain
         whiten = np.linalg.inv(np.linalg.cholesky(S))
         self.e = (whiten @ np.where(self.seen, run.e[rows], 0.0)[:, :, None])[self.seen][:, 0]
         self.t = np.repeat(record.t[rows], self.seen.sum(axis=1))
-        self.whitened = list(_by_size(self.seen, whiten, H))
-        self.end = np.zeros((cross.shape[1], 0))
+        # From state, rates and outputs to the next state and to the whitened innovations.
+        self.operators = np.zeros((len(Phi), n_states + n_outputs, 2 * n_states + n_outputs))
+        self.operators[:, :n_states, :n_states] = Phi - Phi_gain @ H  # from one prediction to the next
+        self.operators[:, :n_states, n_states : 2 * n_states] = self.half[:, None, None] * Phi
+        self.operators[:, :n_states, 2 * n_states :] = -Phi_gain
+        self.operators[:, n_states:, :n_states] = -whiten @ H
+        self.operators[:, n_states:, 2 * n_states :] = -whiten
+        number = np.cumsum(self.seen).reshape(self.seen.shape) - 1
+        self.at = np.where(self.seen, number, NOWHERE)
+        self.n_states = n_states
+        self.end = np.zeros((n_states, 0))
 
     def __call__(self, columns: Sequence[SensitivityColumns], begin: Array | None = None) -> Array:
         """Whitened sensitivities of the innovations (n_samples, n_columns), of all the candidates' parameters.
@@ -190,56 +188,29 @@ class SensitivityFilter:
         The columns may have one row more, at which the last interval ends; ``begin`` (n_states, n_columns):
         sensitivities of the state before the rows, none at the start of a record.
         """
-        delta, touched = self._together(columns)
-        n_rows, n_states = self.seen.shape[0], self.Phi.shape[1]
-        n_rates = int(np.searchsorted(touched, n_states))
-        rates, outputs = touched[:n_rates], touched[n_rates:] - n_states
-        where = slice(n_rates) if np.array_equal(rates, np.arange(n_rates)) else rates  # in place, where it can be
-        read = np.where(self.seen[:, outputs, None], delta[:n_rows, n_rates:], 0.0)
-        found, dx = np.empty((self.e.size, delta.shape[2])), np.zeros((N_ROWS + 1, n_states, delta.shape[2]))
-        dx[0] = 0.0 if begin is None else begin
-        for first, last in pairwise([*range(0, n_rows, N_ROWS), n_rows]):
-            rows, n = slice(first, last), last - first
-            drive = (self.half[rows] * self.Phi[rows][:, :, where]) @ delta[rows, :n_rates]
-            if outputs.size:
-                drive -= self.Phi_gain[rows][:, :, outputs] @ read[rows]
-            end = delta[first + 1 : last + 1, :n_rates]  # the record's last row leads nowhere
-            drive[: len(end), where] += self.half[rows][: len(end)] * end
-            for A, pushed, now, after in zip(self.transition[rows], drive, dx[:n], dx[1:], strict=False):
-                np.matmul(A, now, out=after)
-                after += pushed
-            for same in self.whitened:
-                chosen = slice(*np.searchsorted(same.rows, (first, last)))
-                among = same.rows[chosen]
-                change = same.by_state[chosen] @ dx[among - first]
-                if outputs.size:
-                    change += same.by_output[chosen][:, :, outputs] @ read[among]
-                found[same.at[chosen]] = change
-            dx[0] = dx[n]
-        self.end = dx[0].copy()
-        return found
+        drive, touched, width = self._together(columns)
+        first = np.zeros((self.n_states, drive.shape[2]))
+        if begin is not None:
+            first[:, :width] = begin
+        found = np.empty((self.e.size, drive.shape[2]))
+        rates = touched[touched < self.n_states]
+        end = apply_rows(self.operators, drive, touched, self.half, rates, first, self.at, found)
+        self.end = end[:, :width].copy()
+        return found[:, :width]
 
-    def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64]]:
-        """Sensitivities of all candidates (n_rows, n_touched, n_columns), and the rates and outputs that they touch."""
-        every = np.arange(self.Phi.shape[1] + self.seen.shape[1])
+    def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64], int]:
+        """Sensitivities of all candidates (n_rows + 1, n_touched, at least n_columns), zero where they end, the rates
+        and outputs that they touch, and n_columns."""
+        every = np.arange(self.n_states + self.seen.shape[1])
         each = [every if c.touched is None else c.touched for c in columns]
         touched = np.unique(np.concatenate(each))
-        widths = [c.delta.shape[2] for c in columns]
-        delta, first = np.zeros((len(columns[0].delta), touched.size, sum(widths))), 0
-        for c, own, width in zip(columns, each, widths, strict=True):
-            delta[:, np.searchsorted(touched, own), first : first + width] = c.delta
-            first += width
-        return delta, touched
-
-
-def _by_size(seen: NDArray[np.bool_], whiten: Array, H: Array) -> Iterator[WhitenedRows]:
-    """The rows that have samples, by how many; whiten (n_rows, n_outputs, n_outputs)."""
-    sizes = seen.sum(axis=1)
-    begin = np.cumsum(sizes) - sizes
-    for size in np.unique(sizes[sizes > 0]).tolist():
-        rows = np.flatnonzero(sizes == size)
-        by_output = -whiten[rows][seen[rows]].reshape(rows.size, size, -1)
-        yield WhitenedRows(rows, by_output, by_output @ H[rows], begin[rows, None] + np.arange(size))
+        width, n = sum(c.delta.shape[2] for c in columns), len(self.seen)
+        drive, first = np.zeros((n + 1, touched.size, padded(width))), 0
+        for c, own in zip(columns, each, strict=True):
+            last = first + c.delta.shape[2]
+            drive[: len(c.delta), np.searchsorted(touched, own), first:last] = c.delta[: n + 1]
+            first = last
+        return drive, touched, width
 
 
 def propagate_sensitivities(

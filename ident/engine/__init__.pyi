@@ -7,4 +7,7 @@ from .filter_kernels import programs_for as programs_for
 from .jit import quickly as quickly
 from .kernel import ArenaPool as ArenaPool
 from .kernel import Kernel as Kernel
+from .row_operators import NOWHERE as NOWHERE
+from .row_operators import apply_rows as apply_rows
+from .row_operators import padded as padded
 from .vectorised_model import VectorisedModel as VectorisedModel

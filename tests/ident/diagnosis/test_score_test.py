@@ -15,7 +15,6 @@ from ident.diagnosis import score_test
 from ident.diagnosis.candidates import TrajectoryLinearisation, normal_equations
 from ident.diagnosis.score_test import (
     BLOCK,
-    N_ROWS,
     ColumnIndex,
     NormalEquations,
     PriorTerms,
@@ -165,7 +164,7 @@ def whitened(run: FilterResult, e: np.ndarray, H: np.ndarray) -> np.ndarray:
 
 def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None:
     """The effects are linear, so the gains do not move and differences of whole filter runs are exact."""
-    record = slide(8, 2 * N_ROWS + 50)  # more than is carried at once
+    record = slide(8, 562)
     record = replace(record, t=np.cumsum(np.random.default_rng(8).uniform(0.05, 0.15, record.n_rows)))
     model = slider() + PUSH + TAPE
     values = np.array(list(model.values.values()))
