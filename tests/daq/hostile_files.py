@@ -45,7 +45,7 @@ from daq.samples import Ahrs, Gnss
 from tests.daq.csv_files import MAP, ROWS
 from tests.daq.importers.test_mavlink import dataflash, tlog
 from tests.daq.importers.test_ros import STORE, N, fix, imu
-from tests.daq.importers.test_ulog import write_ulog
+from tests.daq.importers.test_ulog import flight
 from tests.daq.logs import write_everything
 from tests.ident.workflows.test_information import write_model
 from tests.missions import boat_log, boat_with
@@ -205,7 +205,7 @@ class Bases:
         write_model(folder / "made/model.toml")
         tlog(folder / "run.tlog")
         dataflash(folder / "run.BIN")
-        write_ulog(folder / "run.ulg")
+        flight(folder / "run.ulg")
         for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
             with BagWriter(folder / f"bag-{plugin.name}", version=9, storage_plugin=plugin) as writer:
                 for topic, kind, make in (
