@@ -159,15 +159,16 @@ class Autopilots:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
             raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
         if self._n_max > self._rig.limits.link_test_n:
-            link = self.await_receivers()[device.name]
-            seconds = require_link_test(self._rig, device.name, link, self._n_max)
+            seconds = require_link_test(self._rig, device.name, self._await_receiver(device), self._n_max)
             self._acquisition.mark("parameter", f"{device.name}: a lost link was tested, neutral after {seconds:.2f} s")
 
     def await_receivers(self) -> dict[str, LinkStatus]:
         """What each autopilot says of itself, once it has said whether it hears a receiver, or had its time to."""
-        for device in self._devices:
-            self._await(device, lambda link: link.receiver is not None, RECEIVER_S)
-        return {device.name: self._link(device) for device in self._devices}
+        return {device.name: self._await_receiver(device) for device in self._devices}
+
+    def _await_receiver(self, device: Device) -> LinkStatus:
+        self._await(device, lambda link: link.receiver is not None, RECEIVER_S)
+        return self._link(device)
 
     def _await_estimator(self, device: Device) -> None:
         def ready(link: LinkStatus) -> bool:

@@ -38,8 +38,8 @@ class _Reader:
     """Messages -> samples, by type, and what `joined` adds to them: where no shaft speed of a log is below zero, its
     sign is that of the output."""
 
-    def __init__(self, rig: Rig | None, device: Device | None, vehicle: int = NO_TYPE) -> None:
-        self._vehicle = vehicle  # MAV_TYPE
+    def __init__(self, rig: Rig | None, device: Device | None) -> None:
+        self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
         self._imu: list[tuple[float, ...]] = []  # time and readings
@@ -133,7 +133,7 @@ class _Reader:
 
     def _mode(self, m: Any) -> Found:
         self._pilot = replace(self._pilot, mode=m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode))
-        return [self._pilot, Event("autopilot", mode_name(self._pilot.mode, self._vehicle))]
+        return [self._pilot, Event("autopilot", mode_name(self._pilot.mode, self.vehicle))]
 
     def _arm(self, m: Any) -> Found:
         self._pilot = replace(self._pilot, armed=int(bool(m.ArmState)), state=3 + bool(m.ArmState))
@@ -152,13 +152,13 @@ class _Reader:
 
 def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str, dict[str, float]]:
     """The samples of a DataFlash log, a summary, and its parameters. Raises SeatrialError where it holds none."""
-    reader = _Reader(rig, device)  # until the log says of what vehicle it is
+    reader = _Reader(rig, device)
     rows: list[Timed] = []
     n_messages, skipped, stopped = 0, 0, ""
     strange: Counter[str] = Counter()
     try:
         with _opened(path) as log:
-            reader = _Reader(rig, device, _vehicle(log))
+            reader.vehicle = _vehicle(log)
             skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
                 n_messages += 1

@@ -108,31 +108,31 @@ def record(frame: str, folder: Path, seconds: float, missions: int) -> None:
 
 def fit(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
     """The result of `ident vehicle` on all missions of a source but the last, with that one to judge by."""
-    thrust = GIVEN[frame.removesuffix(WAVES)]
-    given = [word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}")]
-    words = ("vehicle", "--model", "nomoto", "--effect", "sideslip", *given)
-    return identified(source, folder, missions, f"fit-{source}-sideslip", *words)
+    return identified(source, folder, missions, f"fit-{source}-sideslip", *fitting(frame), "--effect", "sideslip")
 
 
 def diagnosed(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
     """The result of `ident diagnose` on the same, of a fit without the effect."""
-    thrust = GIVEN[frame.removesuffix(WAVES)]
-    given = [word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}")]
-    identified(source, folder, missions, f"plain-{source}", "vehicle", "--model", "nomoto", *given)
+    identified(source, folder, missions, f"plain-{source}", *fitting(frame))
     return identified(source, folder, missions, f"diag-{source}", "diagnose", f"plain-{source}/model.toml")
 
 
-def identified(source: str, folder: Path, missions: int, out: str, command_name: str, *words: str) -> dict[str, Any]:
-    """The result of a command of ident on the logs of a source."""
+def fitting(frame: str) -> list[str]:
+    """`vehicle` with the thrust that is given."""
+    thrust = GIVEN[frame.removesuffix(WAVES)]
+    given = (word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}"))
+    return ["vehicle", "--model", "nomoto", *given]
+
+
+def identified(source: str, folder: Path, missions: int, out: str, *words: str) -> dict[str, Any]:
+    """The result of a command of ident, and what stands before its logs, on those of a source."""
     if not (folder / out / "result.json").exists():
         for k in range(1, missions + 1) if source != "live" and not (folder / f"{source}1.mcap").exists() else ():
             how = ("--rig", "rig.toml", "-o", f"{source}{k}.mcap", "--force")
             command("import", "mavlink", f"{k}.{source}", *how, cwd=folder)
-        first = words[:1] if command_name == "diagnose" else ()  # the model stands before the logs
         logs = (*(f"{source}{k}.mcap" for k in range(1, missions)), "--validate", f"{source}{missions}.mcap")
         # a busy machine holds the simulator up now and then, which is a jump of its clock
-        rest = (*words[len(first) :], "--despite-faults", "--out", out, "--force")
-        command("ident", command_name, *first, *logs, *rest, cwd=folder)
+        command("ident", *words, *logs, "--despite-faults", "--out", out, "--force", cwd=folder)
     result: dict[str, Any] = msgspec.json.decode((folder / out / "result.json").read_bytes())
     return result
 

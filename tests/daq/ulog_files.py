@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.util
 import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pytest
+
+needs_pyulog = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="pyulog is not installed")
 
 
 class Topic(NamedTuple):

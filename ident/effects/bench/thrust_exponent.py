@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ident.model import Effect, Parameter, Signals
@@ -9,8 +11,19 @@ from ident.model import Effect, Parameter, Signals
 AT_REST = 1e-6  # added to the squared shaft speed, so that its logarithm exists at rest
 
 
+EXPONENT = Parameter(
+    "p_n", 0.0, "", "exponent of the shaft speed, less two", prior=(0.0, 0.5), bounds=(-1.5, 2.0), step=0.01
+)
+SOURCE = "Reynolds number and cavitation; manufacturers' curves have exponents of 1.8 to 2.3"
+
+
+def factor(n: Any, p_n: Any) -> Any:
+    """What the power makes of a quadratic thrust at shaft speed n."""
+    return np.exp(p_n / 2 * np.log(n * n + AT_REST))
+
+
 def bend(s: Signals) -> None:
-    s.force = s.force * np.exp(s.p.p_n / 2 * np.log(s.n * s.n + AT_REST))
+    s.force = s.force * factor(s.n, s.p.p_n)
 
 
 EFFECT = Effect(
@@ -18,13 +31,9 @@ EFFECT = Effect(
     title="a thrust-curve exponent other than two",
     place="actuator",
     hooks={"thrust": bend},
-    parameters=(
-        Parameter(
-            "p_n", 0.0, "", "exponent of the shaft speed, less two", prior=(0.0, 0.5), bounds=(-1.5, 2.0), step=0.01
-        ),
-    ),
+    parameters=(EXPONENT,),
     formula="f = (c1 n|n| + c2 n^2) |n|^p_n",
-    source="Reynolds number and cavitation; manufacturers' curves have exponents of 1.8 to 2.3",
+    source=SOURCE,
     experiment="many levels of steady speed, those below a third of full speed held long",
     requires=("bench", "thrust"),
     alternatives=("thrust-dead-band", "reverse-loss"),

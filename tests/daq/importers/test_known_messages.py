@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +19,7 @@ from daq.importers.import_files import import_files
 from daq.log.reader import open_log
 from daq.samples import Scalar
 from tests.daq.csv_files import values
-from tests.daq.ulog_files import Topic, write_ulog
+from tests.daq.ulog_files import Topic, needs_pyulog, write_ulog
 
 N = 12
 T0 = 1_700_000_000.0
@@ -131,7 +130,7 @@ PX4: tuple[tuple[str, str, str, tuple[float, ...], dict[str, float]], ...] = (
 )  # fmt: skip
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, reason="pyulog is not installed")
+@needs_pyulog
 @pytest.mark.parametrize(("name", "fields", "form", "row", "expected"), PX4)
 def test_a_topic_of_px4(
     tmp_path: Path, name: str, fields: str, form: str, row: tuple[float, ...], expected: dict[str, float]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import sys
 from pathlib import Path
@@ -15,9 +14,8 @@ from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
 from daq.log.reader import open_log
 from daq.samples import Scalar
-from tests.daq.ulog_files import Topic, write_ulog
+from tests.daq.ulog_files import Topic, needs_pyulog, write_ulog
 
-HAS_PYULOG = importlib.util.find_spec("pyulog") is not None
 UTC = 1_700_000_000.0
 BOOT = 5.0  # s on the autopilot's clock at its first message
 N = 30
@@ -47,7 +45,7 @@ def flight(path: Path) -> None:
     write_ulog(path, {name: Topic(*FORMATS[name], t, found) for name, found in rows.items()}, BOOT)
 
 
-@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+@needs_pyulog
 def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
     flight(tmp_path / "flight.ulg")
     guess = guess_map(tmp_path / "flight.ulg")
@@ -64,7 +62,7 @@ def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
     np.testing.assert_allclose(table["x"]["value"], 0.0, atol=1e-9)
 
 
-@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+@needs_pyulog
 def test_a_topic_without_times_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "flight.ulg"
     flight(path)
@@ -72,7 +70,7 @@ def test_a_topic_without_times_is_left_out(tmp_path: Path) -> None:
     assert "vehicle_attitude" not in guess_map(path).text
 
 
-@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+@needs_pyulog
 def test_a_file_in_which_the_reader_goes_back_for_ever_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "loop.ulg"
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffD" * 30_000)  # the last ones end beyond the file
@@ -80,7 +78,7 @@ def test_a_file_in_which_the_reader_goes_back_for_ever_is_one_line(tmp_path: Pat
         guess_map(path)
 
 
-@pytest.mark.skipif(not HAS_PYULOG, reason="pyulog is not installed")
+@needs_pyulog
 def test_a_file_that_is_damaged(tmp_path: Path) -> None:
     (tmp_path / "x.ulg").write_bytes(b"ULog\x01\x12\x35")
     with pytest.raises(SeatrialError, match=r"x\.ulg: cannot be read as a PX4 log"):
