@@ -31,6 +31,7 @@ BLOCK, FEWEST_BLOCKS = 5.0, 6  # s, at least, of residuals that are taken togeth
 SIGNIFICANT_T = 4.5
 SURE = ((SIGNIFICANT_T, 0.05), (3.0, 0.3))
 LEANING_T = 2.0  # from which an effect has a sign beside another that is sure
+FELT_T = 3.0  # from which a push ahead is felt: in a minute's log a thruster may turn the boat too little to be seen
 COURSE_HALF = 1.0  # s either way, over which positions are differenced for a course
 SLOWEST = 0.3  # m/s, over ground: a slower boat's course says nothing of its turning
 DEAD_RATIO = 0.4  # of the strongest thruster's effect: one that is surely less, and has no sign, is none
@@ -115,7 +116,7 @@ def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]
                 "it pushes astern when it is told ahead",
                 "`reversed` of the rig, two of the motor's phases, or a propeller of the other hand",
             )
-        elif most[k] < DEAD_RATIO and not (yaw[k] > 0 or surge[k] > 0):
+        elif most[k] < DEAD_RATIO and not (yaw[k] > 0 or surge[k] > 0 or found.surge.t[k] > FELT_T):
             yield Finding(
                 "fault",
                 "thruster-without-effect",

@@ -131,7 +131,11 @@ def heading_match(c: Channels) -> Match | None:
 
 
 def velocity_match(c: Channels) -> Match | None:
-    """Increments of the velocity over ground on the specific force turned by the heading; None for a calm run."""
+    """Increments of the velocity over ground on the specific force turned by the heading; None for a calm run.
+
+    An antenna away from the accelerometers has a velocity of its own in every turn, which a lag of either sign explains
+    in part: where yaw rate is measured, that of an arm ahead and one to starboard is regressed on, too.
+    """
     names = ("psi", "ax", "ay", "vx", "vy")
     if not set(names) <= set(c) or c["vx"].t.size < 50:
         return None
@@ -143,6 +147,9 @@ def velocity_match(c: Channels) -> Match | None:
     cos, sin = np.cos(psi), np.sin(psi)
     north = [cumulative(t, s) for s in (cos * ax - sin * ay, cos, -sin)]
     east = [cumulative(t, s) for s in (sin * ax + cos * ay, sin, cos)]
+    if "r" in c:
+        r = np.interp(t, c["r"].t, c["r"].value)
+        north, east = [*north, -r * sin, -r * cos], [*east, r * cos, -r * sin]
     moved = [np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy")]
     return _best(t, moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
 

@@ -131,8 +131,9 @@ def _residuals(
 ) -> str:
     """Each at 1 % over all channels, tests and inputs together (Bonferroni)."""
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
-    pairs = [(c.p, c.input) for c in cross if c.p is not None]
-    known = {name for p, name in pairs if p * len(pairs) < LEVEL}
+    pairs = [c for c in cross if c.p is not None]
+    left = [c for c in pairs if c.p is not None and c.p * len(pairs) < LEVEL]
+    known = {c.input for c in left}
     coloured = any(p is not None and p * len(tests) < LEVEL for p in tests)
     if not tests:
         least = f"that takes {FEWEST} samples of a channel"
@@ -147,9 +148,16 @@ def _residuals(
             f"The residuals still know {named}, which the model takes as measured: that may be the noise of these "
             f"measurements and need not be a lack of the model{'. They are not white' if coloured else ''}."
         )
-    end = "The residuals still know the inputs" if known else "The residuals are not white"
-    how = ": run `seatrial ident diagnose` to find what is missing" if searchable else ": the model lacks something"
+    end = f"The residuals still know the inputs{_by_how_much(left)}" if known else "The residuals are not white"
+    either = ": the model lacks something, or the noise of a sensor is correlated"
+    how = ": run `seatrial ident diagnose` to see whether an effect is missing" if searchable else either
     return f"{end}{how}."
+
+
+def _by_how_much(left: Sequence[CrossCorrelation]) -> str:
+    """A long record shows correlations that do not matter."""
+    most = max((c for c in left if c.largest is not None), key=lambda c: c.largest or 0.0, default=None)
+    return "" if most is None else f" (correlation up to {most.largest:.2g}, {NAMES.get(most.channel, most.channel)})"
 
 
 def _unseen(errors: Errors, residuals: Sequence[ResidualTests]) -> str:

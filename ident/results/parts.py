@@ -332,6 +332,9 @@ class CorrelationTest(Part, frozen=True, kw_only=True):
 
     z: Annotated[Array, Meta(description="in standard deviations under independence, at `lags`")]
     p: Annotated[float | None, Meta(description="of the largest, over all lags")]
+    largest: Annotated[
+        float | None, Meta(description="coefficient of correlation over all lags, by its absolute value")
+    ] = None
 
 
 class CrossCorrelation(CorrelationTest, frozen=True, kw_only=True):

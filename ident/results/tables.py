@@ -351,7 +351,10 @@ def cross_correlations(
 
 def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelation]:
     """Of one channel with each input; ``after``: of another model, beside it."""
-    later = {} if after is None else {c.input: CorrelationTest(z=c.z, p=finite(c.p)) for c in after.inputs}
+    later = {
+        c.input: CorrelationTest(z=c.z, p=finite(c.p), largest=finite(c.largest))
+        for c in (() if after is None else after.inputs)
+    }
     return [
         CrossCorrelation(
             record=r.record,
@@ -360,6 +363,7 @@ def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> li
             lags=c.lags,
             z=c.z,
             p=finite(c.p),
+            largest=finite(c.largest),
             after=later.get(c.input),
         )
         for c in r.inputs

@@ -25,7 +25,7 @@ from ident.validation.prediction_errors import (
     prediction_change_by_record,
     simulation_run,
 )
-from ident.validation.whiteness import CrossCorrelation, Whiteness, cross_correlation, whiteness_test
+from ident.validation.whiteness import CrossCorrelation, Whiteness, autoregression, cross_correlation, whiteness_test
 
 FEWEST = 60  # samples of a channel whose residuals are tested
 
@@ -171,8 +171,10 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
         if good.sum() < FEWEST or not np.ptp(eps[good, j]):
             continue
         t, e = record.t[good], eps[good, j]
+        colour = autoregression(e)
         inputs = tuple(
-            cross_correlation(o.name, t, e, name, record.t, record.u[:, k]) for k, name, _ in shown_inputs(model)
+            cross_correlation(o.name, t, e, name, record.t, record.u[:, k], colour)
+            for k, name, _ in shown_inputs(model)
         )
         found.append(ChannelResiduals(record.name, o.name, o.unit, t, e, whiteness_test(o.name, t, e), inputs))
     return found

@@ -31,6 +31,7 @@ MIN_BINS = 8  # of the lowest band, which ends at zero
 BLOCK_ROWS = 65536  # of that regression, done at once
 OUTLYING = 6.0  # standard deviations: of normal innovations one in 5e8 is beyond
 N_LAGS = 25  # of the autocorrelation of innovations that is shown
+LAGS_OF_INPUT = np.linspace(0.0, 3.0, 31)  # s, at which innovations are correlated with an input
 SAMPLES_PER_LAG = 20  # for each lag of the Ljung-Box statistic
 
 
@@ -116,19 +117,43 @@ class CrossCorrelation:
     lags: Array  # s
     z: Array  # correlation in units of its standard deviation under independence
     p: float  # of the largest, over all lags
+    largest: float  # coefficient of correlation over all lags, by its absolute value
 
 
 def cross_correlation(
-    channel: str, t: Array, e: Array, input_name: str, t_u: Array, u: Array, horizon: float = 3.0, n_lags: int = 31
+    channel: str, t: Array, e: Array, input_name: str, t_u: Array, u: Array, coefficients: Array | None = None
 ) -> CrossCorrelation:
-    """Correlation of e(t) with the input at t - lag. White innovations make z standard normal, lags correlated as the
-    input's are: p is Hunter's bound (1976) on the largest of all, tight where it is small, whatever the input."""
-    lags = np.linspace(0.0, horizon, n_lags)
+    """Correlation of e(t) with the input at t - lag, over its standard deviation if the two are independent.
+
+    White innovations make z standard normal, lags correlated as the input's are. Of innovations that are correlated
+    among themselves, as the errors of a receiver or an estimator are, it would be wider without any input in them:
+    there the variance is that of the input's spectrum times theirs, by an autoregression (Ljung 1999, section 16.6)
+    with these ``coefficients``, by default those of `autoregression`. p is Hunter's bound (1976) on the largest of all,
+    tight where it is small, whatever the input.
+    """
     sd = e.std()
-    past = np.array([_moved(np.interp(t - lag, t_u, u)) for lag in lags])
-    z = past @ e / sd if sd > 0 else np.zeros(n_lags)
+    past = np.array([_moved(np.interp(t - lag, t_u, u)) for lag in LAGS_OF_INPUT])
+    z = past @ e / sd if sd > 0 else np.zeros(LAGS_OF_INPUT.size)
+    largest = float(np.abs(z).max()) / np.sqrt(e.size)
     together = np.abs(np.sum(past[1:] * past[:-1], axis=1))
-    return CrossCorrelation(channel, input_name, lags, z, _any_lag(float(np.abs(z).max()), together))
+    coefficients = autoregression(e) if coefficients is None else coefficients
+    if coefficients.size and past[0].any():
+        own, neighbours = _coloured(past[:2], coefficients)  # the same at all lags, but for the first seconds
+        z, together = z / np.sqrt(own), np.full(z.size - 1, abs(neighbours / own))
+    return CrossCorrelation(channel, input_name, LAGS_OF_INPUT, z, _any_lag(float(np.abs(z).max()), together), largest)
+
+
+def _coloured(past: Array, coefficients: Array) -> tuple[float, float]:
+    """Variance of the correlation of past[0] (n,), of norm one, with an autoregression of variance one, and covariance
+    with that of past[1]."""
+    size = 2 * past.shape[1]
+    gain = np.abs(np.fft.rfft(np.append(1.0, -coefficients), size)) ** 2
+    one, other = np.fft.rfft(past, size)
+    each = np.full(gain.size, 2.0)
+    each[[0, -1]] = 1.0
+    density = each / np.maximum(gain, np.finfo(float).tiny)
+    density /= density.sum()
+    return float(density @ np.abs(one) ** 2), float(density @ (one * other.conj()).real)
 
 
 def _moved(past: Array) -> Array:
@@ -270,6 +295,35 @@ def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
 
 def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
     """A regression on a constant and lags; p by the likelihood ratio, Bonferroni over the orders."""
+    found = _regression(e, most_lags)
+    n, left, chosen, total = found.n, found.left, found.chosen, found.left[0]
+    if chosen == 0:
+        return Predictable(0.0, 0, 1.0)
+    p = float(stats.chi2.sf(n * np.log(total / left[chosen]), chosen)) * (left.size - 1)
+    return Predictable(float(1 - (left[chosen] / (n - chosen)) / (total / n)), chosen, min(1.0, p))
+
+
+def autoregression(e: Array, most_lags: int = MAX_LAGS) -> Array:
+    """Coefficients (order,) of the regression of e (n,) on its past, latest first; none where it is white. The order is
+    that of the least BIC (Schwarz 1978)."""
+    found = _regression(e, most_lags)
+    if found.chosen < 2:
+        return np.zeros(0)
+    upper = found.factor[: found.chosen, : found.chosen].T
+    return np.asarray(np.linalg.solve(upper, found.factor[-1, : found.chosen]))[1:]
+
+
+class _Regression(NamedTuple):
+    """On a constant and lags, ``n`` samples: ``left`` (orders,) squares with the first 0, 1, ... of them, ``chosen``:
+    by BIC; ``factor``: the Cholesky factor of all their products, what is regressed last."""
+
+    n: int
+    left: Array
+    chosen: int
+    factor: Array
+
+
+def _regression(e: Array, most_lags: int) -> _Regression:
     e = e / (np.sqrt(np.mean(e**2)) or 1.0)  # beside the constant: else what follows would depend on the unit
     most = min(most_lags, e.size // 10)
     windows = np.lib.stride_tricks.sliding_window_view(e, most + 1)[:, ::-1]
@@ -283,11 +337,7 @@ def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
     factor = np.linalg.cholesky(gram + 1e-9 * total * np.eye(most + 2))  # what a smooth signal leaves is singular
     left = total - np.append(0.0, np.cumsum(factor[-1, :-1] ** 2))
     order = np.arange(left.size)
-    chosen = int(np.argmin(n * np.log(left / n) + order * np.log(n)))
-    if chosen == 0:
-        return Predictable(0.0, 0, 1.0)
-    p = float(stats.chi2.sf(n * np.log(total / left[chosen]), chosen)) * (left.size - 1)
-    return Predictable(float(1 - (left[chosen] / (n - chosen)) / (total / n)), chosen, min(1.0, p))
+    return _Regression(n, left, int(np.argmin(n * np.log(left / n) + order * np.log(n))), factor)
 
 
 def line(e: Array) -> SpectralLine:

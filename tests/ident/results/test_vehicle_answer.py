@@ -79,7 +79,13 @@ def test_a_finding_of_many_logs_is_said_once() -> None:
 WHITE = "The residuals are white and know nothing of the inputs"
 
 
-def said(residuals: list[float], cross: list[tuple[str, float]], channels: str = "x") -> str:
+def said(
+    residuals: list[float],
+    cross: list[tuple[str, float]],
+    channels: str = "x",
+    correlations: list[float] | None = None,
+    searchable: bool = False,
+) -> str:
     none = np.empty(0)
     rows = [
         ResidualTests(record="r", channel="x", unit="m", t=none, e=none, lags=none, acf=none, band=0.1, ljung_box_p=p,
@@ -88,11 +94,12 @@ def said(residuals: list[float], cross: list[tuple[str, float]], channels: str =
         for p in residuals
     ]
     with_inputs = [
-        CrossCorrelation(record="r", channel="x", input=name, lags=none, z=none, p=p) for name, p in cross
+        CrossCorrelation(record="r", channel="x", input=name, lags=none, z=none, p=p, largest=largest)
+        for (name, p), largest in zip(cross, correlations or [None] * len(cross), strict=True)
     ]
     one_step = dict.fromkeys(channels, ErrorComparison(after=1.0, unit="m"))
     errors = Errors(estimation=ErrorTable(one_step=one_step, horizon={}, simulation={}))
-    return vehicle_answer(None, errors, 10.0, rows, with_inputs, searchable=False)
+    return vehicle_answer(None, errors, 10.0, rows, with_inputs, searchable=searchable)
 
 
 RATIOS = st.floats(0.01, 100.0) | st.floats(0.98, 1.02)
@@ -191,6 +198,15 @@ def test_many_tests_are_weighed_together() -> None:
     assert said([0.004], []).startswith("The residuals are not white")
     assert said([0.5], [("n", 0.002)]).startswith("The residuals still know the inputs")
     assert said([1e-5] + [0.5] * 7, []).startswith("The residuals are not white")
+
+
+def test_how_much_of_an_input_is_left_is_said_and_nothing_is_promised() -> None:
+    """A long record shows correlations that do not matter, and the noise of a filter is no lack of the model."""
+    known = said([0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True)
+    assert known == ("The residuals still know the inputs (correlation up to 0.071, north): run `seatrial ident "
+                     "diagnose` to see whether an effect is missing.")
+    assert said([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
+    assert said([1e-9], []).endswith(": the model lacks something, or the noise of a sensor is correlated.")
 
 
 def test_an_input_that_is_a_measurement_is_no_proof() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from ident.validation.whiteness import cross_correlation, whiteness_test
+from ident.validation.whiteness import autoregression, cross_correlation, whiteness_test
 
 N_SETS, N = 400, 1000
 T = 0.1 * np.arange(N)
@@ -132,6 +132,44 @@ def test_what_an_input_leaves_in_the_innovations_is_found_at_its_lag() -> None:
     assert (c.channel, c.input) == ("ax", "n_left")
     later = cross_correlation("ax", T, np.interp(T + 1.0, t_u, u), "n_left", t_u, u)  # what comes after is no cause
     assert later.p > 1e-3
+
+
+COLOURS = {"slow": [1.0, -0.95], "fast": [1.0, 0.6], "oscillating": [1.0, -1.6, 0.9]}
+
+
+@pytest.mark.parametrize("colour", COLOURS)
+@pytest.mark.parametrize("kind", ["chirp", "long holds"])
+def test_innovations_that_remember_know_an_input_as_rarely_as_p_says(kind: str, colour: str) -> None:
+    """As those of a receiver that wanders do, or of an estimator: taken for white, they know every input."""
+    rng, trials = np.random.default_rng(9), 600
+    e = signal.lfilter([1.0], COLOURS[colour], rng.normal(size=(trials, N + 200)))[:, 200:]
+    found = [cross_correlation("r", T, own, "n", T, LIVELY[kind](rng, N)) for own in e]
+    p, z = np.array([c.p for c in found]), np.array([c.z for c in found])
+    for level in (0.05, 0.01):
+        assert np.sum(p < level) <= stats.binom.interval(0.999, trials, level * 1.5)[1]
+    assert 0.6 < z.std() < 1.25
+
+
+def test_what_an_input_leaves_is_found_in_innovations_that_remember_too() -> None:
+    rng = np.random.default_rng(10)
+    u = rng.choice([-1.0, 1.0], N // 5).repeat(5)
+    e = signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=N)) + 1.5 * np.interp(T - 0.7, T, u)
+    c = cross_correlation("ax", T, e, "n", T, u)
+    assert c.p < 1e-4
+    assert c.lags[np.argmax(c.z)] == pytest.approx(0.7, abs=0.11)
+
+
+def test_the_coefficient_of_correlation_is_that_of_numpy() -> None:
+    rng = np.random.default_rng(11)
+    e, u = rng.normal(size=(2, N))
+    c = cross_correlation("r", T, e + 0.2 * u, "n", T, u)
+    assert c.largest == pytest.approx(abs(np.corrcoef(e + 0.2 * u, u)[0, 1]), abs=1e-6)
+
+
+def test_an_autoregression_is_that_of_its_filter() -> None:
+    e = signal.lfilter([1.0], [1.0, -0.5, 0.3], np.random.default_rng(12).normal(size=20_000))
+    np.testing.assert_allclose(autoregression(e), [0.5, -0.3], atol=0.03)
+    assert autoregression(np.random.default_rng(13).normal(size=2000)).size == 0
 
 
 def test_an_input_that_does_not_move_says_nothing() -> None:
