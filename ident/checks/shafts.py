@@ -25,6 +25,7 @@ DEAD_BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command, t
 MAX_DELAY, MAX_DEAD_BAND = 0.6, 0.15  # s; of full command: what is still usual for an ESC
 MIN_COMMAND, MIN_SPEED = 0.1, 0.02  # of full command, of full speed: from which a shaft should turn, and turns
 MIN_HOLD, MIN_STEP = 4.0, 0.05  # s; of full command: from which the end of a step is known, and its size
+ASTERN = -0.05  # of the speed at which a shaft settles: beyond it turns the other way, and does not stand
 MIN_TOLD = 1.0  # s of command, after which a shaft that has not moved is dead
 FEWEST = 40  # samples of the common grid
 SEARCHED = 36_000  # samples of it, from the first command on, in which delay, lag and dead band are searched
@@ -286,16 +287,21 @@ def _steps(name: str, told: Channel, shaft: Channel) -> Iterator[Finding]:
             "shaft-speed-drops-out",
             "drop-out",
             name,
-            f"its speed falls to nothing {gone} times while it is told to turn",
+            f"its speed falls to nothing {'once' if gone == 1 else f'{gone} times'} while it is told to turn",
             "its sensor or its power; fit with --robust",
         )
 
 
 def _drop_outs(held: Hold) -> int:
-    """How often the shaft's speed falls to nothing after it has come near to where it settles."""
-    near = np.flatnonzero(held.values / held.settled > 0.8)
-    after = held.values[near[0] :] if near.size else held.values[:0]
-    return int(np.sum(np.diff((np.abs(after) < 0.01 * abs(held.level)).astype(int)) > 0))
+    """How often the shaft's speed falls to nothing after it has come near to where it settles, and not on its way to
+    the other side of nothing, where the command before sent it."""
+    speed = held.values / held.settled
+    near = np.flatnonzero(speed > 0.8)
+    speed = speed[near[0] :] if near.size else speed[:0]
+    gone = np.abs(speed * held.settled) < 0.01 * abs(held.level)
+    begins = np.flatnonzero(gone[1:] & ~gone[:-1]) + 1
+    ends = [b + int(np.argmin(gone[b:])) if not gone[b:].all() else speed.size - 1 for b in begins.tolist()]
+    return sum(speed[b - 1] > ASTERN and speed[e] > ASTERN for b, e in zip(begins.tolist(), ends, strict=True))
 
 
 def _limit(name: str, there: list[Hold]) -> Iterator[Finding]:

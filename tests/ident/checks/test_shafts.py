@@ -80,3 +80,27 @@ def test_a_shaft_that_dies_in_the_first_seconds_is_dead() -> None:
     shaft = c["n_left"]
     dead = Channel(shaft.t, np.where(shaft.t < 2.0, shaft.value, 0.0))
     assert [code for _, code, _ in found(c | {"n_left": dead})] == ["shaft-does-not-turn"]
+
+
+def told_astern_before(*losses: float) -> dict[str, Channel]:
+    """Four speeds ahead, and half astern for a quarter of a second, which has not begun yet when the command ahead is
+    back: 0.3 s late, behind a lag of 0.14 s. The speed is lost for half a second at each time of ``losses``."""
+    t = np.arange(0.0, 60.0, 1.0 / RATE)
+    told = np.array([0.5, 0.8, 0.3, 0.6])[(t // 15.0).astype(int)]
+    told[(t >= 10.0) & (t < 10.25)] = -0.5
+    n = np.zeros(t.size)
+    for k in range(1, t.size):
+        n[k] = n[k - 1] + (np.interp(t[k] - 0.3, t, told) - n[k - 1]) * -np.expm1(-1.0 / RATE / 0.14)
+    n[np.abs(n) < 0.07] = 0.0  # as a controller says that cannot measure slow turning
+    lost = np.any([(t >= at) & (t < at + 0.5) for at in losses], axis=0) if losses else np.zeros(t.size, bool)
+    return {"n_cmd_left": Channel(t, told), "n_left": Channel(t + 1e-3, np.where(lost, 0.0, n))}
+
+
+def test_a_shaft_that_goes_through_nothing_to_the_other_side_has_not_lost_its_speed() -> None:
+    assert "shaft-speed-drops-out" not in {code for _, code, _ in found(told_astern_before())}
+
+
+@pytest.mark.parametrize(("losses", "often"), [((35.0,), "once"), ((35.0, 40.0), "2 times")])
+def test_a_lost_speed_is_counted(losses: tuple[float, ...], often: str) -> None:
+    (text,) = [text for _, code, text in found(told_astern_before(*losses)) if code == "shaft-speed-drops-out"]
+    assert text == f"its speed falls to nothing {often} while it is told to turn"
