@@ -264,9 +264,13 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
 
 
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
-    """Why a name is not sure, in a sentence; None where all are."""
+    """Why a name is not sure, and that the search could have gone on; None where neither is so."""
     reasons = [reason for j in diagnosis.judgements if j.attribution == "ambiguous" for reason in j.reasons]
-    return f"The name is not sure: {reasons[0]}." if reasons else None
+    said = [f"The name is not sure: {reasons[0]}."] if reasons else []
+    if diagnosis.left and diagnosis.untried:
+        many = counted(sum(one.chosen is not None for one in diagnosis.rounds), "effect")
+        said.append(f"The search ended with {many}, as many as --max-effects allows; not tried: {_left(diagnosis)}.")
+    return " ".join(said) or None
 
 
 def _listed(titles: Sequence[str]) -> str:
@@ -443,18 +447,17 @@ def _not_paying(removed: RemovedEffect) -> str:
     return "beside the other effects it does not pay on the validation data"
 
 
+def _left(diagnosis: Diagnosis) -> str:
+    return ", ".join(s.name for s in diagnosis.left[:4])
+
+
 def _notes(diagnosis: Diagnosis) -> list[str]:
     notes = []
-    if diagnosis.left:
-        names = ", ".join(s.name for s in diagnosis.left[:4])
-        if diagnosis.untried:
-            n = sum(one.chosen is not None for one in diagnosis.rounds)
-            many = f"{counted(n, 'effect')}, as many as --max-effects allows"
-            notes.append(f"The search ended with {many}; not tried: {names}.")
-        elif diagnosis.effects:
-            notes.append(f"After the last effect these tests still pass: {names}.")
+    if diagnosis.left and not diagnosis.untried:
+        if diagnosis.effects:
+            notes.append(f"After the last effect these tests still pass: {_left(diagnosis)}.")
         elif diagnosis.removed:
-            notes.append(f"Of the model without effects these tests pass: {names}.")
+            notes.append(f"Of the model without effects these tests pass: {_left(diagnosis)}.")
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].why
         notes.append(f"{why[0].upper()}{why[1:]}.")

@@ -754,7 +754,9 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     def converged(self) -> bool:
         return self.fit.converged and self.converged_before
 
-    caveat: Annotated[str | None, Meta(description="why a name in the answer is not sure, a sentence")] = None
+    caveat: Annotated[
+        str | None, Meta(description="why a name in the answer is not sure, and that --max-effects ended the search")
+    ] = None
     converged_before: Annotated[bool, Meta(description="whether the fit without the effects converged")]
     prediction: Annotated[PredictionChange | None, Meta(description="null: no effect was added")] = None
     cross_validated: Annotated[

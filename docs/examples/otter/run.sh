@@ -1,6 +1,6 @@
 #!/bin/sh
 # The Otter of an independent simulator through public commands: sh docs/examples/otter/run.sh [OUT], from the
-# repository's top. SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. About five
+# repository's top. SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. About six
 # minutes of CPU time.
 set -eu
 : "${SEATRIAL_DATA:?says where the data sets are}"
@@ -29,5 +29,5 @@ compare() {
 
 compare none_pos none 10 ""
 compare none_pos none_5 5 ""
-compare advance_pos advance 5 "--max-effects 4" --effect advance-ratio
-compare gps_latency_pos gps_latency 5 "--max-effects 4" --effect gnss-latency
+compare advance_pos advance 10 "--max-effects 6" --effect advance-ratio
+compare gps_latency_pos gps_latency 10 "--max-effects 6" --effect gnss-latency

@@ -39,6 +39,7 @@ from ident.results.diagnosis import (
     _quiet_round,
     _untested_warnings,
     diagnosis_answer,
+    diagnosis_caveat,
     reported_mismatches,
 )
 from ident.validation.prediction_errors import PredictionChange
@@ -181,8 +182,11 @@ def test_a_search_that_may_add_no_more_says_what_it_left(monkeypatch: pytest.Mon
     chosen = refit("hump", 900.0)
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried=(score,))
-    (note, *_) = _notes(found)
-    assert note == "The search ended with 1 effect, as many as --max-effects allows; not tried: wind."
+    said = "The search ended with 1 effect, as many as --max-effects allows; not tried: wind."
+    assert diagnosis_caveat(found) == said  # on the screen, too
+    assert said not in _notes(found)
+    doubted = replace(found, judgements=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
+    assert diagnosis_caveat(doubted) == f"The name is not sure: a lag resembles it. {said}"
 
 
 def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(monkeypatch: pytest.MonkeyPatch) -> None:
