@@ -159,13 +159,14 @@ def build_record(
 ) -> Record:
     """Rows for a model from channels named like its inputs and outputs.
 
-    A sensor faster than ``rate`` [Hz] is averaged over blocks of 1/rate, whose noise is then smaller by the
-    root of their size; a slower one keeps its own times. Where all sensors that feel inputs at once are averaged,
-    inputs that forces follow at once are, too, over as long: an acceleration would be less sharp than the thrust that
-    makes it, and the boat seem heavier (prefiltering: Ljung 1999, section 14.4). Rows are the union of all times, with
-    more where a gap exceeds ``max_step`` [s], by default that of the model, or where an input of hold ``zero`` changes
-    that is not averaged. A sensor with a channel missing is left out, and said in ``meta["missing"]``; where a signal
-    ends so early that a tenth of the others is lost, ``meta["cut"]`` has its name and the seconds.
+    A sensor faster than ``rate`` [Hz] is averaged over blocks of 1/rate, whose noise is then smaller by the root of
+    their size, or, where the model says so, gives one sample of each; a slower one keeps its own times. Where all
+    sensors that feel inputs at once are averaged, inputs that forces follow at once are, too, over as long: an
+    acceleration would be less sharp than the thrust that makes it, and the boat seem heavier (prefiltering: Ljung
+    1999, section 14.4). Rows are the union of all times, with more where a gap exceeds ``max_step`` [s], by default
+    that of the model, or where an input of hold ``zero`` changes that is not averaged. A sensor with a channel missing
+    is left out, and said in ``meta["missing"]``; where a signal ends so early that a tenth of the others is lost,
+    ``meta["cut"]`` has its name and the seconds.
     """
     derived = _derived_inputs(model, channels)
     channels = {**channels, **derived}
@@ -178,9 +179,8 @@ def build_record(
     if end - start < 2.0 / rate:
         raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
     windows = {s.name: _averaging_window(_interval(channels[s.outputs[0].name], start, end), rate) for s in present}
-    samples = {
-        s.name: _sensor_samples(name, s, channels, start, end, rate, averaged=windows[s.name] > 0.0) for s in present
-    }
+    samples = {s.name: _sensor_samples(name, s, channels, start, end, rate, windows[s.name] > 0.0) for s in present}
+    windows |= {s.name: 0.0 for s in present if not s.averaged}
     window = min((windows[s.name] for s in present if _feels_inputs(model, s)), default=0.0)
     exact = [i for i in own if i.hold == "zero" and not (i.prefilter and window)]
     switches = [_changes(channels[i.name]) for i in exact]
@@ -255,11 +255,12 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
 
 
 def _sensor_samples(
-    name: str, sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float, *, averaged: bool
+    name: str, sensor: Sensor, channels: Mapping[str, Channel], start: float, end: float, rate: float, faster: bool
 ) -> tuple[Array, Array]:
-    """Times (n,) and values (n, n_outputs) of a sensor. Raises ValueError where its outputs share no time."""
+    """Times (n,) and values (n, n_outputs) of a sensor, ``faster`` than rows or not. Raises ValueError where its
+    outputs share no time."""
     first = channels[sensor.outputs[0].name]
-    if not averaged:
+    if not (faster and sensor.averaged):
         # an import drops NaN signal by signal: a row has all outputs of one time, or does not exist
         own_channels, inside = [channels[o.name] for o in sensor.outputs], (first.t >= start) & (first.t <= end)
         times = reduce(np.intersect1d, [c.t for c in own_channels[1:]], first.t[inside])
@@ -269,6 +270,8 @@ def _sensor_samples(
                 f"{name}: {names} are read together as the sensor {sensor.name}, and no row has them at the same time: "
                 "give them the same time stamps"
             )
+        if faster:
+            times = _in_the_middle(times, start, end, rate)
         values = np.column_stack([c.value[np.searchsorted(c.t, times)] for c in own_channels])
     else:
         edges = np.arange(start, end + 0.5 / rate, 1.0 / rate)
@@ -276,6 +279,15 @@ def _sensor_samples(
         times, values = blocks[0][1], np.column_stack([b[0] for b in blocks])
     good = np.isfinite(times) & np.isfinite(values).all(axis=1)
     return times[good], values[good]
+
+
+def _in_the_middle(times: Array, start: float, end: float, rate: float) -> Array:
+    """Of the times (n,) [s], in rising order, those next to the middle of each block of 1/rate, one of each at most."""
+    middle = np.arange(start + 0.5 / rate, end, 1.0 / rate)
+    after = np.clip(np.searchsorted(times, middle), 1, max(times.size - 1, 1))
+    nearest = after - (middle - times[after - 1] <= times[np.minimum(after, times.size - 1)] - middle)
+    own = np.floor((times[nearest] - start) * rate + SAME_TIME) == np.arange(middle.size)
+    return np.asarray(times[nearest[own]])
 
 
 def _interval(channel: Channel, start: float, end: float) -> float:

@@ -149,10 +149,12 @@ class Output:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Outputs that arrive together; a sample of a sensor is there as a whole or not at all."""
+    """Outputs that arrive together; a sample of a sensor is there as a whole or not at all. ``averaged``: over a row's
+    time, where samples are closer; else one of them is taken, as of what follows the inputs within that time."""
 
     name: str
     outputs: tuple[Output, ...]
+    averaged: bool = True
 
 
 @dataclass(frozen=True)

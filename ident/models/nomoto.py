@@ -12,16 +12,24 @@ K steers at any speed, K_u in proportion to it; k_3 is what a large angle loses.
 T is zero where nobody gives it a prior (``--prior T=0.5:0.5``): a short one beside tau_n and T_r has several optima.
 From ``SHORTEST_LAG`` down to zero it is as in ``ident.models.horizontal.first_order``.
 
-Where nothing is slow, delays count: inputs act ``tau_n`` after their time stamp, the gyro is that of ``T_r`` earlier,
-both by cubic convolution of the inputs' past. Inputs that are known from slow samples (``nomoto:sampled``) are
-uncertain in time: each of a side acts ``sigma_n`` (standard deviation) later or earlier than ``tau_n`` says, by a
-first-order Gauss-Markov process of ``MEMORY``, which is that of a sample. To first order that is nothing where they
-stand still, and much where they change quickly: corners and stairs that are not in a straight line between samples,
-taken for known, make a light vehicle's masses and damping those that explain them. GNSS is ``tau_gnss`` old, and a mean
-over a time of standard deviation ``sigma_gnss``: what a receiver smooths is short by ``r^2 sigma_gnss^2 / 2`` in a
-turn, 5 % at 3 rad/s and 0.1 s. A fix is the mean of the states that long before and after ``tau_gnss`` ago
-(Gauss-Hermite quadrature of two points), to which the model is integrated back. Accelerometers, which have a delay of
-their own and feel gravity as the vehicle pitches, are not used.
+Where nothing is slow, delays count: inputs act ``tau_n`` after their time stamp, by cubic convolution of their past.
+The gyro is behind a low-pass filter of second order (Butterworth), as ArduPilot and PX4 have it, with its own states:
+
+    T_r^2 r_gyro'' / 2 + T_r r_gyro' + r_gyro = r
+
+Slow motion comes ``T_r`` late through it, quick motion later and smaller. Of heading and gyro a row has a sample, no
+mean of several: the mean of what follows the inputs at once is not what it is in the middle.
+
+Inputs that are known from slow samples (``nomoto:sampled``) are uncertain in time: each of a side acts ``sigma_n``
+(standard deviation) later or earlier than ``tau_n`` says, by a first-order Gauss-Markov process of ``MEMORY``, which is
+that of a sample. To first order that is nothing where they stand still, and much where they change quickly: corners and
+stairs that are not in a straight line between samples, taken for known, make a light vehicle's masses and damping those
+that explain them.
+
+GNSS is ``tau_gnss`` old, and a mean over a time of standard deviation ``sigma_gnss``: what a receiver smooths is short
+by ``r^2 sigma_gnss^2 / 2`` in a turn, 5 % at 3 rad/s and 0.1 s. A fix is the mean of the states that long before and
+after ``tau_gnss`` ago (Gauss-Hermite quadrature of two points), to which the model is integrated back. Accelerometers,
+which have a delay of their own and feel gravity as the vehicle pitches, are not used.
 """
 
 from __future__ import annotations
@@ -61,8 +69,9 @@ from ident.models.thruster import delay_weights
 
 STEP, TAPS = 0.05, range(-2, 12)  # s between copies of the inputs, and which there are: 0.1 s ahead, 0.55 s back
 MEMORY = 0.1  # s, of the inputs' errors in time
-AHEAD, LONGEST = -STEP * TAPS[0], 0.3  # s: of tau_n; of either sensor's delay, behind an input that is half as late
+AHEAD, LONGEST = -STEP * TAPS[0], 0.3  # s: of tau_n; of a sensor's delay, behind an input that is half as late
 WIDEST = 0.15  # s: of sigma_gnss
+ROOT_2 = float(np.sqrt(2.0))
 LINEARITY = Parameter(
     "lambda_n", 0.0, "", "share of the thrust that is linear", prior=(0.0, 0.5), bounds=(-1.0, 1.5), step=0.02
 )
@@ -75,7 +84,7 @@ STEERING = (
 TIMING = (
     Parameter("tau_n", 0.0, "s", "delay of thrust and steering behind the inputs' time stamps", prior=(0.0, 0.1),
               bounds=(-AHEAD, LONGEST / 2), step=0.01),
-    Parameter("T_r", 0.05, "s", "delay of the gyro", prior=(0.0, 0.1), bounds=(0.0, LONGEST), step=0.01),
+    Parameter("T_r", 0.06, "s", "delay of the gyro's filter", prior=(0.0, 0.1), bounds=(0.0, LONGEST), step=0.01),
     Parameter("tau_gnss", 0.1, "s", "age of the GNSS fix at its time stamp", prior=(0.1, 0.2), bounds=(0.0, LONGEST),
               step=0.02),
     Parameter("sigma_gnss", 0.05, "s", "spread in time of what a fix is the mean of, standard deviation",
@@ -96,6 +105,8 @@ STATES = (
     State("u", "m/s", "speed ahead", "s_u", sd0=0.3),
     State("v", "m/s", "sideslip that nothing explains", "q_v", sd0=0.05, nuisance=True),
     State("r", "rad/s", "yaw rate behind its lag", "s_r", sd0=0.1),
+    State("r_gyro", "rad/s", "yaw rate behind the gyro's filter", from_output="r", sd0=0.1),
+    State("r_gyro_rate", "rad/s2", "change of the yaw rate behind the gyro's filter", sd0=1.0),
 )
 STAMP_ERROR = "stamp_error_"  # and the side
 LATENESS = tuple(
@@ -131,7 +142,7 @@ def nomoto_model(
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
     parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
     parameters += (*((LATE,) if sampled else ()), *DIFFUSION)
-    chosen = tuple(SENSORS[s] for s in sensors)
+    chosen = tuple(replace(SENSORS[s], averaged=False) for s in sensors)
     return Model(
         "nomoto",
         resolve_initial_states((*STATES, *(LATENESS if sampled else ())), chosen),
@@ -205,6 +216,9 @@ def rate(s: Signals) -> None:
     v = _sideslip(s, x.u, s.r)
     s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u, v)
     s.rate["psi"], s.rate["u"] = s.r, s.X / s.p.m_u + v * s.r
+    corner = ROOT_2 / np.maximum(s.p.T_r, SHORTEST_LAG)  # rad/s
+    s.rate["r_gyro"] = x.r_gyro_rate
+    s.rate["r_gyro_rate"] = corner * (corner * (s.r - x.r_gyro) - ROOT_2 * x.r_gyro_rate)
     if hasattr(x, "v"):
         s.rate["v"] = -x.v / s.p.tau_v
     for side in SIDES if hasattr(x, STAMP_ERROR + SIDES[0]) else ():
@@ -255,7 +269,7 @@ def output(s: Signals) -> None:
     x, y, p = s.x, s.y, s.p
     v = _sideslip(s, x.u, s.r)
     y["psi"] = x.psi
-    y["r"] = _rates_at(s, p.T_r, x.u - p.T_r * s.rate["u"], _inputs(s, p.T_r))[0]
+    y["r"] = s.r + np.minimum(p.T_r / SHORTEST_LAG, 1.0) * (x.r_gyro - s.r)  # a shorter filter: as first_order
     first = p.tau_gnss - p.sigma_gnss
     late = _back(s, (x.x, x.y, x.psi, x.u, v), 0.0, first, 2)
     early = _back(s, late, first, 2 * p.sigma_gnss, 4)

@@ -2,13 +2,14 @@
 
 `nomoto` takes the heading for true at its time stamps and the velocity for one along it, so that what it estimates is
 how late the others are behind the heading, which is 0.9 ms late itself, and behind a velocity along it: that of the
-simulator is a step of its integration, 0.83 ms, ahead of its own heading. A gyro behind a low-pass filter has no delay
-but one for each frequency: its number is that of the samples of the fit, for the motion that there was. The receiver
-cuts its speed to whole mm/s, which is slower by some half of one, and in turns passes for a spread.
+simulator is a step of its integration, 0.83 ms, ahead of its own heading. The gyro is behind a low-pass filter of
+second order. The receiver cuts its speed to whole mm/s, which is slower by some half of one, and in turns passes for a
+spread.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,14 +18,15 @@ from numpy.typing import NDArray
 from pymavlink import DFReader
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
+from scipy.signal import cont2discrete, lfilter
 
 from daq.log import open_log
-from ident.data import Channel, block_mean, channels
+from ident.data import Channel, channels
 
 Array = NDArray[np.float64]
 COARSE_S, MARGIN_S = 0.1, 5.0  # grid on which clocks are matched; left out at both ends
 PASSED_S = 1.0  # an estimator's heading is off for longer than this, and late
-FIT_S, FASTER = 0.1, 0.6  # as the fit has it: samples are averaged over so long where they are closer than that part
+FILTER_S = 1e-3  # between steps of the gyro's filter
 
 
 def simulated(path: Path) -> tuple[Array, Array, Array, Array]:
@@ -61,8 +63,10 @@ def delays(log: Path, bin_log: Path) -> dict[str, float]:
         return x - np.convolve(x, np.full(passed, 1 / passed), mode="same")
 
     late = _best(lambda p: quick(measured - heading(t_psi - p[0])), [0.0])[0]
-    t_r, rate = part(_as_fitted(c["r"]))
-    gyro = _best(lambda p: rate - p[1] - heading(t_r - p[0], 1), [0.05, 0.0])[0]
+    t_r, rate = part(c["r"])
+    fine = np.arange(t[0], t[-1], FILTER_S)
+    turning = heading(fine, 1)
+    gyro = _best(lambda p: rate - p[1] - np.interp(t_r, fine, _filtered(turning, p[0])), [0.05, 0.0])[0]
     (t_v, v_n), (_, v_e) = part(c["vx"]), part(c["vy"])
     speed = np.hypot(v_n, v_e)
     both = [(CubicSpline(t, of), v, v / np.where(speed > 0, speed, 1.0)) for of, v in ((north, v_n), (east, v_e))]
@@ -85,13 +89,12 @@ def _matched(channel: Channel, t: Array, psi: Array) -> float:
     return float(channel.t[0] - t[0] + COARSE_S * lag)
 
 
-def _as_fitted(channel: Channel) -> Channel:
-    """Averaged over blocks where the fit averages."""
-    if float(np.median(np.diff(channel.t))) > FASTER * FIT_S:
-        return channel
-    value, centre = block_mean(channel, np.arange(channel.t[0], channel.t[-1], FIT_S))
-    keep = np.isfinite(value)
-    return Channel(centre[keep], value[keep])
+def _filtered(rate: Array, delay: float) -> Array:
+    """Every ``FILTER_S``, behind a Butterworth filter of second order that slow motion passes this late [s]."""
+    corner = math.sqrt(2.0) / delay
+    continuous = ([corner**2], [1.0, math.sqrt(2.0) * corner, corner**2])
+    ahead, back, _ = cont2discrete(continuous, FILTER_S, method="foh")
+    return np.asarray(lfilter(np.ravel(ahead), back, rate))
 
 
 def _best(residuals: Callable[[Array], Array], start: list[float]) -> list[float]:

@@ -141,11 +141,8 @@ def of_the_mission(frame: str, folder: Path) -> dict[str, float]:
     """What the truth is in the first mission: delays [s], by its state in the BIN, and the cubic that is nearest to the
     sine of its steering angles (weights by speed change k_3 by 0.05 %).
 
-    The simulator keeps no sideslip but what is lost by it, so that its velocity is along the heading: the model, which
-    turns it outwards by ``tau_s`` r, sees that as so much less delay.
     """
     found = delays(folder / "BIN1.mcap", folder / "1.BIN")
-    found["tau_gnss"] -= STEP / 2
     if TRUTH[frame.removesuffix(WAVES)]["k_3"]:
         with open_log(folder / "BIN1.mcap") as log:
             n = channels(log)
@@ -157,8 +154,13 @@ def of_the_mission(frame: str, folder: Path) -> dict[str, float]:
 
 
 def rows(frame: str, source: str, result: Mapping[str, Any], known: Mapping[str, float]) -> Iterator[Row]:
-    """Every parameter whose truth is known (``known``: by the mission); one at its bound has no error."""
+    """Every parameter whose truth is known (``known``: by the mission); one at its bound has no error.
+
+    The simulator keeps no sideslip but what is lost by it, so that its velocity is along the heading: the model, which
+    turns it outwards by ``tau_s`` r, sees that as so much less delay.
+    """
     found = {p["name"]: (p["value"], p["se"]) for p in result["fit"]["parameters"]}
+    known = {**known, "tau_gnss": known["tau_gnss"] - found["tau_s"][0]}
     for name, truth in {**TRUTH[frame.removesuffix(WAVES)], **known}.items():
         value, se = found[name]
         yield Row(frame, source, name, value, se if se else math.nan, truth)

@@ -68,6 +68,22 @@ def test_a_fast_sensor_is_averaged_and_a_slow_one_keeps_its_times() -> None:
     assert record.outputs == ("psi", "a", "b")
 
 
+def test_of_a_fast_sensor_that_is_not_averaged_each_row_has_a_sample() -> None:
+    """That next to the middle of its block; a block without samples has none, and a slow sensor keeps its times."""
+    psi = channel(25.0, f=np.exp)
+    gap = (psi.t > 3.0) & (psi.t < 4.0)
+    at = channels() | {"psi": replace(psi, t=psi.t[~gap], value=psi.value[~gap])}
+    sampled = replace(model(), sensors=tuple(replace(s, averaged=False) for s in model().sensors))
+    record, mean = (build_record(m, at, rate=10.0) for m in (sampled, model()))
+    seen = np.isfinite(record.y[:, 0])
+    t = record.t[seen]
+    np.testing.assert_array_equal(record.y[seen, 0], np.exp(t))
+    assert np.isin(np.round(t, 6), np.round(at["psi"].t, 6)).all()
+    assert seen.sum() == 91
+    assert np.unique(np.floor(10 * t + 1e-9)).size == 91
+    np.testing.assert_array_equal(record.y[np.isfinite(record.y[:, 1]), 1:], mean.y[np.isfinite(mean.y[:, 1]), 1:])
+
+
 def test_the_noise_of_a_block_mean_is_smaller_by_the_root_of_its_size() -> None:
     noisy = channels() | {"psi": channel(200.0, f=lambda t: 0.1 * np.random.default_rng(1).normal(size=t.size))}
     record = build_record(model(), noisy, rate=10.0)

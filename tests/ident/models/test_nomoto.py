@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import butter, cont2discrete, freqs_zpk, lfilter
 
 from bench.mission_generators import make_mission
 from daq.errors import SeatrialError
@@ -20,12 +21,18 @@ from ident.models.components import current_walk
 from ident.models.nomoto import nomoto_model
 from ident.workflows.vehicle_model import with_sampled_inputs
 
-DT = 0.002
+DT = 0.001
+GYRO = 2 * np.pi * 4.0  # rad/s: corner of its filter
 HALF_SPAN = 0.1  # s: a fix is the mean of two of 0.2 s from each other
 TRUTH = {
-    "m_u": 10.0, "d_u": 35.0, "K": np.radians(280.0), "lambda_n": 1.0, "K_u": 0.0, "T_r": 0.055, "tau_gnss": 0.1,
-    "sigma_gnss": HALF_SPAN,
+    "m_u": 10.0, "d_u": 35.0, "K": np.radians(280.0), "lambda_n": 1.0, "K_u": 0.0, "T_r": np.sqrt(2.0) / GYRO,
+    "tau_gnss": 0.1, "sigma_gnss": HALF_SPAN,
 }  # fmt: skip
+
+
+def integral(rate: np.ndarray) -> np.ndarray:
+    """Of a rate that is held for ``DT`` from each of its times."""
+    return np.append(0.0, np.cumsum(rate[:-1]) * DT)
 
 
 def tracked_vehicle(
@@ -38,7 +45,8 @@ def tracked_vehicle(
     seed: int = 1,
 ) -> LogSegment:
     """u' = 3.5 (4 n - u), r = 140 deg/s (n_left - n_right); outputs known ``every`` so many seconds, of commands of
-    this ``slew`` [1/s] that change after each ``hold`` [s]; a gyro 55 ms late, fixes 0.1 s late and smoothed.
+    this ``slew`` [1/s] that change after each ``hold`` [s]; a gyro behind a filter of 4 Hz, fixes 0.1 s late and
+    smoothed.
 
     ``quiet``: times the usual noise, of all but the gyro; ``slide`` [s]: v' = -u r - v / slide, u' += v r.
     """
@@ -57,7 +65,7 @@ def tracked_vehicle(
     for k in range(1, t.size):
         u[k] = u[k - 1] + DT * (3.5 * (4.0 * n[k - 1].mean() - u[k - 1]) + v[k - 1] * r[k - 1])
         v[k] = v[k - 1] * kept - slide * (1.0 - kept) * u[k - 1] * r[k - 1]
-    psi = np.cumsum(r) * DT
+    psi = integral(r)
     velocity = {"vx": u * np.cos(psi) - v * np.sin(psi), "vy": u * np.sin(psi) + v * np.cos(psi)}
     told, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (every, 0.04, 0.2))
     clock = np.arange(told[0], told[-1], 0.01)
@@ -65,9 +73,10 @@ def tracked_vehicle(
         f"n_{side}": Channel(clock, np.interp(clock + 0.005, told, np.interp(told, t, n[:, i])), hold="average")
         for i, side in enumerate(("left", "right"))
     }
-    seen = {"psi": (attitude, psi, 0.0, 0.005), "r": (attitude, r, 0.055, 0.005)}
+    ahead, back, _ = cont2discrete(butter(2, GYRO, analog=True), DT, method="zoh")
+    seen = {"psi": (attitude, psi, 0.0, 0.005), "r": (attitude, lfilter(np.ravel(ahead), back, r), 0.0, 0.005)}
     for place, name in (("x", "vx"), ("y", "vy")):
-        seen |= {place: (fixes, np.cumsum(velocity[name]) * DT, 0.1, 0.02), name: (fixes, velocity[name], 0.1, 0.01)}
+        seen |= {place: (fixes, integral(velocity[name]), 0.1, 0.02), name: (fixes, velocity[name], 0.1, 0.01)}
     for name, (times, signal, late, usual) in seen.items():
         noise = usual * (1.0 if name == "r" else quiet)
         ends = (late - HALF_SPAN, late + HALF_SPAN) if times is fixes else (late,)
@@ -101,7 +110,7 @@ def test_outputs_that_are_known_at_10_hz_are_uncertain_in_time() -> None:
     given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
     fit = fit_nominal_model(model.replace_parameters(*given), [log], []).fit
     assert fit.converged
-    for name in ("m_u", "d_u", "lambda_n", "K", "K_u", "tau_gnss", "sigma_gnss"):
+    for name in ("m_u", "d_u", "lambda_n", "K", "K_u", "T_r", "tau_gnss", "sigma_gnss"):
         value, se = fit.estimate(name)
         assert abs(value - TRUTH[name]) < 3.0 * se, (name, value, se)
     assert fit.estimate("m_u")[1] < 0.06
@@ -228,10 +237,24 @@ def test_sideslip_is_found_where_it_is_and_only_there() -> None:
             assert abs(value - TRUTH[name]) < 4.0 * se, (slide, name, value, se)
 
 
-def test_a_dead_band_is_no_change_of_the_yaw_rate() -> None:
-    now = {"n_left": 0.6, "n_right": -0.2}
-    s = signals(nomoto_model() + catalogue()["dead-band"], now, n_dead=0.1, k_3=0.1, K_u=0.0)
-    assert s.y["r"] == pytest.approx(s.r, abs=1e-12)
+@pytest.mark.parametrize("T_r", [0.05, 0.2])
+def test_the_gyro_is_behind_a_butterworth_filter(T_r: float) -> None:
+    """Its state-space form against scipy's, which knows its corner: delay of slow motion = sqrt(2) / corner."""
+
+    def rates(**now: float) -> list[float]:
+        s = signals(nomoto_model(), {"n_left": 0.0, "n_right": 0.0, **now}, T_r=T_r, K=1.0, K_u=0.0, k_3=0.0)
+        return [s.rate["r_gyro"], s.rate["r_gyro_rate"]]
+
+    states = np.column_stack([rates(r_gyro=1.0), rates(r_gyro_rate=1.0)])
+    driven = np.array(rates(n_left=1.0, n_right=-1.0))[:, None]
+    w = np.array([0.5, 5.0, 25.0, 100.0])
+    mine = [np.linalg.solve(1j * one * np.eye(2) - states, driven)[0, 0] for one in w]
+    _, wanted = freqs_zpk(*butter(2, np.sqrt(2.0) / T_r, analog=True, output="zpk"), w)
+    np.testing.assert_allclose(mine, wanted, rtol=1e-9)
+    gyro = signals(nomoto_model(), {"n_left": 0.6, "n_right": -0.2, "r_gyro": 0.7}, T_r=T_r)
+    assert gyro.y["r"] == pytest.approx(0.7)
+    at_once = signals(nomoto_model(), {"n_left": 0.6, "n_right": -0.2, "r_gyro": 0.7}, T_r=0.0)
+    assert at_once.y["r"] == pytest.approx(at_once.r)
 
 
 @pytest.mark.parametrize("sampled", [False, True])
