@@ -123,11 +123,11 @@ def heading_match(c: Channels) -> Match | None:
         return None
     turned = np.interp(t, psi.t, np.unwrap(psi.value, period=_turn(psi.value)))
     integral = cumulative(t, np.interp(t, r.t, r.value))
-    at = t[t <= t[-1] - WINDOW]
-    moved = [float(np.std(_increments(t, s, at, WINDOW))) for s in (turned, integral)]
+    ahead = round(WINDOW / STEP)
+    moved = [float(np.std(s[ahead:] - s[:-ahead])) for s in (turned, integral)]
     if max(moved) < MIN_YAW_RATE_SD * WINDOW or min(moved) < 1e-9:
         return None
-    return _best(t, [turned], [[integral], [t]])
+    return _best([turned], [[integral], [t]])
 
 
 def velocity_match(c: Channels) -> Match | None:
@@ -151,7 +151,7 @@ def velocity_match(c: Channels) -> Match | None:
         r = np.interp(t, c["r"].t, c["r"].value)
         north, east = [*north, -r * sin, -r * cos], [*east, r * cos, -r * sin]
     moved = [np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy")]
-    return _best(t, moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
+    return _best(moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
 
 
 def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Finding]:
@@ -170,7 +170,7 @@ def position_match(c: Channels) -> Match | None:
     way, velocity = ([np.interp(t, c[n].t, c[n].value) for n in names] for names in (("x", "y"), ("vx", "vy")))
     if t.size < 400 or np.median(np.hypot(*velocity)) < 0.1:
         return None
-    return _best(t, way, [[cumulative(t, v) for v in velocity]], 5.0)
+    return _best(way, [[cumulative(t, v) for v in velocity]], 5.0)
 
 
 def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]:
@@ -214,17 +214,18 @@ def sensor_delay(one: str, where: str, other: str, there: str, found: Match) -> 
         yield Finding("ok", "sensors-in-time", "late", where, f"{one} and {other} are {abs(lag):.2f} s apart")
 
 
-def _best(t: Array, columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
+def _best(columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
     """The lag at which increments of the columns are best explained, and the factor of the first regressor there.
 
     A regressor has as many columns as there are to be explained; all share its factor.
     """
-    inner = t[(t >= t[0] + LAGS[-1]) & (t <= t[-1] - LAGS[-1] - window)]
-    at = inner[:: max(1, round(window / 2 / STEP))]
-    y = np.concatenate([_increments(t, column, at, window) for column in columns])
+    ahead, most = round(window / STEP), round(float(LAGS[-1]) / STEP)
+    at = np.arange(most, columns[0].size - most - ahead, max(1, ahead // 2))
+    y = np.concatenate([column[at + ahead] - column[at] for column in columns])
     best, unmoved = Match(np.nan, np.nan, -np.inf), -np.inf
     for lag in LAGS:
-        X = np.column_stack([np.concatenate([_increments(t, s, at - lag, window) for s in one]) for one in regressors])
+        late = at - round(float(lag) / STEP)
+        X = np.column_stack([np.concatenate([s[late + ahead] - s[late] for s in one]) for one in regressors])
         beta, *_ = np.linalg.lstsq(X, y, rcond=None)
         e = y - X @ beta
         r2 = 1.0 - float(e @ e) / max(float(y @ y), 1e-300)
@@ -233,10 +234,6 @@ def _best(t: Array, columns: list[Array], regressors: list[list[Array]], window:
         if r2 > best.r2:
             best = Match(float(beta[0]), float(lag), r2)
     return best._replace(gain=1.0 - (1.0 - best.r2) / max(1.0 - unmoved, 1e-12))
-
-
-def _increments(t: Array, values: Array, at: Array, window: float) -> Array:
-    return np.asarray(np.interp(at + window, t, values) - np.interp(at, t, values))
 
 
 def cumulative(t: Array, rate: NDArray[Any]) -> NDArray[Any]:

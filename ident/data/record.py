@@ -24,6 +24,7 @@ TIME_INPUT = "t"  # an input of this name is the time since the start of the rec
 WORK_INPUT = "work"  # an input of this name is the integral of the cubed shaft speeds, over WORK_UNIT
 WORK_UNIT = 150.0  # s, at full power: the input is one after a run at full speed of this duration
 AVERAGED = 0.6  # of a row's 1/rate: sensors whose samples are closer are averaged
+JITTER = 1.1  # times the longest step between rows: a gap that is longer by no more is none, as samples never keep time
 SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 have steps of 0.24 us)
 
 
@@ -163,10 +164,10 @@ def build_record(
     their size, or, where the model says so, gives one sample of each; a slower one keeps its own times. Where all
     sensors that feel inputs at once are averaged, inputs that forces follow at once are, too, over as long: an
     acceleration would be less sharp than the thrust that makes it, and the boat seem heavier (prefiltering: Ljung
-    1999, section 14.4). Rows are the union of all times, with more where a gap exceeds ``max_step`` [s], by default
-    that of the model, or where an input of hold ``zero`` changes that is not averaged. A sensor with a channel missing
-    is left out, and said in ``meta["missing"]``; where a signal ends so early that a tenth of the others is lost,
-    ``meta["cut"]`` has its name and the seconds.
+    1999, section 14.4). Rows are the union of all times, with more where a gap exceeds ``max_step`` [s] by a tenth, by
+    default that of the model, or where an input of hold ``zero`` changes that is not averaged. A sensor with a channel
+    missing is left out, and said in ``meta["missing"]``; where a signal ends so early that a tenth of the others is
+    lost, ``meta["cut"]`` has its name and the seconds.
     """
     derived = _derived_inputs(model, channels)
     channels = {**channels, **derived}
@@ -316,11 +317,12 @@ def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, en
     t: Array = np.sort(np.concatenate([*measured, *[s[(s > start) & (s < end)] for s in switches], [start, end]]))
     t = t[np.append(True, np.diff(t) > SAME_TIME)]
     gaps: Array = np.diff(t)
-    pieces = np.maximum(np.ceil(gaps / max_step - 1e-6), 1).astype(int)
+    pieces = np.where(gaps > JITTER * max_step, np.ceil(gaps / max_step - 1e-6), 1).astype(int)
     if pieces.max(initial=1) == 1:
         return t
-    filled = [t[i] + gaps[i] * np.arange(n) / n for i, n in enumerate(pieces)]
-    return np.asarray(np.append(np.concatenate(filled), t[-1]))
+    within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    filled = np.repeat(t[:-1], pieces) + np.repeat(gaps, pieces) * within / np.repeat(pieces, pieces)
+    return np.asarray(np.append(filled, t[-1]))
 
 
 def _changes(channel: Channel) -> Array:

@@ -62,7 +62,8 @@ class TrajectoryLinearisation:
         """Some rows of it; the first of each part is the last of the part before, from where states of effects go
         on."""
         part = copy(self)
-        part.record, part.own, part.x = self.record.rows(rows), self.own.rows(rows), self.x[rows]
+        part.record, own = self.record.rows(rows), self.own.rows(rows)
+        part.own, part.x = replace(own, u=np.asfortranarray(own.u)), np.asfortranarray(self.x[rows])
         for computed in ("base", "jacobian", "steps"):
             part.__dict__.pop(computed, None)
         return part
@@ -115,7 +116,7 @@ class TrajectoryLinearisation:
         if key not in self._larger:
             self._larger[key] = self.model + effect, VectorisedModel(self.model + effect)
         larger, rowwise = self._larger[key]
-        u = self.record.for_model(larger).u
+        u = np.asfortranarray(self.record.for_model(larger).u)
         scans = [dict(zip(effect.scan, scan, strict=True)) for scan in product(*effect.scan.values())]
         all_values = [
             np.append(self.values, [tried.get(p.name, p.value) for p in effect.parameters]) for tried in scans
@@ -126,23 +127,30 @@ class TrajectoryLinearisation:
             driven = self._driven(rowwise, begin, all_values, u)
             self._ends[key] = [z[-1].copy() for z in driven]
         for tried, values, z in zip(scans, all_values, driven, strict=True):
-            x, changes, names = np.column_stack([self.x, z]), [], []
+            x, changes, names = np.concatenate([self.x.T, z.T]).T, list[list[Array]](), []
             sizes = [
                 (j, p) for j, p in enumerate(effect.parameters)  # the others are of its form
                 if not (p.transform == "log" or p.name in tried or (j > 0 and p.value != 0.0))
             ]  # fmt: skip
-            own_columns = [k for k in range(n + m + len(self.model.outputs)) if not n <= k < n + m]
+
+            def without_own_states(values: Array, rowwise: VectorisedModel = rowwise, x: Array = x) -> list[Array]:
+                columns = rowwise.columns(x, u, values)
+                return columns[:n] + columns[n + m :]
+
             at_nothing = all(p.value == 0.0 for _, p in sizes)
-            base = self.base if at_nothing else rowwise(x, u, values)[:, own_columns]
+            base = list(self.base.T) if at_nothing else without_own_states(values)
             for j, p in sizes:
                 moved = values.copy()
                 moved[len(self.values) + j] += p.step
-                found = rowwise(x, u, moved)
-                changes.append(((found[:, own_columns] if m else found) - base) / p.step)
+                found = without_own_states(moved)
+                changes.append([after - before for after, before in zip(found, base, strict=True)])
                 names.append(p.name)
             own = all(p.per_record for p in effect.parameters)
-            touched = np.flatnonzero(np.any([c.any(axis=0) for c in changes], axis=0))
-            delta = np.stack([c[:, touched] for c in changes], axis=2)
+            touched = np.flatnonzero([any(c.any() for c in column) for column in zip(*changes, strict=True)])
+            delta = np.empty((len(x), touched.size, len(changes)))
+            for k, (change, (_, p)) in enumerate(zip(changes, sizes, strict=True)):
+                for i, j in enumerate(touched.tolist()):
+                    np.divide(change[j], p.step, out=delta[:, i, k])
             yield SensitivityColumns(
                 effect.name, delta, tuple(names), tried, effect.kind, effect.curve, effect.one_sided, own, touched
             )
@@ -153,11 +161,11 @@ class TrajectoryLinearisation:
         """States (n_rows, m) of an effect, driven along the trajectory while the effect is at zero (linear, constant
         coefficients), for each set of values, from those at the first row."""
         n, m = len(self.model.states), begin[0].size
-        x = np.column_stack([self.x, np.zeros((len(self.x), m))])
+        x = np.concatenate([self.x.T, np.zeros((m, len(self.x)))]).T
         steps, step_of = self.steps
         found = []
         for z, values in zip(begin, all_values, strict=True):
-            drive = rowwise(x, u, values)[:, n : n + m]
+            drive = np.stack(rowwise.columns(x, u, values)[n : n + m], axis=1)
             A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
             transition, weight = (matrices[step_of] for matrices in _discrete(A, steps))
             mean = (drive[:-1] + drive[1:]) / 2

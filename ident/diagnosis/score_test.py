@@ -164,10 +164,9 @@ class SensitivityFilter:
         n_outputs, n_states = H.shape[1:]
         each = np.arange(n_outputs)
         S[:, each, each] += np.where(self.seen, run.R, 1.0)  # missing outputs are decoupled, with a gain of zero
-        gain = np.linalg.solve(S, cross.swapaxes(1, 2)).swapaxes(1, 2)
         Phi = np.where(self.half[:, None, None] > 0, Phi, np.eye(n_states))
-        Phi_gain = Phi @ gain
         whiten = np.linalg.inv(np.linalg.cholesky(S))
+        Phi_gain = Phi @ (cross @ whiten.swapaxes(1, 2) @ whiten)
         self.e = (whiten @ np.where(self.seen, run.e[rows], 0.0)[:, :, None])[self.seen][:, 0]
         self.t = np.repeat(record.t[rows], self.seen.sum(axis=1))
         # From state, rates and outputs to the next state and to the whitened innovations.
@@ -229,7 +228,7 @@ def propagate_sensitivities(
         ends.append(carrier.end)
 
     for c in columns:
-        if width >= N_COLUMNS:
+        if width + c.delta.shape[2] > N_COLUMNS:  # one more would be worked on as a whole vector of them
             done()
             waiting, width = [], 0
         waiting.append(c)

@@ -29,16 +29,21 @@ class VectorisedModel:
 
     def __call__(self, x: Array, u: Array, values: Array) -> Array:
         """Rates, then outputs: (n_rows, n_states + n_outputs) for x (n_rows, n_states), u (n_rows, n_inputs)."""
+        columns = self.columns(x, u, values)
+        found = np.empty((len(columns), len(x))).T  # of which every column is a piece of memory
+        for j, column in enumerate(columns):
+            found[:, j] = column
+        return found
+
+    def columns(self, x: Array, u: Array, values: Array) -> list[Array]:
+        """The same one by one, each (n_rows,)."""
         with np.errstate(all="ignore"):
             try:
                 s = self.model.signals(list(x.T), list(u.T), values.tolist())
-                columns = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
-                found = np.empty((len(columns), len(x))).T  # of which every column is a piece of memory
-                for j, column in enumerate(columns):
-                    found[:, j] = column
+                found = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
+                return [c if np.shape(c) == (len(x),) else np.full(len(x), c, dtype=np.float64) for c in found]
             except (TypeError, ValueError):
-                return np.asarray(self._both(x.T, u.T, values)).T
-        return found
+                return list(np.asarray(self._both(x.T, u.T, values)))
 
     def output_jacobian(self, x: Array, u: Array, values: Array) -> Array:
         """(n_rows, n_outputs, n_states)."""

@@ -95,7 +95,7 @@ class FilterResult:
     def output_variance(self, H: Array) -> Array:
         """Variances of the predicted outputs (n_rows, n_outputs), whose slopes by the state are H (n_rows, n_outputs,
         n_states)."""
-        each = [np.einsum("kij,kjl,kil->ki", H[rows], self.covariances(rows).P_pred, H[rows]) for rows in self.pieces]
+        each = [np.einsum("kil,kil->ki", H[rows] @ self.covariances(rows).P_pred, H[rows]) for rows in self.pieces]
         return np.concatenate(each) + self.R
 
     @property
@@ -304,7 +304,7 @@ def _covariances(done: Mapping[str, Array], n: int) -> Covariances:
 
 
 def _covariance(s: Array, n: int) -> Array:
-    P = np.empty((len(s), n, n))
     i, j = np.triu_indices(n)
-    P[:, i, j] = P[:, j, i] = s[:, n:]
-    return P
+    at = np.empty((n, n), np.intp)
+    at[i, j] = at[j, i] = n + np.arange(i.size)
+    return np.take(s, at, axis=1)
