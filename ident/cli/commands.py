@@ -227,7 +227,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     help="horizontal:shaft, horizontal:command (held commands, shafts that are states), horizontal:force, "
     "horizontal:general (each also with :no-current, or :random-walk-current), nomoto (no sideslip; the yaw rate "
     "follows the difference of the sides; :sampled where outputs are uncertain in time, as is chosen by itself for "
-    "those of a BIN, and the same two for the current), "
+    "an autopilot's, and the same two for the current), "
     "kinematic:shaft|force (measured attitude; :yaw with the yaw equation, and the same two for the current), "
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )

@@ -236,9 +236,8 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     # A search's many rough fits need neither: both cost evaluations.
     information, bounds = optimum.at.information, problem.bounds
     flat = flat_coordinates(problem.value, z, problem.parameters, information, bounds) if coloured else []
-    known = assess(
-        with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes, problem.prior[1]
-    )
+    known = assess(with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes,
+                   problem.prior[1], _considered(problem, z) if coloured and problem.model.considered else None)
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
     robust = Sandwich(*np.full((3, z.size), np.nan))
     if coloured:
@@ -246,6 +245,17 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     for p in flat:
         robust.errors[p.at] = robust.least[p.at] = known.errors[p.at]  # no row has a part in it
     return known, robust
+
+
+def _considered(problem: Problem, z: Array) -> Array:
+    """Information (n, n_considered) between the estimates and the considered parameters, per standard deviation of the
+    latter."""
+    names = problem.model.considered
+    begin = dict(zip(problem.names, problem.own(z).tolist(), strict=True))
+    both = Problem(problem.likelihood, problem.records, (*problem.free, *names), problem.threads, begin)
+    at = {name: i for i, name in enumerate(both.names)}
+    own, other = [at[n] for n in problem.names], [at[n] for n in names]
+    return both.evaluate(both.start).information[np.ix_(own, other)] / np.sqrt(both.prior[1][other])
 
 
 def _coloured(problem: Problem, robust: Sandwich) -> bool:

@@ -219,6 +219,8 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
         row["se_inflation"] = float(np.round(fit.inflation[at], 4))
     if p.prior is not None and with_prior:
         row["prior"] = [float(z) for z in p.prior]
+    if p.considered:
+        row["considered"] = True
     if p.per_record:
         row["per_record"] = True
     flag = dict(fit.flags).get(p.name)
@@ -328,7 +330,8 @@ def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
     """The structure's parameter with what its row says; without a prior there, the structure's own stays."""
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
-    p = replace(p, value=float(row["value"]), free=bool(row["free"]), origin=p.origin if estimated else origin)
+    p = replace(p, value=float(row["value"]), free=bool(row["free"]), considered=bool(row.get("considered", False)),
+                origin=p.origin if estimated else origin)
     if "prior" not in row:
         return p
     mean, sd = (float(z) for z in row["prior"])

@@ -1,7 +1,7 @@
 """Standard errors of an estimate, and what must not be given one.
 
 - `assess`: from the inverse of the information, without combinations that the data do not identify, and wider where a
-  parameter at its bound may leave it;
+  parameter at its bound may leave it, and by what is considered (``ident.model.Parameter``);
 - `sandwich`: valid where residuals are autocorrelated (White 1982): the covariance of the score is taken from sums over
   blocks of rows, which are longer than the autocorrelation, also where that is long and weak;
 - `flat_coordinates`: practical identifiability: parameters whose likelihood is flat around the estimate but falls a
@@ -39,8 +39,8 @@ TOO_LONG = "its residuals remember too long for an error that allows for it"
 @dataclass(frozen=True)
 class Uncertainty:
     """In own units, except of the coordinates: ``P`` (n, n), their covariance with those at a bound held there, NaN
-    where nothing is known; ``spread`` (n, n), what these add to it (``_beside_bounds``); ``limits`` (n,): of a
-    coordinate at its bound, the far end of its 95 % interval, NaN for all others."""
+    where nothing is known; ``spread`` (n, n), what these (``_beside_bounds``) and considered parameters add to it;
+    ``limits`` (n,): of a coordinate at its bound, the far end of its 95 % interval, NaN for all others."""
 
     errors: Array
     covariance: Array
@@ -53,10 +53,12 @@ class Uncertainty:
     limits: Array
 
 
-def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slopes: Array, prior: Array
-           ) -> Uncertainty:
+def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slopes: Array, prior: Array,
+           considered: Array | None = None) -> Uncertainty:
     """From the information with the priors'; ``prior`` (n,) is the latter's diagonal.
 
+    considered (n, k): information between the estimates and each considered parameter, per its standard deviation: by
+    this the estimates follow it, ``-P considered``, and no data are asked what it is.
     gradient_norm: the length of the gradient in standard errors, zero at the optimum.
     """
     n = z.size
@@ -75,6 +77,9 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     P[vague, :] = P[:, vague] = np.nan
     spread, limits, leaning = _beside_bounds(at, z, bounds, P, names)
     flags += leaning
+    if considered is not None:
+        follow = -np.nan_to_num(P) @ considered
+        spread = spread + follow @ follow.T
     variance = np.diag(P + spread)
     covariance = (P + spread) * np.outer(slopes, slopes)
     root = np.sqrt(variance)

@@ -52,7 +52,9 @@ class Parameter:
     ``transform="log"`` estimates the logarithm of a positive parameter. ``prior`` is (mean, standard
     deviation) in the parameter's own unit: normal, or normal in the logarithm with the relative standard
     deviation. ``per_record`` parameters (current, biases) take a value of their own in each record.
-    ``neutral`` says that at ``value`` the parameter does nothing (an effect's parameters).
+    A ``considered`` one is not estimated but as uncertain as its prior says, which goes into the errors of all others
+    (consider covariance: Schmidt 1966; Tapley, Schutz and Born 2004, section 6.3): what data of the same sensors cannot
+    tell.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Parameter:
     prior: tuple[float, float] | None = None
     bounds: tuple[float, float] = (-INF, INF)
     free: bool = True
+    considered: bool = False
     per_record: bool = False
     step: float = 0.0  # a change that is small but felt; 0: a hundredth of the value
     role: ParameterRole = ParameterRole.DYNAMICS
@@ -125,8 +128,9 @@ class Parameter:
     def known(self, value: float, sd: float, origin: ParameterOrigin) -> Parameter:
         """With a value that somebody knows: fixed where ``sd`` is 0 (nobody says how well), else a prior."""
         if sd == 0.0:
-            return replace(self, value=float(value), free=False, origin=origin)
-        return replace(self, value=float(value), prior=(float(value), float(sd)), free=True, origin=origin)
+            return replace(self, value=float(value), free=False, considered=False, origin=origin)
+        prior = (float(value), float(sd))
+        return replace(self, value=float(value), prior=prior, free=not self.considered, origin=origin)
 
     def freed(self) -> Parameter:
-        return replace(self, free=True)
+        return replace(self, free=True, considered=False)

@@ -426,6 +426,11 @@ class Model:
         return tuple(p.name for p in self.parameters if p.free)
 
     @property
+    def considered(self) -> tuple[str, ...]:
+        """Parameters that are not estimated, but whose uncertainty goes into the errors of those that are."""
+        return tuple(p.name for p in self.parameters if p.considered and not p.free)
+
+    @property
     def noises(self) -> frozenset[str]:
         """Parameters that only set covariances: standard deviations and diffusions."""
         named = [o.noise for o in self.outputs] + [s.noise for s in self.states] + [s.sd0 for s in self.states]

@@ -196,7 +196,10 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     meaning: str
     unit: str
     value: float
-    se: Annotated[float | None, Meta(description="standard error; null: fixed, at a bound or not informed")]
+    se: Annotated[
+        float | None,
+        Meta(description="standard error, if considered the prior's; null: fixed, at a bound or not informed"),
+    ]
     free: Annotated[bool, Meta(description="false: it was not estimated")]
     origin: Annotated[str, Meta(description=f"provenance of the value: {ORIGINS}")] = "estimated"
     prior_share: Annotated[

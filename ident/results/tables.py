@@ -87,6 +87,9 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
         for i, name in enumerate(names):
             value, error = reported.estimate(p, i)
             error = math.hypot(error, (calibration or 0.0) * value * force_power(p.unit))
+            share = finite(fit.prior_weight[fit.names.index(name)]) if name in fit.names else None
+            if p.name in fit.model.considered and p.prior is not None:
+                error, share = p.prior[1], 1.0
             rows.append(
                 ParameterRow(
                     name=scale.name(p.name, p.unit),
@@ -96,7 +99,7 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
                     se=finite(error),
                     free=p.free,
                     origin=str(p.provenance),
-                    prior_share=finite(fit.prior_weight[fit.names.index(name)]) if name in fit.names else None,
+                    prior_share=share,
                     start=finite(start[p.name] * reported.factor(p.unit)) if p.name in start else None,
                     flag=flags.get(name),
                     record=fit.records[i] if p.per_record and p.free and len(names) > 1 else None,

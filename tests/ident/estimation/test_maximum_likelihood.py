@@ -13,7 +13,7 @@ from ident.estimation import fisher_scoring, maximum_likelihood
 from ident.estimation.fisher_scoring import Problem
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
-from ident.model.parameter import INF, Parameter
+from ident.model.parameter import INF, Parameter, ParameterOrigin
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import best_start, turning, turning_record, values_of
 
@@ -81,6 +81,36 @@ def test_coverage_of_the_standard_errors() -> None:
         z.append([(one.estimate(n)[0] - turning().values[n]) / one.estimate(n)[1] for n in FREE])
     assert 0.75 < np.std(z) < 1.25
     assert (np.abs(np.mean(z, axis=0)) < 4 / math.sqrt(24)).all()
+
+
+def test_what_is_considered_goes_into_the_errors_and_into_nothing_else() -> None:
+    """The estimates follow a considered parameter as those of a fit follow that is made with another value of it."""
+    names, sd = ("m", "d", "bias"), 0.6
+
+    def fitted(model: Model) -> Fit:
+        return fit(model, records(2))
+
+    held = fitted(turning().with_free(names))
+    dd = replace(turning().parameter("dd"), prior=(6.0, sd), free=False, considered=True)
+    found = fitted(turning().with_free(names).replace_parameters(dd))
+    moved = fitted(turning().with_free(names).replace_parameters(dd.known(6.0 + sd / 10, 0.0, dd.origin)))
+    assert found.names == held.names == moved.names
+    assert found.values == pytest.approx(held.values, rel=1e-9)
+    follow = 10 * (moved.values - held.values)
+    off = found.covariance - held.covariance - np.outer(follow, follow)
+    assert np.abs(off / np.outer(found.errors, found.errors)).max() < 0.03
+    assert found.errors[1] > 2 * held.errors[1]
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.errors)
+
+
+def test_what_is_considered_can_be_given_and_freed() -> None:
+    p = Parameter("k", 0.0, prior=(0.0, 1e-3), free=False, considered=True)
+    given = p.known(0.0, 0.01, ParameterOrigin.PRIOR)
+    assert (given.considered, given.free, given.prior) == (True, False, (0.0, 0.01))
+    assert not p.known(0.002, 0.0, ParameterOrigin.GIVEN).considered
+    model = replace(turning(), parameters=(*turning().parameters, p))
+    assert model.considered == ("k",)
+    assert model.replace_parameters(p.freed()).considered == ()
 
 
 def test_threads_do_not_change_the_result(found: Fit) -> None:

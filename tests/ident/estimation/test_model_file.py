@@ -172,6 +172,15 @@ def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
     assert [s.name for s in back.states] == ["r"]
 
 
+def test_what_is_considered_comes_back(tmp_path: Path, found: Fit) -> None:
+    arm = replace(horizontal_model().parameter("y_left"), prior=(-0.15, 0.01), considered=True)
+    for p in (arm, replace(arm, considered=False)):
+        model = for_diagnosis(horizontal_model()).replace_parameters(p)
+        back = load_model(saved(tmp_path / "model.toml", with_model(found, model))).model
+        assert back.considered == model.considered == (("y_left",) if p.considered else ())
+        assert back.parameter("y_left").prior == p.prior
+
+
 def test_priors_come_back(tmp_path: Path, found: Fit) -> None:
     """Those that a user gave, and those of an effect for a large boat; disturbance forces get their size anew."""
     size = VesselScale(20.0, 3.0)

@@ -122,7 +122,7 @@ def test_surge_is_identified(propulsion: str, measured: str) -> None:
     level = np.repeat(np.random.default_rng(0).uniform(0.0, 0.9, 40), 50)[:, None]
     u = level if propulsion == "shaft" else 40.0 * level
     names = tuple(o.name for o in model.outputs)
-    record = Record("surge", t, u, u, np.empty((2000, len(names))), tuple(i.name for i in model.inputs), names)
+    record = Record("surge", t, u, u, np.zeros((2000, len(names))), tuple(i.name for i in model.inputs), names)
     sd = {"x": 0.05, "u": 0.03}
     record = noisy(model, record, np.zeros(2), [sd[n] for n in names], 1)
     found = fit(model, [record], start={"m_u": 60.0, "d_uu": 12.0})
@@ -139,7 +139,7 @@ def test_yaw_is_identified(measured: str) -> None:
     t = np.arange(2000) * 0.05
     u = np.repeat(np.random.default_rng(0).uniform(-8, 8, 50), 40)[:, None]
     names = tuple(o.name for o in model.outputs)
-    record = Record("yaw", t, u, u, np.empty((2000, len(names))), ("N",), names)
+    record = Record("yaw", t, u, u, np.zeros((2000, len(names))), ("N",), names)
     record = noisy(model, record, np.zeros(len(model.states)), [{"r": 0.005, "psi": 0.01}[n] for n in names], 1)
     found = fit(model, [record], start={"m_r": 15.0, "d_rr": 3.0})
     assert found.converged

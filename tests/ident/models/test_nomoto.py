@@ -15,11 +15,12 @@ from ident.data.loading import LoadedLog
 from ident.data.record import Channel, LogSegment
 from ident.effects.registry import catalogue
 from ident.estimation.fitted_model import fit_nominal_model
+from ident.estimation.prior_knowledge import fix_parameters, set_priors
 from ident.model.structure import Model, Signals
 from ident.models.catalogue import make_model
 from ident.models.components import current_walk
 from ident.models.nomoto import nomoto_model
-from ident.workflows.vehicle_model import with_sampled_inputs
+from ident.workflows.vehicle_model import considered_notes, with_sampled_inputs
 
 DT = 0.001
 GYRO = 2 * np.pi * 4.0  # rad/s: corner of its filter
@@ -128,7 +129,10 @@ def test_what_the_model_has_is_no_candidate() -> None:
         make_model("nomoto:general")
 
 
-@pytest.mark.parametrize(("every", "source"), [(0.1, "nomoto:sampled:no-current"), (0.04, "nomoto:no-current")])
+@pytest.mark.parametrize(
+    ("every", "source"),
+    [(0.1, "nomoto:sampled:no-current"), (0.025, "nomoto:sampled:no-current"), (0.01, "nomoto:no-current")],
+)
 def test_it_is_chosen_by_how_often_outputs_are_known(every: float, source: str) -> None:
     t = np.arange(0.0, 60.0, 0.01)
     channels = {f"n_{side}": Channel(t, np.sin(t), hold="average", sampled=every) for side in ("left", "right")}
@@ -138,6 +142,32 @@ def test_it_is_chosen_by_how_often_outputs_are_known(every: float, source: str) 
     assert make_model(chosen).source == source
     assert ("sigma_n" in make_model(chosen).values) == bool(said)
     assert with_sampled_inputs("horizontal:shaft", [LoadedLog(LogSegment("a", channels), {}, {}, None)])[1] == []
+
+
+def test_what_its_sensors_are_good_for_is_said_and_can_be_given() -> None:
+    model = nomoto_model()
+    (said,) = considered_notes(model)
+    assert "error of the gyro's scale k_r ± 0.001 (built in), " in said
+    (said,) = considered_notes(set_priors(model, {"k_r": (0.0, 0.01)}))
+    assert "k_r ± 0.01, error of the inputs' time stamps dt_n ± 0.0003 s (built in), " in said
+    exact, _ = fix_parameters(model, None, dict.fromkeys(model.considered, 0.0))
+    assert considered_notes(exact) == considered_notes(make_model("horizontal:shaft")) == []
+
+
+@pytest.mark.parametrize(("name", "like"), [("dt_r", "T_r"), ("dt_gnss", "tau_gnss"), ("dt_n", "tau_n")])
+def test_time_stamps_that_are_off_are_a_delay(name: str, like: str) -> None:
+    """Of the gyro's filter, of the fixes, or of what the inputs drive, here a ramp."""
+    model, known = nomoto_model(), {"tau_gnss": 0.2, "T_r": 0.06, "tau_n": 0.01}
+    x = [{"u": 2.0, "r_gyro": 0.4, "r_gyro_rate": 3.0}.get(s.name, 0.0) for s in model.states]
+    ramp = np.linspace(0.2, 0.9, len(model.inputs)).tolist()
+
+    def found(**more: float) -> list[float]:
+        s = model.signals(x, ramp, list(model.with_values(known | more).values.values()))
+        return [*s.rate.values(), *s.y.values()]
+
+    off = found(**{name: 0.004})
+    assert off == pytest.approx(found(**{like: known[like] + 0.004}), rel=1e-12)
+    assert off != pytest.approx(found(), rel=1e-6)
 
 
 def signals(model: Model, known: dict[str, float], **values: float) -> Signals:
