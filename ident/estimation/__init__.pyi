@@ -32,6 +32,7 @@ from .maximum_likelihood import EstimationOptions as EstimationOptions
 from .maximum_likelihood import Fit as Fit
 from .maximum_likelihood import Method as Method
 from .maximum_likelihood import SearchSettings as SearchSettings
+from .maximum_likelihood import considered_information as considered_information
 from .maximum_likelihood import fit as fit
 from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model

@@ -108,7 +108,8 @@ class Fit:
     parameters (n,): what was estimated, each record's own with its ``segment``, at their initial values, and their
     names, ``m_u`` or ``V_x@0``; values, errors (n,): errors are
     NaN for parameters at a bound or not informed, which ``flags`` names; limits (n,): of a parameter at its bound,
-    the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n);
+    the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n); considered (n, n): what of the
+    covariance comes from considered parameters, which what the same sensors measure does not feel;
     prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
     robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
     were not asked for; coloured: they are, so that errors and covariance are those of the sandwich where it is the
@@ -127,6 +128,7 @@ class Fit:
     limits: Array
     covariance: Array
     correlation: Array
+    considered: Array
     prior_weight: Array
     robust_errors: Array
     coloured: bool
@@ -236,8 +238,9 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     # A search's many rough fits need neither: both cost evaluations.
     information, bounds = optimum.at.information, problem.bounds
     flat = flat_coordinates(problem.value, z, problem.parameters, information, bounds) if coloured else []
+    considered = considered_information(problem, z) if coloured and problem.model.considered else None
     known = assess(with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes,
-                   problem.prior[1], _considered(problem, z) if coloured and problem.model.considered else None)
+                   problem.prior[1], considered)
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
     robust = Sandwich(*np.full((3, z.size), np.nan))
     if coloured:
@@ -247,7 +250,7 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     return known, robust
 
 
-def _considered(problem: Problem, z: Array) -> Array:
+def considered_information(problem: Problem, z: Array) -> Array:
     """Information (n, n_considered) between the estimates and the considered parameters, per standard deviation of the
     latter."""
     names = problem.model.considered
@@ -319,7 +322,8 @@ def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Arra
     return Fit(
         model=model, options=options, records=tuple(r.name for r in problem.records), parameters=problem.parameters,
         values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
-        covariance=known.covariance, correlation=known.correlation, prior_weight=known.prior_weight,
+        covariance=known.covariance, correlation=known.correlation, considered=known.considered,
+        prior_weight=known.prior_weight,
         robust_errors=robust, coloured=coloured, inflation=inflation, record_values=record_values,
         log_likelihood=optimum.at.value - prior_part, log_posterior=optimum.at.value,
         n_measured=sum(problem.likelihood.measured(r) for r in problem.records),

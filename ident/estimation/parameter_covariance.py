@@ -53,7 +53,8 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
     """Of a fit's parameters but for noise, which no prediction of the mean depends on.
 
     record: with what that record has for itself; None: for a record that the fit has not seen, whose own parameters are
-    known by other means. Parameters without a standard error (at a bound, not informed) are left out.
+    known by other means. Parameters without a standard error (at a bound, not informed) are left out, and so is what
+    considered parameters add: the sensors that are off in the fit are those that a prediction is compared with.
     """
     noise, parameters = fit.model.noise_parameters, list(fit.model.parameters)
     wanted = [p.name not in noise if p.segment is None else p.segment == record for p in fit.parameters]
@@ -61,7 +62,7 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
     names = [p.name for p in parameters]
     columns = tuple(names.index(fit.parameters[i].name) for i in at)
     slopes = np.array([parameters[c].slope(float(fit.values[i])) for c, i in zip(columns, at, strict=True)])
-    P = fit.covariance[np.ix_(at, at)] / np.outer(slopes, slopes)
+    P = (fit.covariance - fit.considered)[np.ix_(at, at)] / np.outer(slopes, slopes)
     return ParameterUncertainty(columns, covariance_root(P, NULL_SPACE_TOLERANCE))
 
 

@@ -40,7 +40,8 @@ TOO_LONG = "its residuals remember too long for an error that allows for it"
 class Uncertainty:
     """In own units, except of the coordinates: ``P`` (n, n), their covariance with those at a bound held there, NaN
     where nothing is known; ``spread`` (n, n), what these (``_beside_bounds``) and considered parameters add to it;
-    ``limits`` (n,): of a coordinate at its bound, the far end of its 95 % interval, NaN for all others."""
+    ``limits`` (n,): of a coordinate at its bound, the far end of its 95 % interval, NaN for all others; ``considered``
+    (n, n): what of the covariance comes from considered parameters."""
 
     errors: Array
     covariance: Array
@@ -51,6 +52,7 @@ class Uncertainty:
     P: Array
     spread: Array
     limits: Array
+    considered: Array
 
 
 def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slopes: Array, prior: Array,
@@ -77,20 +79,20 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     P[vague, :] = P[:, vague] = np.nan
     spread, limits, leaning = _beside_bounds(at, z, bounds, P, names)
     flags += leaning
-    if considered is not None:
-        follow = -np.nan_to_num(P) @ considered
-        spread = spread + follow @ follow.T
+    follow = np.zeros((n, 1)) if considered is None else -np.nan_to_num(P) @ considered
+    spread = spread + follow @ follow.T
     variance = np.diag(P + spread)
     covariance = (P + spread) * np.outer(slopes, slopes)
     root = np.sqrt(variance)
     known = np.isfinite(variance)
     norm = float(np.sqrt(max(at.gradient[known] @ P[np.ix_(known, known)] @ at.gradient[known], 0.0)))
-    weight = np.where(known, prior * np.where(known, variance, 0.0), 0.0)
+    weight = np.where(known, prior * np.nan_to_num(np.diag(P)), 0.0)
     for i in np.flatnonzero(weight > 0.9).tolist():
         flags.append((names[i], f"{100 * weight[i]:.0f} % of what is known of it is its prior"))
     correlation = (P + spread) / np.outer(root, root)
+    by_considered = follow @ follow.T * np.outer(slopes, slopes)
     return Uncertainty(np.abs(slopes) * root, covariance, correlation, np.minimum(weight, 1.0), norm, tuple(flags), P,
-                       spread, limits)
+                       spread, limits, by_considered)
 
 
 def _beside_bounds(
@@ -203,7 +205,9 @@ def widened(known: Uncertainty, robust: Array) -> Uncertainty:
     """With the larger of both errors, all correlations as they were."""
     factor = np.fmax(robust / known.errors, 1.0)
     factor = np.where(np.isfinite(factor), factor, 1.0)
-    return replace(known, errors=known.errors * factor, covariance=known.covariance * np.outer(factor, factor))
+    wider = np.outer(factor, factor)
+    return replace(known, errors=known.errors * factor, covariance=known.covariance * wider,
+                   considered=known.considered * wider)
 
 
 def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, bool]:

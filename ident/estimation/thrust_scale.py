@@ -98,9 +98,9 @@ def scale_of(model: Model) -> ThrustScale:
         arm = model.parameter("y_arm").provenance
     elif "m_r" in values and "y_left" in values:
         arm = model.parameter("y_left").provenance
-    exact = thrust is not None and thrust is not BUILT_IN and not model.parameter("c1").free
+    exact = thrust is not None and thrust is not BUILT_IN and model.parameter("c1").exact
     if any(i.unit.startswith("N") for i in model.inputs):  # forces as given, but for a calibration
-        exact = not ("k_thrust" in values and model.parameter("k_thrust").free)
+        exact = "k_thrust" not in values or model.parameter("k_thrust").exact
     return ThrustScale(thrust, arm, exact)
 
 

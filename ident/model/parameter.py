@@ -76,6 +76,8 @@ class Parameter:
 
     def __post_init__(self) -> None:
         low, high = self.bounds
+        if self.considered and (self.prior is None or self.per_record):
+            raise ValueError(f"parameter {self.name}: considered, it needs a prior, and one value for all records")
         if self.transform == "log" and self.value <= 0:
             raise ValueError(f"parameter {self.name}: {self.value} is not positive, but its transform is log")
         nearest = min(max(self.value, low), high)
@@ -83,6 +85,11 @@ class Parameter:
             object.__setattr__(self, "value", nearest)
         if not low <= self.value <= high:
             raise ValueError(f"parameter {self.name}: {self.value} is outside its bounds [{low}, {high}]")
+
+    @property
+    def exact(self) -> bool:
+        """Whether it is taken for known without an error."""
+        return not (self.free or self.considered)
 
     @property
     def full_name(self) -> str:
@@ -130,7 +137,8 @@ class Parameter:
         if sd == 0.0:
             return replace(self, value=float(value), free=False, considered=False, origin=origin)
         prior = (float(value), float(sd))
-        return replace(self, value=float(value), prior=prior, free=not self.considered, origin=origin)
+        held = self.considered and not self.free
+        return replace(self, value=float(value), prior=prior, free=not held, origin=origin)
 
     def freed(self) -> Parameter:
         return replace(self, free=True, considered=False)

@@ -292,4 +292,5 @@ def output(s: Signals) -> None:
     y["vx"], y["vy"] = (a_n + b_n) / 2, (a_e + b_e) / 2
     for axis, own in zip("xy", _over_ground(s, x.psi, x.u, v), strict=True):
         beyond = s.rate[axis] - own  # of effects, such as a current that wanders: steady over a fix's age
-        y[axis], y[f"v{axis}"] = y[axis] - p.tau_gnss * beyond, y[f"v{axis}"] + beyond  # mean age of the two points
+        age = p.tau_gnss + p.dt_gnss  # mean of the two points
+        y[axis], y[f"v{axis}"] = y[axis] - age * beyond, y[f"v{axis}"] + beyond

@@ -203,7 +203,7 @@ class ParameterRow(Part, frozen=True, kw_only=True):
     free: Annotated[bool, Meta(description="false: it was not estimated")]
     origin: Annotated[str, Meta(description=f"provenance of the value: {ORIGINS}")] = "estimated"
     prior_share: Annotated[
-        float | None, Meta(description="part of its information that came from the prior, 0..1; null: not estimated")
+        float | None, Meta(description="part of its information from the prior, 0..1 (1: considered); null: fixed")
     ] = None
     start: Annotated[float | None, Meta(description="value that the search started from")] = None
     flag: Annotated[str | None, Meta(description="what is wrong with the estimate")] = None

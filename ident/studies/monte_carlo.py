@@ -39,6 +39,7 @@ from ident.estimation import (
     Problem,
     SampledInputs,
     SearchSettings,
+    considered_information,
     fit,
     free_start,
     simulate_stochastic,
@@ -155,6 +156,9 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
     problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
     information, z = problem.evaluate(problem.start).information, problem.start
     P = scaled_inverse(information)
+    if truth.considered:
+        follow = P @ considered_information(problem, z)
+        P = P + follow @ follow.T
     return np.sqrt(np.diag(P) + variance_change_by_bounds(information, P, z, problem.bounds, rng))
 
 
@@ -175,9 +179,10 @@ def _coordinates(parameters: Sequence[Parameter], values: Array) -> Array:
 
 
 def _draw(model: Model, rng: np.random.Generator) -> Array:
-    """The true values; what each record has for itself comes from its prior."""
+    """The true values; what each record has for itself comes from its prior, and so does what is considered."""
+    own = {p.name for p in model.parameters if p.free and p.per_record} | {*model.considered}
     return np.array([
-        p.prior[0] + p.prior[1] * rng.standard_normal() if p.free and p.per_record and p.prior else p.value
+        p.prior[0] + p.prior[1] * rng.standard_normal() if p.name in own and p.prior else p.value
         for p in model.parameters
     ])
 

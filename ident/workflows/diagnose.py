@@ -19,6 +19,7 @@ from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings
 from ident.workflows.check import check_first, with_noise_floors
 from ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_lines, unused_signals
 from ident.workflows.output import sensor_rates, validity, write_all
+from ident.workflows.vehicle_model import considered_notes
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         evaluate_diagnosis(found, horizon),
         provenance([*loaded, *unseen], command),
         warnings=estimation_warnings(found.after.fit, found.after.records, loaded[0].vehicle.get("length")),
-        notes=[*floors, *found.after.outlier_notes],
+        notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
         model_path=str(request.model),
         unused=unused,
     )

@@ -115,16 +115,16 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
 
 def considered_notes(model: Model) -> list[str]:
     """A line that says what is in the errors beside what the logs tell."""
-    held = [
-        f"{p.meaning} {p.name} ± {p.prior[1]:g}{' ' * bool(p.unit)}{p.unit}"
-        f"{' (built in)' * (p.origin is ParameterOrigin.BUILT_IN)}"
-        for p in model.parameters
-        if p.name in model.considered and p.prior is not None
+    held = [p for p in model.parameters if p.name in model.considered]
+    words = [
+        f"{p.meaning} {p.name} ± {f'{sd:g} {p.unit}'.strip()}{' (built in)' * (p.origin is ParameterOrigin.BUILT_IN)}"
+        for p in held
+        for _, sd in [p.prior or (p.value, 0.0)]
     ]
     if not held:
         return []
-    return [f"The standard errors have in them what no log tells of its own sensors: {', '.join(held)}. "
-            f"--prior {model.considered[0]}=0:SD gives yours."]
+    return [f"The standard errors have in them what no log tells of its own sensors: {', '.join(words)}. "
+            f"`ident vehicle --prior {held[0].name}={held[0].value:g}:SD` gives yours."]
 
 
 def vehicle_problem(

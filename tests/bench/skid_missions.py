@@ -224,7 +224,8 @@ def table(results: Results, diagnoses: Results, known: Mapping[str, Mapping[str,
     lines += ["", "| frame | log | what the diagnosis answers |", "|---|---|---|"]
     lines += [f"| {frame} | {source} | {found['answer']} |" for (frame, source), found in diagnoses.items()]
     wrong = missed(results, diagnoses, known)
-    bounds = f"{WITHIN_SE:g} standard errors and {WITHIN_PERCENT:g} %, {WITHIN_DEG:g} degrees and {WITHIN_M:g} m"
+    tiny = ", ".join(f"{name}: {size:g} {UNITS[name]}" for name, size in TINY.items())
+    bounds = f"{WITHIN_SE:g} standard errors and {WITHIN_PERCENT:g} % ({tiny}), {WITHIN_DEG:g} degrees, {WITHIN_M:g} m"
     lines += ["", f"Beyond {bounds}, or named though it is not there:" if wrong else f"All within {bounds}."]
     lines += ["", *(f"- {line}" for line in wrong)] if wrong else []
     return "\n".join(lines)

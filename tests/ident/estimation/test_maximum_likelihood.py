@@ -13,6 +13,7 @@ from ident.estimation import fisher_scoring, maximum_likelihood
 from ident.estimation.fisher_scoring import Problem
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
+from ident.estimation.parameter_covariance import parameter_uncertainty
 from ident.model.parameter import INF, Parameter, ParameterOrigin
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import best_start, turning, turning_record, values_of
@@ -101,6 +102,9 @@ def test_what_is_considered_goes_into_the_errors_and_into_nothing_else() -> None
     assert np.abs(off / np.outer(found.errors, found.errors)).max() < 0.03
     assert found.errors[1] > 2 * held.errors[1]
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), found.errors)
+    np.testing.assert_allclose(found.covariance - found.considered, held.covariance)
+    roots = [parameter_uncertainty(f, 0).root for f in (found, held)]
+    np.testing.assert_allclose(roots[0] @ roots[0].T, roots[1] @ roots[1].T)
 
 
 def test_what_is_considered_can_be_given_and_freed() -> None:
@@ -111,6 +115,10 @@ def test_what_is_considered_can_be_given_and_freed() -> None:
     model = replace(turning(), parameters=(*turning().parameters, p))
     assert model.considered == ("k",)
     assert model.replace_parameters(p.freed()).considered == ()
+    assert [q.exact for q in (p, p.freed(), p.known(0.0, 0.0, ParameterOrigin.GIVEN))] == [False, False, True]
+    for wrong in ({"prior": None}, {"per_record": True}):
+        with pytest.raises(ValueError, match="parameter k: considered, it needs a prior"):
+            replace(p, **wrong)
 
 
 def test_threads_do_not_change_the_result(found: Fit) -> None:

@@ -96,3 +96,14 @@ def test_each_combination_that_is_not_seen_is_named_by_itself(unseen: list[list[
     assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]
     if "d" in said:
         assert dict(found.flags)["d"].endswith("a change of +0.5 c +1 d")
+
+
+def test_the_share_of_a_prior_is_that_of_what_the_data_tell() -> None:
+    """What is considered makes the errors larger, and no prior stronger."""
+    at = Evaluation(0.0, np.zeros(2), np.diag([100.0, 1.0]), np.zeros(2))
+    prior, considered = np.array([10.0, 0.0]), np.array([[30.0], [0.0]])
+    found = assess(at, np.ones(2), BOUNDS, ("a", "b"), np.ones(2), prior, considered)
+    assert found.prior_weight == pytest.approx([0.1, 0.0])
+    assert found.errors == pytest.approx([np.hypot(0.1, 0.3), 1.0])
+    assert found.considered == pytest.approx(np.diag([0.09, 0.0]))
+    assert not found.flags

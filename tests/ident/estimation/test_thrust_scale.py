@@ -58,6 +58,8 @@ def test_what_nobody_gave_is_left_to_the_data() -> None:
     posed = pose_scale(model.replace_parameters(*known))
     assert posed.values["y_right"] == 0.2
     assert scale_of(posed) == ThrustScale(GIVEN, GIVEN, True)
+    uncertain = replace(known[0], prior=(12.0, 1.0), considered=True)
+    assert scale_of(model.replace_parameters(uncertain)).statistical is False
 
     weighed = model.replace_parameters(model.parameter("m_u").known(12.0, 1.0, PRIOR))
     assert scale_of(pose_scale(weighed)).thrust is ParameterOrigin.ESTIMATED

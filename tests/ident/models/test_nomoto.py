@@ -157,8 +157,9 @@ def test_what_its_sensors_are_good_for_is_said_and_can_be_given() -> None:
 @pytest.mark.parametrize(("name", "like"), [("dt_r", "T_r"), ("dt_gnss", "tau_gnss"), ("dt_n", "tau_n")])
 def test_time_stamps_that_are_off_are_a_delay(name: str, like: str) -> None:
     """Of the gyro's filter, of the fixes, or of what the inputs drive, here a ramp."""
-    model, known = nomoto_model(), {"tau_gnss": 0.2, "T_r": 0.06, "tau_n": 0.01}
-    x = [{"u": 2.0, "r_gyro": 0.4, "r_gyro_rate": 3.0}.get(s.name, 0.0) for s in model.states]
+    model, known = nomoto_model() + current_walk(), {"tau_gnss": 0.2, "T_r": 0.06, "tau_n": 0.01}
+    now = {"u": 2.0, "r_gyro": 0.4, "r_gyro_rate": 3.0, "drift_x": 0.3, "drift_y": -0.2}
+    x = [now.get(s.name, 0.0) for s in model.states]
     ramp = np.linspace(0.2, 0.9, len(model.inputs)).tolist()
 
     def found(**more: float) -> list[float]:

@@ -19,7 +19,7 @@ from ident.data.record import Record
 from ident.estimation.fisher_scoring import Bounds
 from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.model.parameter import Parameter
+from ident.model.parameter import INF, Parameter
 from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from ident.report.study_page import as_text
 from ident.reporter import QUIET
@@ -111,6 +111,18 @@ def test_estimates_of_the_models_own_data_are_right_and_output_errors_are_not() 
     wrong = {j.name: j for j in summarise(run_replicates(case, range(60), 3, "output-error"))}
     assert wrong["m_r"].ratio > 3
     assert {"variance", "coverage"} <= set(wrong["m_r"].misses)
+
+
+def test_what_is_considered_is_drawn_for_each_replicate() -> None:
+    """Else no study of a fit with such a parameter could be right: it would find its errors many times too large."""
+    case = make_case("yaw", free=("m_r", "d_r"), seconds=60.0)
+    d_rr = case.model.parameter("d_rr")
+    d_rr = replace(d_rr, bounds=(-INF, INF), considered=True, prior=(d_rr.value, 3.0))
+    rows = run_replicates(replace(case, model=case.model.replace_parameters(d_rr)), range(60), 3)
+    found = {j.name: j for j in summarise(rows)}["d_r"]
+    assert found.coverage > 0.85
+    for ratio in (found.ratio, found.bound_ratio):
+        assert 0.6 < ratio < 1.6
 
 
 def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
