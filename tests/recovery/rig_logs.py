@@ -304,6 +304,7 @@ RIGS: dict[str, Rig] = {
         replace(VESC, name="payload", says="5 kg more on board in the second of two runs, and 20 kg to validate",
                 estimation=(300.0, 300.0), payload=(0.0, 5.0, 20.0)),
         replace(VESC, name="eight-runs", says="eight runs of 100 s", estimation=(100.0,) * 8),
+        replace(VESC, name="thirty-two-runs", says="thirty-two runs of 60 s", estimation=(60.0,) * 32),
     )
 }
 
