@@ -330,15 +330,15 @@ def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
     """The structure's parameter with what its row says; without a prior there, the structure's own stays."""
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
-    p = replace(p, value=float(row["value"]), free=bool(row["free"]), considered=bool(row.get("considered", False)),
-                origin=p.origin if estimated else origin)
-    if "prior" not in row:
-        return p
-    mean, sd = (float(z) for z in row["prior"])
-    if not (sd > 0 and (mean > 0 or p.transform != "log")):
-        what = "a positive mean and standard deviation" if p.transform == "log" else "a positive standard deviation"
-        raise ValueError(f"parameter {p.name}: its prior [{mean:g}, {sd:g}] needs {what}")
-    return replace(p, prior=(mean, sd))
+    prior = p.prior
+    if "prior" in row:
+        mean, sd = (float(z) for z in row["prior"])
+        if not (sd > 0 and (mean > 0 or p.transform != "log")):
+            what = "a positive mean and standard deviation" if p.transform == "log" else "a positive standard deviation"
+            raise ValueError(f"parameter {p.name}: its prior [{mean:g}, {sd:g}] needs {what}")
+        prior = mean, sd
+    return replace(p, value=float(row["value"]), free=bool(row["free"]), considered=bool(row.get("considered", False)),
+                   prior=prior, origin=p.origin if estimated else origin)
 
 
 def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
