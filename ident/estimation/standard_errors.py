@@ -80,7 +80,8 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     spread, limits, leaning = _beside_bounds(at, z, bounds, P, names)
     flags += leaning
     follow = np.zeros((n, 1)) if considered is None else -np.nan_to_num(P) @ considered
-    spread = spread + follow @ follow.T
+    by_considered = follow @ follow.T
+    spread = spread + by_considered
     variance = np.diag(P + spread)
     covariance = (P + spread) * np.outer(slopes, slopes)
     root = np.sqrt(variance)
@@ -90,9 +91,8 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     for i in np.flatnonzero(weight > 0.9).tolist():
         flags.append((names[i], f"{100 * weight[i]:.0f} % of what is known of it is its prior"))
     correlation = (P + spread) / np.outer(root, root)
-    by_considered = follow @ follow.T * np.outer(slopes, slopes)
     return Uncertainty(np.abs(slopes) * root, covariance, correlation, np.minimum(weight, 1.0), norm, tuple(flags), P,
-                       spread, limits, by_considered)
+                       spread, limits, by_considered * np.outer(slopes, slopes))
 
 
 def _beside_bounds(

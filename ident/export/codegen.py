@@ -262,9 +262,8 @@ def _unit(unit: str) -> str:
 
 def comment(c: Content, i: int) -> str:
     """Comment of a parameter: unit, standard error or where its value comes from, meaning."""
-    p, error = c.own[i], c.errors[i]
-    if p.considered and not p.free and p.prior is not None:
-        error = p.prior[1]
+    p = c.own[i]
+    error = c.errors[i] if p.considered_sd is None else p.considered_sd
     known = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else f"{p.provenance},"
     return " ".join(" ".join(part for part in (_unit(p.unit), known, p.meaning) if part).split())
 

@@ -92,6 +92,11 @@ class Parameter:
         return not (self.free or self.considered)
 
     @property
+    def considered_sd(self) -> float | None:
+        """Standard deviation with which it goes into the errors of others; None of one that is estimated or exact."""
+        return self.prior[1] if self.considered and not self.free and self.prior is not None else None
+
+    @property
     def full_name(self) -> str:
         """``V_x@0`` of a record's own, else the name."""
         return segment_name(self.name, self.segment)
@@ -137,8 +142,7 @@ class Parameter:
         if sd == 0.0:
             return replace(self, value=float(value), free=False, considered=False, origin=origin)
         prior = (float(value), float(sd))
-        held = self.considered and not self.free
-        return replace(self, value=float(value), prior=prior, free=not held, origin=origin)
+        return replace(self, value=float(value), prior=prior, free=self.considered_sd is None, origin=origin)
 
     def freed(self) -> Parameter:
         return replace(self, free=True, considered=False)

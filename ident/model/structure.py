@@ -428,7 +428,7 @@ class Model:
     @property
     def considered(self) -> tuple[str, ...]:
         """Parameters that are not estimated, but whose uncertainty goes into the errors of those that are."""
-        return tuple(p.name for p in self.parameters if p.considered and not p.free)
+        return tuple(p.name for p in self.parameters if p.considered_sd is not None)
 
     @property
     def noises(self) -> frozenset[str]:

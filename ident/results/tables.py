@@ -88,8 +88,8 @@ def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None 
             value, error = reported.estimate(p, i)
             error = math.hypot(error, (calibration or 0.0) * value * force_power(p.unit))
             share = finite(fit.prior_weight[fit.names.index(name)]) if name in fit.names else None
-            if p.name in fit.model.considered and p.prior is not None:
-                error, share = p.prior[1] * reported.factor(p.unit), 1.0
+            if p.considered_sd is not None:
+                error, share = p.considered_sd * reported.factor(p.unit), 1.0
             rows.append(
                 ParameterRow(
                     name=scale.name(p.name, p.unit),

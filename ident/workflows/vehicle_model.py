@@ -115,14 +115,14 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
 
 def considered_notes(model: Model) -> list[str]:
     """A line that says what is in the errors beside what the logs tell."""
-    held = [p for p in model.parameters if p.name in model.considered]
-    words = [
-        f"{p.meaning} {p.name} ± {f'{sd:g} {p.unit}'.strip()}{' (built in)' * (p.origin is ParameterOrigin.BUILT_IN)}"
-        for p in held
-        for _, sd in [p.prior or (p.value, 0.0)]
-    ]
+    held = [p for p in model.parameters if p.considered_sd is not None]
     if not held:
         return []
+    words = [
+        f"{p.meaning} {p.name} ± {f'{p.considered_sd:g} {p.unit}'.strip()}"
+        f"{' (built in)' * (p.origin is ParameterOrigin.BUILT_IN)}"
+        for p in held
+    ]
     return [f"The standard errors have in them what no log tells of its own sensors: {', '.join(words)}. "
             f"`ident vehicle --prior {held[0].name}={held[0].value:g}:SD` gives yours."]
 
