@@ -90,7 +90,9 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
 class Score:
     """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks; ``kind`` and ``curve``:
     of the effect that is tested; ``threshold``: critical value of ``lm`` among the tests that were made with it;
-    ``blocks``: of time, of which ``lm_block`` cannot exceed the number, whatever the effect."""
+    ``blocks``: of time, of which ``lm_block`` cannot exceed the number, whatever the effect; ``tolerance``: the part of
+    its information that the fitted parameters do not take up (one over the variance inflation factor), priors left out,
+    of that parameter of which most is left."""
 
     name: str
     lm: float
@@ -102,6 +104,7 @@ class Score:
     curve: ForceCurve | None = None
     threshold: float = float("nan")
     blocks: float = float("inf")
+    tolerance: float = 1.0
 
     @property
     def least_blocks(self) -> int:
@@ -266,26 +269,41 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     is from its maximum.
     """
     n_fitted = prior.gradient.size
-    fitted = normal.information[:n_fitted, :n_fitted] + np.diag(prior.information)
-    scale = np.sqrt(np.maximum(np.diag(fitted), 1e-300))
-    gain = np.linalg.lstsq(
-        fitted / np.outer(scale, scale), normal.information[:n_fitted] / scale[:, None], rcond=1e-12
-    )[0]
-    gain = gain / scale[:, None]
+    gain = _gain(normal.information, prior.information)
     information = normal.information - normal.information[:n_fitted].T @ gain
+    by_data = _gain(normal.information, np.zeros(n_fitted))
+    before = np.diag(normal.information)
+    left = before - np.einsum("ij,ij->j", normal.information[:n_fitted], by_data)
+    tolerance = np.divide(left, before, out=np.ones_like(left), where=before > 0)
     score = normal.score - gain.T @ (normal.score[:n_fitted] + prior.gradient)
     blocks = np.concatenate(normal.blocks)
     blocks = blocks - blocks[:, :n_fitted] @ gain
-    scores = [_one(c, information, score, blocks, normal.information) for c in candidates]
-    return [s for s in scores if s is not None]
+    scores = [_one(c, information, score, blocks, before) for c in candidates]
+    return [
+        replace(s, tolerance=float(np.max(tolerance[list(c.at)])))
+        for s, c in zip(scores, candidates, strict=True)
+        if s is not None
+    ]
+
+
+def _gain(information: Array, prior: Array) -> Array:
+    """Regression (n_fitted, n_columns) of all columns on the first ones, which are the fitted parameters and have
+    ``prior`` information besides."""
+    n_fitted = prior.size
+    fitted = information[:n_fitted, :n_fitted] + np.diag(prior)
+    scale = np.sqrt(np.maximum(np.diag(fitted), 1e-300))
+    scaled = np.linalg.lstsq(fitted / np.outer(scale, scale), information[:n_fitted] / scale[:, None], rcond=1e-12)[0]
+    gain: Array = scaled / scale[:, None]
+    return gain
 
 
 def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, before: Array) -> Score | None:
     candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
     # a column that the fitted parameters explain to 1e-8 cannot be tested
-    alive = np.diag(information)[index] > 1e-8 * np.diag(before)[index]
+    alive = np.diag(information)[index] > 1e-8 * before[index]
     if not alive.any():
-        return None
+        there = candidate.kind is EffectKind.CATALOGUE and bool(np.any(before[index] > 0))
+        return Score(candidate.name, 0.0, index.size, 0.0, {}, candidate.scan, blocks=len(blocks)) if there else None
     index, names = index[alive], names[alive]
     info, s = information[np.ix_(index, index)], score[index]
     w, V, size = scaled_eigen(info)

@@ -181,7 +181,10 @@ def diagnose(
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
-    judgements = assess_alternatives(kept, passed, search.n, untested, weights, _reservations(before, current), current)
+    judgements = assess_alternatives(
+        kept, passed, search.n, untested, weights, _reservations(before, current), current,
+        search.rounds[0].scores if search.rounds else (),
+    )  # fmt: skip
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _shapes(before, kept, judgements, records)
     return Diagnosis(

@@ -66,6 +66,7 @@ class Rig:
         blind: effects that nothing in these logs can show.
         there: effects of the catalogue that every log of it has.
         brings: those that come with another: what a rig makes of it.
+        called: names of the catalogue for what another effect is on it.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Rig:
     blind: frozenset[str] = field(default_factory=frozenset)
     there: frozenset[str] = field(default_factory=frozenset)
     brings: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    called: Mapping[str, str] = field(default_factory=dict)
 
     def boat(self, effect: str | None, seed: int) -> Boat:
         """The boat of a seed, its thrusters its own; of an unknown scale, up to twice or half the usual one."""
@@ -295,7 +297,8 @@ RIGS: dict[str, Rig] = {
         Rig("ekf", "CSV: position, heading, yaw rate and body velocities smoothed by an estimator, 10 Hz",
             partial(csv_log, of=navigation_filter), blind=NO_RATES | {"gnss-latency"},
             there=frozenset({"filter-lag"}),  # its yaw rate is late by 50 ms
-            brings={"lever-arm": frozenset({"velocity-point"})}),  # it draws its velocity to that of the antenna
+            brings={"lever-arm": frozenset({"velocity-point"})},  # it draws its velocity to that of the antenna
+            called={"compass-filtered": "compass"}),  # its heading is drawn to the compass in two seconds
         replace(VESC, name="noise-third", says="sensor noise declared a third of the true one", declared=1 / 3),
         replace(VESC, name="noise-triple", says="sensor noise declared three times the true one", declared=3.0),
         replace(VESC, name="scale-unknown", says="thrust known to nobody", scale_known=False),

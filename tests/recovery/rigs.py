@@ -159,10 +159,10 @@ def _own_names() -> dict[str, str]:
 
 def verdict(row: Row) -> str:
     """One of the words above. A boat that lacks nothing is right only where nothing is found, sure or not."""
-    own = _own_names()
+    rig = RIGS.get(row["rig"])
+    own = _own_names() | dict(rig.called if rig else {})
     row = row | {"found": [own.get(n, n) for n in row["found"]]}
     row["not_excluded"] = [[own.get(n, n) for n in names] for names in row["not_excluded"]]
-    rig = RIGS.get(row["rig"])
     there = {row["effect"], *(rig.brings.get(row["effect"], ()) if rig else PLANTS[row["rig"]].there)}
     found = [name for name in row["found"] if not _expected(row, name)]
     if row["effect"] == NONE:

@@ -42,5 +42,5 @@ EFFECT = Effect(
     source="compass adjusters' coefficients B to E, their sign reversed; Bowditch, chapter 6",
     experiment="swinging the compass: slow turns through all headings, in both directions",
     requires=("hull",),
-    alternatives=("mount", "gyro-scale", "wind"),
+    alternatives=("mount", "gyro-scale", "wind", "compass-filtered"),
 )

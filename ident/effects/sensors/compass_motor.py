@@ -55,5 +55,5 @@ EFFECT = Effect(
     experiment="full forward and full reverse on four headings, moored as well: the heading must not change",
     requires=("n", "f", "body_velocity"),
     scan={"T_dev": (3.0, 8.0, 20.0)},
-    alternatives=("compass", "velocity-point"),
+    alternatives=("compass", "compass-filtered", "velocity-point"),
 )

@@ -143,6 +143,21 @@ def test_an_alternative_that_could_not_be_tested_is_not_excluded() -> None:
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("battery-sag",))
 
 
+def test_an_alternative_that_the_estimates_take_up_is_not_excluded() -> None:
+    """Where the asymmetry of the thrust is estimated, it is a loss in reverse: what is left is the shape of the loss,
+    which looks like other shapes."""
+    linear = refit("thrust-linearity", 90.0, alternatives=("dead-band", "reverse-thrust"))
+    hidden = replace(score("reverse-thrust", 5.0), tolerance=4e-4)
+    (found,) = assess_alternatives([one_round(linear)], (), N, nominal=[hidden])
+    assert (found.attribution, found.not_excluded) == ("ambiguous", ("reverse-thrust",))
+    why = "its alternative reverse-thrust is nearly all taken up by the model's estimated parameters"
+    assert found.reasons == (why,)
+    (itself,) = assess_alternatives([one_round(refit("reverse-thrust", 90.0))], (), N, nominal=[hidden])
+    assert itself.reasons == ("the model's estimated parameters take up nearly all of it",)
+    (seen,) = assess_alternatives([one_round(linear)], (), N, nominal=[replace(hidden, tolerance=2e-3)])
+    assert seen.attribution == "identified"
+
+
 def test_an_alternative_that_could_not_be_fitted_is_not_excluded() -> None:
     """Else the second best takes its place, as sure."""
     lost = UntestedCandidate(refit("mismatch", 0.0).effect, "tau_b is outside its bounds")

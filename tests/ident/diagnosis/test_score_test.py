@@ -109,16 +109,36 @@ def test_lm_is_the_likelihood_ratio_for_a_small_effect() -> None:
 
 
 def test_a_fitted_parameter_cannot_be_found_missing() -> None:
-    """What the fitted parameters can imitate is dropped, and adding it to a candidate changes nothing."""
+    """What the fitted parameters can imitate has no score, and adding it to a candidate changes nothing."""
     record = slide(5, 400, push=0.05)
     path, run, own = path_of(record)
     push = whole(path, next(path.effect(PUSH)))
     mixed = push + 3.0 * own[0][:, :, None] - 0.7 * own[1][:, :, None]
     same = SensitivityColumns("damping", own[1][:, :, None])
     one, two = scores_of_columns(path, run, own, [SensitivityColumns("push", push), SensitivityColumns("mixed", mixed)])
-    assert scores_of_columns(path, run, own, [same]) == []
+    (none,) = scores_of_columns(path, run, own, [same])
+    assert (none.lm, none.df, none.lm_block, none.step, none.p, none.p_block) == (0.0, 1, 0.0, {}, 1.0, 1.0)
+    assert none.tolerance < 1e-8
+    assert scores_of_columns(path, run, own, [replace(same, delta=0.0 * same.delta)]) == []  # nothing acts
     assert two.lm == pytest.approx(one.lm, rel=1e-6)
     assert two.lm_block == pytest.approx(one.lm_block, rel=1e-6)
+
+
+def test_tolerance_is_what_a_regression_on_the_fitted_parameters_leaves() -> None:
+    """Of the data alone: the priors of the fitted parameters do not make it larger."""
+    path, run, own = path_of(slide(5, 400, push=0.05))
+    push = whole(path, next(path.effect(PUSH)))
+    columns = [SensitivityColumns(f"{k:g}", push + k * own[0][:, :, None]) for k in (0.0, 300.0)]
+    carrier = SensitivityFilter(run, path.own, path.jacobian)
+    g = carrier([SensitivityColumns("fitted", np.stack(own, 2)), *columns])
+    normal, m = NormalEquations([str(k) for k in range(g.shape[1])]), len(own)
+    normal.add(range(g.shape[1]), g, carrier.e, block_index(carrier.t))
+    strong = PriorTerms(np.zeros(m), 1e3 * np.diag(normal.information)[:m])
+    found = score_tests(normal, strong, place(columns, m, 1)[0])
+    for score, column in zip(found, g.T[m:], strict=True):
+        rest = column - g[:, :m] @ np.linalg.lstsq(g[:, :m], column, rcond=None)[0]
+        assert score.tolerance == pytest.approx(np.sum(rest**2) / np.sum(column**2), rel=1e-4)
+    assert found[1].tolerance < 0.1 * found[0].tolerance
 
 
 def test_scores_do_not_depend_on_units_and_copies_add_no_freedom() -> None:

@@ -1,0 +1,60 @@
+"""Compass deviation behind the heading filter of an AHRS or autopilot.
+
+The filter integrates its gyro and is drawn to the compass with a time constant, so the heading that it estimates has
+the deviation of the headings of the last seconds. A turning boat's is late, which without the filter is taken for an
+interference of the motors, as they run when it turns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ident.effects.sensors.compass import turn_body_velocity
+from ident.model import Effect, Parameter, Signals, State
+
+TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0.05), ("2c", "cos 2 psi", 0.05))
+
+
+def _behind(s: Signals) -> None:
+    """What is not yet in the estimate: the term less the term behind the filter, which is nothing on a straight."""
+    psi, r = s.x.psi, s.x.r
+    s.rate["behind_1s"] = np.cos(psi) * r - s.x.behind_1s / s.p.T_head
+    s.rate["behind_1c"] = -np.sin(psi) * r - s.x.behind_1c / s.p.T_head
+    s.rate["behind_2s"] = 2 * np.cos(2 * psi) * r - s.x.behind_2s / s.p.T_head
+    s.rate["behind_2c"] = -2 * np.sin(2 * psi) * r - s.x.behind_2c / s.p.T_head
+
+
+def _deviate(s: Signals) -> None:
+    p, x, psi = s.p, s.x, s.x.psi
+    deviation = p.dev_f1s * (np.sin(psi) - x.behind_1s) + p.dev_f1c * (np.cos(psi) - x.behind_1c)
+    deviation = deviation + p.dev_f2s * (np.sin(2 * psi) - x.behind_2s) + p.dev_f2c * (np.cos(2 * psi) - x.behind_2c)
+    s.y["psi"] = s.y["psi"] + deviation
+    turn_body_velocity(s, deviation)
+
+
+EFFECT = Effect(
+    name="compass-filtered",
+    title="compass deviation behind a heading filter",
+    place="sensor",
+    hooks={"rate": _behind, "axes": _deviate},
+    parameters=(
+        *(
+            Parameter(f"dev_f{name}", 0.0, "rad", f"of {f}", prior=(0.0, sd), step=0.01)
+            for name, f, sd in TERMS
+        ),
+        Parameter("T_head", 3.0, "s", "time constant of the heading filter", "log", prior=(3.0, 3.0),
+                  bounds=(0.3, 100.0), scales=False),
+    ),
+    states=tuple(
+        State(f"behind_{name}", "", f"{f} less that behind the heading filter", 0.0, sd0=0.05)
+        for name, f, _ in TERMS
+    ),
+    formula="psi_measured = psi + delta, T delta' = dev_f1s sin psi + dev_f1c cos psi + dev_f2s sin 2psi "
+    "+ dev_f2c cos 2psi - delta; (u, v) rotated by delta",
+    source="compass adjusters' coefficients B to E behind a complementary filter (Mahony, Hamel and Pflimlin 2008)",
+    experiment="swinging the compass: slow turns through all headings, in both directions, and the same fast",
+    requires=("hull", "body_velocity"),
+    scan={"T_head": (1.0, 3.0, 8.0)},
+    nests=("compass",),
+    alternatives=("compass", "compass-motor"),
+)
