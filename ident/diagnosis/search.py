@@ -121,6 +121,7 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
 
 N_REFITS, N_UNKNOWN = 4, 2  # parametric and nonparametric candidates that are refitted in a round
 N_BATCHES = 2  # of parametric ones, where none of the first is accepted
+INDISTINGUISHABLE = 2.0  # of BIC: below it evidence is "not worth more than a bare mention" (Kass and Raftery 1995)
 LOST = 1.0  # in 2 ln L, that a larger model may lose to rounding of the search
 SHORT = 20  # blocks of estimation data (100 s for a boat): below it no name is sure
 SHORT_VALIDATION = 8  # of validation data (40 s), of which two make one of the gain: below it t > 2 is often chance
@@ -388,20 +389,23 @@ class _Search:
         """The refits with what became of them, best first, and the best that is accepted, fitted exactly.
 
         A difference between runs has as many parameters as there are runs, and explains some of anything: it comes
-        after the effects, unless it explains the validation data significantly better than the best of them.
+        after the effects, unless it explains the validation data significantly better than the best of them. Of effects
+        that the likelihood cannot tell apart the one with which the prediction errors are least is the best.
         """
         judged: list[Refit] = []
         chosen: Refit | None = None
         for r in sorted(refits, key=lambda r: (r.effect.kind is EffectKind.BETWEEN_RUNS, -r.criterion)):
             if not r.validated:
                 r = replace(r, outcome=Outcome.NOT_SUPPORTED if r.criterion <= 0 else Outcome.NOT_VALIDATED)
-            elif chosen is None or (r.criterion > chosen.criterion and _explains_more(r, chosen)):
+            elif chosen is None or _tied(r, chosen) or (r.criterion > chosen.criterion and _explains_more(r, chosen)):
                 try:
                     r = self._exact(current, r)
                 except FIT_ERRORS as problem:
                     untested.append(UntestedCandidate(r.effect, str(problem)))
                     continue
-                if r.outcome is Outcome.ADDED:
+                if chosen is not None and _tied(r, chosen) and not _predicts_better(r, chosen):
+                    r = replace(r, outcome=Outcome.OUTRANKED)
+                elif r.outcome is Outcome.ADDED:
                     judged = [replace(q, outcome=Outcome.OUTRANKED) if q is chosen else q for q in judged]
                     chosen = r
             judged.append(r)
@@ -482,6 +486,19 @@ def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
     kin = any(exact.effect.name in r.effect.alternatives or r.effect.name in exact.effect.alternatives for r in added)
     largest = max((r.criterion for r in added), default=0.0)
     return Outcome.ADDED if needed or kin or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
+
+
+def _tied(one: Refit, other: Refit) -> bool:
+    """Whether the likelihood cannot tell two effects apart."""
+    named = not (one.unknown or other.unknown or one.effect.kind is EffectKind.BETWEEN_RUNS)
+    return named and abs(one.criterion - other.criterion) < INDISTINGUISHABLE
+
+
+def _predicts_better(one: Refit, other: Refit) -> bool:
+    """Whether the prediction errors over the horizon are less with one effect than with another; of exact refits."""
+    assert one.prediction is not None
+    assert other.prediction is not None
+    return one.outcome is Outcome.ADDED and one.prediction.ratio < other.prediction.ratio
 
 
 def _explains_more(one: Refit, other: Refit) -> bool:

@@ -70,7 +70,8 @@ def prediction_variance(
     uncertainty: ParameterUncertainty, model: Model, record: Record, values: Array, known: int, likelihood: Likelihood
 ) -> Array:
     """Variance (n_rows, n_outputs) that this adds to predictions from the inputs after the first ``known`` rows,
-    of which the filter has the measurements; before that nothing is added, since those hold the prediction."""
+    of which the filter has the measurements; before that nothing is added, since those hold the prediction. It is
+    infinite where the prediction runs away within a standard deviation."""
     head, tail = record.rows(slice(0, known)), record.rows(slice(known - 1, None))
     preparer = Preparer(model)
 
@@ -79,8 +80,9 @@ def prediction_variance(
 
     total = np.zeros((record.n_rows, len(model.outputs)))
     for plus, minus in uncertainty.around(model, values):
-        total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
-    return total
+        with np.errstate(over="ignore", invalid="ignore"):  # one that runs away, either way
+            total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
+    return np.nan_to_num(total, nan=np.inf, posinf=np.inf)
 
 
 @dataclass(frozen=True)

@@ -101,6 +101,25 @@ def test_the_best_of_the_accepted_is_chosen(
 
 
 @pytest.mark.parametrize(
+    ("behind", "by_name", "chosen"),
+    [
+        (1.5, {"lift": SAME, "wind": FELL}, "wind"),  # as likely, and predicts better
+        (1.5, {"lift": FELL, "wind": SAME}, "lift"),
+        (1.5, {"lift": SAME, "wind": ValueError("x0")}, "lift"),
+        (1.5, {"lift": SAME, "wind": ROSE}, "lift"),
+        (2.5, {"lift": SAME, "wind": FELL}, "lift"),  # less likely
+    ],
+)
+def test_of_effects_as_likely_the_one_that_predicts_better_is_chosen(
+    monkeypatch: pytest.MonkeyPatch, behind: float, by_name: Any, chosen: str
+) -> None:
+    monkeypatch.setattr(_Search, "_exact", exactly(by_name))
+    judged, found = a_search()._choose(blank(), [refit("lift", 100.0), refit("wind", 100.0 - behind)], [])
+    assert found is not None
+    assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
+
+
+@pytest.mark.parametrize(
     ("gain", "t", "chosen"),
     [(400.0, 6.0, f"{BETWEEN}payload"), (40.0, 1.4, "wind"), (-40.0, -1.4, "wind")],
 )

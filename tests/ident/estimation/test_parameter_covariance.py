@@ -11,7 +11,7 @@ from ident.data.record import Record
 from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import SearchSettings, fit
 from ident.estimation.output_error import simulate
-from ident.estimation.parameter_covariance import parameter_uncertainty, prediction_variance
+from ident.estimation.parameter_covariance import ParameterUncertainty, parameter_uncertainty, prediction_variance
 from ident.model.parameter import Parameter
 from ident.model.structure import Output, Sensor, State, plain_model
 from ident.validation.prediction_errors import WARM_UP, simulation_run
@@ -60,6 +60,23 @@ def test_a_block_begins_as_it_says() -> None:
     added = prediction_variance(parameter_uncertainty(found), model, block, values, 150, likelihood)
     # k n / 1: its sensitivity is n, about a half at the end
     assert np.sqrt(added[-1, 0]) == pytest.approx(found.errors[0] * n[-1], rel=0.1)
+
+
+def test_it_is_infinite_where_a_prediction_runs_away_within_its_error() -> None:
+    """Without a bare numerical warning, which pytest takes for an error."""
+    model = plain_model(
+        "grows", f=lambda x, u, p: {"v": p.k * x.v}, h=lambda x, u, p: {"y": x.v}, states=(State("v", sd0=1.0),),
+        inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("k", -0.05), Parameter("e", 0.02, transform="log")))
+    t = 0.1 * np.arange(2000)
+    empty, y = np.zeros((t.size, 0)), np.exp(-0.05 * t)[:, None]
+    run = Record("run", t, empty, empty, y, (), ("y",))
+    far, values = ParameterUncertainty((0,), np.array([[3.0]])), np.array([-0.05, 0.02])
+    added = prediction_variance(far, model, run, values, 100, Likelihood(model))[:, 0]
+    assert (added[:100] == 0.0).all()
+    assert 0.0 < added[105] < np.inf
+    assert not np.isnan(added).any()
+    assert (added[-100:] == np.inf).all()
 
 
 def test_noise_and_what_has_no_error_is_left_out() -> None:
