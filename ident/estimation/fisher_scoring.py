@@ -177,7 +177,8 @@ def remaining_gain(at: Evaluation, H: Array, z: Array, bounds: Bounds) -> float:
 
 def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: int, tolerance: float,
              progress: Iterations | None = None) -> Optimum:
-    """From ``z`` until a full step is expected to gain less than ``tolerance``, or no step gains anything.
+    """From ``z`` until a full step is expected to gain less than ``tolerance``, or no step gains anything, neither by
+    the corrected Hessian nor by the expected information alone.
 
     ``evaluate(z)`` must be finite at the start.
     """
@@ -206,7 +207,11 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
                 break
             damping, growth = damping * growth, growth * 2
             if damping > MAX_DAMPING or growth > 2.0**12:
-                return Optimum(z, at, iteration + 1, evaluations, left)
+                if not memory.pairs:
+                    return Optimum(z, at, iteration + 1, evaluations, left)
+                memory.pairs.clear()  # of steps as small as rounding, or across a kink, they promise what is not there
+                damping, growth = 1e-3, 2.0
+                break
     return Optimum(z, at, max_iterations, evaluations, remaining_gain(at, memory.hessian(at), z, bounds))
 
 
