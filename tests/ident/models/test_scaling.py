@@ -32,8 +32,8 @@ DIMENSIONS = {
     "kg s/m2": (1, -2, 1),
 }
 # What is not the boat's: of a sensor, a link, a shaft, a bench, the water
-OTHERS = {"T_creep", "T_cell", "T_wash", "T_late", "n_slew", "f_rod", "T_dev", "tau_delay", "T_lag", "T_r", "T_uv",
-          "tau_gnss", "V_dx", "V_dy", "f_wave"}
+OTHERS = {"T_creep", "T_cell", "T_wash", "T_late", "n_slew", "f_rod", "T_dev", "T_head", "tau_delay", "T_lag", "T_r",
+          "T_uv", "tau_gnss", "V_dx", "V_dy", "f_wave"}
 LENGTH = 4.0  # times that of the catalogue's boat
 COPY = VesselScale(LENGTH**3, LENGTH)
 
