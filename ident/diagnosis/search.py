@@ -403,9 +403,11 @@ class _Search:
                 except FIT_ERRORS as problem:
                     untested.append(UntestedCandidate(r.effect, str(problem)))
                     continue
-                if chosen is not None and _tied(r, chosen) and not _predicts_better(r, chosen):
+                if r.outcome is not Outcome.ADDED:
+                    pass  # it says why
+                elif chosen is not None and _tied(r, chosen) and not _predicts_better(r, chosen):
                     r = replace(r, outcome=Outcome.OUTRANKED)
-                elif r.outcome is Outcome.ADDED:
+                else:
                     judged = [replace(q, outcome=Outcome.OUTRANKED) if q is chosen else q for q in judged]
                     chosen = r
             judged.append(r)
@@ -498,7 +500,7 @@ def _predicts_better(one: Refit, other: Refit) -> bool:
     """Whether the prediction errors over the horizon are less with one effect than with another; of exact refits."""
     assert one.prediction is not None
     assert other.prediction is not None
-    return one.outcome is Outcome.ADDED and one.prediction.ratio < other.prediction.ratio
+    return one.prediction.ratio < other.prediction.ratio
 
 
 def _explains_more(one: Refit, other: Refit) -> bool:

@@ -116,6 +116,8 @@ def test_of_effects_as_likely_the_one_that_predicts_better_is_chosen(
     monkeypatch.setattr(_Search, "_exact", exactly(by_name))
     judged, found = a_search()._choose(blank(), [refit("lift", 100.0), refit("wind", 100.0 - behind)], [])
     assert found is not None
+    worse = [r.effect.name for r in judged if r.outcome is Outcome.WORSE_PREDICTION]
+    assert worse == [name for name, change in by_name.items() if change is ROSE]
     assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
 
 
