@@ -31,7 +31,7 @@ def resume(
     old = sum(done[c.key]["code"] != code_state() for c in cases if c.key in done)
     if old:
         print(f"note: {old} cases in {out} were run with another state of the code; give another --out to run anew")
-    todo = [c for c in cases if c.key not in done]
+    todo = [c for c in cases if c.key not in done or "error" in done[c.key]]
     out.parent.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     with out.open("a", encoding="utf-8") as file:
@@ -46,15 +46,15 @@ def resume(
 
 
 def read(out: Path) -> dict[str, Row]:
-    """Lines of earlier runs by key; a line that was cut short is left out, and so is a case that failed."""
+    """Lines of earlier runs by key, the last of each; a line that was cut short is left out. A case that failed is
+    among them, for it belongs into the shares, until it is run again."""
     done: dict[str, Row] = {}
     for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
         try:
             row = json.loads(text)
         except json.JSONDecodeError:
             continue
-        if "error" not in row:
-            done[row["key"]] = row
+        done[row["key"]] = row
     return done
 
 

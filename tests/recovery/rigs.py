@@ -1,20 +1,22 @@
 """The study on other rigs than the mocks' own, and on plants of other authorship.
 
     python -m tests.recovery.rigs [--rigs vesc,ekf] [--effects none,wind] [--seeds N] [--seed S] [--jobs 2]
-                                  [--out FILE] [--report] [--docs]
+                                  [--out FILE] [--report] [--docs] [--again N]
 
 Each case is a boat of its own with one effect or none, logged as the rig logs it (`rig_logs`), and the two commands of
 a user: `seatrial ident vehicle` and `seatrial ident diagnose`. Nothing but their result files is judged. A case is a
 line in the out file as soon as it is done; a study that was interrupted goes on where it was. That of all effects takes
 many hours: its cases are kept in `tests/recovery/rigs-effects.jsonl`, those of clean boats in `rigs-clean.jsonl` and
 those of plants in `rigs-plants.jsonl` beside it, from which --out goes on. --docs writes the sections of which there
-are cases and leaves the others.
+are cases and leaves the others. Not all cases that are kept are of this state of the code: --again N draws N of those
+in the out file, runs them anew into a file beside it (`rigs-effects-again.jsonl`) and says which verdicts changed.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import sys
 import time
 from collections import Counter
@@ -145,7 +147,8 @@ def truth_of(boat: Boat) -> dict[str, float]:
 
 RIGHT, FALSE_ALARM = "nothing, rightly", "false alarm"
 NAMED, LIKENED, DRAWN = "named", "likened", "drawn"
-MISSED, OTHER, WRONG = "missed", "likened to others", "wrong as sure"
+MISSED, OTHER, WRONG, FAILED = "missed", "likened to others", "wrong as sure", "failed"
+LACK_WORDS = (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG, FAILED)
 
 
 @cache
@@ -159,6 +162,8 @@ def _own_names() -> dict[str, str]:
 
 def verdict(row: Row) -> str:
     """One of the words above. A boat that lacks nothing is right only where nothing is found, sure or not."""
+    if "error" in row:
+        return FAILED
     rig = RIGS.get(row["rig"])
     own = _own_names() | dict(rig.called if rig else {})
     row = row | {"found": [own.get(n, n) for n in row["found"]]}
@@ -203,8 +208,7 @@ def sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
 def report(rows: Sequence[Row], form: Callable[[tables.Lines], str]) -> str:
     """The tables of one section: what is asked for, then by rig and by effect, and what failed."""
     head = "### " if form is tables.as_markdown else ""
-    done = [r for r in rows if "error" not in r]
-    boats, others = [r for r in done if r["rig"] in RIGS], [r for r in done if r["rig"] in PLANTS]
+    boats, others = [r for r in rows if r["rig"] in RIGS], [r for r in rows if r["rig"] in PLANTS]
     parts = [
         ("What is asked for", asked(boats)),
         ("By rig", by_rig(boats)),
@@ -217,13 +221,12 @@ def report(rows: Sequence[Row], form: Callable[[tables.Lines], str]) -> str:
 
 
 def asked(rows: Sequence[Row]) -> tables.Lines:
-    """Shares over all rigs, each with its 95 % interval and what is asked for."""
-    words = [verdict(r) for r in rows]
-    clean = [w for w in words if w in (RIGHT, FALSE_ALARM)]
-    lacking = [w for w in words if w not in clean]
+    """Shares over all rigs, each with its 95 % interval and what is asked for; a case that failed counts against."""
+    clean = [verdict(r) for r in rows if r["effect"] == NONE]
+    lacking = [verdict(r) for r in rows if r["effect"] != NONE]
     z = _z(rows)
     lines = [
-        ("clean boats told that something is missing", clean.count(FALSE_ALARM), len(clean), "<=", 0.02),
+        ("clean boats told that something is missing", sum(w != RIGHT for w in clean), len(clean), "<=", 0.02),
         ("effects named or likened", sum(w in (NAMED, LIKENED) for w in lacking), len(lacking), ">=", 0.90),
         ("a wrong name as sure", lacking.count(WRONG), len(lacking), "<=", 0.02),
         ("clean estimates within three standard errors", int(np.sum(np.abs(z) <= 3)), z.size, ">=", 0.99),
@@ -243,7 +246,7 @@ def _worst_rigs(rows: Sequence[Row]) -> list[tuple[str, int, int, str, float]]:
     alarms, within = list[tuple[str, int, int]](), list[tuple[str, int, int]]()
     for rig in dict.fromkeys(r["rig"] for r in rows if r["effect"] == NONE):
         own = [r for r in rows if r["rig"] == rig and r["effect"] == NONE]
-        alarms.append((rig, sum(verdict(r) == FALSE_ALARM for r in own), len(own)))
+        alarms.append((rig, sum(verdict(r) != RIGHT for r in own), len(own)))
         z = _z(own)
         within += [(rig, int(np.sum(np.abs(z) <= 3)), z.size)] if z.size else []
     lines = []
@@ -259,15 +262,14 @@ def _worst_rigs(rows: Sequence[Row]) -> list[tuple[str, int, int, str, float]]:
 def by_rig(rows: Sequence[Row]) -> tables.Lines:
     """One line a rig, of its clean boats or of those with an effect."""
     clean = any(r["effect"] == NONE for r in rows)
-    own_columns = ["false alarms", "95 %", "within 3 s.e."] if clean else ["named", "likened", "drawn", "missed",
-                   "likened to others", "wrong as sure", "95 %"]  # fmt: skip
+    own_columns = ["false alarms", "95 %", "within 3 s.e."] if clean else [*LACK_WORDS, "95 % of wrong as sure"]
     lines = [["rig", "what is logged", "cases", *own_columns, "CPU s"]]
     for name, rig in RIGS.items():
         own = [r for r in rows if r["rig"] == name]
         if not own:
             continue
         count, n, z = Counter(verdict(r) for r in own), len(own), _z(own)
-        cells = [str(count[w]) for w in (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG)]
+        cells = [str(count[w]) for w in LACK_WORDS]
         cells.append(tables.interval(count[WRONG], n))
         if clean:
             within = f"{int(np.sum(np.abs(z) <= 3))}/{z.size}" if z.size else ""
@@ -278,19 +280,18 @@ def by_rig(rows: Sequence[Row]) -> tables.Lines:
 
 def by_effect(rows: Sequence[Row]) -> tables.Lines:
     """One line an effect, over all rigs."""
-    words = (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG)
-    lines = [["truth", "cases", *words, "named or likened, 95 %"]]
+    lines = [["truth", "cases", *LACK_WORDS, "named or likened, 95 %"]]
     for effect in dict.fromkeys(r["effect"] for r in rows if r["effect"] != NONE):
         own = [r for r in rows if r["effect"] == effect]
         count = Counter(verdict(r) for r in own)
-        lines.append([effect, str(len(own)), *(str(count[w]) for w in words),
+        lines.append([effect, str(len(own)), *(str(count[w]) for w in LACK_WORDS),
                       tables.interval(count[NAMED] + count[LIKENED], len(own))])
     return lines
 
 
 def parameters(rows: Sequence[Row]) -> tables.Lines:
     """(estimate - truth) / standard error of the clean boats by parameter, and the rigs where it is beyond three."""
-    clean = [r for r in rows if r["effect"] == NONE and r["z"]]
+    clean = [r for r in rows if r["effect"] == NONE and r.get("z")]
     lines = [["parameter", "estimates", "mean z", "sd of z", "within 3", "rigs beyond"]]
     for name in dict.fromkeys(n for r in clean for n in r["z"]):
         own = [(r["rig"], r["z"][name]) for r in clean if name in r["z"]]
@@ -304,7 +305,7 @@ def parameters(rows: Sequence[Row]) -> tables.Lines:
 def plants(rows: Sequence[Row]) -> tables.Lines:
     """One line a plant: what it has, what was said."""
     lines = [["plant", "switched on", "in its equations besides", "found", "how", "verdict", "beyond 3 s.e."]]
-    for r in rows:
+    for r in (r for r in rows if "error" not in r):
         beyond = ", ".join(f"{n} {z:+.1f}" for n, z in r["z"].items() if abs(z) > 3)
         plant = PLANTS[r["rig"]]
         said = [", ".join(r["found"]) or NONE, ", ".join(r["attribution"]), verdict(r)] if plant.diagnosed else [""] * 3
@@ -319,7 +320,37 @@ def failures(rows: Sequence[Row]) -> tables.Lines:
 
 
 def _z(rows: Sequence[Row]) -> Any:
-    return np.array([z for r in rows if r["effect"] == NONE for z in r["z"].values()])
+    return np.array([z for r in rows if r["effect"] == NONE for z in r.get("z", {}).values()])
+
+
+# Cases run anew.
+
+
+def again(out: Path) -> Path:
+    """The file of cases that were run anew, beside those that are kept."""
+    return out.with_stem(f"{out.stem}-again")
+
+
+def drawn(rows: Sequence[Row], n: int) -> list[RigCase]:
+    """``n`` of the cases, the same ones each time."""
+    chosen = random.Random(n).sample(sorted(rows, key=lambda r: str(r["key"])), min(n, len(rows)))
+    return [RigCase(r["rig"], r["effect"], r["seed"]) for r in chosen]
+
+
+def held(rows: Sequence[Row], anew: Sequence[Row]) -> str:
+    """One line: how many verdicts are the same when cases are run anew, and which are not."""
+    kept = {r["key"]: verdict(r) for r in rows}
+    both = [(r["key"], kept[r["key"]], verdict(r)) for r in anew if r["key"] in kept]
+    if not both:
+        return ""
+    changed = [f"{key} was {before}, is {now}" for key, before, now in both if before != now]
+    same = len(both) - len(changed)
+    states = ", ".join(sorted({str(r["code"]) for r in anew}))
+    which = f": {'; '.join(changed)}" if changed else ""
+    return (
+        f"{len(both)} of them, drawn at random, were run anew on another state of the code ({states}; `--again "
+        f"{len(both)}`): the verdict is the same in {same} ({tables.interval(same, len(both))} %){which}."
+    )
 
 
 # The command.
@@ -338,16 +369,20 @@ def main(words: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(words)
     wanted = cases_of(given.rigs, given.effects, given.seed, given.seeds)
     try:
-        rows = list(read(given.out).values()) if given.report else resume(wanted, run_case, line, given.jobs, given.out)
+        if given.again:
+            resume(drawn([*read(given.out).values()], given.again), run_case, line, given.jobs, again(given.out))
+        only_shown = given.report or given.again
+        rows = list(read(given.out).values()) if only_shown else resume(wanted, run_case, line, given.jobs, given.out)
     except KeyboardInterrupt:
         print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
         return 130
+    anew = list(read(again(given.out)).values())
     for title, own in sections(rows).items():
-        print(f"{title}\n\n{report(own, tables.as_text)}\n")
+        print(f"{title}\n\n{report(own, tables.as_text)}\n\n{held(own, anew)}\n")
     if given.docs:
         page = DOCS.read_text(encoding="utf-8")
         for title, own in sections(rows).items():
-            page = with_section(page, title, section(own, given.seeds))
+            page = with_section(page, title, section(own, given.seeds, anew))
         DOCS.write_text(page, encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0
@@ -362,10 +397,11 @@ def with_section(page: str, title: str, text: str) -> str:
     return f"{before}{heading}\n{text}\n{following}{after}"
 
 
-def section(rows: Sequence[Row], seeds: int) -> str:
-    """How these cases are made, how far they are, and their tables."""
+def section(rows: Sequence[Row], seeds: int, anew: Sequence[Row] = ()) -> str:
+    """How these cases are made, how far they are, whether they hold, and their tables."""
     states = ", ".join(sorted({str(r["code"]) for r in rows}))
-    return f"{how_made(rows, seeds)} States of the code: {states}.\n\n{report(rows, tables.as_markdown)}"
+    made = f"{how_made(rows, seeds)} States of the code: {states}. {held(rows, anew)}".rstrip()
+    return f"{made}\n\n{report(rows, tables.as_markdown)}"
 
 
 def how_made(rows: Sequence[Row], seeds: int) -> str:
@@ -409,6 +445,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, default=OUT, help="results, a JSON line a case")
     parser.add_argument("--report", action="store_true", help="run nothing, show what the out file holds")
+    parser.add_argument("--again", type=int, metavar="N",
+                        help="run N of its cases anew, drawn at random, and say which verdicts changed")
     parser.add_argument("--docs", action="store_true", help="write its part of docs/recovery.md")
     return parser
 

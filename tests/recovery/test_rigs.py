@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from tests.missions import boat_with
 from tests.recovery import rigs, tables
 from tests.recovery.cases import Row, code_state, z_scores
 from tests.recovery.logged import seatrial
-from tests.recovery.resumable import read
+from tests.recovery.resumable import read, resume
 from tests.recovery.rig_logs import PLANTS, RIGS, measured_columns, navigation_filter
 from tests.recovery.rigs import CHOSEN, RigCase, cases_of, verdict
 
@@ -100,6 +101,7 @@ def row(rig: str, effect: str, found: list[str], how: str = "identified", not_ex
         (row("vesc", "lever-arm", ["lever-arm", "velocity-point"]), rigs.WRONG),
         (row("vesc", "none", ["filter-lag"], "ambiguous"), rigs.FALSE_ALARM),
         (row("otter-none", "none", ["cross-flow"]), rigs.RIGHT),
+        ({"key": "vesc/wind/1", "rig": "vesc", "effect": "wind", "seed": 1, "error": "ValueError: no"}, rigs.FAILED),
         (row("otter-none", "none", ["lag"]), rigs.FALSE_ALARM),
     ],
 )
@@ -111,6 +113,9 @@ def test_the_tables_of_the_rigs() -> None:
     rows = [row("vesc", "none", []), row("ekf", "none", ["lag"]), row("vesc", "wind", ["wind"]),
             row("ekf", "wind", []), row("otter-none", "none", []), row("ekf", "lag", []) | {"error": "no"}]  # fmt: skip
     parts = rigs.sections(rows)
+    failed = rigs.asked(parts[rigs.LACKING])[1:]
+    assert [line[2:] for line in failed] == [["33.3%", "6.1-79.2", "1/3", "no"], ["0.0%", "0.0-56.1", "0/3", "yes"]]
+    assert rigs.asked([row("ekf", "none", []) | {"error": "no"}])[1][2:] == ["100.0%", "20.7-100.0", "1/1", "no"]
     assert {title: len(own) for title, own in parts.items()} == {rigs.CLEAN: 2, rigs.LACKING: 3, rigs.OTHERS: 1}
     clean, lacking = ([line[2:] for line in rigs.asked(parts[title][:2])[1:]] for title in (rigs.CLEAN, rigs.LACKING))
     assert clean[:2] == [["50.0%", "9.5-90.5", "1/2", "no"], ["50.0%", "15.0-85.0", "2/4", "no"]]
@@ -121,6 +126,35 @@ def test_the_tables_of_the_rigs() -> None:
     assert "What failed" in rigs.report(parts[rigs.LACKING], tables.as_text)
     assert "otter-none" in rigs.report(parts[rigs.OTHERS], tables.as_text)
     assert tables.interval(0, 300) == "0.0-1.3"
+
+
+def test_a_case_that_failed_counts_until_it_is_run_again(tmp_path: Path) -> None:
+    out = tmp_path / "cases.jsonl"
+    cases = [RigCase("vesc", "wind", seed) for seed in (1, 2)]
+    right = {case.key: row("vesc", "wind", ["wind"]) | {"key": case.key} for case in cases}
+    out.write_text(json.dumps(right[cases[0].key]) + "\n" + json.dumps(right[cases[1].key] | {"error": "no"}) + "\n")
+    assert [verdict(r) for r in read(out).values()] == [rigs.NAMED, rigs.FAILED]
+    ran = list[str]()
+
+    def run_case(case: RigCase) -> Row:
+        ran.append(case.key)
+        return right[case.key]
+
+    assert [verdict(r) for r in resume(cases, run_case, rigs.line, 1, out)] == [rigs.NAMED, rigs.NAMED]
+    assert ran == [cases[1].key]
+    assert [verdict(r) for r in read(out).values()] == [rigs.NAMED, rigs.NAMED]
+
+
+def test_cases_run_anew_say_which_verdicts_changed() -> None:
+    kept = [row("vesc", "wind", ["wind"]), row("ekf", "wind", []), row("short", "wind", [])]
+    assert {c.key for c in rigs.drawn(kept, 3)} == {r["key"] for r in kept}
+    assert rigs.drawn(kept, 2) == rigs.drawn(kept[::-1], 2)
+    state = kept[0]["code"]
+    anew = f"were run anew on another state of the code ({state}; `--again 2`): the verdict is the same in"
+    assert rigs.held(kept, kept[:2]) == f"2 of them, drawn at random, {anew} 2 (34.2-100.0 %)."
+    changed = [kept[0], row("ekf", "wind", ["wind"]), row("ekf", "lag", ["lag"])]  # the last is none of those kept
+    assert rigs.held(kept, changed).endswith(f"{anew} 1 (9.5-90.5 %): ekf/wind/1 was missed, is named.")
+    assert rigs.held(kept, []) == ""
 
 
 def test_a_section_of_the_page_is_written_and_the_others_stay() -> None:
