@@ -337,6 +337,18 @@ def drawn(rows: Sequence[Row], n: int) -> list[RigCase]:
     return [RigCase(r["rig"], r["effect"], r["seed"]) for r in chosen]
 
 
+def latest(rows: Sequence[Row]) -> str:
+    """One line: the shares of the cases of the last state of the code alone, where there are others; file order."""
+    words = [verdict(r) for r in rows if r["code"] == rows[-1]["code"]]
+    if len(words) in (0, len(rows)):
+        return ""
+    says = {"nothing found": (RIGHT,), "named or likened": (NAMED, LIKENED), "wrong as sure": (WRONG,)}
+    parts = {what: sum(w in own for w in words) for what, own in says.items()}
+    of_kind = {w: k for w, k in parts.items() if (w == "nothing found") == (rows[-1]["effect"] == NONE)}
+    shares = ", ".join(f"{what} {k} ({tables.interval(k, len(words))} %)" for what, k in of_kind.items())
+    return f"Of the last state alone ({rows[-1]['code']}), {len(words)} cases: {shares}."
+
+
 def held(rows: Sequence[Row], anew: Sequence[Row]) -> str:
     """One line: how many verdicts are the same when cases are run anew, and which are not."""
     kept = {r["key"]: verdict(r) for r in rows}
@@ -378,7 +390,7 @@ def main(words: Sequence[str] | None = None) -> int:
         return 130
     anew = list(read(again(given.out)).values())
     for title, own in sections(rows).items():
-        print(f"{title}\n\n{report(own, tables.as_text)}\n\n{held(own, anew)}\n")
+        print(f"{title}\n\n{report(own, tables.as_text)}\n\n{latest(own)}\n{held(own, anew)}\n")
     if given.docs:
         page = DOCS.read_text(encoding="utf-8")
         for title, own in sections(rows).items():
@@ -400,7 +412,8 @@ def with_section(page: str, title: str, text: str) -> str:
 def section(rows: Sequence[Row], seeds: int, anew: Sequence[Row] = ()) -> str:
     """How these cases are made, how far they are, whether they hold, and their tables."""
     states = ", ".join(sorted({str(r["code"]) for r in rows}))
-    made = f"{how_made(rows, seeds)} States of the code: {states}. {held(rows, anew)}".rstrip()
+    made = " ".join(filter(None, [f"{how_made(rows, seeds)} States of the code: {states}.", latest(rows),
+                                  held(rows, anew)]))  # fmt: skip
     return f"{made}\n\n{report(rows, tables.as_markdown)}"
 
 

@@ -157,6 +157,17 @@ def test_cases_run_anew_say_which_verdicts_changed() -> None:
     assert rigs.held(kept, []) == ""
 
 
+def test_the_last_state_of_the_code_has_shares_of_its_own() -> None:
+    old, new = row("vesc", "wind", []) | {"code": "old"}, [row("ekf", "wind", ["wind"]), row("short", "wind", [])]
+    assert rigs.latest([old, *new]) == (
+        f"Of the last state alone ({code_state()}), 2 cases: named or likened 1 (9.5-90.5 %), "
+        "wrong as sure 0 (0.0-65.8 %)."
+    )
+    clean = [row("vesc", "none", []) | {"code": "old"}, row("ekf", "none", [])]
+    assert rigs.latest(clean).endswith("1 cases: nothing found 1 (20.7-100.0 %).")
+    assert rigs.latest(new) == ""
+
+
 def test_a_section_of_the_page_is_written_and_the_others_stay() -> None:
     page = "# Rigs\n\n## Clean boats\n\nold\n\n### Part\n\nolder\n\n## Boats with one effect\n\nkept\n"
     assert rigs.with_section(page, rigs.CLEAN, "new") == (
