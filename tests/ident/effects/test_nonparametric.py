@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ident.effects.nonparametric import N_KNOTS, between_knots, nonparametric_effect, shape, spline_basis
+from ident.effects.nonparametric import N_KNOTS, ROUNDING, between_knots, nonparametric_effect, shape, spline_basis
 from ident.engine.vectorised_model import VectorisedModel
 from ident.model.structure import ForceCurve, Signals
 from ident.models.disturbances import variables_of
 from ident.models.horizontal import horizontal_model
 
 SPAN = (-0.4, 1.2)
+SPACING = (SPAN[1] - SPAN[0]) / (N_KNOTS - 1)
 
 
 def hats(z: np.ndarray) -> np.ndarray:
@@ -23,19 +24,34 @@ def hats(z: np.ndarray) -> np.ndarray:
 
 def test_the_hats_are_a_partition_of_one_and_constant_beyond_the_span() -> None:
     z = np.linspace(-2, 3, 1001)
+    low, high = SPAN[0] - ROUNDING * SPACING, SPAN[1] + ROUNDING * SPACING
     B = hats(z)
     assert B.shape == (1001, N_KNOTS)
     np.testing.assert_allclose(B.sum(1), 1.0, atol=1e-12)
-    assert (B >= 0).all()
-    np.testing.assert_allclose(B[z < SPAN[0]], np.eye(N_KNOTS)[[0] * int((z < SPAN[0]).sum())], atol=1e-12)
-    np.testing.assert_allclose(B[z > SPAN[1]], np.eye(N_KNOTS)[[-1] * int((z > SPAN[1]).sum())], atol=1e-12)
+    assert (B > -1e-12).all()
+    np.testing.assert_allclose(B[z < low], np.eye(N_KNOTS)[[0] * int((z < low).sum())], atol=1e-12)
+    np.testing.assert_allclose(B[z > high], np.eye(N_KNOTS)[[-1] * int((z > high).sum())], atol=1e-12)
 
 
-def test_the_hats_interpolate_between_knots() -> None:
+def test_the_hats_interpolate_between_knots_and_round_the_corners() -> None:
+    """The mean of the linear interpolation over what is rounded, which between the corners is itself."""
     knots = np.linspace(*SPAN, N_KNOTS)
     values = np.random.default_rng(0).normal(size=N_KNOTS)
-    z = np.linspace(*SPAN, 333)
-    np.testing.assert_allclose(hats(z) @ values, np.interp(z, knots, values), atol=1e-9)
+    z = np.linspace(-1.0, 2.0, 333)
+    about = np.linspace(-1, 1, 20001) * ROUNDING * SPACING
+    mean = [np.trapezoid(np.interp(at + about, knots, values), about) / np.ptp(about) for at in z]
+    np.testing.assert_allclose(hats(z) @ values, mean, atol=1e-7)
+    middles = (knots[1:] + knots[:-1]) / 2
+    np.testing.assert_allclose(hats(middles) @ values, np.interp(middles, knots, values), atol=1e-12)
+
+
+def test_the_slope_of_a_curve_does_not_jump_at_a_knot() -> None:
+    """By which the filter linearises: where it jumps, so does the likelihood."""
+    values = np.random.default_rng(4).normal(size=N_KNOTS)
+    h = 1e-7
+    for knot in np.linspace(*SPAN, N_KNOTS):
+        before, after = ((hats(np.array([knot + d])) - hats(np.array([knot + d - h]))) @ values / h for d in (0.0, h))
+        assert abs(after - before)[0] < 1e-3 * np.abs(np.diff(values)).max() / SPACING
 
 
 def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, u: np.ndarray) -> np.ndarray:
