@@ -194,6 +194,7 @@ def _expected(row: Row, name: str) -> bool:
 
 # Tables.
 
+WIDTH, IN_INTERVAL = 1.96, "truth in the 95 % interval"  # half an interval, in standard errors
 CLEAN, LACKING, OTHERS = "Clean boats", "Boats with one effect", "Plants of other authorship"
 
 
@@ -230,6 +231,7 @@ def asked(rows: Sequence[Row]) -> tables.Lines:
         ("effects named or likened", sum(w in (NAMED, LIKENED) for w in lacking), len(lacking), ">=", 0.90),
         ("a wrong name as sure", lacking.count(WRONG), len(lacking), "<=", 0.02),
         ("clean estimates within three standard errors", int(np.sum(np.abs(z) <= 3)), z.size, ">=", 0.99),
+        ("truths within the 95 % intervals of clean estimates", int(np.sum(np.abs(z) <= WIDTH)), z.size, ">=", 0.93),
     ]
     table = [["share", "asked for", "found", "95 % interval", "cases", "met"]]
     lines += _worst_rigs(rows)
@@ -262,7 +264,8 @@ def _worst_rigs(rows: Sequence[Row]) -> list[tuple[str, int, int, str, float]]:
 def by_rig(rows: Sequence[Row]) -> tables.Lines:
     """One line a rig, of its clean boats or of those with an effect."""
     clean = any(r["effect"] == NONE for r in rows)
-    own_columns = ["false alarms", "95 %", "within 3 s.e."] if clean else [*LACK_WORDS, "95 % of wrong as sure"]
+    of_clean = ["false alarms", "95 %", "within 3 s.e.", IN_INTERVAL]
+    own_columns = of_clean if clean else [*LACK_WORDS, "95 % of wrong as sure"]
     lines = [["rig", "what is logged", "cases", *own_columns, "CPU s"]]
     for name, rig in RIGS.items():
         own = [r for r in rows if r["rig"] == name]
@@ -273,7 +276,7 @@ def by_rig(rows: Sequence[Row]) -> tables.Lines:
         cells.append(tables.interval(count[WRONG], n))
         if clean:
             within = f"{int(np.sum(np.abs(z) <= 3))}/{z.size}" if z.size else ""
-            cells = [str(count[FALSE_ALARM]), tables.interval(count[FALSE_ALARM], n), within]
+            cells = [str(count[FALSE_ALARM]), tables.interval(count[FALSE_ALARM], n), within, _in_interval(z)]
         lines.append([name, rig.says, str(n), *cells, f"{np.median([r['cpu'] for r in own]):.0f}"])
     return lines
 
@@ -290,14 +293,15 @@ def by_effect(rows: Sequence[Row]) -> tables.Lines:
 
 
 def parameters(rows: Sequence[Row]) -> tables.Lines:
-    """(estimate - truth) / standard error of the clean boats by parameter, and the rigs where it is beyond three."""
+    """(estimate - truth) / standard error of the clean boats by parameter, how many 95 % intervals hold the truth, and
+    the rigs where it is beyond three."""
     clean = [r for r in rows if r["effect"] == NONE and r.get("z")]
-    lines = [["parameter", "estimates", "mean z", "sd of z", "within 3", "rigs beyond"]]
+    lines = [["parameter", "estimates", "mean z", "sd of z", IN_INTERVAL, "within 3", "rigs beyond"]]
     for name in dict.fromkeys(n for r in clean for n in r["z"]):
         own = [(r["rig"], r["z"][name]) for r in clean if name in r["z"]]
         z, beyond = np.array([v for _, v in own]), Counter(rig for rig, v in own if abs(v) > 3)
         within = f"{z.size - beyond.total()}/{z.size}"
-        lines.append([name, str(z.size), f"{z.mean():+.2f}", f"{z.std():.2f}", within,
+        lines.append([name, str(z.size), f"{z.mean():+.2f}", f"{z.std():.2f}", _in_interval(z), within,
                       ", ".join(f"{rig} {n}" for rig, n in beyond.most_common())])
     return lines
 
@@ -317,6 +321,10 @@ def failures(rows: Sequence[Row]) -> tables.Lines:
     """Cases that ended in an error, by rig and message."""
     counts = Counter((r["rig"], r["error"]) for r in rows if "error" in r)
     return [["rig", "cases", "error"], *([rig, str(n), text] for (rig, text), n in counts.most_common())]
+
+
+def _in_interval(z: Any) -> str:
+    return f"{np.mean(np.abs(z) <= WIDTH):.1%}" if z.size else ""
 
 
 def _z(rows: Sequence[Row]) -> Any:

@@ -101,6 +101,7 @@ def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
     """docs/recovery.md."""
     seeds = f" --seeds {given.seeds}" if given.seeds is not None else ""
     chosen = "" if set(given.kinds) == set(KINDS) else f" --kinds {','.join(given.kinds)}"
+    kept = "" if given.out == OUT else f" --out {given.out}"
     states = sorted({str(r["code"]) for r in rows})
     its = {case.key for case in cases_of(given.kinds, given.seed, given.seeds, given.effects)}
     own = sum(r["key"] in its for r in rows)
@@ -115,7 +116,7 @@ def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
         "answer counts as right only where it is given as sure; the oracle is the model with the true effect of the "
         "catalogue, fitted to the same data."
         "\n\n"
-        f"    python -m tests.recovery.study --seed {given.seed}{seeds}{chosen} --docs\n\n"
+        f"    python -m tests.recovery.study --seed {given.seed}{seeds}{chosen}{kept} --docs\n\n"
         f"{ran}; states of the code: {', '.join(states)}.\n\n" + report(rows, tables.as_markdown) + "\n"
     )
 

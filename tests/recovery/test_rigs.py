@@ -257,6 +257,7 @@ def test_the_readme_has_the_figures_of_the_cases_that_are_kept() -> None:
     assert {verdict(r) for r in clean} == {rigs.RIGHT}
     assert f"({len(clean)} boats that lack nothing, on {len(RIGS)} kinds of rig: of none something is said" in readme
     assert f"{np.mean(np.abs(z) <= 3):.1%}".replace("%", " %") + " of the estimates are within three" in readme
+    assert f"{np.mean(np.abs(z) <= 1.96):.1%}".replace("%", " %") + " of the 95 % intervals hold the truth" in readme
     told = f"of {words.count(rigs.NAMED) + words.count(rigs.LIKENED)} it is named or likened, of "
     assert f"{len(lacking)} boats with one of 14 effects" in readme
     assert f"{told}{words.count(rigs.WRONG)} a wrong name is sure" in readme
