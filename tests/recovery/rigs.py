@@ -350,10 +350,10 @@ def latest(rows: Sequence[Row]) -> str:
     words = [verdict(r) for r in rows if r["code"] == rows[-1]["code"]]
     if len(words) in (0, len(rows)):
         return ""
-    says = {"nothing found": (RIGHT,), "named or likened": (NAMED, LIKENED), "wrong as sure": (WRONG,)}
-    parts = {what: sum(w in own for w in words) for what, own in says.items()}
-    of_kind = {w: k for w, k in parts.items() if (w == "nothing found") == (rows[-1]["effect"] == NONE)}
-    shares = ", ".join(f"{what} {k} ({tables.interval(k, len(words))} %)" for what, k in of_kind.items())
+    clean = rows[-1]["effect"] == NONE
+    says = {"nothing found": (RIGHT,)} if clean else {"named or likened": (NAMED, LIKENED), "wrong as sure": (WRONG,)}
+    counts = {what: sum(w in own for w in words) for what, own in says.items()}
+    shares = ", ".join(f"{what} {k} ({tables.interval(k, len(words))} %)" for what, k in counts.items())
     return f"Of the last state alone ({rows[-1]['code']}), {len(words)} cases: {shares}."
 
 
