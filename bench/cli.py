@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -105,8 +106,15 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, comma
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
     start = time.monotonic()
     metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
-    run_mission(plan, rig, path, make_display(), metadata, arm, retry, commands)
+    result = run_mission(plan, rig, path, make_display(), metadata, arm, retry, commands)
     click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
+    warn_of_armed(result.still_armed)
+
+
+def warn_of_armed(names: Sequence[str]) -> None:
+    """Print the last line of a command after which an autopilot is armed."""
+    if names:
+        click.secho(f"{', '.join(names)} IS STILL ARMED: disarm it yourself", fg="red", bold=True, err=True)
 
 
 @mission.command(epilog="Example: seatrial mission run mission.toml rig.toml -o run.mcap")

@@ -387,10 +387,25 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
             click.echo(f"{one.port}{about}: {at}: {one.says}")
         if one.hint:
             click.echo(f"hint: {one.port}: {one.hint}", err=True)
+    if toml:
+        click.echo(_LIMITS)
     if any("latency_timer" in one.hint for one in found):
         click.echo(f"hint: for good, in a file of /etc/udev/rules.d: {UDEV_RULE}", err=True)
     if not any(one.protocol or one.port.startswith("socketcan:") for one in found):
         raise SeatrialError("no device was recognised; is it powered, and is its output switched on?")
+
+
+# Written behind the devices of a new rig file; without limits a run goes on whatever happens.
+_LIMITS = """\
+# Uncomment these lines and put in your own values. A run ends at zero thrust when a limit is passed. Each limit needs a
+# device that reports its quantity.
+# [limits]
+# n_max = 0.6            # largest command, 1 is full ahead
+# radius_m = 100.0       # m from the start; needs a GNSS receiver
+# voltage_min_v = 14.0   # V; needs a speed controller or an autopilot that reports it
+# current_a = 30.0       # A of each motor; needs a speed controller that reports it
+# temperature_c = 80.0   # deg C of each speed controller
+# force_n = 100.0        # N of a load cell, on a bench"""
 
 
 def _rig_protocols() -> tuple[str, ...]:

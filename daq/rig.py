@@ -199,7 +199,9 @@ class Limits:
     pitch_deg: float | None = None
     battery_min: float | None = None  # 0..1 of the charge
     link_test_n: float = 0.3  # commands beyond this, behind an autopilot, need a test of what a lost link does
-    unwatched: tuple[str, ...] = ()  # limits that nothing need report: they are compared where something does
+    # Limits that no device has to report; they are compared if one does. "telemetry": speed controllers whose reports
+    # are not compared with their commands.
+    unwatched: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

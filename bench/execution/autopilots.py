@@ -7,24 +7,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 from bench.execution.link_test import require_link_test
-from daq.acquisition import Acquisition, Status
+from bench.execution.safety_guard import LINK_AGE_S, MANUAL, RIVAL
+from daq.acquisition import Acquisition
 from daq.clock import RunClock
 from daq.drivers import DISARMED, LinkStatus, check_parameters
-from daq.errors import SafetyStop, SeatrialError
+from daq.errors import SeatrialError
 from daq.log import read_note
 from daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
-from daq.rig import Device, Rig, Thruster
-from daq.samples import Servo
+from daq.rig import Device, Rig
 
 # Wall seconds.
 AWAIT_S = 10.0  # for heartbeats, parameters and answers
 ESTIMATOR_S = 60.0  # it needs 30 to 40 s after power-on
 POLL_S = 0.05
-LINK_AGE_S = 3.0  # heartbeats come once a second
 LEAVE_S = 10.0  # for the disarming to be seen, where the link has to come back first
 ASK_S = 1.0  # between two requests to disarm
 RECEIVER_S = 3.0  # for RC_CHANNELS, which come once a second
@@ -33,41 +31,7 @@ STATUS_AGE_S = 0.1  # of what the acquisition says of a link, at most
 NEUTRAL_S = 0.3  # of neutral sticks before arming
 # EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
 EKF_WANTED, EKF_UNWANTED = 1 | 2 | EKF_POSITION, EKF_STANDS
-TOLERANCE, WINDOW_S = 0.05, 0.25  # of an output from the commands of the last moment, and that moment; run s
-LASTS_S = 0.1  # run s that it is another one before the run ends: with the link's own delays, thrust is zero in 0.5 s
-RIVAL = "another ground station has our own system id: its heartbeats hide the loss of ours"
-MANUAL, MANUAL_NUMBER = "MANUAL", 0.0
-
-
-class OutputCheck:
-    """Compares what an autopilot puts out for a thruster with what was commanded: each parameter that bends, blocks or
-    crosses commands shows there."""
-
-    def __init__(self, thruster: Thruster, speed: float) -> None:
-        self._thruster, self._window, self._lasts = thruster, WINDOW_S * speed, LASTS_S * speed
-        self._commands: deque[tuple[float, float]] = deque()  # run time, n_cmd
-        self._wrong_since = math.nan
-
-    def reason(self, status: Status) -> str:
-        """Why the run has to end, in one line; empty while the output is one of the commands of the last moment."""
-        self._commands.append((status.t, status.commanded.get(self._thruster.name, 0.0)))
-        while self._commands[0][0] < status.t - 2.0 * self._window:
-            self._commands.popleft()
-        latest = status.latest.get((self._thruster.device, self._thruster.node))
-        if latest is None or not isinstance(latest.sample, Servo) or not math.isfinite(latest.sample.n):
-            return ""
-        recent = [n for t, n in self._commands if t >= latest.t - self._window]
-        n = latest.sample.n
-        if not recent or min(recent) - TOLERANCE <= n <= max(recent) + TOLERANCE:
-            self._wrong_since = math.nan
-            return ""
-        self._wrong_since = latest.t if math.isnan(self._wrong_since) else self._wrong_since
-        if latest.t - self._wrong_since < self._lasts:
-            return ""
-        name, device = self._thruster.name, self._thruster.device
-        bent = "a parameter bends commands, or its link is late"
-        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else bent
-        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: {why}"
+MANUAL_NUMBER = 0.0  # of ArduPilot Rover's mode
 
 
 class Autopilots:
@@ -89,10 +53,9 @@ class Autopilots:
         names = dict.fromkeys(rig.thruster(name).device for name in thrusters)
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
         self._armed: dict[str, float] = {}  # by us: when arming, then disarming, was asked for first (monotonic)
-        self._prepared = False
-        # Those that the mission does not command, too: a crossed command pushes there.
-        behind = [t for t in rig.thrusters if t.device in names and t.output is not None]
-        self._outputs = [OutputCheck(thruster, clock.speed) for thruster in behind]
+        self.changes: dict[str, int] = {}  # by device: parameter changes before its parameters were checked
+        self.found_armed: list[str] = []  # autopilots that were armed before this run asked for it
+        self.tested_s: dict[str, float] = {}  # by device: seconds to neutral after a lost link, by its link test
 
     @property
     def names(self) -> list[str]:
@@ -122,7 +85,6 @@ class Autopilots:
                 )
             if not link.armed:
                 raise SeatrialError(f"{device.name} is disarmed; arm it from its transmitter, or give --arm")
-        self._prepared = True
 
     def _link(self, device: Device) -> LinkStatus:
         return self._acquisition.status().links.get(device.name, LinkStatus())
@@ -146,6 +108,7 @@ class Autopilots:
             raise SeatrialError(f"{device.name} is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven")
         if link.rivals:
             raise SeatrialError(f"{device.name}: {RIVAL}; end it, or give it another own_system_id")
+        self.changes[device.name] = len(link.changed)
         here = [thruster for thruster in self._rig.thrusters if thruster.device == device.name]
         found = check_parameters(link.parameters, here, device.mavlink.own_system_id)
         for finding in found:
@@ -154,12 +117,16 @@ class Autopilots:
                 self._say(f"{device.name}: {finding}")
         for line in link.refused:
             self._say(f"{device.name} refuses {line}")
+        if link.armed:
+            self.found_armed.append(device.name)
+            self._say(f"{device.name} IS ARMED ALREADY: this run did not arm it and will not disarm it")
         fatal = [str(finding) for finding in found if finding.fatal]
         if fatal:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
             raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
         if self._n_max > self._rig.limits.link_test_n:
             seconds = require_link_test(self._rig, device.name, self._await_receiver(device), self._n_max)
+            self.tested_s[device.name] = seconds
             self._acquisition.mark("parameter", f"{device.name}: a lost link was tested, neutral after {seconds:.2f} s")
 
     def await_receivers(self) -> dict[str, LinkStatus]:
@@ -208,30 +175,13 @@ class Autopilots:
         if self._await(device, done, AWAIT_S) is None:
             raise SeatrialError(f"{device.name}: {action} was accepted and has not come about in {AWAIT_S:g} s")
 
-    def check(self, status: Status) -> None:
-        """Raise SafetyStop when an autopilot does anything but what it was asked for."""
-        for reason in self._reasons(status):
-            raise SafetyStop(reason)
-
-    def _reasons(self, status: Status) -> Iterator[str]:
-        if not self._prepared:
-            return
-        for device in self._devices:
-            link = status.links.get(device.name, LinkStatus())
-            if not link.age <= LINK_AGE_S:
-                yield f"{device.name}: no heartbeat for {link.age:.1f} s"
-            reason = f" ({link.alarm})" if link.alarm else ""
-            if not link.armed:
-                yield f"{device.name} was disarmed{reason}"
-            if link.mode != MANUAL:
-                yield f"{device.name} went over to {link.mode}{reason}"
-            if link.alarm:
-                yield f"{device.name} says {link.alarm}"
-            if link.rivals:
-                yield f"{device.name}: {RIVAL}"
-        for output in self._outputs:
-            if reason := output.reason(status):
-                yield reason
+    def still_armed(self) -> list[str]:
+        """Return the autopilots that this run has not disarmed and that report to be armed."""
+        try:
+            links = {name: self._link(self._rig.device(name)) for name in self.names}
+        except SeatrialError:
+            return self.found_armed  # as they were found: nothing newer is known
+        return [name for name, link in links.items() if link.armed]
 
     def release(self) -> None:
         """Disarm what was armed here; thrust has to be zero before. Raises SeatrialError where it is not confirmed: a

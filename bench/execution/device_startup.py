@@ -1,4 +1,7 @@
-"""Waiting for the devices: before anything moves, each has to send a sample, and each limit needs its source."""
+"""Waiting for the devices before anything moves.
+
+Each device has to send samples at the rate that the rig gives, each limit needs its source, and no thruster may turn.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,13 @@ POLL_S = 0.02
 
 
 def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[str]:
-    """What has not sent anything yet: devices, and the mission's thrusters by node."""
+    """Return what has not sent anything yet, with its fault if it is known: devices, and the thrusters by node."""
     silent = []
     for device in rig.devices:
         port = status.ports.get(device.name)
         if port is None or port.samples == 0:
-            silent.append(f"{device.name} ({device.port})")
+            fault = f": {port.message}" if port is not None and port.message else ""
+            silent.append(f"{device.name} ({device.port}{fault})")
     for name in thrusters:
         thruster = rig.thruster(name)
         if (thruster.device, thruster.node) not in status.latest:
@@ -43,10 +47,26 @@ def await_devices(
 
 
 def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: Callable[[float], None]) -> None:
-    """Wait until every limit has a source that has spoken. Raises SeatrialError that names limit, source and remedy."""
+    """Wait until every limit has a source, every device its rate, and no thruster turns.
+
+    Raises
+    ------
+    SeatrialError : names the first thing that is not so after 10 s, and what to do about it.
+    """
     deadline = time.monotonic() + AWAIT_S
-    while unwatched := guard.unwatched(status := acquisition.status()):
+    while reasons := _refusals(guard, acquisition.status()):
         if time.monotonic() > deadline:
-            more = f" (and {len(unwatched) - 1} more)" if len(unwatched) > 1 else ""
-            raise SeatrialError(f"{rig.path}: {unwatched[0].refusal(status.t)}{more}")
+            more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+            raise SeatrialError(f"{rig.path}: {reasons[0]}{more}")
         wait(POLL_S)
+
+
+def _refusals(guard: SafetyGuard, status: Status) -> list[str]:
+    """Return why nothing may move yet."""
+    turning = [
+        f"thruster {text} though nothing was commanded: stop it, and look for another program that commands it; "
+        'unwatched = ["telemetry"] in [limits] allows it'
+        for text in guard.turning(status)
+    ]
+    unwatched = [limit.refusal(status.t) for limit in guard.unwatched(status)]
+    return [*turning, *unwatched, *guard.rate_conflicts(status)]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,11 +28,11 @@ from bench.execution.link_test import (
     save_link_tests,
 )
 from bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
-from bench.execution.safety_guard import SafetyGuard
+from bench.execution.safety_guard import Rest, Row, SafetyGuard
 from bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
 from bench.execution.tare import Tare, describe_tares, measure_tares
 from bench.mission_limits import dry_run
-from daq.acquisition import NO_STATUS_S, Acquisition, Source, Status
+from daq.acquisition import Acquisition, Source, Status
 from daq.clock import RunClock, SuspendDetector
 from daq.config import Mission, dump_mission
 from daq.errors import SafetyStop, SeatrialError
@@ -43,11 +44,10 @@ from daq.samples import Esc, Gnss, LoadCell, Servo
 POLL_S = 0.02  # wall seconds between two looks at the status
 AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most
 LEAD_S = 0.2  # wall seconds from the decision to start to the first set-point
-OWN_TIMEOUT = (  # what ends thrust where nothing of ours gets through; of an autopilot what the link test measured
-    "each ESC goes to zero by its own time-out",
-    "thrust ends by the autopilot's own failsafe",
-)
-OBEYED_S = 0.25  # wall, after which an output has followed a zero
+ZERO = "thrust is zero"  # as measured
+# Wall seconds.
+SETTLE_S = 4.0  # for the thrusters to be measured at rest after the last zero
+SETTLE_POLL_S = 0.05
 STOOD_S = 1.0  # wall seconds between two looks at the run
 FLUSH_S = 0.8  # wall seconds after which everything recorded so far is in the file (it is flushed every 0.25 s)
 
@@ -69,8 +69,8 @@ def run_mission(
     arm: bool = False,
     retries: int = 0,
     commands: CommandSource | None = None,
-) -> list[Tare]:
-    """Run `mission` on `rig` and record it at `path`; returns the load cell's zeros at start and end.
+) -> RunResult:
+    """Run `mission` on `rig` and record it at `path`.
 
     With `commands` these are followed, within the mission's limits, in the place of its set-points.
 
@@ -78,8 +78,9 @@ def run_mission(
     set-points or samples were lost are run again, `retries` times in all. Keys (bench.execution.operator_interface)
     pause, repeat and mark.
     Raises SafetyStop when the guard ends it, Interrupted on Ctrl-C, SIGTERM or SIGHUP, and SeatrialError when a
-    device or the acquisition fails; in every case thrust is zero and the log is closed first. Call it from the
-    main thread: it takes the signals while it runs.
+    device or the acquisition fails; in every case zero is commanded and the log is closed first. The error's line
+    reports zero thrust only if it was measured; otherwise the exit status is 3. Call it from the main thread: it takes
+    the signals while it runs.
     """
     keys = Keys()
     with _prepared(mission, rig, path, display, metadata or {}, keys, commands) as runner:
@@ -155,6 +156,14 @@ def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
     return NewestValues(force, speed, rpm)
 
 
+@dataclass(frozen=True)
+class RunResult:
+    """Outcome of a run that ended well."""
+
+    tares: tuple[Tare, ...]  # the load cell's zeros at start and end
+    still_armed: tuple[str, ...]  # autopilots that were armed before the run and still are
+
+
 class _Runner:
     """One run: what `run_mission` was given, and how thrust returns to zero."""
 
@@ -175,9 +184,10 @@ class _Runner:
         n_max = float(np.abs(mission.setpoints()[1]).max(initial=0.0)) if commands is None else mission.n_max
         self._vehicles = Autopilots(rig, mission.thrusters, acquisition, clock, self._wait, display.say, n_max)
         self._segment = mission.segments[0].name
+        self._moved = False  # whether thrust was commanded
         self._suspended = SuspendDetector()
 
-    def run(self, arm: bool, retries: int, keys: Keys) -> list[Tare]:
+    def run(self, arm: bool, retries: int, keys: Keys) -> RunResult:
         """From waiting for the devices to the closed log."""
         with self._display:
             try:
@@ -185,12 +195,14 @@ class _Runner:
                 self._acquisition.zero("end of the mission")
                 self._vehicles.release()
                 tares = self._tare(course.timeline)
+                self._require_zero()
+                still_armed = self._vehicles.still_armed()
                 self._acquisition.stop()
                 self._say_skipped(course.commanded)
             except BaseException as error:
                 self._end_at_zero(error)
                 raise
-        return tares
+        return RunResult(tuple(tares), tuple(still_armed))
 
     def test_link(self, arm: bool) -> dict[str, LinkTest]:
         """From waiting for the devices to what the closed log says about a silence of ours."""
@@ -202,6 +214,7 @@ class _Runner:
                 self._fall_silent()
                 self._acquisition.zero("end of the link test")
                 self._vehicles.release()
+                self._require_zero()
                 self._acquisition.stop()
             except BaseException as error:
                 self._end_at_zero(error)
@@ -210,12 +223,18 @@ class _Runner:
         with open_log(self._path) as log:
             return {name: measure_link_loss(log, self._rig.device(name), links[name], n) for name in links}
 
+    def _require_zero(self) -> None:
+        """Raise SafetyStop if the thrusters are not measured at zero thrust."""
+        rests = self._settled()
+        if self._moved and (rests is None or not all(rest.is_zero for rest in rests)):
+            raise SafetyStop("the run has ended")
+
     def _fall_silent(self) -> None:
         """Command the plan, send nothing more, and go on when the outputs are at neutral, or have had their time."""
         speed, start = self._clock.speed, self._clock.now() + LEAD_S * self._clock.speed
         t, n = self._mission.setpoints()
         rows = [dict(zip(self._mission.thrusters, map(float, row), strict=True)) for row in n]
-        self._acquisition.schedule(list(zip(start + t, rows, strict=True)))
+        self.schedule(list(zip(start + t, rows, strict=True)))
         silent_at = start + (REST_S + HOLD_S) * speed
         muted, neutral_since = False, math.inf
         while (now := self._clock.now()) < silent_at + SILENCE_S * speed and now - neutral_since < SETTLED_S * speed:
@@ -247,6 +266,21 @@ class _Runner:
         self._vehicles.await_ready()
         await_limits(self._rig, self._acquisition, self._guard, self._wait)
         self._vehicles.prepare(arm)
+        self._guard.start(self._vehicles.changes)
+
+    def schedule(self, rows: Sequence[Row]) -> None:
+        """Send the set-points that the guard allows."""
+        allowed = self._guard.allow(rows)
+        self._moved = self._moved or any(n != 0.0 for _, row in allowed for n in row.values())
+        self._acquisition.schedule(allowed)
+
+    def zero(self, reason: str) -> None:
+        """Command zero at once."""
+        self._acquisition.zero(reason)
+
+    def mark(self, kind: str, text: str) -> None:
+        """Write an event to the log."""
+        self._acquisition.mark(kind, text)
 
     def _excite(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
         """Wait for the devices, then send every set-point in time; returns how it went."""
@@ -259,11 +293,11 @@ class _Runner:
         acquisition, say = self._acquisition, self._display.say
         course: MissionSequencer
         if self._commands is None:
-            course = MissionSequencer(self._mission, start, lead, acquisition, self._guard.patience, say, retries)
+            course = MissionSequencer(self._mission, start, lead, self, self._guard.patience, say, retries)
         else:
             acquisition.stream(self._commands.put)
             timeout = self._rig.ros2.timeout_s * self._clock.speed
-            course = CommandFollower(self._mission, start, timeout, acquisition, say, self._commands)
+            course = CommandFollower(self._mission, start, timeout, self, say, self._commands)
         looked = time.monotonic()
         while not course.is_over(now := self._clock.now()) or course.must_repeat(now, self._acquisition.status()):
             status = self._acquisition.status()
@@ -280,13 +314,9 @@ class _Runner:
         return course
 
     def _check(self, status: Status, now: float) -> None:
-        """Raise SafetyStop when the acquisition has ended thrust, falls silent, or the guard finds a limit passed."""
-        if status.stopped:
-            raise SafetyStop(status.stopped)
-        if now - status.t > NO_STATUS_S * self._clock.speed:
-            raise SafetyStop(f"the acquisition process has not answered for {NO_STATUS_S:g} s")
-        self._vehicles.check(status)
-        self._guard.check(status)
+        """Raise SafetyStop when the guard ends the run."""
+        if stop := self._guard.step(now, status).stop:
+            raise SafetyStop(stop.reason)
 
     def _say_skipped(self, commanded: int) -> None:
         """Report set-points that this machine was too busy to send in time; the log holds what was sent."""
@@ -336,34 +366,81 @@ class _Runner:
         return tares
 
     def _end_at_zero(self, error: BaseException) -> None:
-        """Command zero, note the reason, close the log, and add to the error's line where that log is."""
+        """Command zero, note the reason, close the log, and complete the error's line.
+
+        The line names the measured thrust, the log and, last, an autopilot that is still armed.
+        """
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
-        commanded = self._tried(lambda: self._acquisition.zero(reason))
+        self._tried(lambda: self._acquisition.zero(reason))
         self._tried(self._vehicles.disarm)
         self._tried(lambda: self._acquisition.mark("stop", reason))
+        if stop := self._guard.stop:
+            self._tried(lambda: self._acquisition.mark("stop-code", stop.code.value))
         self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
+        rests = self._settled()
         closed = self._tried(self._acquisition.stop)
-        thrust = self._thrust_now(commanded, decided)
+        if rests is None or not all(rest.is_zero for rest in rests):
+            rests = self._rests()  # the acquisition process has repeated zero before it closed the log
+        thrust = self._thrust_in_words(rests)
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):
-            armed = self._vehicles.maybe_armed()
-            loud = f"; {', '.join(armed)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if armed else ""
-            error.args = (f"{reason}: {thrust}, {log}{loud}",)
+            if self._moved and thrust != ZERO:
+                error.exit_status = SafetyStop.exit_status
+            error.args = (f"{reason}: {thrust}, {log}{self._armed_in_words()}",)
 
-    def _thrust_now(self, commanded: bool, decided: float) -> str:
-        """What is known of the thrust at the end, in words: zero where it was commanded, by us or by the acquisition
-        itself, to thrusters that were heard after that, and no output pushes on."""
-        otherwise = OWN_TIMEOUT[bool(self._vehicles.names)]
+    def _armed_in_words(self) -> str:
+        """Return the end of the last line: which autopilots are still armed."""
+        ours = self._vehicles.maybe_armed()
+        others = [name for name in self._vehicles.still_armed() if name not in ours]
+        loud = f"; {', '.join(ours)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if ours else ""
+        return loud + (f"; {', '.join(others)} IS STILL ARMED: disarm it yourself" if others else "")
+
+    def _rests(self) -> list[Rest] | None:
+        """Return whether each thruster is at zero thrust; None if the acquisition does not answer."""
         try:
-            status = self._acquisition.status()
+            return self._guard.rest(self._acquisition.status())
         except SeatrialError:
-            return otherwise
-        if pushing := self._guard.pushing(status, decided + OBEYED_S * self._clock.speed):
-            modes = [status.links[name].mode for name in self._vehicles.names if name in status.links]
+            return None
+
+    def _settled(self) -> list[Rest] | None:
+        """Wait until every thruster is measured at zero thrust, or its time is over; return the last measurement."""
+        until = time.monotonic() + SETTLE_S
+        while (rests := self._rests()) is not None and not all(rest.is_zero for rest in rests):
+            if time.monotonic() > until or not (self._moved and self._ports_are_open()):
+                break
+            time.sleep(SETTLE_POLL_S)
+        return rests
+
+    def _ports_are_open(self) -> bool:
+        """Whether the ports of all thrusters are open, so that waiting for a measurement makes sense."""
+        try:
+            ports = self._acquisition.status().ports
+        except SeatrialError:
+            return False
+        names = {self._rig.thruster(name).device for name in self._mission.thrusters}
+        return all(name in ports and ports[name].open for name in names)
+
+    def _thrust_in_words(self, rests: list[Rest] | None) -> str:
+        """Return what was measured of the thrust at the end. "Zero" is used only for a measurement."""
+        if rests is not None and all(rest.is_zero for rest in rests):
+            return ZERO
+        if not self._moved:
+            return "no thrust was commanded"
+        wrong = [rest for rest in rests or [] if not rest.is_zero]
+        pushing = [rest.thruster for rest in wrong if rest.is_zero is False and self._is_output(rest.thruster)]
+        if pushing:
+            links = self._acquisition.status().links
+            modes = [links[name].mode for name in self._vehicles.names if name in links]
             return f"{', '.join(pushing)} STILL PUSH: the autopilot is in {', '.join(modes)}; stop it yourself"
-        zero = (commanded or bool(status.stopped)) and self._guard.thrusters_answer(status, decided)
-        return "thrust is zero" if zero else otherwise
+        measured = ": " + "; ".join(rest.text for rest in wrong) if wrong else ""
+        times = self._vehicles.tested_s.items()
+        tested = [f"{name} ended thrust {seconds:.1f} s after its link was lost" for name, seconds in times]
+        known = f" (in its link test {', '.join(tested)})" if tested else ""
+        return f"zero was sent, not confirmed{measured}{known}; MAKE SURE THAT THE PROPELLERS STAND STILL"
+
+    def _is_output(self, thruster: str) -> bool:
+        return self._rig.thruster(thruster).output is not None
 
     def _tried(self, action: Callable[[], None]) -> bool:
         """Whether `action` worked; no failure may keep the next step to zero from being tried."""

@@ -1,28 +1,50 @@
-"""The safety guard: limits on what the devices report, checked at every status. It reads no clock and drives nothing.
+"""The safety guard: a pure state machine that decides which set-points may be sent and when a run has to end.
 
-A limit needs a source: something that reports the limited quantity as a number, and goes on doing so. Without one
-nothing moves, and a run whose limit loses its source ends. The geofence is a circle around the start, within which the
-boat has to be able to stop. Two further safety nets work without the guard: the acquisition process commands zero when
-the runner falls silent, and every ESC times out by itself when the acquisition process does.
+Theory of operation
+-------------------
+Inputs are the run time and a `Status`: the newest samples, the commands as last sent, the ports and the links. The
+output is a `Decision`: the set-points that are allowed, or a `Stop` with its code and reason. The guard reads no clock,
+opens no port and drives nothing, so a recorded log can be replayed through it.
+
+======== ========================================= =====================================================
+state    set-points that are allowed               leaves to
+======== ========================================= =====================================================
+WAITING  none                                      RUNNING by `start`, when every limit has a source
+RUNNING  within n_max                              STOPPED, at the first stop
+STOPPED  none                                      no state: thrust starts only with a new run
+======== ========================================= =====================================================
+
+A limit needs a source: a device that reports the limited quantity, and whose values change when the thrust does.
+Without a source nothing moves, and a run whose limit loses its source ends. The geofence is a circle around the start,
+within which the boat has to be able to stop. The outputs of autopilots and the speed controllers are compared with the
+commands, so that "zero" is a measurement.
+
+Two further safety nets work without the guard: the acquisition process commands zero when the runner falls silent, and
+every ESC stops by its own time-out when the acquisition process falls silent.
 """
 
 from __future__ import annotations
 
+import enum
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 from bench.execution.link_test import NEUTRAL
-from daq.acquisition import Source, Status, senders
-from daq.errors import SafetyStop
+from daq.acquisition import NO_STATUS_S, Source, Status, senders
+from daq.drivers import LinkStatus
+from daq.errors import SafetyStop, counted
 from daq.rig import Rig, Thruster
 from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
 
+Row = tuple[float, Mapping[str, float]]  # run time, n_cmd by thruster
 LOAD_CELLS = ("loadcell", "openscale", "mantracourt")  # protocols
 SATURATED, SPIKE = 1, 2  # LoadCell.flags
 STALE_S = 1.0  # run seconds a device may be silent, at least
 STALE_PERIODS = 5.0
+STALE_MAX_S = 5.0  # run seconds, whatever `rate_hz` says
 # Wall seconds, at least. With real devices this is the same second; against mocks at 20 run seconds a wall second,
 # one run second is 50 ms, and a busy machine makes longer pauses by itself.
 STALE_WALL_S = 1.0
@@ -30,24 +52,94 @@ STUCK_WALL_S = 3.0  # the log's file must grow within this; it is flushed every 
 # A limited quantity may be missing for so many times the patience with its device: longer than the device itself, so
 # that a plug that was pulled is called that; position, temperature, voltage and charge come more slowly.
 QUICK, SLOW = 1.5, 3.0
+LIMIT_MAX_S = 6.0  # run seconds a limited quantity may be missing, whatever `rate_hz` says
+REST_PART = 0.05  # of limits.force_n: a force at rest beyond this is named
+RATE_RATIO = 3.0  # of the measured rate to `rate_hz`: beyond this the patience does not fit the device
 EARTH_RADIUS_M = 6_371_008.8  # IUGG mean radius
 STOPPED = 0.05  # m/s; a boat slower than this drifts and does not coast
 REACTION_S = 0.1  # from the fix to zero thrust
-OFTEN_HZ = 4.0  # wall: at least two reports while zero is repeated
+JUMP_SPEED, JUMP_M = 15.0, 20.0  # m/s and m: a fix farther than this from the one before needs a second one
+LINK_AGE_S = 3.0  # wall; heartbeats come once a second
+COLDEST_C = -40.0  # below it a temperature sensor is missing or broken
+
+# Movement: a value that has to change when the commanded thrust does.
+CHANGE = 0.3  # of a command
+FROZEN_S, FROZEN_SAMPLES = 2.0, 5  # run s, and samples, after that change
+IMPULSE_S, AT_REST_S, TRAVEL_M = 3.0, 5.0, 5.0  # of a position: run s of full thrust ahead; run s; m by its own speed
+
+# Outputs of autopilots against commands. Run seconds at the speed of the wall clock.
+TOLERANCE, WINDOW_S = 0.05, 0.25  # of an output from the commands of the last moment, and that moment
+LASTS_S = 0.1  # that it is another one before the run ends: with the link's own delays, thrust is zero in 0.5 s
+
+# Speed controllers against commands.
+DUTY_TOLERANCE, DUTY_WINDOW_S, DUTY_LASTS_S = 0.1, 1.0, 0.3  # controllers ramp, and report with a delay
+FREE_DUTY = 0.05  # a motor at less is not driven
+COAST_S, FALLING = 3.0, 0.92  # a propeller that coasts has lost some of its speed in that time
+IDLE_PART, IDLE_RPM_MIN, IDLE_RPM_MAX = 0.07, 30.0, 300.0  # of rpm_max
+IDLE_CURRENT, SENSED_A = 0.05, 1.0  # of the largest current; a controller that has reported more measures its current
+BLOCKED_N, BLOCKED_RPM = 0.3, 10.0
+
+TELEMETRY = "telemetry"  # in limits.unwatched: speed controllers are not compared with their commands
+MANUAL = "MANUAL"
+RIVAL = "another ground station has our own system id: its heartbeats hide the loss of ours"
+
+
+class GuardState(enum.StrEnum):
+    """State of the guard."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    STOPPED = "stopped"
+
+
+class StopCode(enum.StrEnum):
+    """Kind of reason that ends a run; it stands in the log beside the reason."""
+
+    ACQUISITION = "acquisition"  # the acquisition process ended thrust, or does not answer
+    LOG = "log"  # the log does not grow
+    PORT_LOST = "port-lost"
+    SILENT = "silent"  # a device, or a thruster's controller
+    LIMIT = "limit"  # a limited quantity is beyond its limit
+    FENCE = "fence"
+    UNWATCHED = "unwatched"  # a limit has no source any more
+    LINK = "link"  # an autopilot is silent, disarmed, in another mode, or has an alarm
+    RIVAL = "rival"
+    PARAMETER = "parameter"  # a parameter of an autopilot was changed
+    OUTPUT = "output"  # a thruster is not driven as commanded
+    SETPOINT = "set-point"  # a set-point that is not allowed
+
+
+class Stop(NamedTuple):
+    """Why a run has to end, in one line."""
+
+    code: StopCode
+    reason: str
+
+
+class Decision(NamedTuple):
+    """Answer of the guard to one status."""
+
+    setpoints: tuple[Row, ...]
+    stop: Stop | None
 
 
 @dataclass(frozen=True)
 class _Quantity:
-    """What a limit limits: its name, who reports it, and what helps where nobody does."""
+    """A limited quantity: its name, its value by kind of sample, and the advice shown when no device reports it."""
 
     name: str
-    value: Mapping[type[Any], Callable[[Any], float]]  # by kind of sample; NaN where it does not tell
+    value: Mapping[type[Any], Callable[[Any], float]]  # NaN if the sample does not hold the quantity
     remedy: str
-    slow: bool = False
+    slow: bool = False  # it is reported less often than the other values of its device
+    moves: bool = False  # it changes when the thrust does
 
 
 def _position(fix: Gnss) -> float:
     return fix.lat + fix.lon if fix.fix >= 2 else NAN
+
+
+def _temperature(esc: Esc) -> float:
+    return esc.temperature if esc.temperature > COLDEST_C else NAN
 
 
 _STATUS = "let the controller send its status"
@@ -56,10 +148,11 @@ _QUANTITIES = {  # by key of [limits]
         "force",
         {LoadCell: lambda cell: NAN if cell.flags else cell.force},
         "a load cell needs its [device.calibration]",
+        moves=True,
     ),
-    "rpm": _Quantity("shaft speed", {Esc: lambda esc: esc.rpm}, _STATUS),
-    "current_a": _Quantity("current", {Esc: lambda esc: esc.current}, _STATUS),
-    "temperature_c": _Quantity("temperature", {Esc: lambda esc: esc.temperature}, f"{_STATUS} (VESC: 4)", slow=True),
+    "rpm": _Quantity("shaft speed", {Esc: lambda esc: esc.rpm}, _STATUS, moves=True),
+    "current_a": _Quantity("current", {Esc: lambda esc: esc.current}, _STATUS, moves=True),
+    "temperature_c": _Quantity("temperature", {Esc: _temperature}, f"{_STATUS} (VESC: 4)", slow=True),
     "voltage_min_v": _Quantity(
         "voltage",
         {Esc: lambda esc: esc.voltage, Battery: lambda battery: battery.voltage},
@@ -71,46 +164,126 @@ _QUANTITIES = {  # by key of [limits]
     ),
     "roll_deg": _Quantity("roll", {Ahrs: lambda ahrs: ahrs.roll}, "add an AHRS to the rig"),
     "pitch_deg": _Quantity("pitch", {Ahrs: lambda ahrs: ahrs.pitch}, "add an AHRS to the rig"),
-    "radius_m": _Quantity("position", {Gnss: _position}, "wait for a fix of the GNSS receiver", slow=True),
+    "radius_m": _Quantity("position", {Gnss: _position}, "wait for a fix of the GNSS receiver", slow=True, moves=True),
 }
+
+
+class MovementWatch:
+    """Finds a value that stays exactly the same although the commanded thrust changes.
+
+    A frozen source passes every other test: it is on time, its frames are valid and its value is within the limits.
+    """
+
+    def __init__(self) -> None:
+        self._value: tuple[float, ...] = ()
+        self._t = self._changed_at = math.nan  # of the newest sample, and of the first one with its value
+        self._commands: Mapping[str, float] = {}  # when the value changed last
+        self._commanded_at = math.nan  # since when the commands are others than those
+        self._samples = 0  # since then
+        self._repeats = 0  # samples with the same value
+        self._impulse = self._travel = 0.0  # since the value changed
+        self.is_position = False
+
+    def update(self, t: float, value: tuple[float, ...], commands: Mapping[str, float], speed: float = NAN) -> None:
+        """Take a sample.
+
+        Parameters
+        ----------
+        t : run time of the sample [s]
+        value : the values that have to change together
+        commands : n_cmd by thruster, as last sent
+        speed : speed over ground [m/s] that a receiver reports beside its position; NaN for other quantities
+        """
+        if value != self._value:
+            self._value, self._commands = value, dict(commands)
+            self._t = self._changed_at = t
+            self._commanded_at, self._samples, self._repeats = math.nan, 0, 0
+            self._impulse = self._travel = 0.0
+            return
+        if not t > self._t:
+            return
+        dt, self._t = t - self._t, t
+        self._repeats += 1
+        # Opposite commands turn a boat on the spot, and its position stays: only the mean drives it away.
+        self._impulse += dt * abs(sum(commands.values())) / max(len(commands), 1)
+        self._travel += dt * speed if speed > 0.0 else 0.0
+        change = max((abs(n - self._commands.get(name, 0.0)) for name, n in commands.items()), default=0.0)
+        if math.isnan(self._commanded_at):
+            if change >= CHANGE:
+                self._commanded_at = t
+        else:
+            self._samples += 1
+
+    @property
+    def unchanged_s(self) -> float:
+        """Run seconds for which the value has been the same."""
+        return self._t - self._changed_at
+
+    @property
+    def is_frozen(self) -> bool:
+        """Whether the value should have changed by now."""
+        if self.is_position:
+            driven = self._impulse >= IMPULSE_S and self.unchanged_s >= AT_REST_S
+            return self._repeats >= FROZEN_SAMPLES and (driven or self._travel >= TRAVEL_M)
+        return self._samples >= FROZEN_SAMPLES and self._t - self._commanded_at >= FROZEN_S
 
 
 @dataclass
 class LimitSource:
-    """A limit, whom it protects, and what has last reported a number for it."""
+    """A limit, what it protects, and the device that has last reported a number for it."""
 
     key: str  # of [limits]
     limit: float
-    whom: str  # a thruster or a load cell; empty where any source will do
+    whom: str  # a thruster or a load cell; empty if any source counts
     place: str  # of the thruster
     takes: Callable[[Source, Sample], bool]
     source: str = ""  # the device
     t: float = -math.inf  # run time of that number
+    frozen: str = ""  # why the source does not count, if its value does not change; else empty
+    _watches: dict[Source, MovementWatch] = field(default_factory=dict)
 
     @property
     def is_slow(self) -> bool:
-        """Whether it may be silent for a little longer."""
+        """Whether the quantity may be missing for a little longer."""
         return _QUANTITIES[self.key].slow
 
-    def observe(self, source: Source, sample: Sample, t: float) -> None:
+    def observe(self, source: Source, sample: Sample, t: float, commands: Mapping[str, float]) -> None:
         """Note a sample that holds the quantity."""
-        value = _QUANTITIES[self.key].value.get(type(sample))
-        if value is not None and t > self.t and self.takes(source, sample) and math.isfinite(value(sample)):
-            self.source, self.t = source[0].partition("/")[0], t
+        quantity = _QUANTITIES[self.key]
+        value = quantity.value.get(type(sample))
+        if value is None or not self.takes(source, sample) or not math.isfinite(number := value(sample)):
+            return
+        name = source[0].partition("/")[0]
+        if quantity.moves:
+            watch = self._watches.setdefault(source, MovementWatch())
+            if isinstance(sample, Gnss):
+                watch.is_position = True
+                watch.update(t, (sample.lat, sample.lon), commands, sample.speed)
+            else:
+                watch.update(t, (number,), commands)
+            if watch.is_frozen:
+                if self.source in ("", name):
+                    cause = "the boat was driven" if watch.is_position else "the commands changed"
+                    self.frozen = f"{name} repeats the same value for {watch.unchanged_s:.1f} s though {cause}"
+                    self.t = -math.inf
+                return
+        if t > self.t:
+            self.source, self.t, self.frozen = name, t, ""
 
     def silence(self, now: float) -> str:
-        """Of whom nothing is heard, and for how long."""
+        """Describe which quantity is missing, and for how long or why."""
         whom = f" of {self.whom}" if self.whom else ""
-        return f"no {_QUANTITIES[self.key].name}{whom}{self.place}{_since(now - self.t)}"
+        missing = f"no {_QUANTITIES[self.key].name}{whom}{self.place}"
+        return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_since(now - self.t)}"
 
     def refusal(self, now: float) -> str:
-        """Why nothing may move, and what to do about it."""
+        """Describe why nothing may move, and what to do about it."""
         remedy = f'{_QUANTITIES[self.key].remedy}, or write unwatched = ["{self.key}"] in [limits]'
         return f"limits.{self.key} = {self.limit:g} is not watched: {self.silence(now)}; {remedy}"
 
 
 def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]:
-    """The limits of a rig that have to be watched: those of a thruster once for each, of force for each load cell."""
+    """Yield the limits that have to be watched: those of thrusters once for each, the force for each load cell."""
     cells = [device.name for device in rig.devices if device.protocol in LOAD_CELLS]
     for key, quantity in _QUANTITIES.items():
         limit = getattr(rig.limits, key)
@@ -128,7 +301,7 @@ def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]
 
 
 def _of_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
-    """A controller's own samples; those of a battery count for every thruster."""
+    """Accept the samples of the thruster's own controller; those of a battery count for every thruster."""
 
     def takes(source: Source, sample: Sample) -> bool:
         own = (source[0].partition("/")[0], source[1]) == (thruster.device, thruster.node)
@@ -141,10 +314,215 @@ def _of_device(name: str) -> Callable[[Source, Sample], bool]:
     return lambda source, sample: source[0].partition("/")[0] == name
 
 
+class History:
+    """The values of a quantity that holds its value, over the last seconds."""
+
+    def __init__(self, keep_s: float) -> None:
+        self._keep = keep_s
+        self._rows: deque[tuple[float, float]] = deque()  # run time, value
+
+    def add(self, t: float, value: float) -> None:
+        """Add the value that holds from run time `t` on."""
+        self._rows.append((t, value))
+        # The oldest row that is kept holds at the begin of the window.
+        while len(self._rows) > 1 and self._rows[1][0] <= t - self._keep:
+            self._rows.popleft()
+
+    def since(self, t: float) -> list[float]:
+        """Return the values that held at `t` or later."""
+        recent = [value for at, value in self._rows if at >= t]
+        held = [value for at, value in self._rows if at < t][-1:]
+        return held + recent
+
+    def covers(self, t: float) -> bool:
+        """Whether the history reaches back to `t`."""
+        return bool(self._rows) and self._rows[0][0] <= t
+
+
+class OutputCheck:
+    """Compares what an autopilot puts out for a thruster with the commands.
+
+    Each parameter that bends, blocks or crosses commands shows in its output.
+    """
+
+    def __init__(self, thruster: Thruster, speed: float) -> None:
+        self._thruster, self._window, self._lasts = thruster, WINDOW_S * speed, LASTS_S * speed
+        self._commands: deque[tuple[float, float]] = deque()  # run time, n_cmd
+        self._wrong_since = math.nan
+
+    def reason(self, status: Status) -> str:
+        """Return why the run has to end, in one line; empty while the output is one of the recent commands."""
+        self._commands.append((status.t, status.commanded.get(self._thruster.name, 0.0)))
+        while self._commands[0][0] < status.t - 2.0 * self._window:
+            self._commands.popleft()
+        latest = status.latest.get((self._thruster.device, self._thruster.node))
+        if latest is None or not isinstance(latest.sample, Servo) or not math.isfinite(latest.sample.n):
+            return ""
+        recent = [n for t, n in self._commands if t >= latest.t - self._window]
+        n = latest.sample.n
+        if not recent or min(recent) - TOLERANCE <= n <= max(recent) + TOLERANCE:
+            self._wrong_since = math.nan
+            return ""
+        self._wrong_since = latest.t if math.isnan(self._wrong_since) else self._wrong_since
+        if latest.t - self._wrong_since < self._lasts:
+            return ""
+        name, device = self._thruster.name, self._thruster.device
+        bent = "a parameter bends commands, or its link is late"
+        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else bent
+        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: {why}"
+
+
+class Rest(NamedTuple):
+    """Whether a thruster is at zero thrust, as measured."""
+
+    thruster: str
+    is_zero: bool | None  # None: not measured
+    text: str  # the measurement in words, as "left turns at 2700 rpm"
+
+
+class _Motion(enum.Enum):
+    """What a motor does when zero is commanded."""
+
+    REST = enum.auto()
+    COASTS = enum.auto()  # it turns and is measured not to be driven
+    SLOWS = enum.auto()  # its speed falls; whether it is driven is not measured
+    DRIVEN = enum.auto()
+    UNKNOWN = enum.auto()
+
+
+class ControllerCheck:
+    """Compares duty, shaft speed and current of one speed controller with its commands.
+
+    Notes
+    -----
+    A controller that limits its current puts out less duty than commanded, and a propeller turns freely while the boat
+    coasts. Neither is a fault. More duty than commanded, a propeller that is still driven seconds after zero, and a
+    controller that does not move at all are faults.
+    """
+
+    def __init__(self, thruster: Thruster, speed: float) -> None:
+        self._thruster = thruster
+        delay = WINDOW_S * speed  # of the way to the controller and back
+        self._window, self._lasts, self._coast = DUTY_WINDOW_S + delay, DUTY_LASTS_S + LASTS_S * speed, COAST_S + delay
+        self._commands, self._rpm = History(self._coast), History(self._coast)
+        self._wrong_since = math.nan
+        self._current = 0.0  # A, the largest so far
+        self._watch = MovementWatch()
+        self._seen = -math.inf
+        idle = IDLE_PART * thruster.rpm_max if math.isfinite(thruster.rpm_max) else IDLE_RPM_MAX
+        self.idle_rpm = min(max(idle, IDLE_RPM_MIN), IDLE_RPM_MAX)
+
+    def _latest(self, status: Status) -> tuple[Esc, float] | None:
+        latest = status.latest.get((self._thruster.device, self._thruster.node))
+        return None if latest is None or not isinstance(latest.sample, Esc) else (latest.sample, latest.t)
+
+    def reason(self, status: Status) -> str:
+        """Return why the run has to end, in one line; empty while the controller does as commanded."""
+        if (latest := self.observe(status)) is None:
+            return ""
+        esc, t = latest
+        return self._too_much_duty(esc, t) or self._turns(esc, t) or self._blocked(esc, t) or self._frozen()
+
+    def observe(self, status: Status) -> tuple[Esc, float] | None:
+        """Note the command and the newest sample, and return that sample with its run time."""
+        n = status.commanded.get(self._thruster.name, 0.0)
+        self._commands.add(status.t, n)
+        if (latest := self._latest(status)) is None:
+            return None
+        esc, t = latest
+        if t > self._seen:
+            self._seen = t
+            if math.isfinite(esc.rpm):
+                self._rpm.add(t, abs(esc.rpm))
+            self._current = max(self._current, abs(esc.current)) if math.isfinite(esc.current) else self._current
+            values = (esc.rpm, esc.current, esc.duty, esc.voltage, esc.temperature)
+            if any(map(math.isfinite, values)):
+                known = tuple(value if math.isfinite(value) else 0.0 for value in values)
+                self._watch.update(t, known, {self._thruster.name: n})
+        return latest
+
+    def _name(self) -> str:
+        return f"thruster {self._thruster.name} (node {self._thruster.node} on {self._thruster.device})"
+
+    def _too_much_duty(self, esc: Esc, t: float) -> str:
+        recent = [0.0, *self._commands.since(t - self._window)]
+        if not math.isfinite(esc.duty) or min(recent) - DUTY_TOLERANCE <= esc.duty <= max(recent) + DUTY_TOLERANCE:
+            self._wrong_since = math.nan
+            return ""
+        self._wrong_since = t if math.isnan(self._wrong_since) else self._wrong_since
+        if t - self._wrong_since < self._lasts:
+            return ""
+        return f"{self._name()} puts out duty {esc.duty:+.2f}, commanded {recent[-1]:+.2f}: it ignores commands"
+
+    def _turns(self, esc: Esc, t: float) -> str:
+        begin = t - self._coast
+        if not self._commands.covers(begin) or any(self._commands.since(begin)):
+            return ""
+        if self._motion(esc) is not _Motion.DRIVEN:
+            return ""
+        return f"{self._name()} turns at {esc.rpm:.0f} rpm, {COAST_S:g} s after zero was commanded: it ignores commands"
+
+    def _motion(self, esc: Esc) -> _Motion:
+        """Return what the motor does when zero is commanded."""
+        has_duty = math.isfinite(esc.duty)
+        if has_duty and abs(esc.duty) > FREE_DUTY:
+            return _Motion.DRIVEN
+        if not math.isfinite(esc.rpm):
+            return _Motion.REST if has_duty else _Motion.UNKNOWN
+        if abs(esc.rpm) <= self.idle_rpm:
+            return _Motion.REST
+        # The propeller turns. While a boat coasts the water turns it, without current and ever slower.
+        if self._current >= SENSED_A and abs(esc.current) <= IDLE_CURRENT * self._current:
+            return _Motion.COASTS
+        if abs(esc.rpm) > FALLING * max(self._rpm.since(-math.inf), default=0.0):
+            return _Motion.DRIVEN
+        return _Motion.COASTS if has_duty else _Motion.SLOWS
+
+    def _blocked(self, esc: Esc, t: float) -> str:
+        begin = t - self._coast
+        recent = self._commands.since(begin)
+        driven = self._commands.covers(begin) and (min(recent) >= BLOCKED_N or max(recent) <= -BLOCKED_N)
+        reports = [abs(esc.rpm) < BLOCKED_RPM] if math.isfinite(esc.rpm) else []
+        reports += [abs(esc.duty) <= FREE_DUTY] if math.isfinite(esc.duty) else []
+        draws = abs(esc.current) > 0.5  # A controller without a speed sensor may report 0 rpm.
+        if not driven or not reports or not all(reports) or draws:
+            return ""
+        return f"{self._name()} does not turn, commanded {recent[-1]:+.2f} for {COAST_S:g} s: it blocks commands"
+
+    def _frozen(self) -> str:
+        if not self._watch.is_frozen:
+            return ""
+        seconds = self._watch.unchanged_s
+        return f"{self._name()} repeats the same telemetry for {seconds:.1f} s though its command changed"
+
+    def rest(self, status: Status, since: float) -> Rest:
+        """Return whether the motor is at rest, by a sample of after run time `since`."""
+        name = self._thruster.name
+        latest = self.observe(status)
+        if latest is None or not latest[1] > since:
+            return Rest(name, None, f"{name} has not reported since")
+        esc = latest[0]
+        motion = self._motion(esc)
+        if motion is _Motion.UNKNOWN:
+            return Rest(name, None, f"{name} reports neither duty nor shaft speed")
+        turns = f"{name} turns at {esc.rpm:.0f} rpm"
+        if motion is _Motion.DRIVEN:
+            return Rest(name, False, turns if math.isfinite(esc.rpm) else f"{name} puts out duty {esc.duty:+.2f}")
+        return Rest(name, None if motion is _Motion.SLOWS else True, turns)
+
+
 class SafetyGuard:
-    """Checks each status against the rig's limits; remembers the start position and the log's growth."""
+    """State machine of one run; see the theory of operation above."""
 
     def __init__(self, rig: Rig, speed: float, thrusters: tuple[str, ...]) -> None:
+        """Prepare the checks.
+
+        Parameters
+        ----------
+        rig : the rig with its limits
+        speed : run seconds per wall second
+        thrusters : names of the thrusters that the mission commands
+        """
         self._rig = rig
         self._speed = speed
         self._thrusters = [rig.thruster(name) for name in thrusters]
@@ -152,14 +530,122 @@ class SafetyGuard:
         self._size = -1
         self._grown_at = math.nan
         self._saturated_at: dict[str, float] = {}  # by load cell
+        self._rest_force: dict[str, float] = {}  # N, by load cell, before thrust was commanded
         self.limits = list(_limit_sources(rig, self._thrusters))
+        self.state = GuardState.WAITING
+        self.stop: Stop | None = None
+        self._changes: dict[str, int] = {}  # by autopilot: parameters that had changed when the run started
+        driving = {thruster.device for thruster in self._thrusters}
+        # Those that the mission does not command, too: a crossed command pushes there.
+        self._outputs = [
+            OutputCheck(thruster, speed)
+            for thruster in rig.thrusters
+            if thruster.device in driving and thruster.output is not None
+        ]
+        self._controllers = {
+            thruster.name: ControllerCheck(thruster, speed) for thruster in self._thrusters if thruster.output is None
+        }
+
+    def start(self, changes: Mapping[str, int] | None = None) -> None:
+        """Allow set-points from here on.
+
+        Parameters
+        ----------
+        changes : for each autopilot, the number of parameter changes that were known when its parameters were checked
+        """
+        if self.state is GuardState.WAITING:
+            self.state, self._changes = GuardState.RUNNING, dict(changes or {})
+
+    def step(self, now: float, status: Status, wanted: Sequence[Row] = ()) -> Decision:
+        """Judge one status, and the set-points that the mission wants to send.
+
+        Parameters
+        ----------
+        now : run time [s]
+        status : newest state of the acquisition
+        wanted : set-points as rows of run time and n_cmd by thruster
+
+        Returns
+        -------
+        The rows that may be sent, and the stop that ends the run. The first stop stays.
+        """
+        if self.stop is None:
+            self.stop = next(self._stops(now, status), None) or self._forbidden(wanted)
+        if self.stop is not None:
+            self.state = GuardState.STOPPED
+        return Decision(tuple(wanted) if self.state is GuardState.RUNNING else (), self.stop)
+
+    def allow(self, wanted: Sequence[Row]) -> Sequence[Row]:
+        """Return the set-points that may be sent. Raises SafetyStop for one that is not allowed."""
+        if self.stop is None and (stop := self._forbidden(wanted)):
+            self.stop, self.state = stop, GuardState.STOPPED
+            raise SafetyStop(stop.reason)
+        return wanted if self.state is GuardState.RUNNING else ()
+
+    def _forbidden(self, wanted: Sequence[Row]) -> Stop | None:
+        most = min(self._rig.limits.n_max, 1.0)
+        names = {thruster.name for thruster in self._rig.thrusters}
+        for t, row in wanted:
+            for name, n in row.items():
+                if name not in names or not (math.isfinite(t) and abs(n) <= most):
+                    reason = f"set-point {n:g} for {name} at {t:.3f}: only -{most:g} to {most:g} is allowed"
+                    return Stop(StopCode.SETPOINT, reason)
+        return None
+
+    def _stops(self, now: float, status: Status) -> Iterator[Stop]:
+        if status.stopped:
+            yield Stop(StopCode.ACQUISITION, status.stopped)
+        if not now - status.t <= NO_STATUS_S * self._speed:
+            yield Stop(StopCode.ACQUISITION, f"the acquisition process has not answered for {NO_STATUS_S:g} s")
+        if self.state is GuardState.RUNNING:
+            yield from self._links(status)
+            yield from self._driven(status)
+        yield from self._limits(status)
+
+    def check(self, status: Status) -> None:
+        """Raise SafetyStop at the first limit that is passed; links and outputs are not looked at.
+
+        A link test needs this: its autopilot is meant to miss the ground station.
+        """
+        for stop in self._limits(status):
+            raise SafetyStop(stop.reason)
+
+    def _limits(self, status: Status) -> Iterator[Stop]:
+        yield from self._silent(status)
+        yield from self._recorder(status)
+        for source, latest in status.latest.items():
+            sample = latest.sample
+            if isinstance(sample, Gnss) and self._fence is not None:
+                if reason := self._fence.reason(source[0].partition("/")[0], sample, latest.t):
+                    yield Stop(StopCode.FENCE, reason)
+                continue
+            if isinstance(sample, LoadCell) and not any(status.commanded.values()) and math.isfinite(sample.force):
+                self._rest_force[source[0]] = sample.force
+            for reason in self._passed(source[0], sample, latest.t):
+                yield Stop(StopCode.LIMIT, reason)
+        for limit in self.unwatched(status):
+            reason = f"limits.{limit.key} is not watched any more: {limit.silence(status.t)}"
+            yield Stop(StopCode.UNWATCHED, reason)
+
+    def _passed(self, name: str, sample: Sample, t: float) -> Iterator[str]:
+        if isinstance(sample, Esc):
+            yield from self._esc(sample)
+        elif isinstance(sample, LoadCell):
+            yield from self._force(name, sample, t)
+        elif isinstance(sample, Ahrs):
+            yield from self._attitude(name, sample)
+        elif isinstance(sample, Battery):
+            yield from self._battery(name.partition("/")[0], sample)
+
+    # Sources.
 
     def unwatched(self, status: Status) -> list[LimitSource]:
-        """The limits without a source that still speaks at this status; thrust is for when there are none."""
+        """Return the limits without a source at this status; nothing may move before there are none."""
+        commands = {thruster.name: status.commanded.get(thruster.name, 0.0) for thruster in self._thrusters}
         for source, latest in status.latest.items():
             if not _is_dead(source, latest.sample, status):  # it watches nothing, whatever its value
                 for limit in self.limits:
-                    limit.observe(source, latest.sample, latest.t)
+                    limit.observe(source, latest.sample, latest.t, commands)
         return [limit for limit in self.limits if not status.t - limit.t <= self._limit_patience(limit)]
 
     def _limit_patience(self, limit: LimitSource) -> float:
@@ -167,42 +653,37 @@ class SafetyGuard:
             return 0.0
         device = self._rig.device(limit.source)
         nodes = sum(thruster.device == device.name for thruster in self._rig.thrusters)
-        return self._patience(device.rate_hz / max(nodes, 1)) * (SLOW if limit.is_slow else QUICK)
+        factor = SLOW if limit.is_slow else QUICK
+        most = max(LIMIT_MAX_S, factor * STALE_WALL_S * self._speed)
+        return min(self._patience(device.rate_hz / max(nodes, 1)) * factor, most)
 
-    def check(self, status: Status) -> None:
-        """Raise SafetyStop with the reason, in one line, at the first limit that is passed."""
-        for reason in self._reasons(status):
-            raise SafetyStop(reason)
+    def rate_conflicts(self, status: Status) -> list[str]:
+        """Return the devices whose measured rate does not fit the rig, a line each.
 
-    def _reasons(self, status: Status) -> Iterator[str]:
-        yield from self._stale(status)
-        yield from self._recorder(status)
-        for source, latest in status.latest.items():
-            sample = latest.sample
-            if isinstance(sample, Esc):
-                yield from self._esc(sample)
-            elif isinstance(sample, LoadCell):
-                yield from self._force(source[0], sample, latest.t)
-            elif isinstance(sample, Gnss):
-                if self._fence is not None and (reason := self._fence.reason(source[0].partition("/")[0], sample)):
-                    yield reason
-            elif isinstance(sample, Ahrs):
-                yield from self._attitude(source[0], sample)
-            elif isinstance(sample, Battery):
-                yield from self._battery(source[0].partition("/")[0], sample)
-        for limit in self.unwatched(status):
-            yield f"limits.{limit.key} is not watched any more: {limit.silence(status.t)}"
+        How long a device may be silent follows from `rate_hz`, so that a wrong one allows thrust without a watch.
+        """
+        found = []
+        for device in self._rig.devices:
+            port = status.ports.get(device.name)
+            if port is None or not math.isfinite(port.rate) or port.rate <= 0.0:
+                continue
+            ratio = port.rate / device.rate_hz
+            if not 1.0 / RATE_RATIO <= ratio <= RATE_RATIO:
+                found.append(
+                    f"{device.name} ({device.port}) sends {port.rate:.3g} samples/s, and the rig says rate_hz = "
+                    f"{device.rate_hz:g}: correct the rig, or the rate of the device"
+                )
+        return found
 
     def patience(self, device: str) -> float:
-        """How long [run s] a device may be silent."""
+        """Return how long [run s] a device may be silent."""
         return self._patience(self._rig.device(device).rate_hz)
 
     def _patience(self, rate_hz: float) -> float:
-        return max(STALE_S, STALE_PERIODS / rate_hz, STALE_WALL_S * self._speed)
+        return max(STALE_S, min(STALE_PERIODS / rate_hz, STALE_MAX_S), STALE_WALL_S * self._speed)
 
     def is_outdated(self, source: Source, status: Status) -> bool:
-        """Whether a source has been silent for so long that its newest sample no longer says how things are. For the
-        display: no limit depends on it."""
+        """Whether the newest sample of a source is too old to be shown. No limit depends on it."""
         name = source[0].partition("/")[0]
         kinds, nodes = senders(status, name)
         rate_hz = self._rig.device(name).rate_hz / (1 if source[1] is None else nodes)
@@ -210,14 +691,18 @@ class SafetyGuard:
         slow = SLOW if kinds > 1 or name != source[0] else QUICK
         return not status.t - status.latest[source].t <= slow * self._patience(rate_hz)
 
-    def _stale(self, status: Status) -> Iterator[str]:
+    def _silent(self, status: Status) -> Iterator[Stop]:
         for device in self._rig.devices:
             port = status.ports.get(device.name)
             age = math.inf if port is None else port.age
+            if port is not None and port.samples and not port.open:
+                # A hang-up is known at once; waiting for the device to be silent would cost a second of thrust.
+                yield Stop(StopCode.PORT_LOST, f"{device.name} ({device.port}) was lost: {port.message or 'closed'}")
             # `not <=`: an age that is NaN is no sign of life.
             if not age <= self._patience(device.rate_hz):
-                yield f"{device.name} ({device.port}) is silent{_since(age)}"
-        yield from self._silent_thrusters(status)
+                yield Stop(StopCode.SILENT, f"{device.name} ({device.port}) is silent{_since(age)}")
+        for reason in self._silent_thrusters(status):
+            yield Stop(StopCode.SILENT, reason)
 
     def _silent_thrusters(self, status: Status) -> Iterator[str]:
         for thruster in self._thrusters:
@@ -226,38 +711,70 @@ class SafetyGuard:
             if not age <= self._patience(self._report_rate(thruster)):
                 yield f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_since(age)}"
 
-    def thrusters_answer(self, status: Status, since: float) -> bool:
-        """Whether every thruster's controller was heard after run time `since`, so that a zero of then reached it; one
-        that reports too seldom for that counts while it is not silent."""
-        for thruster in self._thrusters:
-            latest = status.latest.get((thruster.device, thruster.node))
-            seldom = self._report_rate(thruster) < OFTEN_HZ * self._speed
-            if latest is None or not (latest.t > since or seldom):
-                return False
-        return not any(self._silent_thrusters(status))
-
-    def pushing(self, status: Status, since: float) -> list[str]:
-        """Thrusters that an autopilot makes push after run time `since`, whatever it was told."""
-        heard = ((t.name, status.latest.get((t.device, t.node))) for t in self._thrusters)
-        return [
-            name
-            for name, latest in heard
-            if latest is not None
-            and latest.t > since
-            and isinstance(latest.sample, Servo)
-            and abs(latest.sample.n) > NEUTRAL
-        ]
-
     def _report_rate(self, thruster: Thruster) -> float:
-        """Samples a run second that a thruster's controller sends."""
+        """Return the samples a run second that a thruster's controller sends."""
         device = self._rig.device(thruster.device)
         return device.rate_hz / sum(other.device == device.name for other in self._rig.thrusters)
 
-    def _recorder(self, status: Status) -> Iterator[str]:
+    def _recorder(self, status: Status) -> Iterator[Stop]:
         if status.bytes != self._size:
             self._size, self._grown_at = status.bytes, status.t
         elif status.t - self._grown_at > STUCK_WALL_S * self._speed:
-            yield f"the log {status.path} does not grow any more; is the disk full?"
+            yield Stop(StopCode.LOG, f"the log {status.path} does not grow any more; is the disk full?")
+
+    # Links and outputs.
+
+    def _links(self, status: Status) -> Iterator[Stop]:
+        for name in dict.fromkeys(thruster.device for thruster in self._thrusters):
+            if self._rig.device(name).mavlink is None:
+                continue
+            link = status.links.get(name, LinkStatus())
+            if not link.age <= LINK_AGE_S:
+                yield Stop(StopCode.LINK, f"{name}: no heartbeat for {link.age:.1f} s")
+            reason = f" ({link.alarm})" if link.alarm else ""
+            if not link.armed:
+                yield Stop(StopCode.LINK, f"{name} was disarmed{reason}")
+            if link.mode != MANUAL:
+                yield Stop(StopCode.LINK, f"{name} went over to {link.mode}{reason}")
+            if link.alarm:
+                yield Stop(StopCode.LINK, f"{name} says {link.alarm}")
+            if link.rivals:
+                yield Stop(StopCode.RIVAL, f"{name}: {RIVAL}")
+            # The link still answers, so that zero and disarming get through; after a lost link they would not.
+            if changed := link.changed[self._changes.get(name, 0) :]:
+                more = f" (and {counted(len(changed) - 1, 'other')})" if len(changed) > 1 else ""
+                yield Stop(StopCode.PARAMETER, f"{name}: {changed[0]}{more} during the run; set it back, and run again")
+
+    def _driven(self, status: Status) -> Iterator[Stop]:
+        for output in self._outputs:
+            if reason := output.reason(status):
+                yield Stop(StopCode.OUTPUT, reason)
+        for controller in self._controllers.values():
+            reason = controller.reason(status)
+            if reason and TELEMETRY not in self._rig.limits.unwatched:
+                yield Stop(StopCode.OUTPUT, reason)
+
+    def turning(self, status: Status) -> list[str]:
+        """Return the thrusters that turn although nothing was commanded, in words; nothing may be commanded then."""
+        if TELEMETRY in self._rig.limits.unwatched:
+            return []
+        found = (controller.rest(status, -math.inf) for controller in self._controllers.values())
+        return [rest.text for rest in found if rest.is_zero is False]
+
+    def rest(self, status: Status) -> list[Rest]:
+        """Return for each thruster whether it is at zero thrust, by what was measured after zero was written to it."""
+        found = []
+        for thruster in self._thrusters:
+            since = status.zeroed.get(thruster.device, math.nan)
+            if math.isnan(since):
+                found.append(Rest(thruster.name, None, f"{thruster.name} was not reached"))
+            elif thruster.output is None:
+                found.append(self._controllers[thruster.name].rest(status, since))
+            else:
+                found.append(_output_rest(thruster, status, since))
+        return found
+
+    # Limits of one sample.
 
     def _esc(self, esc: Esc) -> Iterator[str]:
         limits = self._rig.limits
@@ -294,7 +811,23 @@ class SafetyGuard:
             return
         self._saturated_at.pop(name, None)
         if not cell.flags & SPIKE and abs(cell.force) > limit:
-            yield f"force is {cell.force:.1f} N, limit {limit:g} N"
+            rest = self._rest_force.get(name, 0.0)
+            # A wrong zero uses up the limit before anything moves, and the line has to show it.
+            at_rest = f", {rest:.1f} N of it at rest (zero_counts in the rig)" if abs(rest) > REST_PART * limit else ""
+            yield f"force is {cell.force:.1f} N, limit {limit:g} N{at_rest}"
+
+
+def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
+    """Return whether an autopilot's output is at neutral, by a sample of after run time `since`."""
+    name = thruster.name
+    latest = status.latest.get((thruster.device, thruster.node))
+    if latest is None or not latest.t > since or not isinstance(latest.sample, Servo):
+        return Rest(name, None, f"{name} has not reported since")
+    servo = latest.sample
+    if servo.pwm == 0.0:
+        return Rest(name, True, f"{name} gets no pulse")
+    text = f"{name} gets n = {servo.n:+.2f}"
+    return Rest(name, abs(servo.n) <= NEUTRAL if math.isfinite(servo.n) else None, text)
 
 
 def _is_dead(source: Source, sample: Sample, status: Status) -> bool:
@@ -309,9 +842,11 @@ def _since(age: float) -> str:
 
 
 def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
-    """Distance [m] that a boat coasts from `speed` [m/s] without thrust: m_u u' = -d_u u - d_uu u^2, solved.
+    """Return the distance [m] that a boat coasts from `speed` [m/s] without thrust.
 
-    0 where the rig's [vehicle] does not give `m_u` and a damping.
+    Notes
+    -----
+    The solution of m_u u' = -d_u u - d_uu u^2; 0 if the rig's [vehicle] does not give `m_u` and a damping.
     """
     m_u, d_u, d_uu = (max(vehicle.get(name, 0.0), 0.0) for name in ("m_u", "d_u", "d_uu"))
     if speed <= STOPPED or m_u == 0.0 or d_u + d_uu == 0.0:
@@ -321,15 +856,30 @@ def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
     return m_u / d_uu * math.log((d_u + d_uu * speed) / (d_u + d_uu * STOPPED))
 
 
+class _Fix(NamedTuple):
+    """A fix as the fence uses it: run time, position north and east of the start, speed over ground."""
+
+    t: float
+    north: float  # rad
+    east: float  # rad, as seen from the start's latitude
+    speed: float  # m/s
+
+
 class Fence:
-    """Keeps the position at the start, and checks that the boat can stop within the circle around it."""
+    """Keeps the position at the start, and checks that the boat can stop within the circle around it.
+
+    A receiver may jump for one fix. A fix that the boat cannot have reached counts once a second one confirms that the
+    boat is not where it was.
+    """
 
     def __init__(self, radius_m: float, vehicle: Mapping[str, float]) -> None:
         self._radius, self._vehicle = radius_m, vehicle
         self._home: tuple[float, float] | None = None  # rad
+        self._last: dict[str, _Fix] = {}  # by receiver: the newest fix that counts
+        self._doubted: dict[str, float] = {}  # by receiver: run time of a fix that needs another one
 
-    def reason(self, name: str, fix: Gnss) -> str:
-        """Why the run has to end, in one line; empty while the boat is inside and can stop inside."""
+    def reason(self, name: str, fix: Gnss, t: float) -> str:
+        """Return why the run has to end, in one line; empty while the boat is inside and can stop inside."""
         if fix.fix < 2 or not math.isfinite(fix.lat + fix.lon):
             return ""
         lat, lon = math.radians(fix.lat), math.radians(fix.lon)
@@ -338,14 +888,37 @@ class Fence:
         north = lat - self._home[0]
         # The shorter way round, so that a start beside the date line is a start like any other.
         east = math.remainder(lon - self._home[1], 2.0 * math.pi) * math.cos(lat)
-        length = math.hypot(north, east)
+        here = _Fix(t, north, east, fix.speed)
+        if self._is_doubtful(name, here):
+            return ""
+        self._last[name] = here
+        return self._beyond(name, here, fix)
+
+    def _is_doubtful(self, name: str, here: _Fix) -> bool:
+        """Whether a fix is one that the boat cannot have reached, and the first of its kind."""
+        last = self._last.get(name)
+        if last is not None:
+            step = EARTH_RADIUS_M * math.hypot(here.north - last.north, here.east - last.east)
+            if step <= JUMP_M + JUMP_SPEED * max(here.t - last.t, 0.0) and not here.speed > JUMP_SPEED:
+                self._doubted.pop(name, None)
+                return False
+        elif not here.speed > JUMP_SPEED:
+            return False
+        # The same fix is seen in several statuses; only a newer one confirms it.
+        if here.t > self._doubted.setdefault(name, here.t):
+            del self._doubted[name]
+            return False
+        return True
+
+    def _beyond(self, name: str, here: _Fix, fix: Gnss) -> str:
+        length = math.hypot(here.north, here.east)
         distance = EARTH_RADIUS_M * length
         if distance > self._radius:
             return f"{distance:.0f} m from the start by {name}, limit {self._radius:g} m"
-        outward = (north * fix.vel_n + east * fix.vel_e) / length if length > 0.0 else 0.0
+        outward = (here.north * fix.vel_n + here.east * fix.vel_e) / length if length > 0.0 else 0.0
         if math.isnan(outward):  # a speed without a course may be straight outward
             outward = fix.speed
-        if not outward > 0.0:  # NaN too: a receiver that says neither
+        if not outward > 0.0:  # NaN too: the receiver reports no velocity
             return ""
         coast = outward * REACTION_S + stopping_distance(outward, self._vehicle)
         if distance + coast > self._radius:

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from bench.execution.link_test import NEUTRAL
+from bench.execution.safety_guard import Row
 from bench.execution.tare import windows_of
 from daq.acquisition import Status, StreamedSample
 from daq.config import Mission, Segment
@@ -22,20 +23,19 @@ from daq.rig import Rig
 from daq.tools import FLOOD, ReceivedCommand
 
 GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
-Row = tuple[float, dict[str, float]]  # run time, n_cmd by thruster
 
 
 class EventSink(Protocol):
-    """What is asked of the acquisition."""
+    """Receiver of set-points and events: the runner, which asks the safety guard first."""
 
-    def schedule(self, rows: list[Row]) -> None:
+    def schedule(self, rows: Sequence[Row]) -> None:
         """Append set-points."""
 
     def zero(self, reason: str) -> None:
-        """Zero at once."""
+        """Command zero at once."""
 
     def mark(self, kind: str, text: str) -> None:
-        """An event for the log."""
+        """Write an event to the log."""
 
 
 class MissionSequencer:
@@ -203,7 +203,8 @@ class CommandFollower(MissionSequencer):
     """Follows commands as they come: within the mission's n_max and slew rate, and zero without them.
 
     As with a transmitter, neutral comes first: at the start and after each silence or pause nothing moves before every
-    thruster is commanded zero. A command that is none, or beyond n_max, a second sender and a flood end the run.
+    thruster is commanded zero. These end the run: an invalid command, a command beyond n_max, one without a whole
+    attachment, one that is repeated or out of order, a second sender and a flood.
     """
 
     def __init__(
@@ -263,9 +264,21 @@ class CommandFollower(MissionSequencer):
         if not abs(command.n) <= self._mission.n_max:  # NaN neither
             most = f"{self._mission.n_max:g}"
             raise SafetyStop(f"command n = {command.n:g} for {name}: only -{most} to {most} is followed")
+        if not command.sender:
+            raise SafetyStop(
+                f"a command for {name} has no whole attachment (sequence number, time and id of its publisher), "
+                "so that its sender is not known; publish it with rmw_zenoh"
+            )
         before = self._heard.get(name)
-        if before is not None and now - before[0] <= self._timeout and before[1].sender != command.sender:
-            raise SafetyStop(f"two senders command {name}")
+        if before is not None and before[1].sender != command.sender:
+            # After a silence another sender may begin, with zero as the first one had to.
+            if now - before[0] <= self._timeout:
+                raise SafetyStop(f"two senders command {name}")
+        elif before is not None and command.number <= before[1].number:
+            raise SafetyStop(
+                f"command number {command.number} for {name} came after number {before[1].number}: "
+                "it is repeated or out of order"
+            )
         self._heard[name] = now, command
 
     def _age(self, name: str, now: float) -> float:

@@ -110,10 +110,17 @@ def check(
             report.parent.mkdir(parents=True, exist_ok=True)
             motion.write_check_page(done, report)
             click.echo(f"report: {report}", err=as_json)
+    from bench.preflight.rig_checks import ARMED
+
+    armed = [finding.where for finding in found if finding.code == ARMED]
+    loud = f"{', '.join(dict.fromkeys(armed))} IS ARMED: keep clear of the propellers, or disarm it" if armed else ""
+    if loud and not faults:
+        click.secho(loud, fg="red", bold=True, err=True)
     if faults:
         where = ", ".join(str(path) for path in paths)
         raise SeatrialError(
             f"{where}: {findings_summary(found)}; not as it should be: {', '.join(faults)} (see the lines above)"
+            + (f"; {loud}" if loud else "")
         )
 
 
@@ -236,6 +243,7 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
             )
         ]
     from bench.execution import PlainDisplay, make_display, run_link_test, run_mission
+    from bench.preflight.rig_checks import armed_finding
 
     assert test.out is not None
     if not as_json:
@@ -246,8 +254,9 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
         if test.of_link:
             tests = run_link_test(rig, test.out, display, metadata, test.arm)
             return [_of_link(name, found.seconds, found.passed) for name, found in tests.items()]
-        run_mission(test.plan, rig, test.out, display, metadata, test.arm)
-        return _logs(motion, [test.out])
+        result = run_mission(test.plan, rig, test.out, display, metadata, test.arm)
+        found = _logs(motion, [test.out])
+        return [*found, *(armed_finding(name) for name in result.still_armed)]
 
 
 def _of_link(name: str, seconds: float, passed: bool) -> Finding:

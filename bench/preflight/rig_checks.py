@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.execution import SafetyGuard, silent_devices
+from bench.execution import LOAD_CELLS, SafetyGuard, silent_devices
 from daq.acquisition import Acquisition, PortStatus, Status
 from daq.checks import FAULT, OK, WARNING, Finding
 from daq.clock import RunClock
@@ -15,6 +15,7 @@ from daq.drivers import LinkStatus, check_parameters
 from daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
 from daq.rig import Device, Rig
 
+ARMED = "autopilot-armed"  # code of a finding, whose line comes last
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
 LOST = 0.01  # part of an autopilot's frames
 HOURS = 4.0  # of logging, for which there should be room
@@ -124,6 +125,8 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
         yield Finding(WARNING, "frames-lost", "link", name, text, "range and rate of the radio link; lower rates")
     if link.alarm:
         yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "what it asks for")
+    if link.armed:
+        yield armed_finding(name)
     trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
     state = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}"
     if link.receiver is not None:
@@ -134,6 +137,12 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:
         yield Finding(OK, "autopilot-answers", "link", name, text)
+
+
+def armed_finding(name: str) -> Finding:
+    """Return the finding that an autopilot is armed."""
+    text = "it is armed: its outputs follow whoever commands it"
+    return Finding(WARNING, ARMED, "link", name, text, "disarm it, if no run is to begin")
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
@@ -162,6 +171,13 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
         yield Finding(OK, "disk-as-expected", "disk", str(place), text)
 
 
+def _wanted_limits(rig: Rig) -> list[str]:
+    """Return the limits that a rig of this kind should have."""
+    on_bench = any(device.protocol in LOAD_CELLS for device in rig.devices)
+    on_bus = any(thruster.output is None for thruster in rig.thrusters)  # an autopilot reports no current of a motor
+    return [*([] if on_bench else ["radius_m"]), "voltage_min_v", *(["current_a"] if on_bus else [])]
+
+
 def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Finding]:
     """Which limits the guard would watch, by which source and how old its last number is."""
     if not rig.thrusters:
@@ -173,6 +189,11 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
     for key in rig.limits.unwatched:
         text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
         yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "a source for it")
+    missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
+    if missing:
+        text = f"[limits] has no {', '.join(missing)}: nothing ends a run by it"
+        advice = "set them (`seatrial devices --toml` writes examples), or leave them out on purpose"
+        yield Finding(WARNING, "limit-missing", "limits", rig.name, text, advice)
     watched = [f"n_max {rig.limits.n_max:g}"]
     watched += [
         f"{limit.key} {limit.limit:g}{f' of {limit.whom}' * (limit.whom not in ('', limit.source))} by {limit.source}"

@@ -77,6 +77,7 @@ class DeviceLoop(threading.Thread):
         self._joining = False
         self._open = False
         self._stepped = time.monotonic()
+        self._zeroed = math.nan
         self._problem = ""
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
 
@@ -144,7 +145,10 @@ class DeviceLoop(threading.Thread):
             wait = min(wait, self._setpoints.wait(self._clock.now(), time.monotonic(), self._clock.speed))
         if self._driver is not None:
             wait = min(wait, self._driver.wait(time.monotonic()))
-        if self._wait(self._port.fileno(), wait):
+        has_bytes = self._wait(self._port.fileno(), wait)
+        if self._setpoints is not None:
+            self._check_pause(self._setpoints, time.monotonic() - self._stepped - wait)
+        if has_bytes:
             data = self._port.read()
             t_rx = self._clock.now()
             if data:
@@ -154,6 +158,12 @@ class DeviceLoop(threading.Thread):
             self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
         if self._driver is not None:
             self._poll_driver(self._driver)
+
+    def _check_pause(self, setpoints: Setpoints, paused: float) -> None:
+        """Zero after this thread was stopped for a while: the command that would be repeated is an old one."""
+        if paused > STUCK_S and not setpoints.is_settled(time.monotonic()):
+            setpoints.zero(time.monotonic())
+            self._on_lost(f"the acquisition process stood still for {paused:.1f} s")
 
     def _check_suspend(self, setpoints: Setpoints) -> None:
         """Zero after the computer was suspended: it is a command of long ago that would be repeated."""
@@ -247,6 +257,15 @@ class DeviceLoop(threading.Thread):
             frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
             self._log("tx", raw, t, frames)
         self._setpoints.written()
+        if any(n != 0.0 for n in self._setpoints.held.values()):
+            self._zeroed = math.nan
+        elif math.isnan(self._zeroed):
+            self._zeroed = self._clock.now()
+
+    @property
+    def zeroed(self) -> float:
+        """Run time at which zero was written to every thruster of the port; NaN if a command has followed."""
+        return self._zeroed
 
     def _finish(self) -> None:
         """Send zero to every thruster, as far as the port allows."""
@@ -321,6 +340,7 @@ class DeviceLoop(threading.Thread):
             message=self._message(),
             remark=self._decoder.remark,
             stuck=tuple(kind.__name__ for kind in self._sensor_health.stuck),
+            open=self._open,
         )
 
     def _message(self) -> str:

@@ -51,6 +51,7 @@ class PortStatus:
     message: str  # the fault of the port, in one line, else `remark`; empty without either
     remark: str = ""  # what a user has to know of the stream though it is in order
     stuck: tuple[str, ...] = ()  # the kinds of samples that repeat themselves, as those of a dead sensor do
+    open: bool = True  # False before the port was opened, and after it was lost
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,8 @@ class Status:
     warnings: tuple[str, ...]
     skipped: int = 0  # set-points that a later one replaced before they could be sent
     links: dict[str, LinkStatus] = dataclasses.field(default_factory=dict)  # by device
+    # By device: run time at which zero was written to its port, if nothing else was commanded since.
+    zeroed: dict[str, float] = dataclasses.field(default_factory=dict)
     hints: tuple[str, ...] = ()  # no faults, but possible improvements, one line each
 
 
@@ -103,6 +106,9 @@ def from_json(data: dict[str, Any]) -> Status:
     latest: dict[Source, Latest] = {}
     for device, node, kind, values, t in data["latest"]:
         latest[device, node] = Latest(getattr(samples, kind)(*values), t)
-    links = {name: LinkStatus(**{**link, "refused": tuple(link["refused"])}) for name, link in data["links"].items()}
+    links = {
+        name: LinkStatus(**{**link, "refused": tuple(link["refused"]), "changed": tuple(link["changed"])})
+        for name, link in data["links"].items()
+    }
     lines = {"warnings": tuple(data["warnings"]), "hints": tuple(data["hints"])}
     return Status(**{**data, **lines, "links": links, "ports": ports, "latest": latest})

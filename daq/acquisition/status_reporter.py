@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 from daq.acquisition.device_loop import DeviceLoop
@@ -82,5 +83,6 @@ class StatusReporter:
             warnings=tuple(warnings),
             hints=tuple(f"{name} ({ports[name].port}): {loop.hint}" for name, loop in self._loops.items() if loop.hint),
             skipped=self._count_skipped(),
+            zeroed={name: loop.zeroed for name, loop in self._loops.items() if not math.isnan(loop.zeroed)},
             links={name: link for name, loop in self._loops.items() if (link := loop.link()) is not None},
         )

@@ -373,7 +373,7 @@ def _limits(table: TomlTable | None) -> Limits:
         return Limits()
     unwatched = table.texts("unwatched", ())
     for key in unwatched:
-        if key in ("n_max", "link_test_n") or not table.has(key):
+        if key != "telemetry" and (key in ("n_max", "link_test_n") or not table.has(key)):
             raise table.error("unwatched", f"'{key}' is no limit that stands here")
     found = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),

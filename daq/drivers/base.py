@@ -37,6 +37,7 @@ class LinkStatus:
     ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
     parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # those requested that it has
     parameters_pending: bool = True  # answers to parameter requests are still awaited
+    changed: tuple[str, ...] = ()  # changes of the parameters since they were first read, one line each
     refused: tuple[str, ...] = ()  # message rates that it refused, one line each
     answer: str = ""  # to the last request: "arm: accepted", "arm: failed (PreArm: ...)"; empty while awaited
     alarm: str = ""  # the last text of severity critical or above

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, YOUNG, parameter_names
+from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, OF_LINK_LOSS, YOUNG, parameter_names
 from daq.drivers.base import DISARMED, DeviceDriver, LinkRole, LinkStatus
 from daq.drivers.setpoints import Due
 from daq.errors import printable
@@ -37,6 +37,8 @@ HEARTBEAT_S = 1.0
 ANSWER_S = 0.4  # to a command, before it is sent again
 TRIES = 4
 PARAMETER_S = 0.5
+REREAD_S = 0.2  # between two parameters that are read again, in turn
+MOST_CHANGES = 1000  # that are kept; so many end a run long before
 PARAMETER_TRIES, YOUNG_TRIES = 10, 5  # fewer for what an older version may lack: it keeps quiet about those
 REBOOT_MS = 1000  # its clock back by more: it has restarted
 RATE_PART, RATE_BEATS = 0.5, 3  # less than this part of the attitudes for so many heartbeats: somebody else has asked
@@ -96,6 +98,7 @@ class MavlinkDriver(DeviceDriver):
         self._disarmed = False  # an answer says so
         self._attitude_hz = self._settings.requested(self._rate_hz).get("ATTITUDE", 0.0)
         self._lost_told, self._lost_at = 0, -math.inf
+        self._reread_at, self._reread_turn = -math.inf, 0
         self._rates_at = -math.inf  # when they may be asked for again
         self.opened(0.0)
 
@@ -218,7 +221,9 @@ class MavlinkDriver(DeviceDriver):
             parameters = {**self._status.parameters, m.param_id: float(m.param_value)}
             before = self._status.parameters.get(m.param_id)
             if before is not None and before != m.param_value:
-                self._events.append(Event("parameter", f"{m.param_id} was changed: {before:g} to {m.param_value:g}"))
+                change = f"{m.param_id} was changed: {before:g} to {m.param_value:g}"
+                self._events.append(Event("parameter", change))
+                self._status = replace(self._status, changed=(*self._status.changed, change)[-MOST_CHANGES:])
             elif before is None:
                 self._events.append(Event("parameter", f"{m.param_id} = {m.param_value:g}"))
             self._status = replace(self._status, parameters=parameters)
@@ -316,7 +321,7 @@ class MavlinkDriver(DeviceDriver):
         if not self._awaited:
             if self._status.parameters_pending:
                 self._status = replace(self._status, parameters_pending=False)
-            return b""
+            return self._reread(now)
         if now - self._asked < PARAMETER_S:
             return b""
         self._asked = now
@@ -326,6 +331,20 @@ class MavlinkDriver(DeviceDriver):
         self._awaited = {name: left - 1 for name, left in self._awaited.items() if left}
         who = (self._settings.system_id, self._settings.component_id)
         return b"".join(self._codec.encode("PARAM_REQUEST_READ", *who, name.encode(), -1) for name in self._awaited)
+
+    def _reread(self, now: float) -> bytes:
+        """Read one parameter again: another station may change it, and its announcement may be lost on the way."""
+        if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
+            return b""
+        # Those that decide what a lost link does come every other time.
+        urgent = [name for name in OF_LINK_LOSS if name in self._status.parameters]
+        others = [name for name in self._names if name in self._status.parameters and name not in urgent]
+        turn, self._reread_turn, self._reread_at = self._reread_turn, self._reread_turn + 1, now
+        names = (urgent if turn % 2 == 0 else others) or urgent or others
+        if not names:
+            return b""
+        who = (self._settings.system_id, self._settings.component_id)
+        return self._codec.encode("PARAM_REQUEST_READ", *who, names[turn // 2 % len(names)].encode(), -1)
 
     def wait(self, now: float) -> float:
         """Seconds until `poll` may have something."""
@@ -341,6 +360,8 @@ class MavlinkDriver(DeviceDriver):
             times.append(self._commands[0].sent + ANSWER_S)
         if self._started and (self._awaited or self._status.parameters_pending):
             times.append(self._asked + PARAMETER_S)
+        elif self._started and self._role is LinkRole.DRIVE and self._status.parameters:
+            times.append(self._reread_at + REREAD_S)
         if math.isfinite(self._overridden) and not any(self._held.values()):
             times.append(self._overridden + NEUTRAL_S)
         return max(min(times) - now, 0.0)

@@ -28,7 +28,7 @@ _TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}
 _POSITION = ("GGA", "GNS", "RMC", "GLL")  # the first of them that has one gives the position
 KINDS = frozenset({*_TIME_FIELD, "VTG", "GSA"})
 # GGA quality -> Gnss.fix; 2-D and 3-D fixes are the same in GGA, GSA distinguishes them.
-_QUALITY = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}
+_QUALITY = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 1}
 _MODE = {"A": 3, "D": 4, "P": 3, "R": 5, "F": 6, "E": 1, "M": 1, "S": 3, "N": 0}
 Message = dict[str, Any]
 _NUMBER = re.compile(rb"[+-]?\d+(\.\d*)?\Z")

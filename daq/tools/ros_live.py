@@ -43,11 +43,12 @@ _ROS2 = "live ROS 2 needs the packages eclipse-zenoh and rosbags: pip install 's
 
 
 class ReceivedCommand(NamedTuple):
-    """A command of a thruster as it came: NaN where it was no Float64; whose it is, empty where it does not say."""
+    """A command of a thruster as it was received."""
 
-    n: float
-    sender: bytes
-    sent: float = NAN  # s, by the sender's clock; NaN where it does not say
+    n: float  # NaN if it was no Float64
+    sender: bytes  # unique id of the publisher; empty without a whole attachment
+    sent: float = NAN  # s, by the sender's clock; NaN without a whole attachment
+    number: int = 0  # sequence number of the publisher, from 1 on; 0 without a whole attachment
 
 
 class LateCommands:
@@ -260,11 +261,17 @@ def _dds(type_name: str) -> str:
 
 
 def _command(sample: Any) -> ReceivedCommand:
+    """Decode a sample: Float64 in CDR, with the attachment of rmw_zenoh."""
     data = sample.payload.to_bytes()
     about = b"" if sample.attachment is None else sample.attachment.to_bytes()
-    sender, sent = about[-16:], NAN
+    sender, sent, number = b"", NAN, 0
+    # Only a whole attachment names its sender: two senders with parts of one could not be told from each other.
     if len(about) == ATTACHMENT.size:
-        sent = ATTACHMENT.unpack(about)[1] / NANO
+        number, sent_ns, length, gid = ATTACHMENT.unpack(about)
+        if length == len(gid) and number > 0:
+            sender, sent = gid, sent_ns / NANO
+        else:
+            number = 0
     if len(data) != 12 or data[0] != 0 or data[1] > 1:  # the encapsulation of CDR, either end first
-        return ReceivedCommand(NAN, sender, sent)
-    return ReceivedCommand(struct.unpack("<d" if data[1] else ">d", data[4:])[0], sender, sent)
+        return ReceivedCommand(NAN, sender, sent, number)
+    return ReceivedCommand(struct.unpack("<d" if data[1] else ">d", data[4:])[0], sender, sent, number)

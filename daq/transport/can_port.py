@@ -11,6 +11,7 @@ from daq.transport.serial_port import SerialPort
 
 CR, BELL = b"\r"[0], b"\a"[0]  # an adapter's yes and no
 MOST = 256  # frames a read: a flood must not keep the thread from its set-points
+REFUSED = 10  # frames in a row: the adapter is off the bus, or its channel is closed
 
 
 class _OpeningAnswers:
@@ -41,6 +42,33 @@ class _OpeningAnswers:
         return True if len(self._answers) == 3 and self._answers[2] else None
 
 
+class _FrameAnswers:
+    """Counts the frames in a row that an slcan adapter refuses to send.
+
+    An adapter answers a frame with `z`, `Z` or an empty line if it takes it, and with BELL if not. Adapters that answer
+    nothing refuse nothing.
+    """
+
+    def __init__(self) -> None:
+        self.refused = 0
+        self._in_line = True  # of a received frame; unknown at first
+
+    def feed(self, data: bytes) -> None:
+        """Take the bytes that were read."""
+        if not self.refused and BELL not in data:
+            self._in_line = data[-1:] not in (b"\r", b"\a") if data else self._in_line
+            return
+        for byte in data:
+            if byte == BELL:
+                self.refused, self._in_line = self.refused + 1, False
+            elif byte == CR:
+                self.refused, self._in_line = self.refused if self._in_line else 0, False
+            elif byte in b"zZ":
+                self.refused = 0
+            else:
+                self._in_line = True
+
+
 class SlcanPort(Port):
     """CAN through an slcan adapter."""
 
@@ -50,6 +78,7 @@ class SlcanPort(Port):
         self._bitrate = bitrate
         self._decoder = slcan.Decoder()
         self._opening: _OpeningAnswers | None = None
+        self._answers: _FrameAnswers | None = None  # None before the first frame was sent
 
     def open(self) -> None:
         """Open the adapter, then its channel."""
@@ -60,7 +89,7 @@ class SlcanPort(Port):
         self._serial.open()
         self.hint = self._serial.hint
         self._decoder.reset()
-        self._opening = _OpeningAnswers()
+        self._opening, self._answers = _OpeningAnswers(), None
         self._serial.write(commands)
 
     def fileno(self) -> int:
@@ -74,12 +103,20 @@ class SlcanPort(Port):
             self._opening = None
             if refused:
                 self.hint = f"the adapter refused the bit rate {self._bitrate}, or to open its channel"
+        if self._answers is not None:
+            self._answers.feed(data)
+            if self._answers.refused >= REFUSED:
+                raise PortError(
+                    f"the adapter refused {REFUSED} frames in a row (BELL): look at the bus, its termination, "
+                    f"its other nodes and the bit rate of {self._bitrate}"
+                )
         frames = self._decoder.feed(data, 0.0)
         self.bytes_in, self.unparsed_bytes = self._serial.bytes_in, self._decoder.unparsed_bytes
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
         """Send frames (29-bit identifiers)."""
+        self._answers = self._answers or _FrameAnswers()
         lines = (slcan.encode(word & ~EXTENDED, body[:length]) for word, length, body in CAN_FRAME.iter_unpack(data))
         self._serial.write(b"".join(lines))
 

@@ -12,12 +12,13 @@ from typing import cast
 import pytest
 
 from bench.execution import autopilots
-from bench.execution.autopilots import LASTS_S, TOLERANCE, Autopilots, OutputCheck
+from bench.execution.autopilots import Autopilots
+from bench.execution.safety_guard import LASTS_S, TOLERANCE, OutputCheck, SafetyGuard, Stop, StopCode
 from daq.acquisition.session import Acquisition
 from daq.acquisition.status import Latest, PortStatus, Status
 from daq.clock import RunClock
 from daq.drivers.base import LinkStatus
-from daq.errors import SafetyStop, SeatrialError
+from daq.errors import SeatrialError
 from daq.protocol.mavlink import ROVER
 from daq.samples import Servo
 from tests.daq.mavlink_ends import Ends, mav_rig
@@ -74,17 +75,35 @@ def test_an_output_that_is_not_known_is_no_reason() -> None:
 
 def test_an_output_that_the_mission_does_not_command_is_watched_too() -> None:
     """A crossed channel: the one that is commanded rests, and its neighbour pushes."""
-    vehicles = fit(LINK)
+    guard = started()
+    ports, links = dict(Told(LINK).status().ports), {"autopilot": LINK}
     outputs = {("autopilot", node): Latest(Servo(node, 1500.0, n), T) for node, n in ((1, 0.0), (3, 0.3))}
-    vehicles.check(Status(T, {}, outputs, {"left": 0.0}, 0, "", 1, 1, 0.0, "", (), links={"autopilot": LINK}))
+    first = Status(T, ports, outputs, {"left": 0.0}, 0, "", 1, 1, 0.0, "", (), links=links)
+    assert guard.step(T, first).stop is None
     late = {key: latest._replace(t=T + 0.3) for key, latest in outputs.items()}
-    with pytest.raises(SafetyStop, match=r"autopilot puts out n = \+0.30 for right, commanded \+0.00"):
-        vehicles.check(Status(T + 0.3, {}, late, {"left": 0.0}, 0, "", 1, 1, 0.0, "", (), links={"autopilot": LINK}))
+    stop = guard.step(T + 0.3, replace(first, t=T + 0.3, latest=late, bytes=2)).stop
+    assert stop is not None
+    assert stop.code is StopCode.OUTPUT
+    assert stop.reason.startswith("autopilot puts out n = +0.30 for right, commanded +0.00")
 
 
 LINK = LinkStatus(
     received=True, vehicle=ROVER, age=0.1, armed=True, mode="MANUAL", parameters_pending=False, receiver=True
 )
+
+
+def started(changes: int = 0) -> SafetyGuard:
+    """Return the guard of a run with one autopilot, while a mission of the left thruster is under way."""
+    rig = mav_rig()
+    guard = SafetyGuard(replace(rig, limits=replace(rig.limits, radius_m=None)), 1.0, ("left",))
+    guard.start({"autopilot": changes})
+    return guard
+
+
+def judged(guard: SafetyGuard, link: LinkStatus) -> Stop | None:
+    """Return the stop of the guard on an autopilot in this state, whose output is at neutral."""
+    outputs = {("autopilot", 1): Latest(Servo(1, 1500.0, 0.0), T)}
+    return guard.step(T, replace(Told(link).status(), latest=outputs)).stop
 
 
 class Told:
@@ -116,21 +135,43 @@ def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, mes
 
 
 @pytest.mark.parametrize(
-    ("link", "reason"),
+    ("link", "code", "reason"),
     [
-        (replace(LINK, age=3.2), "autopilot: no heartbeat for 3.2 s"),
-        (replace(LINK, age=math.inf), "autopilot: no heartbeat for inf s"),
-        (replace(LINK, armed=False, alarm="critical: Leak"), r"autopilot was disarmed \(critical: Leak\)"),
-        (replace(LINK, mode="HOLD"), "autopilot went over to HOLD"),
-        (replace(LINK, alarm="critical: Leak"), "autopilot says critical: Leak"),
-        (replace(LINK, rivals=1), "another ground station has our own system id"),
+        (replace(LINK, age=3.2), StopCode.LINK, "autopilot: no heartbeat for 3.2 s"),
+        (replace(LINK, age=math.inf), StopCode.LINK, "autopilot: no heartbeat for inf s"),
+        (replace(LINK, age=math.nan), StopCode.LINK, "autopilot: no heartbeat for nan s"),
+        (replace(LINK, armed=False), StopCode.LINK, "autopilot was disarmed"),
+        (replace(LINK, armed=False, alarm="critical: Leak"), StopCode.LINK, "autopilot was disarmed (critical: Leak)"),
+        (replace(LINK, mode="HOLD"), StopCode.LINK, "autopilot went over to HOLD"),
+        (replace(LINK, alarm="critical: Leak"), StopCode.LINK, "autopilot says critical: Leak"),
+        (replace(LINK, rivals=1), StopCode.RIVAL, "autopilot: another ground station has our own system id: its"),
+        (
+            replace(LINK, changed=("FS_THR_ENABLE was changed: 1 to 0",)),
+            StopCode.PARAMETER,
+            "autopilot: FS_THR_ENABLE was changed: 1 to 0 during the run; set it back, and run again",
+        ),
+        (
+            replace(LINK, changed=("A was changed: 1 to 0", "B was changed: 1 to 0", "C was changed: 2 to 0")),
+            StopCode.PARAMETER,
+            "autopilot: A was changed: 1 to 0 (and 2 others) during the run",
+        ),
     ],
 )
-def test_whatever_an_autopilot_does_by_itself_ends_a_run(link: LinkStatus, reason: str) -> None:
-    vehicles, status = fit(LINK), Told(link).status()
-    vehicles.check(Told(replace(LINK, age=2.8)).status())
-    with pytest.raises(SafetyStop, match=reason):
-        vehicles.check(status)
+def test_whatever_an_autopilot_does_by_itself_ends_a_run(link: LinkStatus, code: StopCode, reason: str) -> None:
+    guard = started()
+    assert judged(guard, replace(LINK, age=2.8)) is None
+    stop = judged(guard, link)
+    assert stop is not None
+    assert stop.code is code
+    assert stop.reason.startswith(reason)
+
+
+def test_a_parameter_that_changed_before_it_was_checked_is_no_reason() -> None:
+    link = replace(LINK, changed=("A was changed: 1 to 0", "B was changed: 1 to 0"))
+    assert judged(started(2), link) is None
+    stop = judged(started(1), link)
+    assert stop is not None
+    assert "B was changed" in stop.reason
 
 
 def answered(**wrong: float) -> dict[str, float]:
@@ -164,7 +205,9 @@ def test_what_does_not_forbid_to_drive_is_said_and_logged() -> None:
     link = replace(LINK, parameters=answered(MOT_SLEWRATE=9.0), refused=("RAW_IMU at 50 Hz: denied",), ekf=0x33F)
     vehicles = fit(link, said=said)
     vehicles.await_ready()
-    assert said[1:] == ["autopilot refuses RAW_IMU at 50 Hz: denied"]
+    assert said[1] == "autopilot refuses RAW_IMU at 50 Hz: denied"
+    assert said[2].startswith("autopilot IS ARMED ALREADY")
+    assert vehicles.found_armed == vehicles.still_armed() == ["autopilot"]
     assert said[0].startswith("autopilot: MOT_SLEWRATE is 9, wanted 0")
     assert cast("Told", vehicles._acquisition).marks == said[:1]
 

@@ -65,7 +65,7 @@ def test_a_plan_whose_set_points_were_overtaken_says_so(standin: StandIn, tmp_pa
         run.until_turning(standin)
         child = acquisition_of(run.process.pid)
         os.kill(child, signal.SIGSTOP)
-        time.sleep(0.3)  # half of what the watchdog takes for the end
+        time.sleep(0.2)  # less than what the acquisition process takes for a pause of its own
         os.kill(child, signal.SIGCONT)
         assert run.end() == 0, run.err
     skipped = assert_plan_was_run(run.log, mission)

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from bench.execution.runner import newest_values
-from bench.execution.safety_guard import QUICK, SLOW, STOPPED, SafetyGuard, stopping_distance
+from bench.execution.safety_guard import QUICK, SLOW, STALE_MAX_S, STOPPED, SafetyGuard, stopping_distance
 from daq.acquisition.status import Latest, PortStatus, Status
 from daq.config.rig_file import parse_rig
 from daq.errors import SafetyStop
 from daq.rig import Rig
-from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
+from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample
 from tests.bench.standin import RIG
 from tests.daq.mavlink_ends import mav_rig
 
@@ -119,7 +119,9 @@ NAN = float("nan")
     ],
 )
 def test_each_limit_stops_with_its_reason(guard: SafetyGuard, name: str, sample: Sample, words: str) -> None:
-    assert reason(guard, status(0.1, **{name: sample})) == words
+    if name == "gnss":
+        guard.check(status(0.1, 1001, **{name: sample}))  # a jump: one fix alone may be wrong
+    assert reason(guard, status(0.2, 1002, **{name: sample})) == words
 
 
 @pytest.mark.parametrize(
@@ -173,19 +175,6 @@ def test_a_dead_sensor_watches_nothing(guard: SafetyGuard, name: str, kind: str,
     assert f"is not watched any more: {words}" in reason(guard, dead(5.0))
 
 
-def test_an_output_that_goes_on_after_the_zero_is_seen(rig: Rig) -> None:
-    guard, now = SafetyGuard(rig, 1.0, ("left",)), status(10.0)
-    source = next(source for source, sample in GOOD.items() if isinstance(sample, Esc))
-
-    def with_output(n: float, age: float) -> Status:
-        return replace(now, latest=now.latest | {source: Latest(Servo(1, 1500.0, n), now.t - age)})
-
-    assert guard.pushing(with_output(0.4, 0.1), now.t - 1.0) == ["left"]
-    assert guard.pushing(with_output(0.4, 2.0), now.t - 1.0) == []  # of before the zero
-    assert guard.pushing(with_output(0.01, 0.1), now.t - 1.0) == []
-    assert guard.pushing(now, now.t - 1.0) == []  # a controller on a bus tells its speed, which runs down
-
-
 def test_a_coarse_load_cell_may_repeat_itself_at_rest(guard: SafetyGuard) -> None:
     for k in range(1, 200):
         now = status(0.05 * k, 1000 + k)
@@ -209,13 +198,13 @@ def test_a_silent_device_stops(rig: Rig, name: str, speed: float, patience: floa
     assert reason(guard, late).startswith(f"{name} (")
 
 
-def test_a_slow_device_has_five_periods(rig: Rig) -> None:
+def test_a_slow_device_has_five_periods_but_no_more_than_the_ceiling(rig: Rig) -> None:
     slow = replace(rig.device("gnss"), rate_hz=0.5)
     others = tuple(device for device in rig.devices if device.name != "gnss")
     guard = SafetyGuard(replace(rig, devices=(*others, slow)), 1.0, ("left",))
     now = status(0.0)
-    guard.check(replace(now, ports={**now.ports, "gnss": port("gnss", 9.9)}))
-    assert "for 10.1 s" in reason(guard, replace(now, ports={**now.ports, "gnss": port("gnss", 10.1)}))
+    guard.check(replace(now, ports={**now.ports, "gnss": port("gnss", STALE_MAX_S - 0.1)}))
+    assert "for 5.1 s" in reason(guard, replace(now, ports={**now.ports, "gnss": port("gnss", STALE_MAX_S + 0.1)}))
 
 
 @pytest.mark.parametrize("age", [float("inf"), NAN])
@@ -229,9 +218,6 @@ def test_a_silent_controller_on_a_busy_bus_stops(guard: SafetyGuard) -> None:
     latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
     said = reason(guard, replace(now, latest=latest))
     assert said == "thruster left (node 1 on esc) is silent for 1.1 s"
-    assert not guard.thrusters_answer(replace(now, latest=latest), now.t - 2.0)
-    assert guard.thrusters_answer(now, now.t - 0.05)
-    assert not guard.thrusters_answer(now, now.t)  # heard before the zero, not since
 
 
 def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:

@@ -211,7 +211,8 @@ class Following:
 
     def __init__(self) -> None:
         self.acquisition, self.said, self.waiting = Acquisition(), list[str](), list[ReceivedCommand]()
-        self.waiting.append(ReceivedCommand(0.9, b"old"))
+        self.waiting.append(ReceivedCommand(0.9, b"old", number=1))
+        self.number = 1
         mission = Mission("follow", "mission", ("left",), MISSION.segments[:1], 60.0, 0.8, 2.0)
         self.course = CommandFollower(mission, 100.0, 0.3, self.acquisition, self.said.append, self)
         self.now = 99.9
@@ -226,7 +227,8 @@ class Following:
     def until(self, t: float, n: float | None = None, sender: bytes = b"a", keys: str = "") -> None:
         while self.now < t:
             if n is not None:
-                self.waiting.append(ReceivedCommand(n, sender))
+                self.number += 1
+                self.waiting.append(ReceivedCommand(n, sender, number=self.number))
             self.acquisition.now = self.now
             self.course.step(self.now, 0.5, GOOD, keys)
             self.now, keys = self.now + 0.02, ""
@@ -296,7 +298,7 @@ def test_a_second_sender_and_a_flood_end_the_run() -> None:
         drive.until(101.1, 0.0, b"b")
     drive.until(102.0)
     drive.until(103.0, 0.0, b"b")  # one after the other may
-    drive.waiting = [ReceivedCommand(0.0, b"b")] * 512
+    drive.waiting = [ReceivedCommand(0.0, b"b", number=1)] * 512
     with pytest.raises(SafetyStop, match="too fast"):
         drive.until(103.1)
 
