@@ -404,7 +404,8 @@ class ControllerCheck:
         self._thruster = thruster
         delay = WINDOW_S * speed  # of the way to the controller and back
         self._window, self._lasts, self._coast = DUTY_WINDOW_S + delay, DUTY_LASTS_S + LASTS_S * speed, COAST_S + delay
-        self._commands, self._rpm = History(self._coast), History(self._coast)
+        # A sample is older than the status that holds it, so that its window begins before that of the status.
+        self._commands, self._rpm = History(2.0 * self._coast), History(2.0 * self._coast)
         self._wrong_since = math.nan
         self._current = 0.0  # A, the largest so far
         self._watch = MovementWatch()
@@ -458,11 +459,14 @@ class ControllerCheck:
         begin = t - self._coast
         if not self._commands.covers(begin) or any(self._commands.since(begin)):
             return ""
-        if self._motion(esc) is not _Motion.DRIVEN:
+        speeds = self._rpm.since(begin)
+        # The water may turn a propeller, for a while even faster than before, but not at a constant speed.
+        constant = not speeds or min(speeds) >= FALLING * max(speeds)
+        if self._motion(esc, t) is not _Motion.DRIVEN or not constant:
             return ""
         return f"{self._name()} turns at {esc.rpm:.0f} rpm, {COAST_S:g} s after zero was commanded: it ignores commands"
 
-    def _motion(self, esc: Esc) -> _Motion:
+    def _motion(self, esc: Esc, t: float) -> _Motion:
         """Return what the motor does when zero is commanded."""
         has_duty = math.isfinite(esc.duty)
         if has_duty and abs(esc.duty) > FREE_DUTY:
@@ -474,7 +478,7 @@ class ControllerCheck:
         # The propeller turns. While a boat coasts the water turns it, without current and ever slower.
         if self._current >= SENSED_A and abs(esc.current) <= IDLE_CURRENT * self._current:
             return _Motion.COASTS
-        if abs(esc.rpm) > FALLING * max(self._rpm.since(-math.inf), default=0.0):
+        if abs(esc.rpm) > FALLING * max(self._rpm.since(t - self._coast), default=0.0):
             return _Motion.DRIVEN
         return _Motion.COASTS if has_duty else _Motion.SLOWS
 
@@ -501,8 +505,8 @@ class ControllerCheck:
         latest = self.observe(status)
         if latest is None or not latest[1] > since:
             return Rest(name, None, f"{name} has not reported since")
-        esc = latest[0]
-        motion = self._motion(esc)
+        esc, t = latest
+        motion = self._motion(esc, t)
         if motion is _Motion.UNKNOWN:
             return Rest(name, None, f"{name} reports neither duty nor shaft speed")
         turns = f"{name} turns at {esc.rpm:.0f} rpm"

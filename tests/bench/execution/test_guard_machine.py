@@ -1,0 +1,574 @@
+"""The guard as a state machine: controllers, frozen sources, jumps, rates, and random sequences of statuses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bench.execution.safety_guard import (
+    AT_REST_S,
+    COAST_S,
+    DUTY_LASTS_S,
+    EARTH_RADIUS_M,
+    FROZEN_S,
+    JUMP_SPEED,
+    LIMIT_MAX_S,
+    GuardState,
+    SafetyGuard,
+    Stop,
+    StopCode,
+)
+from daq.acquisition.status import Latest, PortStatus, Status
+from daq.config.rig_file import parse_rig
+from daq.errors import SafetyStop
+from daq.rig import Limits, Rig
+from daq.samples import Esc, Gnss, LoadCell, Sample, Servo
+from tests.bench.execution.test_safety_guard import GNSS
+from tests.bench.standin import RIG
+from tests.daq.mavlink_ends import mav_rig
+
+T = 1_763_616_000.0
+NAN = math.nan
+DT = 0.05
+ESC, CELL, FIX = ("esc", 1), ("loadcell", None), ("gnss", None)
+METRE = math.degrees(1.0 / EARTH_RADIUS_M)  # of latitude
+Device = Callable[[float, float], Sample]  # run time and command to a sample
+
+
+def rig_of(tmp_path: Path, **limits: float | tuple[str, ...]) -> Rig:
+    """Return a rig with one thruster, a load cell, GNSS and AHRS, and these limits alone."""
+    rig = parse_rig(RIG.format(speed=1.0).replace("[[thruster]]", GNSS + "[[thruster]]"), tmp_path / "rig.toml")
+    return replace(rig, limits=replace(Limits(), **limits))
+
+
+def port(name: str, rate: float = 40.0) -> PortStatus:
+    return PortStatus(name, "", f"ports/{name}", rate, rate, 0.01, 99, 99, 0, 0, 0, 0, 999, 0.0, 0.0, "")
+
+
+def status(t: float, n: float, latest: dict[tuple[str, int | None], Sample], **changes: object) -> Status:
+    ports = {name: port(name) for name in ("esc", "loadcell", "gnss", "ahrs")}
+    found = {source: Latest(sample, T + t - 0.01) for source, sample in latest.items()}
+    made = Status(T + t, ports, found, {"left": n}, 3, "run.mcap", round(1000 * t), 10, t, "", ())
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+def ran(
+    rig: Rig, seconds: float, n: Callable[[float], float], devices: dict[tuple[str, int | None], Device]
+) -> tuple[float, Stop | None]:
+    """Return the time and the stop of a run of the guard over these devices; infinity and None without one."""
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    guard.start()
+    for k in range(1, round(seconds / DT)):
+        t = k * DT
+        latest = {source: device(t, n(t)) for source, device in devices.items()}
+        if stop := guard.step(T + t, status(t, n(t), latest)).stop:
+            return t, stop
+    return math.inf, None
+
+
+def steps(t: float) -> float:
+    """Return commands up to 0.8 of either sign, with rests of 4 s."""
+    return (0.0, 0.4, 0.0, -0.4, 0.0, 0.8, 0.2, 0.0)[int(t / 4.0) % 8]
+
+
+class Shaft:
+    """A thruster whose speed follows its command with a lag, behind a controller that reports some quantities."""
+
+    def __init__(self, tau: float = 0.3, *, duty: bool = True, current: bool = True, limited: float = 1.0) -> None:
+        self.rpm, self._tau, self._duty, self._current, self._limited = 0.0, tau, duty, current, limited
+        self.wake_rpm = 0.0  # at which the water turns the propeller
+
+    def __call__(self, t: float, n: float) -> Esc:
+        aim = 4500.0 * min(max(n, -self._limited), self._limited)
+        self.wake_rpm = max(self.wake_rpm, 0.6 * abs(aim)) / (1.0 + DT * self.wake_rpm / 9000.0)
+        if n == 0.0:
+            aim = self.wake_rpm
+        self.rpm += (aim - self.rpm) * DT / self._tau
+        put_out = min(max(n, -self._limited), self._limited) if self._duty else NAN
+        drawn = 20.0 * abs(n) + 0.01 * math.sin(9.0 * t) if self._current else NAN
+        return Esc(1, self.rpm + math.sin(7.0 * t), drawn, put_out, 24.0 + 0.01 * math.sin(t), 30.0)
+
+
+@pytest.mark.parametrize("tau", [0.1, 0.8])
+@pytest.mark.parametrize("limited", [1.0, 0.5])
+@pytest.mark.parametrize(("duty", "current"), [(True, True), (False, True), (True, False), (False, False)])
+def test_a_controller_that_follows_ends_no_run(
+    tmp_path: Path, tau: float, limited: float, duty: bool, current: bool
+) -> None:
+    """With a lag, a current limit and a propeller that the wake turns for a while after zero."""
+    shaft = Shaft(tau, duty=duty, current=current, limited=limited)
+    assert ran(rig_of(tmp_path), 64.0, steps, {ESC: shaft}) == (math.inf, None)
+
+
+def stuck_at_zero(kind: str) -> Device:
+    """Return a controller that follows until zero is commanded after 8 s, and goes on at 2700 rpm."""
+
+    def device(t: float, n: float) -> Esc:
+        ignores = t > 8.0 and n == 0.0
+        rpm = 2700.0 if ignores or n != 0.0 else 0.0
+        shake = math.sin(7.0 * t)
+        duty = {"duty": 0.6 if ignores else n, "silent": NAN, "zero": n}[kind]
+        return Esc(1, rpm + shake, 8.0 + 0.1 * shake if rpm else 0.1, duty, 24.0 - 0.01 * shake, 30.0)
+
+    return device
+
+
+@pytest.mark.parametrize(("kind", "within"), [("duty", 1.0 + 0.25 + DUTY_LASTS_S + 0.3), ("silent", COAST_S + 0.5)])
+def test_a_controller_that_ignores_zero_ends_the_run(tmp_path: Path, kind: str, within: float) -> None:
+    at, stop = ran(rig_of(tmp_path), 30.0, lambda t: 0.6 if 2.0 < t < 10.0 else 0.0, {ESC: stuck_at_zero(kind)})
+    assert 10.0 < at < 10.0 + within
+    assert stop is not None
+    assert stop.code is StopCode.OUTPUT
+    assert "thruster left (node 1 on esc)" in stop.reason
+    assert "it ignores commands" in stop.reason
+    allowed = rig_of(tmp_path, unwatched=("telemetry",))
+    assert ran(allowed, 30.0, lambda t: 0.6 if 2.0 < t < 10.0 else 0.0, {ESC: stuck_at_zero(kind)})[1] is None
+
+
+@pytest.mark.parametrize("reverse", [1.0, -1.0])
+def test_more_duty_than_commanded_ends_the_run(tmp_path: Path, reverse: float) -> None:
+    def device(t: float, n: float) -> Esc:
+        return Esc(1, 900.0 * n + math.sin(t), 5.0, n if t < 5.0 else 3.0 * n, 24.0, 30.0)
+
+    at, stop = ran(rig_of(tmp_path), 20.0, lambda t: 0.2 * reverse, {ESC: device})
+    assert 5.0 + DUTY_LASTS_S < at < 5.0 + DUTY_LASTS_S + 0.3
+    assert stop is not None
+    assert f"puts out duty {0.6 * reverse:+.2f}, commanded {0.2 * reverse:+.2f}" in stop.reason
+
+
+@pytest.mark.parametrize("duty", [0.0, NAN])
+@pytest.mark.parametrize("n", [0.5, -0.5])
+def test_a_controller_that_does_not_move_ends_the_run(tmp_path: Path, duty: float, n: float) -> None:
+    def blocked(t: float, n: float) -> Esc:
+        return Esc(1, 0.0, 0.1, duty, 24.0 + 0.01 * math.sin(t), 30.0)
+
+    at, stop = ran(rig_of(tmp_path), 20.0, lambda t: n if t > 5.0 else 0.0, {ESC: blocked})
+    assert 5.0 + COAST_S < at < 5.0 + COAST_S + 0.4
+    assert stop is not None
+    assert f"does not turn, commanded {n:+.2f} for 3 s" in stop.reason
+    # Without a speed sensor the current shows that the motor turns.
+    drawing = Esc(1, 0.0, 5.0, NAN, 24.0, 30.0)
+    follows = ran(rig_of(tmp_path), 20.0, steps, {ESC: lambda t, n: replace(drawing, current=0.1 + abs(n) * 9.0 + t)})
+    assert follows == (math.inf, None)
+
+
+def test_telemetry_that_repeats_while_the_command_changes_ends_the_run(tmp_path: Path) -> None:
+    frozen = Esc(1, 900.0, 5.0, NAN, 24.0, 30.0)
+    at, stop = ran(rig_of(tmp_path), 30.0, lambda t: 0.2 if t < 9.0 else 0.6, {ESC: lambda t, n: frozen})
+    assert 9.0 + FROZEN_S <= at < 9.0 + FROZEN_S + 0.3
+    assert stop is not None
+    assert "repeats the same telemetry" in stop.reason
+    constant = ran(rig_of(tmp_path), 60.0, lambda t: 0.2, {ESC: lambda t, n: frozen})
+    assert constant == (math.inf, None)  # nothing had to change
+
+
+def shaken(t: float, n: float) -> Esc:
+    """Return the telemetry of a controller that follows, with noise."""
+    return Esc(1, 4500.0 * n + math.sin(9.0 * t), 20.0 * abs(n), n, 24.0, 30.0)
+
+
+def test_a_force_that_repeats_while_the_command_changes_is_not_watched(tmp_path: Path) -> None:
+    """A scale in decimal kilograms that froze at 8.5 N."""
+    devices: dict[tuple[str, int | None], Device] = {ESC: shaken, CELL: lambda t, n: LoadCell(0.867, 8.5)}
+    at, stop = ran(rig_of(tmp_path, force_n=60.0), 60.0, lambda t: 0.8 if t > 5.0 else 0.0, devices)
+    assert 5.0 + FROZEN_S <= at < 5.0 + FROZEN_S + 0.4
+    assert stop is not None
+    assert stop.code is StopCode.UNWATCHED
+    assert "limits.force_n is not watched any more: no force of loadcell" in stop.reason
+    assert "loadcell repeats the same value" in stop.reason
+    devices[CELL] = lambda t, n: LoadCell(0.867, round(40.0 * n * abs(n) + 0.4 * math.sin(t)))  # whole newtons
+    assert ran(rig_of(tmp_path, force_n=60.0), 60.0, steps, devices) == (math.inf, None)
+
+
+def test_a_current_that_is_always_zero_is_not_watched(tmp_path: Path) -> None:
+    unmeasured: dict[tuple[str, int | None], Device] = {ESC: lambda t, n: replace(shaken(t, n), current=0.0)}
+    _, stop = ran(rig_of(tmp_path, current_a=40.0), 30.0, steps, unmeasured)
+    assert stop is not None
+    assert "limits.current_a is not watched any more: no current of thruster left" in stop.reason
+    assert ran(rig_of(tmp_path), 30.0, steps, unmeasured) == (math.inf, None)  # without the limit it is not needed
+
+
+@pytest.mark.parametrize(
+    ("n", "speed", "within"),
+    [(0.8, 0.0, AT_REST_S + 0.5), (0.2, 0.0, 15.6), (0.1, 1.5, 3.7)],
+    ids=["fast", "slow", "by its own speed"],
+)
+def test_a_position_that_stays_although_the_boat_is_driven_is_not_watched(
+    tmp_path: Path, n: float, speed: float, within: float
+) -> None:
+    held = Gnss(T, 41.18, -8.70, vel_n=speed, vel_e=0.0, fix=3)
+    devices: dict[tuple[str, int | None], Device] = {ESC: shaken, FIX: lambda t, _: replace(held, utc=T + t)}
+    at, stop = ran(rig_of(tmp_path, radius_m=500.0), 60.0, lambda t: n, devices)
+    assert at < within
+    assert stop is not None
+    assert "no position: gnss repeats the same value" in stop.reason
+    assert "though the boat was driven" in stop.reason
+
+
+def test_a_position_in_thousandths_of_a_minute_is_watched(tmp_path: Path) -> None:
+    def coarse(t: float, n: float) -> Gnss:
+        return Gnss(T + t, round(41.18 * 60 + METRE * 60 * 0.5 * t, 3) / 60, -8.70, vel_n=0.5, vel_e=0.0, fix=3)
+
+    devices: dict[tuple[str, int | None], Device] = {ESC: shaken, FIX: coarse}
+    assert ran(rig_of(tmp_path, radius_m=500.0), 120.0, lambda t: 0.3, devices) == (math.inf, None)
+
+
+def test_a_boat_that_turns_on_the_spot_or_rests_may_hold_its_position(tmp_path: Path) -> None:
+    held: dict[tuple[str, int | None], Device] = {ESC: shaken, FIX: lambda t, n: Gnss(T + t, 41.18, -8.7, fix=3)}
+    assert ran(rig_of(tmp_path, radius_m=500.0), 60.0, lambda t: 0.0, held) == (math.inf, None)
+    rig = mav_rig()
+    guard = SafetyGuard(replace(rig, limits=Limits(radius_m=100.0)), 1.0, ("left", "right"))
+    for k in range(1, 900):
+        t = 0.05 * k
+        n = {"left": 0.6, "right": -0.6}
+        found = {("autopilot/gnss", None): Latest(Gnss(T, 41.18, -8.7, fix=3), T + t)}
+        assert not guard.unwatched(Status(T + t, {}, found, n, 0, "", k, 1, t, "", ()))
+
+
+def test_temperatures_that_no_sensor_measures_are_no_source(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, temperature_c=80.0)
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    for k, (celsius, watched) in enumerate([(-273.15, False), (-40.0, False), (-39.0, True), (25.0, True)]):
+        now = status(10.0 * (k + 1), 0.0, {ESC: Esc(1, 0.0, temperature=celsius)})
+        assert (guard.unwatched(now) == []) is watched
+
+
+# The fence.
+
+
+def fixes(rig: Rig, north: list[float], dt: float = 0.2, speed: float = 0.5) -> tuple[int, Stop | None]:
+    """Return the index of the fix [m north of the start] at which the guard stops, and the stop."""
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    for k, metres in enumerate(north):
+        for look in range(4):  # each fix is seen in several statuses
+            t = 1.0 + k * dt
+            fix = Gnss(T + t, 41.18 + METRE * metres, -8.70, vel_n=0.0, vel_e=speed, fix=3)
+            now = status(t + 0.05 * look, 0.2, {ESC: shaken(t, 0.2)})
+            found = {**now.latest, FIX: Latest(fix, T + t)}
+            if stop := guard.step(now.t, replace(now, latest=found)).stop:
+                return k, stop
+    return len(north), None
+
+
+def test_one_jump_is_no_violation_and_a_second_fix_is(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, radius_m=100.0)
+    assert fixes(rig, [0.0, 0.1, 0.2, 1000.0, 0.3, 0.4]) == (6, None)
+    assert fixes(rig, [0.0, 0.1, 1000.0, 0.3, 1000.0, 0.4, -1000.0, 0.5]) == (8, None)
+    at, stop = fixes(rig, [0.0, 0.1, 0.2, 1000.0, 1000.1])
+    assert at == 4
+    assert stop is not None
+    assert stop.code is StopCode.FENCE
+    at, stop = fixes(rig, [0.0, 0.1, 0.2, 1000.0, -1000.0])  # two that no boat can reach: the receiver is lost
+    assert at == 4
+    assert stop is not None
+
+
+def test_a_boat_that_leaves_is_stopped_at_the_first_fix_outside(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, radius_m=100.0)
+    at, stop = fixes(rig, [2.0 * k for k in range(80)], speed=0.0)
+    assert at == 51  # 102 m: the first fix beyond
+    assert stop is not None
+
+
+def test_a_start_at_a_jump_does_not_move_the_fence_unnoticed(tmp_path: Path) -> None:
+    at, stop = fixes(rig_of(tmp_path, radius_m=100.0), [1000.0, 0.0, 0.1, 0.2])
+    assert at == 2
+    assert stop is not None
+
+
+def test_one_impossible_speed_is_no_violation(tmp_path: Path) -> None:
+    guard = SafetyGuard(replace(rig_of(tmp_path, radius_m=100.0), vehicle={"m_u": 40.0, "d_u": 5.0}), 1.0, ("left",))
+    for k, speed in enumerate([0.5, 0.5, 80.0, 0.5, JUMP_SPEED + 1.0, JUMP_SPEED + 1.0]):
+        fix = Gnss(T + k, 41.18 + METRE * (10.0 + 0.5 * k), -8.7, vel_n=speed, vel_e=0.0, fix=3)
+        now = status(1.0 + k, 0.2, {ESC: shaken(k, 0.2), FIX: fix})
+        stop = guard.step(now.t, now).stop
+        assert (stop is not None) == (k == 5), stop
+
+
+@pytest.mark.parametrize(("lat", "lon"), [(0.0, 0.0), (60.0, 10.0), (-60.0, 179.9999), (41.0, -180.0)])
+@pytest.mark.parametrize("bearing", [0.0, 90.0, 180.0, 270.0, 45.0])
+def test_the_fence_is_a_circle_in_metres_wherever_it_is(
+    tmp_path: Path, lat: float, lon: float, bearing: float
+) -> None:
+    """A boat on a great circle away from the start is stopped between 99 and 101 m."""
+    guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
+    heading = math.radians(bearing)
+    for k in range(300):
+        metres = 0.5 * k
+        north, east = metres * math.cos(heading), metres * math.sin(heading)
+        there = lon + METRE * east / math.cos(math.radians(lat))
+        fix = Gnss(T, lat + METRE * north, (there + 180.0) % 360.0 - 180.0, fix=3)
+        now = status(0.1 * k + 1.0, 0.2, {ESC: shaken(k, 0.2), FIX: fix})
+        if guard.step(now.t, now).stop:
+            assert 100.0 <= metres < 101.0
+            return
+    raise AssertionError("the boat has left the fence")
+
+
+@pytest.mark.parametrize(("vel_n", "vel_e", "stops"), [(0.0, 2.0, True), (0.0, -2.0, False), (2.0, 0.0, False)])
+def test_only_the_speed_outward_counts(tmp_path: Path, vel_n: float, vel_e: float, stops: bool) -> None:
+    """The boat is 98 m east of the start and needs 3 m to stop from 2 m/s."""
+    rig = replace(rig_of(tmp_path, radius_m=100.0), vehicle={"m_u": 15.0, "d_u": 10.0})
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    east = 98.0 * METRE / math.cos(math.radians(41.18))
+    first = status(1.0, 0.0, {ESC: shaken(0, 0.0), FIX: Gnss(T, 41.18, -8.70, fix=3)})
+    assert guard.step(first.t, first).stop is None
+    there = Gnss(T, 41.18, -8.70 + east, vel_n=vel_n, vel_e=vel_e, fix=3)
+    now = status(20.0, 0.0, {ESC: shaken(0, 0.0), FIX: there})
+    assert (guard.step(now.t, now).stop is not None) == stops
+
+
+@pytest.mark.parametrize(("fix", "watched"), [(0, False), (1, False), (2, True), (3, True), (6, True)])
+def test_a_fix_of_two_dimensions_watches_the_fence_and_dead_reckoning_does_not(
+    tmp_path: Path, fix: int, watched: bool
+) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
+    now = status(1.0, 0.0, {FIX: Gnss(T, 41.18, -8.7, fix=fix)})
+    assert (guard.unwatched(now) == []) is watched
+    guard.check(status(1.1, 0.0, {ESC: Esc(1), FIX: Gnss(T, 41.18, -8.7, fix=3)}))
+    assert guard._fence is not None
+    assert bool(guard._fence.reason("gnss", Gnss(T, 41.18 + 500 * METRE, -8.7, fix=fix), T + 99.0)) is watched
+
+
+# Rates and patience.
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "measured", "fits"),
+    [(0.05, 50.0, False), (50.0, 50.0, True), (50.0, 17.0, True), (50.0, 16.0, False), (20.0, 61.0, False)],
+)
+def test_a_rate_far_from_the_measured_one_is_refused(
+    tmp_path: Path, rate_hz: float, measured: float, fits: bool
+) -> None:
+    rig = rig_of(tmp_path)
+    rig = replace(rig, devices=tuple(replace(device, rate_hz=rate_hz) for device in rig.devices[:1]))
+    guard = SafetyGuard(replace(rig, thrusters=()), 1.0, ())
+    found = guard.rate_conflicts(status(1.0, 0.0, {}, ports={"esc": port("esc", measured)}))
+    assert (found == []) is fits
+    if found:
+        assert f"sends {measured:g} samples/s, and the rig says rate_hz = {rate_hz:g}" in found[0]
+    assert guard.rate_conflicts(status(1.0, 0.0, {}, ports={"esc": port("esc", NAN)})) == []
+    assert guard.rate_conflicts(status(1.0, 0.0, {}, ports={})) == []
+
+
+def test_patience_has_a_ceiling_whatever_the_rig_says(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, radius_m=100.0, force_n=60.0)
+    slow = tuple(replace(device, rate_hz=0.05) for device in rig.devices)
+    guard = SafetyGuard(replace(rig, devices=slow), 1.0, ("left",))
+    assert {guard.patience(device.name) for device in slow} == {5.0}
+    latest: dict[tuple[str, int | None], Sample] = {CELL: LoadCell(1.0, 1.0), FIX: Gnss(T, 41.0, -8.0, fix=3)}
+    assert guard.unwatched(status(1.0, 0.0, latest)) == []
+    still = status(1.0 + LIMIT_MAX_S - 0.1, 0.0, {})
+    assert guard.unwatched(still) == []
+    assert {limit.key for limit in guard.unwatched(status(1.0 + LIMIT_MAX_S + 0.1, 0.0, {}))} == {"radius_m", "force_n"}
+
+
+def test_a_port_that_hangs_up_ends_the_run_at_once(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
+    good = status(1.0, 0.2, {ESC: shaken(1.0, 0.2)})
+    assert guard.step(good.t, good).stop is None
+    never = {**good.ports, "ahrs": replace(port("ahrs"), open=False, samples=0)}
+    assert guard.step(good.t, replace(good, ports=never)).stop is None  # it has not begun yet
+    lost = {**good.ports, "ahrs": replace(port("ahrs"), open=False, message="hung up")}
+    stop = guard.step(good.t, replace(good, ports=lost)).stop
+    assert stop is not None
+    assert stop.code is StopCode.PORT_LOST
+    assert stop.reason.endswith("was lost: hung up")
+
+
+# What is at zero at the end.
+
+
+def at_the_end(tmp_path: Path, before: list[Sample], zeroed: float | None = 9.0) -> tuple[bool | None, str]:
+    guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
+    guard.start()
+    now = status(0.0, 0.0, {})
+    for k, sample in enumerate(before):
+        now = status(10.0 + 0.1 * k, 0.0, {ESC: sample}, zeroed={} if zeroed is None else {"esc": T + zeroed})
+        found = guard.rest(now)
+    assert [rest.thruster for rest in found] == ["left"]
+    return found[0].is_zero, found[0].text
+
+
+@pytest.mark.parametrize(
+    ("samples", "is_zero"),
+    [
+        ([Esc(1, 12.0)], True),
+        ([Esc(1, -12.0, duty=0.0)], True),
+        ([Esc(1, duty=0.02)], True),
+        ([Esc(1, duty=-0.3)], False),
+        ([Esc(1, 12.0, duty=0.3)], False),
+        ([Esc(1, 2700.0)] * 5, False),
+        ([Esc(1, -2700.0)] * 5, False),
+        ([Esc(1, 2700.0, duty=0.0)] * 5, False),
+        ([Esc(1, 2700.0), Esc(1, 2000.0)], None),
+        ([Esc(1, 2700.0, duty=0.0), Esc(1, 2000.0, duty=0.0)], True),
+        ([Esc(1, 2700.0, 20.0), Esc(1, 2700.0, 0.2)], True),
+        ([Esc(1, 2700.0, 20.0), Esc(1, 2700.0, 2.0)], False),
+        ([Esc(1)], None),
+    ],
+)
+def test_zero_is_what_was_measured(tmp_path: Path, samples: list[Sample], is_zero: bool | None) -> None:
+    assert at_the_end(tmp_path, samples)[0] is is_zero
+
+
+def test_only_a_sample_of_after_the_zero_counts(tmp_path: Path) -> None:
+    assert at_the_end(tmp_path, [Esc(1, 0.0)], zeroed=10.5) == (None, "left has not reported since")
+    assert at_the_end(tmp_path, [Esc(1, 0.0)], zeroed=None) == (None, "left was not reached")
+
+
+@pytest.mark.parametrize(
+    ("servo", "is_zero"),
+    [
+        (Servo(1, 1500.0, 0.0), True),
+        (Servo(1, 1510.0, 0.02), True),
+        (Servo(1, 1700.0, 0.4), False),
+        (Servo(1, 1300.0, -0.4), False),
+        (Servo(1, 0.0), True),
+        (Servo(1, 1500.0), None),
+    ],
+)
+def test_an_output_at_neutral_is_zero(servo: Servo, is_zero: bool | None) -> None:
+    guard = SafetyGuard(mav_rig(), 1.0, ("left",))
+    latest = {("autopilot", 1): Latest(servo, T)}
+    now = Status(T, {}, latest, {}, 0, "", 1, 1, 0.0, "", (), zeroed={"autopilot": T - 1.0})
+    assert [rest.is_zero for rest in guard.rest(now)] == [is_zero]
+    late = replace(now, zeroed={"autopilot": T + 1.0})
+    assert [rest.is_zero for rest in guard.rest(late)] == [None]
+
+
+def test_a_thruster_that_turns_before_anything_was_commanded_is_named(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
+    turning = status(1.0, 0.0, {ESC: Esc(1, 2700.0)})
+    assert guard.turning(turning) == ["left turns at 2700 rpm"]
+    assert SafetyGuard(rig_of(tmp_path, unwatched=("telemetry",)), 1.0, ("left",)).turning(turning) == []
+    assert SafetyGuard(rig_of(tmp_path), 1.0, ("left",)).turning(status(1.0, 0.0, {ESC: Esc(1, 200.0)})) == []
+
+
+# The machine.
+
+
+def test_set_points_are_allowed_between_start_and_stop_only(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
+    rows = [(T + 1.0, {"left": 0.3})]
+    good = status(1.0, 0.0, {ESC: shaken(1.0, 0.0)})
+    assert guard.step(good.t, good, rows) == ((), None)
+    assert guard.allow(rows) == ()
+    guard.start()
+    assert guard.step(good.t, good, rows) == (tuple(rows), None)
+    assert guard.allow(rows) == rows
+    ended = replace(good, stopped="the watchdog is gone")
+    decision = guard.step(good.t, ended, rows)
+    assert decision == ((), Stop(StopCode.ACQUISITION, "the watchdog is gone"))
+    assert guard.step(good.t, good, rows) == decision  # the first stop stays
+    assert guard.allow(rows) == ()
+    guard.start()
+    assert guard.state is GuardState.STOPPED
+
+
+@pytest.mark.parametrize(
+    "row",
+    [(T, {"left": 0.61}), (T, {"left": -0.61}), (T, {"left": NAN}), (NAN, {"left": 0.1}), (T, {"other": 0.1})],
+)
+def test_a_set_point_that_is_not_allowed_ends_the_run(tmp_path: Path, row: tuple[float, dict[str, float]]) -> None:
+    rig = rig_of(tmp_path, n_max=0.6)
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    guard.start()
+    assert guard.allow([(T, {"left": 0.6}), (T, {"left": -0.6})])
+    with pytest.raises(SafetyStop, match=r"only -0\.6 to 0\.6 is allowed"):
+        guard.allow([row])
+    assert guard.stop is not None
+    assert guard.stop.code is StopCode.SETPOINT
+    other = SafetyGuard(rig, 1.0, ("left",))
+    other.start()
+    good = status(1.0, 0.0, {ESC: shaken(1.0, 0.0)})
+    assert other.step(good.t, good, [row]).stop == guard.stop
+
+
+@pytest.mark.parametrize("speed", [1.0, 20.0])
+def test_an_acquisition_that_does_not_answer_ends_the_run(tmp_path: Path, speed: float) -> None:
+    guard = SafetyGuard(rig_of(tmp_path), speed, ("left",))
+    good = status(1.0, 0.0, {ESC: shaken(1.0, 0.0)})
+    assert guard.step(good.t + 0.99 * speed, good).stop is None
+    stop = guard.step(good.t + 1.01 * speed, good).stop
+    assert stop is not None
+    assert "has not answered for 1 s" in stop.reason
+    assert SafetyGuard(rig_of(tmp_path), speed, ("left",)).step(NAN, good).stop is not None
+
+
+numbers = st.one_of(st.floats(-200.0, 200.0), st.just(NAN), st.just(math.inf))
+samples = st.one_of(
+    st.builds(Esc, st.just(1), st.floats(-6000.0, 6000.0), numbers, st.floats(-1.0, 1.0), numbers, numbers),
+    st.builds(LoadCell, numbers, numbers, st.integers(0, 3)),
+    st.builds(Gnss, st.just(T), st.floats(41.0, 41.01), st.floats(-8.71, -8.70), fix=st.integers(0, 6)),
+)
+events = st.fixed_dictionaries(
+    {
+        "dt": st.floats(0.0, 2.0),
+        "n": st.floats(-1.0, 1.0),
+        "wanted": st.one_of(st.floats(-2.0, 2.0), st.just(NAN)),
+        "samples": st.lists(samples, max_size=3),
+        "age": st.floats(0.0, 2.0),
+        "open": st.booleans(),
+        "stopped": st.sampled_from(["", "", "", "told to end"]),
+    }
+)
+SOURCES = {Esc: ESC, LoadCell: CELL, Gnss: FIX}
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(events, min_size=1, max_size=25), st.integers(0, 5), st.floats(-1e6, 1e6))
+def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
+    tmp_path: Path, sequence: list[dict[str, object]], starts: int, shift: float
+) -> None:
+    """Whatever comes: nothing before the start or after a stop, nothing beyond n_max, nothing under a passed limit.
+
+    The same sequence at another time of day gives the same decisions, so the guard reads no clock.
+    """
+    rig = rig_of(tmp_path, n_max=0.6, force_n=60.0, rpm=4000.0, current_a=40.0, radius_m=200.0, voltage_min_v=10.0)
+    guard, again = SafetyGuard(rig, 1.0, ("left",)), SafetyGuard(rig, 1.0, ("left",))
+    shift = round(shift * 1024.0) / 1024.0  # exact in a double at the size of T
+    latest: dict[tuple[str, int | None], Latest] = {}
+    t, first = 0.0, None
+    for k, event in enumerate(sequence):
+        if k == starts:
+            guard.start()
+            again.start()
+        t = round((t + float(event["dt"])) * 1024.0) / 1024.0  # type: ignore[arg-type]
+        for sample in event["samples"]:  # type: ignore[attr-defined]
+            latest[SOURCES[type(sample)]] = Latest(sample, T + t)
+        now = replace(status(t, float(event["n"]), {}, stopped=event["stopped"]), latest=dict(latest))  # type: ignore[arg-type]
+        ports = {name: replace(one, age=event["age"], open=event["open"]) for name, one in now.ports.items()}
+        now = replace(now, ports=ports, bytes=k)
+        rows = [(now.t, {"left": float(event["wanted"])})]  # type: ignore[arg-type]
+        decision = guard.step(now.t, now, rows)
+        for _, row in decision.setpoints:
+            assert starts <= k
+            assert abs(row["left"]) <= 0.6
+        assert first is None or decision.stop == first
+        first = decision.stop
+        if first is not None:
+            assert decision.setpoints == ()
+            assert guard.state is GuardState.STOPPED
+        else:
+            esc, cell = latest.get(ESC), latest.get(CELL)
+            assert not now.stopped
+            assert event["open"]
+            assert float(event["age"]) <= 1.0  # type: ignore[arg-type]
+            if esc is not None and isinstance(esc.sample, Esc):
+                assert not abs(esc.sample.rpm) > 4000.0
+                assert not abs(esc.sample.current) > 40.0
+                assert not esc.sample.voltage < 10.0
+            if cell is not None and isinstance(cell.sample, LoadCell) and not cell.sample.flags:
+                assert not abs(cell.sample.force) > 60.0
+        later = {source: one._replace(t=one.t + shift) for source, one in latest.items()}
+        moved = replace(now, t=now.t + shift, latest=later)
+        shifted = again.step(moved.t, moved, [(moved.t, rows[0][1])])
+        assert (shifted.stop is None) == (decision.stop is None)
+        assert len(shifted.setpoints) == len(decision.setpoints)
