@@ -15,6 +15,7 @@ from mocks.devices import DeviceEmulator, Faults
 from mocks.ports import NetPort, PtyPort
 from mocks.world import World
 
+BELL = b"\a"  # of a CAN adapter that refuses a frame
 PRIORITY, REAL_TIME = -10, 2  # niceness, and of 99: where the system lets us
 NAP = 0.05  # wall s, the longest sleep: signals and ports that return are noticed within it
 STALL = 0.005  # wall s; a longer gap in the loop is our own pause and no silence of the host
@@ -98,11 +99,16 @@ class Server:
                 controller.die(t)
             elif not dead:
                 controller.dead = False
+            controller.stuck = self._faults.active("esc-stuck", controller.spec.name, t)
 
     def _listen(self, t: float) -> None:
         """Hand what the host wrote to the devices."""
         for name, port in self._ports.items():
-            if port.plugged and (data := port.read()):
+            if not port.plugged or not (data := port.read()):
+                continue
+            if self._faults.active("refuse", name, t):
+                port.write(BELL * data.count(b"\r"), time.monotonic())
+            else:
                 port.write(self._speakers[name].receive(data, t), time.monotonic())
 
     def _talk(self, t: float) -> None:

@@ -60,6 +60,7 @@ class EscController:
         self.spec = spec
         self.n = 0.0  # effective command, positive forward
         self.dead = False
+        self.stuck = False  # it ignores commands, and its time-out does not strike
         self.on_change: OnChange | None = None
         self._plant = plant
         self._thruster = thruster
@@ -71,8 +72,8 @@ class EscController:
         return -self.n if self.spec.reversed else self.n
 
     def command(self, t: float, duty: float) -> None:
-        """Obey a command that arrived at time ``t`` (s); a dead controller does not."""
-        if self.dead:
+        """Obey a command that arrived at time ``t`` (s); a dead or stuck controller does not."""
+        if self.dead or self.stuck:
             return
         self.check(t)
         self.deadline = t + self.spec.timeout_s
@@ -80,7 +81,7 @@ class EscController:
 
     def check(self, t: float) -> None:
         """Stop if the time-out struck before ``t`` (s)."""
-        if t > self.deadline:
+        if t > self.deadline and not self.stuck:
             struck, self.deadline = self.deadline, math.inf
             self._set(struck, 0.0, "timeout")
 

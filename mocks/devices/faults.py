@@ -44,6 +44,9 @@ KINDS = {
     "clock-back": Kind(math.inf, "a device whose clock is set back by 0.6 s"),
     "clock-skew": Kind(math.inf, "a device whose clock is 100 ppm fast"),
     "esc-dead": Kind(math.inf, "a thruster's controller dies: no thrust, no word"),
+    "esc-stuck": Kind(math.inf, "a thruster's controller keeps its command and ignores new ones, zero included"),
+    "refuse": Kind(5.0, "a CAN adapter that answers every frame with BELL and sends none"),
+    "hold": Kind(5.0, "a receiver that repeats its position while its time runs"),
     "slow": Kind(math.inf, "every other reading is lost"),
     "late": Kind(math.inf, "readings come a second late, stamped as if they were new"),
     "degrees": Kind(math.inf, "body rates in degrees a second"),
@@ -57,7 +60,7 @@ class Fault:
     """One fault on the schedule."""
 
     kind: str
-    target: str  # a device, for esc-dead a thruster; empty for every one
+    target: str  # a device, for esc-dead and esc-stuck a thruster; empty for every one
     start: float | None  # s since the run's start; None until the signal comes
     seconds: float
 
@@ -80,9 +83,10 @@ def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str]
     kind, target = found["kind"], found["target"] or ""
     if kind not in KINDS:
         raise SeatrialError(f"--fault {text}: no fault '{kind}'; there is: {', '.join(KINDS)}")
-    known = thrusters if kind == "esc-dead" else devices
+    of_thruster = kind in ("esc-dead", "esc-stuck")
+    known = thrusters if of_thruster else devices
     if target and target not in known:
-        what = "thruster" if kind == "esc-dead" else "device"
+        what = "thruster" if of_thruster else "device"
         raise SeatrialError(f"--fault {text}: the rig has no {what} '{target}'; there is: {', '.join(known)}")
     start = None if found["t"] == SIGNAL else float(found["t"])
     return Fault(kind, target, start, float(found["seconds"] or KINDS[kind].seconds))
@@ -120,6 +124,10 @@ class Faults:
         key = (device, getattr(sample, "node", 0))
         if self.active("stuck", device, t):
             return self._last.setdefault(key, sample)
+        if isinstance(sample, Gnss) and self.active("hold", device, t):
+            held = self._last.setdefault(key, sample)
+            assert isinstance(held, Gnss)
+            return replace(sample, lat=held.lat, lon=held.lon)
         self._last[key] = sample
         if self.active("slow", device, t):
             self._count[key] = self._count.get(key, 0) + 1

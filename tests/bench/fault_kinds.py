@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.execution.safety_guard import COAST_S, FROZEN_S
 from daq.acquisition.watchdog import ANSWER_S, HANG_S
 from daq.config.mission_file import Mission, Segment, save_mission
 from daq.protocol.vesc import STALE
@@ -29,6 +30,9 @@ GUARD_S = 0.2  # a sample, a status, a look of the guard
 SLOW_S = 0.2 / SPEED  # between samples of temperature, voltage and position
 AFTER_DECISION_S = 0.1
 BLINK_S = 0.3  # for which a plug is out
+PAUSE_S = 0.4  # for which all programs stand still: less than the controllers' own time-out
+ZERO_AT_S = 2.0  # of the missions whose thruster will not stop
+STEP_S = 0.5  # of the missions that alternate
 REOPEN_S = 0.5  # until a port that is back is open again
 VESC, DRONECAN, MAVLINK = RIGS = "VESC", "DroneCAN", "MAVLink"
 DISK = "disk"  # a file system of a few megabytes in the folder, for the trials that fill it
@@ -73,6 +77,8 @@ class Kind:
     rig: str = VESC
     full: bool = False
     cut_off: bool = False  # no command can reach the thrusters: only their own time-out is left
+    stays: bool = False  # the thruster ignores zero: the run has to end, and to report that zero was not confirmed
+    alternates: bool = False  # the mission changes its commands every STEP_S
 
     @property
     def name(self) -> str:
@@ -117,6 +123,16 @@ def _twice(run: Any) -> None:
         os.kill(run.pid, signal.SIGINT)
 
 
+def _paused(run: Any) -> None:
+    """Stop all programs, as a busy hypervisor does, and let them go on; the trial begins then."""
+    everybody = (run.watchdog, run.acquisition, run.pid)
+    for pid in everybody:
+        os.kill(pid, signal.SIGSTOP)
+    time.sleep(PAUSE_S)
+    for pid in everybody:
+        os.kill(pid, signal.SIGCONT)
+
+
 def _of(rig: str) -> Iterator[Kind]:
     """All that can fail on a rig."""
     link = "autopilot" if rig == MAVLINK else "esc"
@@ -143,6 +159,15 @@ def _of(rig: str) -> Iterator[Kind]:
     yield Kind("link silent", STALE_S + GUARD_S, f"{link}.* silent", fault=f"silence/{link}@usr1:8")
     yield Kind("link garbled", STALE_S + GUARD_S, f"{link}.* silent", fault=f"garbage/{link}@usr1:8")
     yield Kind("controller dead", STALE_S + GUARD_S, "left .*silent|for left", fault="esc-dead/left@usr1:8")
+    frozen = STEP_S + FROZEN_S / SPEED + GUARD_S + 2 * SLOW_S
+    if rig != MAVLINK:
+        ends = ZERO_AT_S + COAST_S / SPEED + 0.25 + GUARD_S
+        yield Kind("controller stuck", ends, "ignores commands", fault="esc-stuck/left@usr1:48", stays=True)
+        yield Kind("telemetry frozen", frozen, "repeats the same", fault="stuck/esc@usr1:24", alternates=True)
+        yield Kind("frames refused", ESC_S, "refused 10 frames", fault="refuse/esc@usr1:16", cut_off=True)
+    yield Kind("load cell frozen", frozen, "loadcell repeats", fault="stuck/loadcell@usr1:24", alternates=True)
+    yield Kind("position held", 10.0 / SPEED + GUARD_S, "gnss repeats", fault="hold/gnss@usr1:48")
+    yield Kind("all stopped for 0.4 s", 0.0, "stood still|no sign of life|no heartbeat", strike=_paused)
     yield Kind("AHRS lost", GUARD_S, "ahrs .*lost", fault="pull/ahrs@usr1:8")
     yield Kind("GNSS lost", STALE_S + 5 * SLOW_S + GUARD_S, "gnss .*silent", fault="silence/gnss@usr1:8")
     yield Kind("load cell lost", GUARD_S, "loadcell .*lost", fault="pull/loadcell@usr1:8")
@@ -171,6 +196,12 @@ def write_files(folder: Path, kind: Kind) -> None:
     text = text.replace("[[thruster]]", f"{sensors}[[thruster]]", 1)
     (folder / "rig.toml").write_text(text, encoding="utf-8")
     rows = (Segment("steps", np.array([0.5, 40.0]), np.array([[0.5, 0.4], [0.3, 0.5]])),)
+    if kind.stays:
+        rows = (Segment("steps", np.array([0.5, ZERO_AT_S * SPEED]), np.array([[0.6, 0.4], [0.0, 0.0]])),)
+    if kind.alternates:
+        t = 0.5 + STEP_S * SPEED * np.arange(38.0)
+        n = np.where(np.arange(38)[:, None] % 2 == 0, [[0.6, 0.15]], [[0.15, 0.6]])
+        rows = (Segment("steps", t, n),)
     save_mission(Mission("trial", "mission", ("left", "right"), rows, 80.0), folder / "mission.toml")
 
 

@@ -158,8 +158,14 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
             devices.send_signal(signal.SIGUSR1)
         elif kind.strike is not None:
             kind.strike(running)
-            begun = time.monotonic() if kind.full else begun  # a disk is full with its last byte
-        wrong = [] if until(lambda: not boat.turning()) else ["thrust did not end"]
+            # A disk is full with its last byte, and a pause is over when the programs go on.
+            begun = time.monotonic() if kind.full or kind.what.startswith("all stopped") else begun
+        if kind.stays:
+            process.join(PATIENCE_S)
+            wrong = [] if process.exitcode == 3 else [f"exit status {process.exitcode}"]
+            wrong += [] if "zero was sent, not confirmed: left turns at" in _last_line(folder) else [_last_line(folder)]
+        else:
+            wrong = [] if until(lambda: not boat.turning()) else ["thrust did not end"]
         if kind.what == "runner hangs":
             os.kill(process.pid, signal.SIGCONT)
         process.join(PATIENCE_S)
@@ -209,7 +215,7 @@ def _processes(folder: Path, pid: int, log: Path) -> Running | None:
 def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, found: list[str]) -> Trial:
     line, *wrong = found
     folder = log.parent.parent if kind.full else log.parent
-    if boat.turning():
+    if boat.turning() and not kind.stays:
         wrong.append("thrust came back")
     with open_log(log) as opened:
         events = opened.events()
@@ -231,6 +237,8 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
     after = boat.zero_at - wall(decided[0]) if decided else math.nan
     zero = boat.zero_at - begun - forgiven
     wrong += [] if said else [f"the log does not say why: {texts}"]
+    if kind.stays:  # the thruster cannot be stopped, so that what counts is when the run decided to end
+        zero, after = (wall(decided[0]) - begun if decided else math.inf), 0.0
     if zero > kind.within_s + AFTER_DECISION_S:
         wrong.append(f"zero after {zero:.3f} s")
     if after > AFTER_DECISION_S and not kind.cut_off:
