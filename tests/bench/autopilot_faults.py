@@ -40,6 +40,7 @@ SEATRIAL = [sys.executable, "-m", "seatrial"]
 N = 0.3
 AT_ONCE_S = 0.1  # where a program of ours lives
 SAMPLE_S = 0.05  # of the outputs that are watched: 25 ms, and as much until they are read
+SUPERVISED_S = 0.5  # from the first thrust, or from the change, to the last, with all delays
 AFTER_S = 9.0  # watched after a cut: the failsafe of the ground station acts after 6.5 s
 BACK_S = 8.0
 OWN, STRANGER, HOLD, RTL, DISARM = 255, 254, 4, 11, 400
@@ -124,6 +125,10 @@ def reboot(run: Run) -> None:
     run.rover.command(246, 1.0, 0.0, 0.0, 0.0, 0.0, 20190226.0)
 
 
+def parameter(name: str, value: float) -> Callable[[Run], None]:
+    return lambda run: run.rover.set_parameter(name, value)
+
+
 def with_a_second(component_heard: bool) -> Callable[[Run], None]:
     def strike(run: Run) -> None:
         run.rover.beat_as(OWN, 230 if component_heard else 190)
@@ -152,6 +157,9 @@ FAULTS = (
     Fault("disarmed by another station", 0.0, lambda run: run.rover.command(DISARM, 0.0)),
     Fault("put into HOLD by another station", 0.0, lambda run: run.rover.command(176, 1.0, float(HOLD))),
     Fault("put into RTL by another station", 0.0, lambda run: run.rover.command(176, 1.0, float(RTL))),
+    Fault("another station sets FS_THR_ENABLE 0", SUPERVISED_S, parameter("FS_THR_ENABLE", 0.0)),
+    Fault("another station sets FS_GCS_ENABLE 0", SUPERVISED_S, parameter("FS_GCS_ENABLE", 0.0)),
+    Fault("another station sets RC_OVERRIDE_TIME 3", SUPERVISED_S, parameter("RC_OVERRIDE_TIME", 3.0)),
     Fault("another station beats with our id", 1.0, with_a_second(True)),
     Fault("the same unseen, and the link cut", None, with_a_second(False), AFTER_S),
     Fault("autopilot reboots", REBOOT_S, reboot, 2.5, True),
@@ -183,7 +191,6 @@ WRONG: tuple[tuple[str, float], ...] = (
     ("RCMAP_THROTTLE", 1), ("SERVO3_FUNCTION", 70), ("SERVO1_MAX", 1900), ("MOT_THR_MIN", 40), ("MOT_SLEWRATE", 20),
     ("RC1_DZ", 190), ("BATT_FS_LOW_ACT", 1), ("BATT_FS_CRT_ACT", 3),
 )  # fmt: skip
-SUPERVISED_S = 0.5  # from the first thrust to the last, with all delays
 
 
 def write_files(folder: Path, rover: Rover, setting: Setting) -> None:

@@ -206,6 +206,10 @@ class Rover:
         """COMMAND_LONG of the station beside us."""
         self._ear.mav.command_long_send(1, 1, number, 0, *values, *[0.0] * (7 - len(values)))
 
+    def set_parameter(self, name: str, value: float) -> None:
+        """PARAM_SET of the station beside us."""
+        self._ear.mav.param_set_send(1, 1, name.encode(), value, 9)
+
     def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
         """Wait; raises TimeoutError."""
         deadline = time.monotonic() + seconds

@@ -303,6 +303,25 @@ def test_a_second_sender_and_a_flood_end_the_run() -> None:
         drive.until(103.1)
 
 
+def test_a_command_without_a_whole_attachment_ends_the_run() -> None:
+    drive = Following()
+    drive.until(101.0, 0.0)
+    with pytest.raises(SafetyStop, match="a command for left has no whole attachment"):
+        drive.until(101.1, 0.0, b"")
+
+
+@pytest.mark.parametrize("number", [5, 4, 1, 0])
+def test_a_command_that_is_repeated_or_out_of_order_ends_the_run(number: int) -> None:
+    drive = Following()
+    drive.waiting = [ReceivedCommand(0.0, b"a", number=5)]
+    drive.until(100.0)
+    drive.waiting = [ReceivedCommand(0.0, b"a", number=7)]  # number 6 was lost: that is no reason
+    drive.until(100.1)
+    drive.waiting = [ReceivedCommand(0.0, b"a", number=number)]
+    with pytest.raises(SafetyStop, match=f"command number {number} for left came after number 7"):
+        drive.until(100.2)
+
+
 def test_a_pause_is_zero_until_zero_was_commanded() -> None:
     drive = Following()
     drive.until(101.0, 0.0)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.acquisition.device_loop import DeviceLoop
+from daq.acquisition.device_loop import STUCK_S, DeviceLoop
 from daq.acquisition.log_thread import LogSink
 from daq.acquisition.session import Acquisition
 from daq.clock import RunClock, SuspendDetector
@@ -150,7 +150,7 @@ def test_without_thrust_a_silent_runner_ends_nothing(tmp_path: Path) -> None:
 PARENT = """
 import sys, time
 from pathlib import Path
-from daq.acquisition.device_loop import DeviceLoop
+from daq.acquisition.device_loop import STUCK_S, DeviceLoop
 from daq.acquisition.log_thread import LogSink
 from daq.acquisition.session import Acquisition
 from daq.clock import RunClock, SuspendDetector
@@ -305,6 +305,40 @@ def driving_loop(boat: TestBoat, setpoints: Setpoints, said: list[str]) -> Devic
     decoder = make_decoder(device, rig)
     driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
     return DeviceLoop(device, make_port(device), decoder, RunClock(), LogSink(), setpoints, driver, said.append)
+
+
+def test_after_a_pause_of_its_own_no_old_command_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SIGSTOP and SIGCONT of all programs: the first frame of after the pause is zero."""
+    with TestBoat(tmp_path) as boat:
+        setpoints, said = Setpoints(), list[str]()
+        loop = driving_loop(boat, setpoints, said)
+        paused, wait = [0.0], loop._wait
+
+        def waiting(fd: int, seconds: float) -> bool:
+            found, pause = wait(fd, seconds), paused[0]
+            paused[0] = 0.0
+            time.sleep(pause)
+            return found
+
+        monkeypatch.setattr(loop, "_wait", waiting)
+        loop.start()
+        setpoints.append([(0.0, {1: 0.5}), (time.time() + 60.0, {1: 0.6})])
+        loop.wake()
+        wait_for(lambda: (1, 0.5) in boat.ports["can"].commands())
+        paused[0] = 0.5 * STUCK_S  # a busy machine
+        wait_for(lambda: paused[0] == 0.0)
+        before = len(boat.ports["can"].commands())
+        wait_for(lambda: len(boat.ports["can"].commands()) > before + 3)
+        assert said == []
+        paused[0] = 1.5 * STUCK_S
+        wait_for(lambda: bool(said))
+        loop.end()
+        loop.join()
+        wait_for(lambda: boat.ports["can"].commands()[-1] == (1, 0.0))
+        commands = boat.ports["can"].commands()
+    assert said[0].startswith("the acquisition process stood still for 0.")
+    first_zero = commands.index((1, 0.0))
+    assert set(commands[first_zero:]) == {(1, 0.0)}
 
 
 def test_after_a_suspend_a_command_of_before_is_zero(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

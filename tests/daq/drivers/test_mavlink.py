@@ -554,3 +554,25 @@ def test_an_override_of_zero_gives_a_channel_back() -> None:
     ends.autopilot.receive(release, ends.t)
     assert ends.autopilot.vehicle.sticks[1] == 0.0
     assert abs(ends.autopilot.vehicle.sticks[3]) == pytest.approx(0.5, abs=0.01)  # 0xFFFF leaves a channel alone
+
+
+def test_a_parameter_that_another_station_changes_is_noticed_at_once_or_when_it_is_read_again() -> None:
+    """ArduPilot announces a change to every link; the announcement may be lost."""
+    ends = ready(Ends(mav_rig()))
+    assert ends.driver.link_at(ends.t).changed == ()
+    parameters = ends.autopilot.vehicle.parameters
+    for name, before, after in (("FS_THR_ENABLE", 1.0, 0.0), ("SERVO1_MAX", parameters["SERVO1_MAX"], 1900.0)):
+        known = len(ends.driver.link_at(ends.t).changed)
+        parameters[name] = after  # without an announcement
+        since = ends.t
+        while len(ends.driver.link_at(ends.t).changed) == known:
+            ends.run(0.1)
+            assert ends.t - since < (6.0 if name == "FS_THR_ENABLE" else 30.0)
+        assert ends.driver.link_at(ends.t).changed[-1] == f"{name} was changed: {before:g} to {after:g}"
+
+
+def test_who_does_not_drive_reads_no_parameter_again() -> None:
+    ends = ready(Ends(mav_rig(), role=LinkRole.ASK))
+    ends.autopilot.vehicle.parameters["FS_THR_ENABLE"] = 0.0
+    ends.run(10.0)
+    assert ends.driver.link_at(ends.t).changed == ()

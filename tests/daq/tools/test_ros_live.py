@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import signal
 import struct
 import subprocess
@@ -25,7 +26,7 @@ from daq.log.reader import open_log
 from daq.rig import Rig, Ros2
 from daq.samples import Ahrs
 from daq.tools import ros_live
-from daq.tools.ros_live import LateCommands, ReceivedCommand, Ros2Node
+from daq.tools.ros_live import ATTACHMENT, LateCommands, ReceivedCommand, Ros2Node, _command
 from tests.daq.logs import SAMPLES, T0
 from tests.daq.logs import rig as rig_of_logs
 from tests.daq.ptys import TestBoat, wait_for
@@ -225,3 +226,30 @@ def test_every_sample_that_is_logged_is_streamed(tmp_path: Path) -> None:
     logged = rows[(rows["t"] >= t[0] - 1e-6) & (rows["t"] <= newest)][: len(t)]
     np.testing.assert_allclose(t, logged["t"], atol=1e-6)
     np.testing.assert_array_equal([one.sample.r for one in streamed], logged["r"])  # type: ignore[union-attr]
+
+
+class _Sample:
+    """A sample of Zenoh with this payload and this attachment."""
+
+    def __init__(self, payload: bytes, attachment: bytes | None) -> None:
+        self.payload = _Bytes(payload)
+        self.attachment = None if attachment is None else _Bytes(attachment)
+
+
+class _Bytes(bytes):
+    def to_bytes(self) -> bytes:  # type: ignore[override]
+        return bytes(self)
+
+
+def test_only_a_whole_attachment_names_its_sender() -> None:
+    number = b"\0\1\0\0" + struct.pack("<d", 0.25)
+    whole = ATTACHMENT.pack(7, 2_000_000_000, 16, b"g" * 16)
+    assert _command(_Sample(number, whole)) == ReceivedCommand(0.25, b"g" * 16, 2.0, 7)
+    unnumbered, short = ATTACHMENT.pack(0, 2, 16, b"g" * 16), ATTACHMENT.pack(7, 2, 9, b"g" * 16)
+    broken = [None, b"", whole[:-1], whole + b"x", unnumbered, short]
+    for attachment in broken:
+        command = _command(_Sample(number, attachment))
+        assert (command.n, command.sender, command.number) == (0.25, b"", 0)
+        assert math.isnan(command.sent)
+    for payload in (b"", number[:-1], number + b"x", b"\1\1\0\0" + number[4:], b"\0\2\0\0" + number[4:]):
+        assert math.isnan(_command(_Sample(payload, whole)).n)

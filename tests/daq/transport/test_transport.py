@@ -12,7 +12,7 @@ import pytest
 from daq.protocol import slcan
 from daq.protocol.canframe import pack_can
 from daq.transport.base import PortError
-from daq.transport.can_port import SlcanPort, SocketCanPort
+from daq.transport.can_port import REFUSED, SlcanPort, SocketCanPort
 from daq.transport.serial_port import SerialPort
 from tests.daq.ptys import Pty, wait_for
 
@@ -136,6 +136,44 @@ def test_an_adapter_that_refuses_the_bit_rate_is_named(tmp_path: Path, answers: 
         assert select.select([port.fileno()], [], [], 5.0)[0]
         port.read()
     assert ("refused the bit rate 250000" in port.hint) == refused
+    port.close()
+    pty.pull()
+
+
+@pytest.mark.parametrize(
+    ("answers", "raises"),
+    [
+        (b"\a" * REFUSED, True),
+        (b"\a" * (REFUSED - 1), False),
+        (b"\a" * (REFUSED - 1) + b"Z\r" + b"\a" * (REFUSED - 1), False),
+        (b"\a" * (REFUSED - 1) + b"z\r" + b"\a" * (REFUSED - 1), False),
+        (b"\a" * (REFUSED - 1) + b"\r" + b"\a" * (REFUSED - 1), False),  # an empty line is a yes, too
+        (b"T000009010\r\a" * REFUSED, True),  # received frames between the answers are no answers
+        (b"", False),
+    ],
+)
+@pytest.mark.parametrize("at_once", [True, False])
+def test_an_adapter_that_refuses_every_frame_is_a_lost_port(
+    tmp_path: Path, answers: bytes, raises: bool, at_once: bool
+) -> None:
+    pty = Pty(tmp_path / "can")
+    port = SlcanPort(str(pty.path), 115200, 250_000)
+    port.open()
+    pty.write(b"\a" * 2)  # to the empty line and to closing: nothing was sent yet
+    assert select.select([port.fileno()], [], [], 5.0)[0]
+    port.read()
+    port.write(pack_can(1, b""))
+    said = ""
+    for part in [answers] if at_once else [answers[k : k + 1] for k in range(len(answers))]:
+        if not part:
+            continue
+        pty.write(part)
+        assert select.select([port.fileno()], [], [], 5.0)[0]
+        try:
+            port.read()
+        except PortError as error:
+            said = str(error)
+    assert said.startswith(f"the adapter refused {REFUSED} frames in a row (BELL)") == raises
     port.close()
     pty.pull()
 
