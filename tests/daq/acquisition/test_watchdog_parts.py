@@ -1,0 +1,281 @@
+"""The parts of the watchdog without processes: heartbeats over a socket, the monitor, the sender of zero on a pty."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from daq.acquisition import watchdog
+from daq.acquisition.ipc import (
+    ACTIVE,
+    ANSWER,
+    FINISHED,
+    IDLE,
+    AcquisitionChannel,
+    WatchdogConfiguration,
+    WatchdogReady,
+)
+from daq.acquisition.watchdog import (
+    ANSWER_S,
+    HANG_S,
+    HEARTBEAT_S,
+    POLL_S,
+    FailsafeSender,
+    Heartbeat,
+    HeartbeatMonitor,
+    _step_in,
+    _watch,
+)
+from daq.config.rig_file import load_rig
+from daq.log.watchdog_note import read_note
+from tests.daq.ptys import TestBoat
+
+
+@pytest.fixture
+def beating(tmp_path: Path) -> Iterator[tuple[Heartbeat, socket.socket]]:
+    """The acquisition's side of a heartbeat, and the watchdog's end of its socket."""
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+    ours, theirs = socket.socketpair()
+    got: list[object] = []
+
+    def answer() -> None:
+        link = AcquisitionChannel(theirs)
+        got.append(link.receive_first())
+        link.send(WatchdogReady())
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    heartbeat = Heartbeat(ours, rig, Path("run.mcap"))
+    thread.join()
+    assert got == [WatchdogConfiguration(rig.text, str(rig.path), os.getpid(), str(Path("run.mcap").absolute()))]
+    theirs.setblocking(False)
+    with ours, theirs:
+        yield heartbeat, theirs
+
+
+def words(sock: socket.socket) -> bytes:
+    try:
+        return sock.recv(4096)
+    except BlockingIOError:
+        return b""
+
+
+def test_the_limits_are_those_of_the_safety_page() -> None:
+    """An ESC stops after a second: the watchdog has to be sooner, and later than a busy machine pauses."""
+    assert (HANG_S, ANSWER_S, POLL_S, HEARTBEAT_S) == (0.6, 1.0, 0.02, 0.02)
+    assert (watchdog.OPEN_S, watchdog.ZERO_S, watchdog.READY_S) == (3.0, 1.0, 20.0)
+
+
+def test_a_heartbeat_says_whether_thrust_is_commanded_and_not_too_often(
+    beating: tuple[Heartbeat, socket.socket],
+) -> None:
+    heartbeat, theirs = beating
+    heartbeat.beat(False, 100.0)
+    assert words(theirs) == IDLE
+    heartbeat.beat(True, 100.0 + 0.5 * HEARTBEAT_S)
+    assert words(theirs) == b""
+    heartbeat.beat(True, 100.0 + 0.6 * HEARTBEAT_S, at_once=True)
+    assert words(theirs) == ACTIVE
+    heartbeat.beat(True, 100.0 + 1.7 * HEARTBEAT_S)
+    assert words(theirs) == ACTIVE
+    heartbeat.end()
+    assert words(theirs) == FINISHED
+    assert heartbeat.trouble == ""
+
+
+def test_a_watchdog_that_does_not_answer_is_trouble_after_its_time(beating: tuple[Heartbeat, socket.socket]) -> None:
+    heartbeat, theirs = beating
+    t = 100.0
+    while not heartbeat.trouble and t < 105.0:
+        t += 0.05
+        heartbeat.beat(True, t)
+        words(theirs)
+    assert t - 100.05 == pytest.approx(ANSWER_S, abs=0.11)
+    assert heartbeat.trouble == f"the watchdog has not answered for {ANSWER_S:g} s"
+
+
+def test_a_watchdog_that_answers_is_no_trouble_nor_is_a_pause_of_our_own(
+    beating: tuple[Heartbeat, socket.socket],
+) -> None:
+    heartbeat, theirs = beating
+    for k in range(100):
+        heartbeat.beat(True, 100.0 + 0.05 * k)
+        if k % 10 == 0:
+            theirs.send(ANSWER)
+    heartbeat.beat(True, 110.0)  # this process stood still, and the answer may be on its way
+    assert heartbeat.trouble == ""
+    for k in range(1, 19):
+        heartbeat.beat(True, 110.0 + 0.05 * k)
+    assert heartbeat.trouble == ""
+    for k in range(19, 26):
+        heartbeat.beat(True, 110.0 + 0.05 * k)
+    assert "has not answered" in heartbeat.trouble
+
+
+def test_a_watchdog_that_is_gone_is_trouble_and_one_that_does_not_read_is_not_yet(
+    beating: tuple[Heartbeat, socket.socket],
+) -> None:
+    heartbeat, theirs = beating
+    for _ in range(100_000):  # until the socket's buffer is full
+        heartbeat.beat(True, 100.0, at_once=True)
+        if heartbeat.trouble:
+            break
+    assert heartbeat.trouble == ""
+    theirs.close()
+    heartbeat.beat(True, 100.1, at_once=True)
+    assert heartbeat.trouble == "the watchdog is gone"
+
+
+def test_the_monitor_steps_in_after_its_time_to_within_a_look() -> None:
+    watch = HeartbeatMonitor(0.0)
+    assert watch.look(POLL_S, ACTIVE) is None
+    t = POLL_S
+    while watch.look(t := t + POLL_S, b"") is None:
+        assert t < 2.0 * HANG_S
+    assert HANG_S < t - POLL_S <= HANG_S + 1.5 * POLL_S
+    idle = HeartbeatMonitor(0.0)
+    assert idle.look(POLL_S, ACTIVE + IDLE) is None  # the last word counts
+    assert all(idle.look(POLL_S * k, b"") is None for k in range(2, 100))
+
+
+def test_a_pause_of_the_monitor_counts_as_one_look() -> None:
+    watch = HeartbeatMonitor(0.0)
+    assert watch.look(POLL_S, ACTIVE) is None
+    t = 10.0
+    assert watch.look(t, b"") is None
+    while watch.look(t := t + POLL_S, b"") is None:
+        assert t < 10.0 + 2.0 * HANG_S
+    assert t - 10.0 == pytest.approx(HANG_S - POLL_S, abs=1.5 * POLL_S)
+    # Looks that are a little late, three periods at most, are no pause.
+    late, t = HeartbeatMonitor(0.0), 0.0
+    assert late.look(0.0, ACTIVE) is None
+    while late.look(t := t + 2.9 * POLL_S, b"") is None:
+        assert t < HANG_S
+    assert t <= HANG_S + 2.9 * POLL_S
+
+
+@pytest.mark.parametrize(
+    ("sent", "closed", "reason"),
+    [
+        (ACTIVE, True, "the acquisition process died while thrust was commanded"),
+        (IDLE, True, ""),
+        (ACTIVE + FINISHED, False, ""),
+        (ACTIVE, False, f"the acquisition process gave no sign of life for {HANG_S:g} s while thrust was commanded"),
+    ],
+)
+def test_the_watch_answers_and_returns_why_it_ends(sent: bytes, closed: bool, reason: str) -> None:
+    ours, theirs = socket.socketpair()
+    found: list[str] = []
+    thread = threading.Thread(target=lambda: found.append(_watch(theirs)))
+    with ours, theirs:
+        begun = time.monotonic()
+        thread.start()
+        ours.send(sent)
+        ours.settimeout(2.0)
+        if FINISHED not in sent:
+            assert ours.recv(16)[:1] == ANSWER
+        if closed:
+            ours.close()
+        thread.join(5.0)
+    assert found == [reason]
+    took = time.monotonic() - begun
+    assert took < (HANG_S if not closed and reason != "" else 0.0) + 0.3
+    if "no sign of life" in reason:
+        assert took > HANG_S
+
+
+def test_zero_is_sent_for_its_time_and_to_every_thruster(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+        sender = FailsafeSender(rig.device("esc"), rig)
+        assert sender.name == "failsafe esc"
+        assert sender.outcome == "not tried"
+        begun = time.monotonic()
+        sender.start()
+        sender.join(10.0)
+        took = time.monotonic() - begun
+        commands = boat.ports["can"].commands()
+    assert watchdog.ZERO_S < took < watchdog.ZERO_S + 0.5
+    assert sender.outcome == "zero was sent"
+    assert {node for node, _ in commands} == {t.node for t in rig.thrusters if t.device == "esc"}
+    assert {n for _, n in commands} == {0.0}
+    assert len(commands) > 20
+
+
+def test_a_port_that_stays_shut_is_tried_for_its_time(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+    sender = FailsafeSender(rig.device("esc"), rig)  # its port is gone
+    begun = time.monotonic()
+    sender.start()
+    sender.join(10.0)
+    assert watchdog.OPEN_S <= time.monotonic() - begun < watchdog.OPEN_S + 0.5
+    assert "zero was sent" not in sender.outcome
+    assert sender.outcome != "not tried"
+
+
+class _Sender(FailsafeSender):
+    """A sender that only notes that it was started."""
+
+    def __init__(self) -> None:
+        threading.Thread.__init__(self, name="failsafe esc")
+        self.outcome = "not tried"
+
+    def run(self) -> None:
+        time.sleep(0.05)
+        self.outcome = "zero was sent"
+
+
+def test_what_hangs_is_killed_and_what_died_is_not(tmp_path: Path) -> None:
+    victims = [subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) for _ in range(2)]
+    reasons = ("the acquisition process gave no sign of life", "the acquisition process died")
+    for victim, reason, code in zip(victims, reasons, (-signal.SIGKILL, None), strict=True):
+        log = tmp_path / f"{victim.pid}.mcap"
+        log.touch()
+        _step_in(victim.pid, log, reason, [_Sender()])
+        if code is not None:
+            assert victim.wait(5.0) == code
+        else:
+            assert victim.poll() is None  # that number may be another process by now
+        note = read_note(log)
+        assert f"watchdog: {reason}" in note
+        assert "esc: zero was sent" in note
+    for victim in victims:
+        victim.kill()
+        victim.wait()
+
+
+def test_the_process_ignores_signals_and_ends_when_it_is_told(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+    ours, theirs = socket.socketpair()
+    with theirs:
+        command = [sys.executable, "-m", "daq.acquisition.watchdog", str(theirs.fileno())]
+        process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
+    heartbeat = Heartbeat(ours, rig, tmp_path / "run.mcap")
+    monitored(heartbeat, process)
+    ours.close()
+
+
+def monitored(heartbeat: Heartbeat, process: subprocess.Popen[bytes]) -> None:
+    """Send signals to a watchdog, heartbeats for a second, and the end."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        process.send_signal(number)
+    begun = time.monotonic()
+    while time.monotonic() - begun < 1.0:
+        heartbeat.beat(False, time.monotonic())
+        time.sleep(0.01)
+    assert heartbeat.trouble == ""
+    assert process.poll() is None
+    heartbeat.end()
+    assert process.wait(5.0) == 0
