@@ -25,6 +25,7 @@ from typing import Any
 
 import click
 
+from daq.child_process import module_command, module_environment
 from daq.errors import SeatrialError
 from daq.log import open_log
 from daq.options import FiniteRange
@@ -274,9 +275,11 @@ class DemoSteps:
 
     def has(self, *words: str) -> bool:
         """Whether this installation has the command, by its --help."""
-        command = [sys.executable, "-m", "seatrial", *words, "--help"]
-        quiet = subprocess.DEVNULL
-        return subprocess.run(command, cwd=self.folder, stdout=quiet, stderr=quiet, check=False).returncode == 0
+        command, quiet = module_command("seatrial", *words, "--help"), subprocess.DEVNULL
+        done = subprocess.run(
+            command, cwd=self.folder, env=module_environment(), stdout=quiet, stderr=quiet, check=False
+        )
+        return done.returncode == 0
 
     @contextmanager
     def mock(self, *words: str) -> Iterator[None]:
@@ -304,10 +307,10 @@ class DemoSteps:
         # A session of its own: a Ctrl-C at the terminal reaches the demo alone, which then ends the runner before
         # the mock, so that the runner can still command zero.
         sys.stdout.flush()
-        command = [sys.executable, "-m", "seatrial", *words]
         process = subprocess.Popen(
-            command,
+            module_command("seatrial", *words),
             cwd=self.folder,
+            env=module_environment(),
             stdin=subprocess.DEVNULL,
             stdout=stdout,
             stderr=stderr,
