@@ -31,7 +31,7 @@ except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
 # a tenth of a second. Before numpy; the processes of a command inherit it.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
-# Child processes that a library starts (joblib's) never import modules from the working folder, as ours (`-P`) never do.
+# Child processes that a library starts (joblib) import no module from the working folder, as our own (`-P`) do not.
 os.environ.setdefault("PYTHONSAFEPATH", "1")
 
 if TYPE_CHECKING:
