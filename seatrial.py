@@ -22,6 +22,7 @@ try:
     import click
     from click.shell_completion import CompletionItem
 
+    from daq import bounds
     from daq.errors import SeatrialError, SeatrialWarning, printable
 except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
     sys.stderr.write("\nseatrial: interrupted\n")
@@ -162,6 +163,8 @@ def _explain(error: BaseException) -> tuple[str, int]:
     """The one line for stderr and the exit status of a failure that is no matter of usage."""
     if isinstance(error, SeatrialError):
         line, status = str(error), error.exit_status
+    elif limit := bounds.exceeded(error):
+        line, status = limit, FAILED
     elif isinstance(error, (KeyboardInterrupt, click.Abort)):
         line, status = "interrupted", INTERRUPTED
     elif isinstance(error, OSError) and error.errno == errno.EIO and error.filename is None:
@@ -218,6 +221,8 @@ def _run(args: Sequence[str]) -> int:
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its status: 0 done, 1 failed, 2 wrong usage, 3 safety stop."""
     words = list(sys.argv[1:] if args is None else args)
+    if args is None:
+        bounds.enable()
     # People add --debug to the end of the line that failed, so it is taken from anywhere before a `--`.
     own = words[: words.index("--")] if "--" in words else words
     debug = "--debug" in own

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, final
 
 import click
 
+from daq.bounds import bounded
 from daq.errors import SeatrialError, counted
 from daq.options import FiniteRange
 from daq.protocol import SERIAL_PROTOCOLS
@@ -137,6 +138,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
 
 @click.command()
 @click.argument("log", type=LOG)
+@bounded("log")
 def info(log: Path) -> None:
     """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
@@ -162,6 +164,7 @@ def info(log: Path) -> None:
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_NEW, help="The whole log to write (default: LOG with -recovered in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT where it exists.")
+@bounded("log")
 def recover(log: Path, out: Path | None, force: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, all its segments, into one whole file.
 
@@ -215,6 +218,7 @@ def import_() -> None:
 @click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, where it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
+@bounded("sources", "dbc")
 def import_map(
     sources: tuple[Path, ...], guess: bool, dbc: Path | None, out: Path | None, out_dir: Path | None, force: bool
 ) -> None:
@@ -265,6 +269,7 @@ def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force:
 @click.argument("file", type=_EXISTING)
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@bounded("rig", "file")
 def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
     """Turn FILE, a CAN log, into the log that RIG would have recorded: raw frames and samples of its CAN devices.
 
@@ -286,6 +291,7 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
 @click.option("--system", type=click.IntRange(1, 255), help="Which system (default: the first autopilot).")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@bounded("file", "rig_path")
 def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
     """Turn FILE, a ground station's tlog or an ArduPilot DataFlash log (BIN), into a log.
 
@@ -309,6 +315,7 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
 @click.option("--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, for the times.")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@bounded("file")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
     """Decode FILE, recorded bytes of a device, as PROTOCOL.
 
