@@ -27,6 +27,7 @@ import click
 
 from daq.child_process import module_command, module_environment
 from daq.errors import SeatrialError
+from daq.files import write_output
 from daq.log import open_log
 from daq.options import FiniteRange
 
@@ -98,7 +99,7 @@ def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     text, n_found = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
     if n_found != 1:
         raise SeatrialError(f"demo: the packaged rig {name}.toml has no clock speed; install seatrial again")
-    (folder / f"{name}-rig.toml").write_text(text, encoding="utf-8")
+    write_output(folder / f"{name}-rig.toml", text)
 
 
 def run_steps(steps: DemoSteps, seed: int) -> list[str]:

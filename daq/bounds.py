@@ -6,8 +6,8 @@ a child process (`continue_in_child`). The parent process only waits, passes sig
 what a killed child has left. The limits grow with the size of the files, so a large log is read as it always was. The
 child has the terminal of its parent: progress and error lines are those of a command without a child.
 
-Limits of a process are those of setrlimit(2); the disk is also watched from outside, because RLIMIT_FSIZE holds for each
-file alone.
+Limits of a process are those of setrlimit(2). The disk is also watched from outside, because RLIMIT_FSIZE holds for
+each file alone.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from typing import Any, NamedTuple, NoReturn
 import click
 
 from daq.errors import SeatrialError, printable
+from daq.files import report_scratch_to, require_file
 
 # What a command needs without a file, and what it may need in addition for each byte of the files. Measured for logs of
 # all kinds: at most 0.6 GB and 30 bytes of memory, 4 s and 2 s/MB; the slowest computers take five times as long.
@@ -58,31 +59,12 @@ class Bounds(NamedTuple):
 
 _enabled = False  # whether this process is the command itself, and no test or program that calls it
 _bounds: Bounds | None = None  # those of this process, where it is the child
-_reports = -1  # the pipe on which the child names its scratch files
 
 
 def enable() -> None:
     """Let commands of this process continue in a child. A program that only calls their functions stays as it is."""
     global _enabled
     _enabled = True
-
-
-def require_file(path: Path) -> None:
-    """Raise SeatrialError where a path is no regular file: a named pipe would wait for its writer, a device never ends.
-
-    The path is opened without waiting and looked at before anything is read.
-    """
-    try:
-        opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
-    except OSError as error:
-        if error.errno == errno.ENXIO:  # a socket
-            raise SeatrialError(f"{path}: is not a file") from error
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
-    try:
-        if not stat.S_ISREG(os.fstat(opened).st_mode):
-            raise SeatrialError(f"{path}: is not a file")
-    finally:
-        os.close(opened)
 
 
 def require_files(path: Path) -> None:
@@ -168,8 +150,8 @@ def continue_in_child(paths: Sequence[Path]) -> None:
         for number, handler in before.items():
             signal.signal(number, handler)
         _become_child(bounds, scratch, reports)
-        for number in early:  # that came before there was a child to send them to
-            os.kill(os.getpid(), number)
+        for missed in early:  # signals that came before there was a child to send them to
+            os.kill(os.getpid(), missed)
         return
     os.close(reports)
     try:
@@ -186,8 +168,9 @@ def _segments(path: Path) -> Iterator[Path]:
 
 
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
-    global _bounds, _reports
-    _bounds, _reports = bounds, reports
+    global _bounds
+    _bounds = bounds
+    report_scratch_to(reports)
     with contextlib.suppress(ImportError, OSError, AttributeError):  # Linux: end with the parent, however that ends
         import ctypes
 
@@ -245,12 +228,6 @@ def exceeded(error: BaseException) -> str:
     return _of_disk(_bounds) if isinstance(error, OSError) and error.errno == errno.EFBIG else ""
 
 
-def note_scratch(path: Path) -> None:
-    """Name a file that is to be removed where this process is killed before it has removed or renamed it."""
-    if _reports >= 0:
-        os.write(_reports, os.fsencode(path.absolute()) + b"\0")
-
-
 def _wait(child: int, told: int, bounds: Bounds, scratch: Path) -> NoReturn:
     """Wait for the child and leave with its status. Raises SeatrialError where it was killed."""
     made, full = b"", False
@@ -269,10 +246,10 @@ def _wait(child: int, told: int, bounds: Bounds, scratch: Path) -> NoReturn:
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if status >= 0:
         raise click.exceptions.Exit(status)
-    for name in filter(None, made.split(b"\0")):
+    for left in filter(None, made.split(b"\0")):
         with contextlib.suppress(OSError):
-            if stat.S_ISREG(os.lstat(name).st_mode):
-                os.unlink(name)
+            if stat.S_ISREG(os.lstat(left).st_mode):
+                os.unlink(left)
     number = -status
     if full:
         raise SeatrialError(_of_disk(bounds))

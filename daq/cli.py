@@ -248,6 +248,7 @@ def import_map(
 
 
 def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
+    from daq.files import write_output
     from daq.importers.guess import guess_map
     from daq.importers.write_log import replacing
 
@@ -258,7 +259,7 @@ def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force:
         click.echo(found.text, nl=False)
     else:
         with replacing(out, force, sources) as part:
-            part.write_text(found.text, encoding="utf-8")
+            write_output(part, found.text)
         click.echo(str(out))
     if found.problem:
         click.echo(f"warning: {sources[0]}: no fit: {found.problem}", err=True)

@@ -13,6 +13,7 @@ import tomlkit
 
 from daq.config.toml_reader import TomlTable, parse_toml, read_text
 from daq.errors import SeatrialError, counted
+from daq.files import write_output
 
 FORMAT = "seatrial-mission 1"
 KINDS = ("mission", "static", "steps", "chirp")
@@ -228,7 +229,7 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
 def save_mission(mission: Mission, path: Path) -> None:
     """Write mission.toml; raises SeatrialError when it cannot be written."""
     try:
-        path.write_text(dump_mission(mission), encoding="utf-8")
+        write_output(path, dump_mission(mission))
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved") from error
 

@@ -119,6 +119,10 @@ def _force(context: click.Context, _parameter: click.Parameter, given: bool) -> 
 
 def not_there(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
     """The file, or folder for results, to write. Raises SeatrialError where it is there already, without --force."""
+    if out is not None:
+        for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
+            if path.is_symlink() and not path.is_dir():
+                raise SeatrialError(f"{path}: is a symbolic link, and outputs follow none; remove it, or name another")
     there = out is not None and (out.is_file() or (out / "result.json").exists())
     if there and not context.meta["force"]:
         raise SeatrialError(f"{out}: is there already; --force replaces it, or give another name")
