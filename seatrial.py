@@ -161,10 +161,10 @@ def cli(context: click.Context, debug: bool) -> None:
 
 def _explain(error: BaseException) -> tuple[str, int]:
     """The one line for stderr and the exit status of a failure that is no matter of usage."""
-    if isinstance(error, SeatrialError):
-        line, status = str(error), error.exit_status
-    elif limit := bounds.exceeded(error):
+    if limit := bounds.exceeded(error):
         line, status = limit, FAILED
+    elif isinstance(error, SeatrialError):
+        line, status = str(error), error.exit_status
     elif isinstance(error, (KeyboardInterrupt, click.Abort)):
         line, status = "interrupted", INTERRUPTED
     elif isinstance(error, OSError) and error.errno == errno.EIO and error.filename is None:

@@ -223,9 +223,14 @@ def exceeded(error: BaseException) -> str:
     """Return the line for an error that a limit of this process has caused; "" where there is no such limit."""
     if _bounds is None:
         return ""
-    if isinstance(error, MemoryError):
-        return f"{_bounds.path}: reading it took more than {_bounds.memory / 1e9:.1f} GB of memory: {ADVICE}"
-    return _of_disk(_bounds) if isinstance(error, OSError) and error.errno == errno.EFBIG else ""
+    cause: BaseException | None = error
+    while cause is not None:  # a reader may have said in its own words what the limit has caused
+        if isinstance(cause, MemoryError):
+            return f"{_bounds.path}: reading it took more than {_bounds.memory / 1e9:.1f} GB of memory: {ADVICE}"
+        if isinstance(cause, OSError) and cause.errno == errno.EFBIG:
+            return _of_disk(_bounds)
+        cause = cause.__cause__
+    return ""
 
 
 def _wait(child: int, told: int, bounds: Bounds, scratch: Path) -> NoReturn:
