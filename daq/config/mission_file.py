@@ -230,8 +230,8 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
     if (n_rows := float(np.minimum(np.diff(times), longest).sum()) / RAMP_DT) > MAX_RAMP_ROWS:
         raise root.error(
             "limits.slew_per_s",
-            f"{mission.slew_per_s:g} per second makes ramps of up to {n_rows:.0f} set-points, more than {MAX_RAMP_ROWS}; "
-            "give a faster slew_per_s",
+            f"{mission.slew_per_s:g} per second makes ramps of up to {n_rows:.0f} set-points, "
+            f"more than {MAX_RAMP_ROWS}; give a faster slew_per_s",
         )
 
 

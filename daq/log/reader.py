@@ -229,7 +229,8 @@ class Log:
     def _nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
-        return [(p[0], int(p[1])) for p in parts if len(p) == 3 and p[2] == last and p[1].isdecimal() and len(p[1]) <= MAX_NODE_DIGITS]
+        mine = [(p[0], p[1]) for p in parts if len(p) == 3 and p[2] == last]
+        return [(name, int(node)) for name, node in mine if node.isdecimal() and len(node) <= MAX_NODE_DIGITS]
 
     def table(
         self, kind: type[Measured], source: str, node: int | None = None, begin: float = 0.0, end: float = np.inf

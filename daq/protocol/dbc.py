@@ -37,7 +37,7 @@ def load_dbc(path: str) -> Any:
     import cantools  # takes a while to import, and only CAN needs it
 
     try:
-        found = cantools.database.load_file(path, database_format="dbc")
+        found: Any = cantools.database.load_file(path, database_format="dbc")
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror}") from error
     except Exception as error:  # cantools' parser has errors of many kinds

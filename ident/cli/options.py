@@ -145,7 +145,7 @@ def _trust(context: click.Context, _parameter: click.Parameter, given: bool) -> 
 
 def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--trust-code``; for the whole of the command."""
-    words = "Run the Python files that a model.toml names, wherever they are and whatever has changed."
+    words = "Run the Python files that a model.toml names, even new, changed or elsewhere, and remember them."
     return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(f)
 
 

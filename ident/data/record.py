@@ -277,8 +277,8 @@ def _sensor_samples(
             times = _in_the_middle(times, start, end, rate)
         values = np.column_stack([c.value[np.searchsorted(c.t, times)] for c in own_channels])
     else:
-        inside = np.concatenate([c.t[(c.t >= start) & (c.t <= end)] for c in (channels[o.name] for o in sensor.outputs)])
-        edges = _block_edges(inside, start, end, rate)
+        own_times = np.concatenate([channels[o.name].t for o in sensor.outputs])
+        edges = _block_edges(own_times[(own_times >= start) & (own_times <= end)], start, end, rate)
         blocks = [block_mean(channels[o.name], edges, o.angle) for o in sensor.outputs]
         times, values = blocks[0][1], np.column_stack([b[0] for b in blocks])
     good = np.isfinite(times) & np.isfinite(values).all(axis=1)

@@ -47,6 +47,7 @@ from ident.models import (
     is_own_model,
     load_effects,
     own_model,
+    remember,
     scale_priors,
     sensor_bias,
     size_of,
@@ -199,6 +200,7 @@ def _copied(path: Path, file: Path) -> Path:
         place = path.parent / f"{file.stem}_{file_digest(file)}.py"
     if not place.exists():
         write_output(place, text, force=False)
+    remember(place)
     return place
 
 

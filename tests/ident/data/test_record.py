@@ -8,7 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import WORK_UNIT, Channel, Record, _block_edges, block_mean, build_record, held_lines, sample_and_hold
+from ident.data.record import (
+    WORK_UNIT,
+    Channel,
+    Record,
+    _block_edges,
+    block_mean,
+    build_record,
+    held_lines,
+    sample_and_hold,
+)
 from ident.model.parameter import Parameter
 from ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
 from ident.results.answers import cut_records
