@@ -57,7 +57,7 @@ def test_an_encoding_is_one_of_text(tmp_path: Path, name: str) -> None:
         import_files(csv_map, files)
 
 
-@pytest.mark.parametrize(("pattern", "why"), [("%Y-%m %Y", "has a field twice"), ("%Y %Q", "is no pattern of strptime")])
+@pytest.mark.parametrize(("pattern", "why"), [("%Y %Y", "has a field twice"), ("%Y %Q", "is no pattern of strptime")])
 def test_a_pattern_of_times_is_one(tmp_path: Path, pattern: str, why: str) -> None:
     csv_map, files = write(tmp_path, time=f'format = "{pattern}"')
     with pytest.raises(SeatrialError, match=rf"format: '{pattern}' {why}"):

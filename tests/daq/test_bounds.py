@@ -22,7 +22,9 @@ from daq.files import new_file
 bounds.MEMORY_BYTES, bounds.CPU_S, bounds.DISK_BYTES, bounds.GRACE_S = 1 << 30, 1.0, 4 << 20, 1
 bounds.enable()
 
-@seatrial.cli.command()
+seatrial.COMMANDS["work"] = seatrial.Row("__main__:work", "")
+
+@click.command()
 @click.argument("log", type=click.Path(path_type=Path))
 @bounds.bounded("log")
 def work(log):
@@ -36,15 +38,14 @@ def work(log):
 seatrial.main(["work", *sys.argv[1:]])
 """
 NAMED = "it is damaged, or made to do harm; --trust-file reads it without limits"
-FULL = "i = 0\n        while True:\n            i += 1\n            Path(tempfile.mkdtemp(), 'x').write_bytes(bytes(1 << 20))"
-FULL += "; time.sleep(0.01)"
+FULL = "while True: Path(tempfile.mkdtemp(), 'x').write_bytes(bytes(1 << 20)); time.sleep(0.01)"
 
 
 def start(folder: Path, does: str, *words: str) -> subprocess.Popen[str]:
     (folder / "run.mcap").write_bytes(b"x")
     return subprocess.Popen(
-        [sys.executable, "-P", "-c", COMMAND.replace("{does}", does), "run.mcap", *words],
-        cwd=folder, env={**os.environ, "TMPDIR": str(folder)}, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        [sys.executable, "-P", "-c", COMMAND.replace("{does}", does), "run.mcap", *words], cwd=folder, text=True,
+        env={**os.environ, "TMPDIR": str(folder)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
 
 
@@ -80,12 +81,12 @@ def test_a_good_file_and_a_trusted_one_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_both_processes(tmp_path: Path, number: signal.Signals) -> None:
-    process = start(tmp_path, "time.sleep(60)")
-    assert process.stdout is not None
-    assert process.stdout.readline() == "began\n"
-    before = time.monotonic()
-    process.send_signal(number)  # to the parent alone; its pipes end with the child
-    _, said = process.communicate(timeout=30.0)
+    with start(tmp_path, "time.sleep(60)") as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "began\n"
+        before = time.monotonic()
+        process.send_signal(number)  # to the parent alone; its pipes end with the child
+        _, said = process.communicate(timeout=30.0)
     assert time.monotonic() - before < 20.0
     assert process.returncode != 0
     assert "Traceback" not in said
