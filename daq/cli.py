@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, final
 import click
 
 from daq.bounds import bounded
-from daq.errors import SeatrialError, counted
+from daq.errors import SeatrialError, counted, printable
 from daq.options import FiniteRange
 from daq.protocol import SERIAL_PROTOCOLS
 
@@ -244,7 +244,7 @@ def import_map(
     if len(sources) < 2:
         raise click.UsageError("give a map and a source; --guess writes a map")
     for path in run(sources[0], sources[1:], out=out, out_dir=out_dir, force=force):
-        click.echo(str(path))
+        click.echo(printable(str(path)))
 
 
 def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
@@ -260,7 +260,7 @@ def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force:
     else:
         with replacing(out, force, sources) as part:
             write_output(part, found.text)
-        click.echo(str(out))
+        click.echo(printable(str(out)))
     if found.problem:
         click.echo(f"warning: {sources[0]}: no fit: {found.problem}", err=True)
 
@@ -491,4 +491,4 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
         else:
             written = export_ros(part, out, force) if form == "ros" else export_log(part, form, out, force)
         for path in written:
-            click.echo(str(path))
+            click.echo(printable(str(path)))

@@ -155,6 +155,7 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
     Example:
       seatrial ident export diagnosis/model.toml --to c -o boat.h
     """
+    from daq.errors import printable
     from daq.files import write_output
     from ident.estimation import load_model
     from ident.export import export as written
@@ -167,7 +168,7 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
         click.echo(text, nl=False)
     else:
         write_output(output, text)
-        click.echo(f"wrote {output}")
+        click.echo(f"wrote {printable(str(output))}")
 
 
 ident.add_command(export)
