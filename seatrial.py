@@ -22,6 +22,7 @@ try:
     import click
     from click.shell_completion import CompletionItem
 
+    from daq import bounds
     from daq.errors import SeatrialError, SeatrialWarning, printable
 except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
     sys.stderr.write("\nseatrial: interrupted\n")
@@ -31,6 +32,8 @@ except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
 # a tenth of a second. Before numpy; the processes of a command inherit it.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+# Child processes that a library starts (joblib) import no module from the working folder, as our own (`-P`) do not.
+os.environ.setdefault("PYTHONSAFEPATH", "1")
 
 if TYPE_CHECKING:
     from bench.preflight.report import MotionChecks
@@ -158,7 +161,9 @@ def cli(context: click.Context, debug: bool) -> None:
 
 def _explain(error: BaseException) -> tuple[str, int]:
     """The one line for stderr and the exit status of a failure that is no matter of usage."""
-    if isinstance(error, SeatrialError):
+    if limit := bounds.exceeded(error):
+        line, status = limit, FAILED
+    elif isinstance(error, SeatrialError):
         line, status = str(error), error.exit_status
     elif isinstance(error, (KeyboardInterrupt, click.Abort)):
         line, status = "interrupted", INTERRUPTED
@@ -216,6 +221,8 @@ def _run(args: Sequence[str]) -> int:
 def main(args: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its status: 0 done, 1 failed, 2 wrong usage, 3 safety stop."""
     words = list(sys.argv[1:] if args is None else args)
+    if args is None:
+        bounds.enable()
     # People add --debug to the end of the line that failed, so it is taken from anywhere before a `--`.
     own = words[: words.index("--")] if "--" in words else words
     debug = "--debug" in own

@@ -25,7 +25,9 @@ from typing import Any
 
 import click
 
+from daq.child_process import module_command, module_environment
 from daq.errors import SeatrialError
+from daq.files import write_output
 from daq.log import open_log
 from daq.options import FiniteRange
 
@@ -97,7 +99,7 @@ def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     text, n_found = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
     if n_found != 1:
         raise SeatrialError(f"demo: the packaged rig {name}.toml has no clock speed; install seatrial again")
-    (folder / f"{name}-rig.toml").write_text(text, encoding="utf-8")
+    write_output(folder / f"{name}-rig.toml", text)
 
 
 def run_steps(steps: DemoSteps, seed: int) -> list[str]:
@@ -274,9 +276,11 @@ class DemoSteps:
 
     def has(self, *words: str) -> bool:
         """Whether this installation has the command, by its --help."""
-        command = [sys.executable, "-m", "seatrial", *words, "--help"]
-        quiet = subprocess.DEVNULL
-        return subprocess.run(command, cwd=self.folder, stdout=quiet, stderr=quiet, check=False).returncode == 0
+        command, quiet = module_command("seatrial", *words, "--help"), subprocess.DEVNULL
+        done = subprocess.run(
+            command, cwd=self.folder, env=module_environment(), stdout=quiet, stderr=quiet, check=False
+        )
+        return done.returncode == 0
 
     @contextmanager
     def mock(self, *words: str) -> Iterator[None]:
@@ -304,10 +308,10 @@ class DemoSteps:
         # A session of its own: a Ctrl-C at the terminal reaches the demo alone, which then ends the runner before
         # the mock, so that the runner can still command zero.
         sys.stdout.flush()
-        command = [sys.executable, "-m", "seatrial", *words]
         process = subprocess.Popen(
-            command,
+            module_command("seatrial", *words),
             cwd=self.folder,
+            env=module_environment(),
             stdin=subprocess.DEVNULL,
             stdout=stdout,
             stderr=stderr,

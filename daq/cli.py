@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, final
 
 import click
 
-from daq.errors import SeatrialError, counted
+from daq.bounds import bounded
+from daq.errors import SeatrialError, counted, printable
 from daq.options import FiniteRange
 from daq.protocol import SERIAL_PROTOCOLS
 
@@ -137,6 +138,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
 
 @click.command()
 @click.argument("log", type=LOG)
+@bounded("log")
 def info(log: Path) -> None:
     """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
@@ -162,6 +164,7 @@ def info(log: Path) -> None:
 @click.argument("log", type=LOG)
 @click.option("-o", "--out", type=_NEW, help="The whole log to write (default: LOG with -recovered in its name).")
 @click.option("--force", is_flag=True, help="Replace OUT where it exists.")
+@bounded("log")
 def recover(log: Path, out: Path | None, force: bool) -> None:
     """Recover the LOG of a killed run or a damaged disk, all its segments, into one whole file.
 
@@ -215,6 +218,7 @@ def import_() -> None:
 @click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, where it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
+@bounded("sources", "dbc")
 def import_map(
     sources: tuple[Path, ...], guess: bool, dbc: Path | None, out: Path | None, out_dir: Path | None, force: bool
 ) -> None:
@@ -240,10 +244,11 @@ def import_map(
     if len(sources) < 2:
         raise click.UsageError("give a map and a source; --guess writes a map")
     for path in run(sources[0], sources[1:], out=out, out_dir=out_dir, force=force):
-        click.echo(str(path))
+        click.echo(printable(str(path)))
 
 
 def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
+    from daq.files import write_output
     from daq.importers.guess import guess_map
     from daq.importers.write_log import replacing
 
@@ -254,8 +259,8 @@ def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force:
         click.echo(found.text, nl=False)
     else:
         with replacing(out, force, sources) as part:
-            part.write_text(found.text, encoding="utf-8")
-        click.echo(str(out))
+            write_output(part, found.text)
+        click.echo(printable(str(out)))
     if found.problem:
         click.echo(f"warning: {sources[0]}: no fit: {found.problem}", err=True)
 
@@ -265,6 +270,7 @@ def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force:
 @click.argument("file", type=_EXISTING)
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@bounded("rig", "file")
 def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
     """Turn FILE, a CAN log, into the log that RIG would have recorded: raw frames and samples of its CAN devices.
 
@@ -286,6 +292,7 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
 @click.option("--system", type=click.IntRange(1, 255), help="Which system (default: the first autopilot).")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@bounded("file", "rig_path")
 def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
     """Turn FILE, a ground station's tlog or an ArduPilot DataFlash log (BIN), into a log.
 
@@ -309,6 +316,7 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
 @click.option("--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, for the times.")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@bounded("file")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
     """Decode FILE, recorded bytes of a device, as PROTOCOL.
 
@@ -483,4 +491,4 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
         else:
             written = export_ros(part, out, force) if form == "ros" else export_log(part, form, out, force)
         for path in written:
-            click.echo(str(path))
+            click.echo(printable(str(path)))

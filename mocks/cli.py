@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import signal
 import sys
 import time
@@ -33,6 +34,11 @@ LATE = 0.1  # wall s of lag from which the last line is a warning
 _FAULT_HELP = "; ".join(f"{name}: {kind.text}" for name, kind in KINDS.items())
 
 Command = Callable[..., None]
+
+
+def _no_follow(path: str, flags: int) -> int:
+    """Open an output, but no file that a symbolic link in its place leads to."""
+    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
 def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
@@ -156,7 +162,7 @@ def _serve(
             stack.callback(ports[device.name].close)
         if truth_file is not None:
             write_truth(truth_file, ground_truth(plant, run))
-        file = stack.enter_context(trace.open("w", encoding="utf-8")) if trace is not None else None
+        file = stack.enter_context(open(trace, "w", encoding="utf-8", opener=_no_follow)) if trace is not None else None
         server = Server(world, speakers, ports, rig.speed, schedule, file)
         stack.enter_context(_signals(server))
         click.echo("ready")

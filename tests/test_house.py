@@ -179,3 +179,30 @@ def test_every_module_is_used_by_another() -> None:
         if module not in behind and not any(module in names for user, names in used.items() if user.stem != own_test):
             dead.append(module)
     assert not dead
+
+
+# What writes by itself beside `daq.files`, and why it may.
+WRITERS = {
+    "daq.tools.export": "a scratch file of the writer", "daq.tools.ros_export": "into a folder that it has just made",
+    "ident.engine.jit": "a cache of our own", "daq.transport.ftdi_latency": "a setting of the kernel",
+    "daq.config.mission_file": "a new file", "daq.log.recovery": "a scratch file of the writer",
+    "daq.importers.dataflash": "/dev/null", "mocks.ports.pty": "a lock", "mocks.cli": "follows no link",
+}  # fmt: skip
+
+
+def test_outputs_are_written_by_the_one_writer() -> None:
+    """`daq.files` follows no link and leaves nothing half done; a plain `write_text` does both."""
+    writes = {
+        module
+        for module, path in PRODUCT.items()
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Call) and _writes(node)
+    }
+    assert writes == set(WRITERS)
+
+
+def _writes(call: ast.Call) -> bool:
+    name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    texts = [one.value for one in call.args if isinstance(one, ast.Constant) and isinstance(one.value, str)]
+    mode = any(len(text) < 4 and set(text) & set("wxa") for text in texts)
+    return name in ("write_text", "write_bytes") or (name == "open" and mode)

@@ -19,6 +19,7 @@ import numpy as np
 from daq.config import STATIC, Mission, Segment
 from daq.drivers import LinkStatus, link_loss_hash
 from daq.errors import SeatrialError
+from daq.files import write_output
 from daq.log import Log
 from daq.rig import Device, Rig
 from daq.samples import Servo
@@ -81,7 +82,7 @@ def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
 def save_link_tests(rig: Rig, tests: Mapping[str, LinkTest]) -> None:
     """Replace the results of these devices."""
     text = msgspec.json.encode(LinkTests(FORMAT, {**load_link_tests(rig), **tests}))
-    link_test_path(rig).write_bytes(msgspec.json.format(text, indent=2) + b"\n")
+    write_output(link_test_path(rig), msgspec.json.format(text, indent=2) + b"\n")
 
 
 def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> float:

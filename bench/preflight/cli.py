@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from daq.bounds import bounded
 from daq.checks import (
     FAULT,
     OK,
@@ -69,6 +70,7 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 @click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write a page (HTML) with plots there.")
 @click.pass_obj
+@bounded("paths", when=lambda options: not any(_is_rig(path) for path in options["paths"]))
 def check(
     motion: MotionChecks,
     paths: tuple[Path, ...],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import socket
 import subprocess
 import sys
@@ -15,7 +14,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-import daq
 from daq.acquisition.ipc import (
     AcquisitionChannel,
     Closed,
@@ -33,6 +31,7 @@ from daq.acquisition.ipc import (
     ZeroThrust,
 )
 from daq.acquisition.status import Status, StreamedSample
+from daq.child_process import module_command, module_environment
 from daq.clock import RunClock
 from daq.drivers import LinkRole
 from daq.errors import SeatrialError
@@ -112,12 +111,12 @@ class Acquisition:
         """Start a module as a process that inherits these sockets."""
         numbers = [end.fileno() for end in ends]
         return subprocess.Popen(
-            [sys.executable, "-m", module, *map(str, numbers)],
+            module_command(module, *map(str, numbers)),
             pass_fds=numbers,
             stdin=subprocess.DEVNULL,
             stdout=self._stderr,
             stderr=self._stderr,
-            env={**os.environ, "PYTHONPATH": _search_path()},
+            env=module_environment(),
             start_new_session=True,  # Ctrl-C is for the parent; the process ends by a message
         )
 
@@ -290,9 +289,3 @@ class Acquisition:
             if thread.ident is not None:
                 thread.join()
         self._stderr.close()
-
-
-def _search_path() -> str:
-    """PYTHONPATH with which the process imports this package, wherever it is started."""
-    here = str(Path(daq.__file__).resolve().parent.parent)
-    return os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH", "")])])

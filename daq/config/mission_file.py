@@ -13,10 +13,12 @@ import tomlkit
 
 from daq.config.toml_reader import TomlTable, parse_toml, read_text
 from daq.errors import SeatrialError, counted
+from daq.files import write_output
 
 FORMAT = "seatrial-mission 1"
 KINDS = ("mission", "static", "steps", "chirp")
 STATIC = "static"  # segments of this name are at rest: they give the load cell's zero and the sensors' noise
+MAX_RAMP_ROWS = 1_000_000  # 11 h of ramps; a slew limit that needs more is a typing error
 RAMP_DT = 0.04  # s, spacing of the set-points that a slew limit inserts, the same as a chirp's rows
 FloatArray = npt.NDArray[np.float64]
 
@@ -223,12 +225,20 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
             raise root.error(key, f"{value:g} is beyond the mission's n_max {mission.n_max:g}")
     if not mission.end > last:
         raise root.error("end.t", f"{mission.end:g} must come after the last command at {last:g} s")
+    times = np.append(np.concatenate([segment.t for segment in mission.segments]), mission.end)
+    longest = 2.0 * mission.n_max / mission.slew_per_s  # s, from full astern to full ahead
+    if (n_rows := float(np.minimum(np.diff(times), longest).sum()) / RAMP_DT) > MAX_RAMP_ROWS:
+        raise root.error(
+            "limits.slew_per_s",
+            f"{mission.slew_per_s:g} per second makes ramps of up to {n_rows:.0f} set-points, "
+            f"more than {MAX_RAMP_ROWS}; give a faster slew_per_s",
+        )
 
 
 def save_mission(mission: Mission, path: Path) -> None:
     """Write mission.toml; raises SeatrialError when it cannot be written."""
     try:
-        path.write_text(dump_mission(mission), encoding="utf-8")
+        write_output(path, dump_mission(mission))
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved") from error
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.importers.own_hdf5 import refuse_data_of_other_files
 from daq.importers.table import Column, SourceOptions, Table
 
 _H5PY = "MATLAB files of version 7.3 need the package h5py: pip install 'seatrial[matlab]'"
@@ -56,6 +57,7 @@ def _workspace(path: Path) -> Iterator[tuple[str, Column]]:
         except ModuleNotFoundError as error:
             raise SeatrialError(_H5PY) from error
         with h5py.File(path) as file:
+            refuse_data_of_other_files(path, file)
             for name, value in file.items():
                 if not name.startswith("#"):
                     yield from _hdf(name, value)

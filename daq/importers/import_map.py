@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -191,7 +190,7 @@ def _style(table: TomlTable | None) -> TextStyle:
         raise table.error("decimal", "is also the delimiter")
     encoding = table.text("encoding", "utf-8-sig")
     try:
-        codecs.lookup(encoding)
+        "a".encode(encoding)  # fails for a codec that is none of text (rot13, hex), too
     except (LookupError, ValueError) as error:
         raise table.error("encoding", f"'{encoding}' is no encoding; try utf-8, latin-1, cp1252, utf-16") from error
     found = TextStyle(
@@ -228,6 +227,14 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
     pattern = table.text(key, usual)
     if pattern not in (*TIME_UNITS, "iso", "datenum", usual) and "%" not in pattern:
         raise table.error(key, f"must be s, ms, us, ns, iso, datenum or a pattern with %, not '{pattern}'")
+    if "%" in pattern:
+        try:
+            datetime.strptime("", pattern)
+        except re.error as error:  # `%Y %Y`
+            raise table.error(key, f"'{pattern}' has a field twice; each field of a pattern comes once") from error
+        except ValueError as error:
+            if "does not match" not in str(error):  # the empty text never does
+                raise table.error(key, f"'{pattern}' is no pattern of strptime: {error}") from error
     return pattern
 
 

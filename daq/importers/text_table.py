@@ -32,7 +32,8 @@ class TextTable(Table):
         try:
             with path.open(encoding=style.encoding, newline="") as file:
                 for _ in range(style.skip_rows):
-                    file.readline()
+                    if not file.readline():  # the file ends before its header does
+                        break
                 self._read(file)
         except UnicodeError as error:
             name = "UTF-8" if style.encoding == "utf-8-sig" else style.encoding

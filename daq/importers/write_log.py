@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ import numpy as np
 
 from daq.clock import CLOCK_STEP_S
 from daq.errors import SeatrialError, SeatrialWarning, counted
+from daq.files import new_file
 from daq.importers.signals import SignalData
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
 from daq.samples import Event, Frame, Scalar
@@ -175,15 +175,9 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
         inside = path.resolve() in out.resolve().parents and out.suffix != ".toml"
         if (path.exists() and out.samefile(path)) or inside:
             raise SeatrialError(f"{out}: is what is read here, and is never replaced; -o names another file")
-    if out.exists() and not force:
-        raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")
-    part = out.with_name(f".{out.name}.{os.getpid()}.part")
-    try:
+    with new_file(out, force) as part:
         yield part
-        os.replace(part, out)
-        discard_note(out)
-    finally:
-        part.unlink(missing_ok=True)
+    discard_note(out)
 
 
 def sha256_of(path: Path) -> str:

@@ -53,6 +53,7 @@ _MESSAGE_CODE = int(Opcode.MESSAGE)
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _FOOTER = struct.Struct("<BQQQ")  # what of the footer its checksum covers
 _SUMMARY_REST = 512  # statistics without its counts, six offsets, footer and magic, generously
+MAX_CHANNELS = 65_535  # their numbers have 16 bits in the file
 CHUNK_BYTES = 256 * 1024
 FLUSH_S = 0.25  # wall; each flush ends a chunk, and a chunk is what a killed run keeps
 FEW, FEW_S = 16, 0.1  # so few messages wait no longer than this: where they are rare, each counts
@@ -302,6 +303,8 @@ class RecordWriter:
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
         """Register a topic and return the number of its channel; schema 0 is none."""
+        if self._n_channels == MAX_CHANNELS:
+            raise SeatrialError(f"a log holds at most {MAX_CHANNELS} topics; leave some of them out")
         self._n_channels += 1
         record = _bytes(Channel(self._n_channels, topic, encoding, dict(metadata), schema))
         self._channels += record

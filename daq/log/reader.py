@@ -39,6 +39,7 @@ from daq.samples import MEASURED, Ahrs, Command, Esc, PortHealth, Scalar, Servo
 _COUNTERS = ("bytes_in", "frames", "checksum_errors", "unparsed_bytes", "dropped", "reconnects")
 _DIRECTIONS = ("rx", "tx")
 MAX_FRAME_ID = 256
+MAX_NODE_DIGITS = 9  # of a node id in a topic; Python converts no number of thousands of digits
 _COMPANIONS = {  # of an Imu: topics that have the rest of its sample, and which column is which field
     "device_time": (schema.DEVICE_TIME, {"t_rx": "t_rx", "t_device": "t_device"}),
     "mag": (schema.MAG, {f"m{axis}": f"magnetic_field.{axis}" for axis in "xyz"}),
@@ -228,7 +229,8 @@ class Log:
     def _nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
-        return [(p[0], int(p[1])) for p in parts if len(p) == 3 and p[2] == last and p[1].isdecimal()]
+        mine = [(p[0], p[1]) for p in parts if len(p) == 3 and p[2] == last]
+        return [(name, int(node)) for name, node in mine if node.isdecimal() and len(node) <= MAX_NODE_DIGITS]
 
     def table(
         self, kind: type[Measured], source: str, node: int | None = None, begin: float = 0.0, end: float = np.inf

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from typing import NamedTuple
 
 from daq.errors import SeatrialError
+from daq.files import new_file
 from daq.log.mcap_reader import RawLog
 from daq.log.mcap_writer import RecordWriter
 from daq.log.segments import SegmentedLog, open_raw
@@ -30,21 +30,15 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
     try:
         if out.exists() and any(out.samefile(raw.path) for raw in log.files):
             raise SeatrialError(f"{out}: is the log itself, which is not changed; -o names another")
-        if out.exists() and not force:
-            raise SeatrialError(f"{out}: the file exists already; --force replaces it, -o names another")
-        part = out.with_name(f".{out.name}.{os.getpid()}.part")
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            n_messages = _copy(log, part)
-            if not n_messages:
-                raise SeatrialError(f"{path}: no message is readable; there is nothing to recover")
-            os.replace(part, out)
+            with new_file(out, force) as part:
+                n_messages = _copy(log, part)
+                if not n_messages:
+                    raise SeatrialError(f"{path}: no message is readable; there is nothing to recover")
             discard_note(out)
         except OSError as error:
             raise SeatrialError(f"{out}: cannot be written: {error.strerror}") from error
-        finally:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
         return RecoveredLog(n_messages, len(log.files), log.warnings)
     finally:
         log.close()

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, printable
 from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from daq.rig import SOURCE, DbcSignal
 from daq.samples import NAN, Esc, Frame
@@ -21,6 +21,7 @@ _PDU_1 = 0x03FF_0000  # PGN below 0xF000: its low byte is an address
 _PDU_2 = 0x03FF_FF00
 _PAGE_1 = 0x0100_0000  # NMEA 2000 has its own PGNs there
 _SPEED_UNITS = ("rpm", "1/min", "r/min", "rev/min")
+LARGEST = 1e100  # of a value in any unit; squares of it are numbers, too
 _RESERVED = 0xFB  # of J1939: from here on the highest byte means that there is no value
 
 
@@ -36,11 +37,19 @@ def load_dbc(path: str) -> Any:
     import cantools  # takes a while to import, and only CAN needs it
 
     try:
-        return cantools.database.load_file(path, database_format="dbc")
+        found: Any = cantools.database.load_file(path, database_format="dbc")
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror}") from error
     except Exception as error:  # cantools' parser has errors of many kinds
         raise SeatrialError(f"{path}: no DBC file: {' '.join(str(error).split())}") from error
+    for message in found.messages:
+        for signal in message.signals:
+            if not abs(signal.scale) * 2.0**signal.length + abs(signal.offset) < LARGEST:
+                raise SeatrialError(
+                    f"{path}: signal '{printable(signal.name)}' of {printable(message.name)} has the factor "
+                    f"{signal.scale:g} and the offset {signal.offset:g}; no value is so large, correct the DBC file"
+                )
+    return found
 
 
 def is_j1939(message: Any) -> bool:

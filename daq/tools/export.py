@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.files import new_file, require_new
 from daq.log import Log, LogTable, Resampled, log_tables, resample
 from daq.samples import Scalar
 
@@ -31,11 +32,13 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
         folder.mkdir(parents=True, exist_ok=True)
         for part in log_tables(log):
             path = _new(folder, part.name, form, written, force)
-            write(path, part)
+            with new_file(path, force) as scratch:
+                write(scratch, part)
             written.append(path)
         if events := log.events():
             path = _new(folder, "events", "csv", written, force)
-            _write_csv(path, ["t [s]", "kind", "text"], ([repr(t), kind, text] for t, kind, text in events))
+            with new_file(path, force) as scratch:
+                _write_csv(scratch, ["t [s]", "kind", "text"], ([repr(t), kind, text] for t, kind, text in events))
             written.append(path)
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
@@ -54,21 +57,27 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
     try:
         folder.mkdir(parents=True, exist_ok=True)
         path = _new(folder, log.path.stem, {"netcdf": "nc"}.get(form, form), [], force)
-        if form in ("csv", "parquet"):
-            names = {name: "t_" if name == "t" else name for name in table.columns}  # a signal may be called t
-            columns = {"t": table.t, **{names[name]: values for name, values in table.columns.items()}}
-            rows = np.empty(len(table.t), [(name, np.float64) for name in columns])
-            for name, values in columns.items():
-                rows[name] = values
-            units = {"t": "s", **{names[name]: unit for name, unit in table.units.items()}}
-            (_csv if form == "csv" else _parquet())(path, LogTable(path.stem, Scalar, rows, units, False))
-        elif form == "mat":
-            _mat(path, table)
-        else:
-            _netcdf(path, table, log.metadata)
+        with new_file(path, force) as scratch:
+            if form in ("csv", "parquet"):
+                (_csv if form == "csv" else _parquet())(scratch, _rows_of(table, path.stem))
+            elif form == "mat":
+                _mat(scratch, table)
+            else:
+                _netcdf(scratch, table, log.metadata)
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     return path
+
+
+def _rows_of(table: Resampled, name: str) -> LogTable:
+    """The table with its times as the column ``t``; a signal that is called t becomes ``t_``."""
+    names = {name: "t_" if name == "t" else name for name in table.columns}
+    columns = {"t": table.t, **{names[name]: values for name, values in table.columns.items()}}
+    rows = np.empty(len(table.t), [(name, np.float64) for name in columns])
+    for column, values in columns.items():
+        rows[column] = values
+    units = {"t": "s", **{names[name]: unit for name, unit in table.units.items()}}
+    return LogTable(name, Scalar, rows, units, False)
 
 
 def _mat(path: Path, table: Resampled) -> None:
@@ -77,7 +86,7 @@ def _mat(path: Path, table: Resampled) -> None:
     names = _identifiers(table.columns, 63)  # as MATLAB has them
     columns = {names[name]: values for name, values in table.columns.items()}
     units = {names[name]: unit or "1" for name, unit in table.units.items()}
-    savemat(path, {"t": table.t, **columns, "units": units}, long_field_names=True, oned_as="column")
+    savemat(path, {"t": table.t, **columns, "units": units}, long_field_names=True, oned_as="column", appendmat=False)
 
 
 def _netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
@@ -116,8 +125,7 @@ def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool)
     while path in written:
         number += 1
         path = folder / f"{stem}-{number}.{ending}"
-    if path.exists() and not force:
-        raise SeatrialError(f"{path}: the file exists already; --force replaces it, --out names another folder")
+    require_new(path, force, "--out")
     return path
 
 

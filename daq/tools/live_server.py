@@ -56,6 +56,7 @@ class LiveServer:
             import foxglove
         except ModuleNotFoundError as error:
             raise SeatrialError(_FOXGLOVE) from error
+        foxglove.set_log_level("CRITICAL")  # a client that leaves without a farewell would be a line in the live table
         self._foxglove = foxglove
         self._context = foxglove.Context()
         live = self._rig.live
@@ -79,8 +80,8 @@ class LiveServer:
     ) -> None:
         self._ending.set()
         self._thread.join()
+        self._server.stop()  # before the gate, which passes on its farewell; else it prints that clients were reset
         self._gate.close()
-        self._server.stop()
 
     def _run(self) -> None:
         while not self._ending.wait(PERIOD_S):
@@ -119,8 +120,9 @@ class OriginGate:
     def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:
         self._behind, self._origins = behind, origins
         self._loop = asyncio.new_event_loop()
+        self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # of connections, each with its client
         try:
-            listening = asyncio.start_server(self._serve, host, port, limit=HEAD_BYTES)
+            listening = asyncio.start_server(self._accept, host, port, limit=HEAD_BYTES)
             self._server = self._loop.run_until_complete(listening)
         except OSError:
             self._loop.close()
@@ -138,15 +140,21 @@ class OriginGate:
 
     async def _end(self) -> None:
         self._server.close()
-        tasks = asyncio.all_tasks() - {asyncio.current_task()}
-        for task in tasks:
+        for task, client in list(self._tasks.items()):
+            client.close()  # of a task that has not begun, too
             task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         await asyncio.sleep(0)  # what was closed is let go of in the next turn
 
     def _is_welcome(self, head: bytes) -> bool:
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a connection in a task of our own: asyncio prints a traceback where it cancels one of its own."""
+        task = self._loop.create_task(self._serve(reader, writer))
+        self._tasks[task] = writer
+        task.add_done_callback(self._tasks.pop)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -169,5 +177,7 @@ async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
         while data := await reader.read(65_536):
             writer.write(data)
             await writer.drain()
+    except OSError:  # one side is gone: the other is closed, and its pump ends likewise
+        pass
     finally:
         writer.close()

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.errors import SeatrialError
+from daq.files import write_output
 from daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion, schema
 from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 
@@ -61,6 +62,8 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
         raise SeatrialError("bags of ROS 2 need the package rosbags: pip install 'seatrial[ros2]'") from error
     made = [folder / name for name in (BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER)]
     for path in made:
+        if path.is_symlink():
+            raise SeatrialError(f"{path}: is a symbolic link, and outputs follow none; remove it")
         if path.exists() and not force:
             raise SeatrialError(f"{path}: is there already; --force replaces it, --out names another folder")
     store = ros_types()
@@ -86,8 +89,8 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
                 bag.write(connections[name], stamp_ns, data)
         _write_package(made[1])
         plots = _plots(log)
-        made[2].write_text(json.dumps(_foxglove(log, plots, "/tf" in connections), indent=1) + "\n", encoding="utf-8")
-        made[3].write_text(_plotjuggler(plots), encoding="utf-8")
+        write_output(made[2], json.dumps(_foxglove(log, plots, "/tf" in connections), indent=1) + "\n")
+        write_output(made[3], _plotjuggler(plots))
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     return made

@@ -22,6 +22,7 @@ from scipy import interpolate, optimize, stats
 
 from daq.config import parse_toml, read_text
 from daq.errors import SeatrialError
+from daq.files import write_output
 from ident.data import Channel, sample_and_hold
 from ident.numerics import Array, mean_error, steady_segments
 
@@ -343,7 +344,7 @@ def save_curve(
         "largest": float(f"{quadratic.largest:.4g}"),
         "adequate": adequate(quadratic),
     }
-    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    write_output(path, tomlkit.dumps(document))
 
 
 def _rounded(values: Sequence[float] | Array) -> list[float]:

@@ -155,6 +155,8 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
     Example:
       seatrial ident export diagnosis/model.toml --to c -o boat.h
     """
+    from daq.errors import printable
+    from daq.files import write_output
     from ident.estimation import load_model
     from ident.export import export as written
 
@@ -165,8 +167,8 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
     if output is None:
         click.echo(text, nl=False)
     else:
-        output.write_text(text, encoding="utf-8")
-        click.echo(f"wrote {output}")
+        write_output(output, text)
+        click.echo(f"wrote {printable(str(output))}")
 
 
 ident.add_command(export)

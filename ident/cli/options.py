@@ -119,6 +119,10 @@ def _force(context: click.Context, _parameter: click.Parameter, given: bool) -> 
 
 def not_there(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
     """The file, or folder for results, to write. Raises SeatrialError where it is there already, without --force."""
+    if out is not None:
+        for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
+            if path.is_symlink() and not path.is_dir():
+                raise SeatrialError(f"{path}: is a symbolic link, and outputs follow none; remove it, or name another")
     there = out is not None and (out.is_file() or (out / "result.json").exists())
     if there and not context.meta["force"]:
         raise SeatrialError(f"{out}: is there already; --force replaces it, or give another name")
@@ -141,7 +145,7 @@ def _trust(context: click.Context, _parameter: click.Parameter, given: bool) -> 
 
 def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """``--trust-code``; for the whole of the command."""
-    words = "Run the Python files that a model.toml names, wherever they are and whatever has changed."
+    words = "Run the Python files that a model.toml names, even new, changed or elsewhere, and remember them."
     return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(f)
 
 

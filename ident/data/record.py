@@ -25,6 +25,8 @@ WORK_INPUT = "work"  # an input of this name is the integral of the cubed shaft 
 WORK_UNIT = 150.0  # s, at full power: the input is one after a run at full speed of this duration
 AVERAGED = 0.6  # of a row's 1/rate: sensors whose samples are closer are averaged
 JITTER = 1.1  # times the longest step between rows: a gap that is longer by no more is none, as samples never keep time
+MAX_GAP_ROWS = 100_000  # of one gap: hours, that a filter would cross step by step
+MAX_ROWS = 20_000_000  # of a record: some gigabytes
 SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 have steps of 0.24 us)
 
 
@@ -275,19 +277,35 @@ def _sensor_samples(
             times = _in_the_middle(times, start, end, rate)
         values = np.column_stack([c.value[np.searchsorted(c.t, times)] for c in own_channels])
     else:
-        edges = np.arange(start, end + 0.5 / rate, 1.0 / rate)
+        own_times = np.concatenate([channels[o.name].t for o in sensor.outputs])
+        edges = _block_edges(own_times[(own_times >= start) & (own_times <= end)], start, end, rate)
         blocks = [block_mean(channels[o.name], edges, o.angle) for o in sensor.outputs]
         times, values = blocks[0][1], np.column_stack([b[0] for b in blocks])
     good = np.isfinite(times) & np.isfinite(values).all(axis=1)
     return times[good], values[good]
 
 
+def _block_edges(times: Array, start: float, end: float, rate: float) -> Array:
+    """Return those edges [s] of the blocks of 1/rate [Hz] from start to end that lie next to one of the times (n,) [s].
+
+    A gap of years has no edges inside; all of them would be gigabytes.
+    """
+    step = (start + 1.0 / rate) - start  # as np.arange has it
+    last = math.ceil((end + 0.5 / rate - start) * rate) - 1
+    block = np.unique(np.floor((times - start) / step))
+    near = np.unique(np.concatenate([block + k for k in (-1.0, 0.0, 1.0, 2.0)]))  # one more: rounding
+    return np.asarray(start + near[(near >= 0.0) & (near <= last)] * step)
+
+
 def _in_the_middle(times: Array, start: float, end: float, rate: float) -> Array:
     """Of the times (n,) [s], in rising order, those next to the middle of each block of 1/rate, one of each at most."""
-    middle = np.arange(start + 0.5 / rate, end, 1.0 / rate)
+    # Only blocks that have a time: all blocks of a gap of years would be gigabytes.
+    numbers = np.unique(np.floor((times - start) * rate + SAME_TIME))
+    middle = start + (numbers + 0.5) / rate
+    numbers, middle = numbers[middle < end], middle[middle < end]
     after = np.clip(np.searchsorted(times, middle), 1, max(times.size - 1, 1))
     nearest = after - (middle - times[after - 1] <= times[np.minimum(after, times.size - 1)] - middle)
-    own = np.floor((times[nearest] - start) * rate + SAME_TIME) == np.arange(middle.size)
+    own = np.floor((times[nearest] - start) * rate + SAME_TIME) == numbers
     return np.asarray(times[nearest[own]])
 
 
@@ -317,7 +335,14 @@ def _rows(measured: Sequence[Array], switches: Sequence[Array], start: float, en
     t: Array = np.sort(np.concatenate([*measured, *[s[(s > start) & (s < end)] for s in switches], [start, end]]))
     t = t[np.append(True, np.diff(t) > SAME_TIME)]
     gaps: Array = np.diff(t)
-    pieces = np.where(gaps > JITTER * max_step, np.ceil(gaps / max_step - 1e-6), 1).astype(int)
+    pieces = np.where(gaps > JITTER * max_step, np.ceil(gaps / max_step - 1e-6), 1)
+    if pieces.max(initial=1) > MAX_GAP_ROWS or pieces.sum() > MAX_ROWS:
+        longest = int(np.argmax(gaps))
+        raise ValueError(
+            f"no sample from {t[longest]:.1f} to {t[longest + 1]:.1f} s: too long to bridge; "
+            "choose a part of the log by its times, or split the log there"
+        )
+    pieces = pieces.astype(int)
     if pieces.max(initial=1) == 1:
         return t
     within = np.arange(pieces.sum()) - np.repeat(np.cumsum(pieces) - pieces, pieces)

@@ -12,6 +12,7 @@ import tomlkit
 
 from daq.config import parse_toml, read_text
 from daq.errors import SeatrialError
+from daq.files import write_output
 from ident.data import FrameOrigin
 from ident.effects import catalogue, input_response_effects, nonparametric_effect
 from ident.estimation.homogeneity import BETWEEN, between_runs_effect
@@ -46,6 +47,7 @@ from ident.models import (
     is_own_model,
     load_effects,
     own_model,
+    remember,
     scale_priors,
     sensor_bias,
     size_of,
@@ -151,7 +153,7 @@ def save_model(
         parameters.append(table)
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
-    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    write_output(path, tomlkit.dumps(document))
 
 
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
@@ -197,7 +199,8 @@ def _copied(path: Path, file: Path) -> Path:
     if place.exists() and place.read_bytes() != text:
         place = path.parent / f"{file.stem}_{file_digest(file)}.py"
     if not place.exists():
-        place.write_bytes(text)
+        write_output(place, text, force=False)
+    remember(place)
     return place
 
 

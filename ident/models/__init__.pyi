@@ -60,6 +60,7 @@ from .user_code import effects_for as effects_for
 from .user_code import file_digest as file_digest
 from .user_code import load_effects as load_effects
 from .user_code import load_object as load_object
+from .user_code import remember as remember
 from .user_code import trusted_file as trusted_file
 from .user_code import trusting_code as trusting_code
 from .yaw import yaw_model as yaw_model

@@ -1,7 +1,8 @@
 """User-defined models and effects, loaded from Python files and validated.
 
 A Python file that was typed on the command line is run. One that a *file* names is run only from that file's own folder
-and unchanged (`trusted_file`), or with `--trust-code`.
+and unchanged (`trusted_file`), and where this user has run it before, or with `--trust-code`. The hashes of files that
+were run stand in a file of the user (`known_file`): the author of a folder writes its model.toml, but not that.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from types import ModuleType
 from typing import Any
 
 from daq.errors import SeatrialError
+from daq.files import append_to
 from ident.model import Effect, Model
 
 # What libraries say of a symbol, and what to write instead
@@ -45,8 +47,9 @@ def trusting_code() -> Iterator[None]:
 def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
     """The Python file that a model.toml, ``named_by``, names with its SHA-256 ``digest`` (the first 16 digits).
 
-    It has to lie in the folder of model.toml, symbolic links resolved, and to be what it was when that was written;
-    with `--trust-code` neither. Raises SeatrialError, before anything of it is run.
+    It has to lie in the folder of model.toml, symbolic links resolved, to be what it was when that was written, and to
+    be known from before; with `--trust-code` nothing of this, and it is known from then on. Raises SeatrialError,
+    before anything of it is run.
     """
     folder, path = named_by.parent.resolve(), named_by.parent / file
     if not path.is_file():
@@ -54,6 +57,7 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
         raise SeatrialError(f"{named_by}: {place}: no such Python file; the model was made with it, so put it there")
     found = Path(os.path.normpath(path))
     if _TRUST.get():
+        remember(found)
         return found
     if not path.resolve().is_relative_to(folder):
         why = "is not in its folder"
@@ -61,9 +65,47 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
         why = "is named without its hash"
     elif file_digest(path) != digest:
         why = "has changed since it was written"
+    elif _whole_digest(path) not in _known():
+        why = "was never run by you before"
     else:
         return found
     raise SeatrialError(f"{named_by}: {found} {why}, so it is not run; read it, and run it with --trust-code")
+
+
+def known_file() -> Path:
+    """Return the file of hashes of Python that this user has run: ``SEATRIAL_KNOWN_CODE``, or one in the home."""
+    chosen = os.environ.get("SEATRIAL_KNOWN_CODE")
+    return Path(chosen) if chosen else Path.home() / ".local" / "state" / "seatrial" / "known-code"
+
+
+def remember(path: Path) -> None:
+    """Note the hash of a Python file of the user's own or trust; models that name it are run from then on.
+
+    Where the note cannot be written, the file stays unknown.
+    """
+    digest = _whole_digest(path)
+    if digest in _known():
+        return
+    with contextlib.suppress(OSError, SeatrialError):
+        known_file().parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        with append_to(known_file()) as file:
+            os.fchmod(file.fileno(), 0o600)
+            file.write(f"{digest}\n")
+
+
+def _known() -> set[str]:
+    """Return the hashes of known files; none where another user may have written them."""
+    try:
+        about = known_file().stat()
+        if about.st_uid != os.getuid() or about.st_mode & 0o022:
+            return set()
+        return set(known_file().read_text(encoding="ascii").split())
+    except (OSError, ValueError):
+        return set()
+
+
+def _whole_digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def file_digest(path: Path) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 
 from daq.checks import CheckReport, DryRun, Finding, PredictedTrack
 from daq.errors import counted
+from daq.files import write_output
 from ident.checks import CheckEvidence
 from ident.numerics import Array
 from ident.report import drawing, formatting
@@ -46,7 +47,7 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
         version=version("seatrial"),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
     )
-    path.write_text(page, encoding="utf-8", newline="\n")
+    write_output(path, page)
 
 
 def check_answer(report: CheckReport) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.files import write_output
 from ident.numerics import Array
 from ident.report import formatting
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Prose, Section, Table
@@ -40,7 +41,7 @@ def write_design_page(result: DesignResult, path: Path) -> None:
         created=result.created,
         warnings=[warning.text for warning in result.warnings],
     )
-    path.write_text(page, encoding="utf-8", newline="\n")
+    write_output(path, page)
 
 
 def _lead(result: DesignResult) -> str:

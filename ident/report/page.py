@@ -13,6 +13,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from daq.files import write_output
 from ident.report import formatting, sections
 from ident.report.blocks import Canvas, Section
 from ident.report.drawing import TEMPLATE, Budget, Figure
@@ -34,7 +35,7 @@ def write_report(result: Result, path: Path) -> None:
 
     Sections without data are left out. Raises OSError where ``path`` cannot be written.
     """
-    path.write_text(render(result), encoding="utf-8", newline="\n")
+    write_output(path, render(result))
 
 
 def render(result: Result) -> str:

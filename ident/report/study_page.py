@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
+from daq.files import write_output
 from ident.report import drawing, formatting
 from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table
 from ident.report.drawing import BEFORE, MODEL, Budget, single
@@ -68,7 +69,7 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
         version=result.seatrial,
         created=result.created,
     )
-    path.write_text(page, encoding="utf-8", newline="\n")
+    write_output(path, page)
 
 
 def _lead(aims: Aims) -> str:
@@ -326,8 +327,8 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
     for one in result.studies:
         if one.parameters:
             drawn = picture(one, AIMS)
-            (path.parent / _picture(one)).write_text(drawn, encoding="utf-8", newline="\n")
-    path.write_text(page(result), encoding="utf-8", newline="\n")
+            write_output(path.parent / _picture(one), drawn)
+    write_output(path, page(result))
 
 
 def _picture(one: ModelStudy) -> str:

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.files import write_output
 from ident.numerics import Array
 from ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
 from ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
@@ -43,7 +44,7 @@ def to_json(result: Part) -> bytes:
 def write_result(result: Part, path: Path) -> None:
     """Write a result as JSON. Raises SeatrialError where the file cannot be written."""
     try:
-        path.write_bytes(to_json(result))
+        write_output(path, to_json(result))
     except OSError as problem:
         raise SeatrialError(f"{path}: {problem.strerror}; the result was not saved") from problem
 

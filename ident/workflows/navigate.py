@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from daq.errors import SeatrialError, counted
+from daq.files import new_file
 from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record, share_frame
 from ident.estimation import ParameterCovariance, load_model, reported_units
 from ident.model import Model
@@ -158,7 +159,8 @@ def write_csv(path: Path, columns: Columns) -> None:
     """A line of names, then a line a row; times to a tenth of a millisecond."""
     table = np.column_stack([values for _, _, values in columns])
     layout = ["%.4f", *["%.7g"] * (len(columns) - 1)]
-    np.savetxt(path, table, fmt=layout, delimiter=",", header=",".join(n for n, _, _ in columns), comments="")
+    with new_file(path) as scratch:
+        np.savetxt(scratch, table, fmt=layout, delimiter=",", header=",".join(n for n, _, _ in columns), comments="")
 
 
 def _inputs(done: Navigation, t0: float) -> list[InputTrace]:

@@ -11,6 +11,7 @@ import numpy as np
 import tomlkit
 
 from daq.errors import SeatrialError
+from daq.files import write_output
 from daq.log import open_log
 from daq.samples import Ahrs
 from ident.characterisation import NoiseFit, band_spectrum, estimate_noise, welch
@@ -232,4 +233,4 @@ def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) 
             table.update({"reason": one.reason})
         tables.append(table)
     document["channel"] = tables
-    path.write_text(tomlkit.dumps(document), encoding="utf-8")
+    write_output(path, tomlkit.dumps(document))

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import joblib
 
 from daq.errors import SeatrialError
+from daq.files import append_to
 from ident.estimation import Method
 from ident.report import write_study_docs
 from ident.reporter import QUIET, Reporter
@@ -56,7 +57,7 @@ def run_study(
         if any(r["code"] != estimator_code_hash() for r in done.values()):
             reporter.warning(f"some of {out} were made by another state of the code; give another --out to begin anew")
     out.parent.mkdir(parents=True, exist_ok=True)
-    with out.open("a", encoding="utf-8") as file:
+    with append_to(out) as file:
         for rows in _results(case, todo, seed, method, jobs):
             for row in rows:
                 done[row["k"]] = row | {"key": key, "code": estimator_code_hash()}

@@ -148,6 +148,37 @@ def test_a_page_of_a_foreign_site_is_refused() -> None:
             quiet.sendall(b"\r\n\r\n")
 
 
+def connected(port: int) -> Iterator[socket.socket | Client]:
+    """Connections of every kind: a client, one that says nothing, one that has gone, one that was reset, garbage."""
+    yield Client(port)
+    yield socket.create_connection(("127.0.0.1", port))
+    gone = Client(port)
+    gone.close()
+    yield gone
+    reset = socket.create_connection(("127.0.0.1", port))
+    reset.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    reset.close()
+    yield reset
+    garbage = socket.create_connection(("127.0.0.1", port))
+    garbage.sendall(b"x" * 100_000)
+    yield garbage
+
+
+@needs_foxglove
+@pytest.mark.parametrize("turns", [0, 1])
+def test_the_end_prints_nothing(
+    turns: int, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Nor does it log anything, whoever is connected."""
+    with LiveServer(rig(), lambda: status(time.time())) as server:
+        there = list(connected(int(server.address.rpartition(":")[2])))
+        time.sleep(0.2 * turns)
+    assert [record.getMessage() for record in caplog.records if record.name == "asyncio"] == []
+    assert capfd.readouterr().err == ""
+    for one in there:
+        one.close()
+
+
 @needs_foxglove
 def test_a_port_that_is_taken_is_one_line() -> None:
     with socket.socket() as taken:

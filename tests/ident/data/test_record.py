@@ -8,7 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import WORK_UNIT, Channel, Record, block_mean, build_record, held_lines, sample_and_hold
+from ident.data.record import (
+    WORK_UNIT,
+    Channel,
+    Record,
+    _block_edges,
+    block_mean,
+    build_record,
+    held_lines,
+    sample_and_hold,
+)
 from ident.model.parameter import Parameter
 from ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
 from ident.results.answers import cut_records
@@ -102,6 +111,29 @@ def test_a_block_mean_of_an_angle_does_not_see_the_wrap() -> None:
     holes = Channel(t, np.where(t < 0.1, np.nan, 1.0))
     assert np.isnan(block_mean(holes, edges)[0][0])
     assert block_mean(holes, edges)[0][1] == 1.0
+
+
+@pytest.mark.parametrize("averaged", [True, False])
+def test_a_gap_of_ten_years_is_refused_at_once(averaged: bool) -> None:
+    """By its times; blocks and rows over the gap would be gigabytes."""
+    given = {
+        name: Channel(np.concatenate([c.t, c.t + 3.2e8]), np.tile(c.value, 2)) for name, c in channels(50.0).items()
+    }
+    boat = model()
+    sensors = tuple(replace(sensor, averaged=averaged) for sensor in boat.sensors)
+    with pytest.raises(ValueError, match=r"no sample from .* too long to bridge; choose a part"):
+        build_record(replace(boat, sensors=sensors), given)
+
+
+def test_a_short_gap_has_the_same_blocks_as_no_gap() -> None:
+    """Edges that no sample is next to are left out, and no mean changes."""
+    times = np.sort(np.random.default_rng(1).uniform(3.0, 60.0, 900))
+    times = times[(times < 20.0) | (times > 45.0)]
+    one = Channel(times, np.sin(times))
+    all_edges, some = np.arange(3.0, 60.0 + 0.05, 0.1), _block_edges(times, 3.0, 60.0, 10.0)
+    assert 300 < some.size < all_edges.size - 200
+    for expected, found in zip(block_mean(one, all_edges), block_mean(one, some), strict=True):
+        assert np.array_equal(expected[np.isfinite(expected)], found[np.isfinite(found)])
 
 
 def test_rows_are_the_union_of_all_times_and_no_interval_is_long() -> None:

@@ -142,6 +142,25 @@ def test_effects_that_a_model_names_keep_to_the_same_rule(work: Path, tmp_path: 
     assert not (tmp_path / "pwned").exists()
 
 
+def test_code_of_others_is_run_only_after_it_was_trusted_once(
+    work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    """The author of a folder writes the hash in its model.toml; the reader's own note decides."""
+    shutil.copytree(work / "out", tmp_path / "got")
+    monkeypatch.setenv("SEATRIAL_KNOWN_CODE", str(tmp_path / "mine/known"))
+    export = ("ident", "export", tmp_path / "got/model.toml", "--to", "python")
+    assert run(*export) == 1
+    assert "rolling.py was never run by you before, so it is not run; read it" in capsys.readouterr().err
+    assert run(*export, "--trust-code") == 0
+    assert run(*export) == 0
+    (tmp_path / "mine/known").chmod(0o666)  # anybody may have written it
+    assert run(*export) == 1
+    (tmp_path / "mine/known").chmod(0o600)
+    with (tmp_path / "got/rolling.py").open("a", encoding="utf-8") as file:
+        file.write("# another file\n")
+    assert run(*export) == 1
+
+
 def test_bytecode_beside_the_file_is_not_taken_for_it(work: Path, tmp_path: Path) -> None:
     shutil.copytree(work / "out", tmp_path / "got")
     real = tmp_path / "got/rolling.py"

@@ -1,0 +1,51 @@
+"""The check of an HDF5 file, before any of it is read, that all of its data is in the file itself.
+
+HDF5 can place data elsewhere: by soft and external links, by external storage and by virtual datasets. A file of
+somebody else's could so name any file of this computer. The import would copy that file into a log, and the log is then
+shared. MATLAB writes none of these.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from daq.errors import SeatrialError, printable
+
+
+def refuse_data_of_other_files(path: Path, file: Any) -> None:
+    """Raise SeatrialError unless each object of an open h5py file is data of this file and has exactly one link.
+
+    An object with two links could contain itself, or be read any number of times.
+
+    Parameters
+    ----------
+    path
+        The name of the file, for the message.
+    file : h5py.File
+        The open file.
+    """
+    import h5py
+
+    layouts = (h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED, h5py.h5d.COMPACT)
+    known = {h5py.h5o.get_info(file.id).addr}
+    groups = [file]
+    while groups:
+        group = groups.pop()
+        for name in group:
+            place = f"{path}: {printable(f'{group.name.rstrip(chr(47))}/{name}')}"
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise SeatrialError(f"{place} is a link to another place; only data of the file itself is imported")
+            one = group[name]
+            address = h5py.h5o.get_info(one.id).addr
+            if address in known:
+                raise SeatrialError(f"{place} is a second link to the same object; a MATLAB file has one for each")
+            known.add(address)
+            if isinstance(one, h5py.Group):
+                groups.append(one)
+            elif isinstance(one, h5py.Dataset):
+                properties = one.id.get_create_plist()
+                if properties.get_layout() not in layouts or properties.get_external_count():
+                    raise SeatrialError(
+                        f"{place} has its data in another file; only data of the file itself is imported"
+                    )

@@ -1,0 +1,56 @@
+"""Child processes: modules of this program are run, and no file of the working folder in the place of one."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from bench.demo import DemoSteps
+from daq.acquisition.session import Acquisition
+from daq.clock import RunClock
+from daq.config.rig_file import load_rig
+from tests.daq.ptys import TestBoat
+
+ROOT = Path(__file__).parents[2]
+
+
+def plant(folder: Path) -> Path:
+    """Put modules named like Python's own and ours into a folder; each leaves a file there when it is executed."""
+    for name in ("socket", "selectors", "struct", "daq", "numpy", "joblib"):
+        (folder / f"{name}.py").write_text("open('executed', 'w').close()\n", encoding="ascii")
+    return folder / "executed"
+
+
+def test_acquisition_and_watchdog_execute_nothing_of_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executed = plant(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"{os.pathsep}.")  # an empty entry means the working folder, too
+    with TestBoat(tmp_path) as boat:
+        monkeypatch.chdir(tmp_path)
+        rig = load_rig(boat.rig_path)
+        with Acquisition(rig, tmp_path / "run.mcap", clock=RunClock(rig.speed), drive=True) as acquisition:
+            acquisition.status()
+    assert not executed.exists()
+
+
+def test_a_command_of_the_demo_executes_nothing_of_its_folder(tmp_path: Path) -> None:
+    executed = plant(tmp_path)
+    assert DemoSteps(tmp_path).has("mission", "show")
+    assert not executed.exists()
+
+
+def test_processes_of_a_library_execute_nothing_of_the_working_folder(tmp_path: Path) -> None:
+    """joblib starts its own, as a study of recovery does; `seatrial` is imported first, as by its command."""
+    executed = plant(tmp_path)
+    code = "import seatrial, joblib; print(joblib.Parallel(2)(joblib.delayed(abs)(-k) for k in (1, 2)))"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "[1, 2]\n"
+    assert not executed.exists()

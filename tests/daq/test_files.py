@@ -1,0 +1,130 @@
+"""The one writer of outputs: whole files, no link followed, nothing but files replaced; and only files are read."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from daq.errors import SeatrialError
+from daq.files import append_to, new_file, require_file, write_output
+from daq.importers.write_log import replacing
+from daq.log import open_log
+from daq.log.recovery import recover_log
+from daq.tools.export import export_log
+from daq.tools.ros_export import export_ros
+from tests.daq.logs import write_everything
+
+
+def planted(out: Path) -> Path:
+    """Make the output a dangling link; where it leads."""
+    aim = out.parent / "elsewhere"
+    out.symlink_to(aim)
+    return aim
+
+
+def recovered(folder: Path, out: Path) -> None:
+    recover_log(folder / "run.mcap", out, force=True)
+
+
+def imported(folder: Path, out: Path) -> None:
+    with replacing(out, True, ()) as part:
+        part.write_bytes(b"x")
+
+
+def appended(folder: Path, out: Path) -> None:
+    append_to(out).close()
+
+
+WRITERS: list[Callable[[Path, Path], None]] = [
+    lambda folder, out: write_output(out, "x"), lambda folder, out: write_output(out, "x", force=False),
+    recovered, imported, appended,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("write", WRITERS)
+def test_a_planted_link_is_not_followed(tmp_path: Path, write: Callable[[Path, Path], None]) -> None:
+    write_everything(tmp_path / "run.mcap", 3)
+    out = tmp_path / "out.file"
+    aim = planted(out)
+    with pytest.raises(SeatrialError, match=r"out\.file: is a symbolic link"):
+        write(tmp_path, out)
+    assert not aim.exists()
+    assert out.is_symlink()
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet", "mat", "netcdf", "ros"])
+def test_no_form_of_export_follows_a_planted_link(tmp_path: Path, form: str) -> None:
+    """Every name that an export writes is taken by a dangling link, one after the other."""
+    write_everything(tmp_path / "run.mcap", 3)
+    with open_log(tmp_path / "run.mcap") as log:
+
+        def write(folder: Path) -> list[Path]:
+            return export_ros(log, folder, True) if form == "ros" else export_log(log, form, folder, True)
+
+        for name in [path.name for path in write(tmp_path / "whole")]:
+            folder = tmp_path / f"out-{name}"
+            folder.mkdir()
+            aim = planted(folder / name)
+            with pytest.raises(SeatrialError, match="is a symbolic link"):
+                write(folder)
+            assert not aim.exists()
+
+
+def write_half(out: Path) -> None:
+    with new_file(out) as part:
+        part.write_text("half")
+        raise RuntimeError
+
+
+def write_late(out: Path) -> None:
+    """Another program makes the output while this one writes."""
+    with new_file(out, force=False) as part:
+        part.write_text("ours")
+        out.write_text("theirs")
+
+
+def test_an_output_is_whole_or_not_there(tmp_path: Path) -> None:
+    out = tmp_path / "out.txt"
+    with pytest.raises(RuntimeError):
+        write_half(out)
+    assert list(tmp_path.iterdir()) == []
+    write_output(out, "a\r\n")
+    write_output(out, "b\n")
+    assert out.read_bytes() == b"b\n"
+    assert out.stat().st_mode & 0o777 == 0o666 & ~os.umask(os.umask(0o022))
+    with pytest.raises(SeatrialError, match="the file exists already; --force replaces it"):
+        write_output(out, "c", force=False)
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_a_file_that_comes_in_the_meantime_is_not_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "out.txt"
+    with pytest.raises(SeatrialError, match="exists already"):
+        write_late(out)
+    assert out.read_text() == "theirs"
+
+
+def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/null")):
+        with pytest.raises(SeatrialError, match="is there, and is not a file"):
+            write_output(path, "x")
+    with pytest.raises(OSError, match="No such file") as caught:
+        write_output(tmp_path / "no/folder.txt", "x")
+    assert caught.value.filename == str(tmp_path / "no/folder.txt")
+
+
+def test_only_files_are_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(tmp_path / "socket"))
+        for name in ("pipe", "link", "socket", ""):
+            with pytest.raises(SeatrialError, match="is not a file"):
+                require_file(tmp_path / name)
+    with pytest.raises(SeatrialError, match="cannot be read: No such file"):
+        require_file(tmp_path / "nothing")
