@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from daq.checks import held_signals, held_together
 from daq.errors import SeatrialError
 from daq.importers.clocks import Clock, clock_of, row_seconds
 from daq.importers.import_map import GEOGRAPHIC
@@ -105,6 +106,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.said}" for table in tables if table.remark]
+    remarks += [f"# caveat: {line}" for line in _held_lines(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
@@ -158,6 +160,27 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
             caveats.append(f"{place}: {clock.caveat}")
     line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
+
+
+def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks: Clocks) -> Iterator[str]:
+    """A line for each group of signals whose values the table holds from one measurement to the next."""
+    tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
+    for candidate in candidates:
+        t = row_seconds(candidate.table, clocks[id(candidate.table)])
+        for signal in candidate.signals:
+            is_output = 'role = "input"' not in signal.extra
+            if t is None or not is_output or not any(signal is one for one in taken):
+                continue
+            values = np.sum([candidate.table.numbers(column) for column in signal.columns], axis=0)
+            known = np.isfinite(values) & np.isfinite(t)
+            table = tables.setdefault((id(candidate.table), known.tobytes()), (t[known], {}))
+            table[1][signal.name] = values[known]
+    for t, signals in tables.values():
+        for names, held in held_together(held_signals(t, signals)):
+            yield (
+                f"{names}: held between measurements {held.rows * float(np.median(np.diff(t))):.3g} s apart; "
+                'the import leaves the repeats out (repeats = "keep" of a signal takes each row for a measurement)'
+            )
 
 
 # Columns by their names

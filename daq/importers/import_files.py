@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
-from daq.importers.signals import SignalData, Signals, read_signals
+from daq.importers.signals import Held, SignalData, Signals, read_signals
 from daq.importers.sources import source_kind
 from daq.importers.write_log import sha256_of, write_signals
 from daq.samples import Event
@@ -88,12 +88,25 @@ def _read(path: Path, source: Source) -> _File:
     remarks = [f"{path}: {one.said}" for one in tables if one.remark and one.topic in used]
     if n := signals.n_disordered:
         remarks.append(f"{path}: {counted(n, 'row')} left out, where time repeats or runs back")
+    remarks += [f"{path}: {line}" for line in held_lines(signals.held)]
     empty = [one.signal.name for one in signals.signals if not len(one.t)]
     if empty:
         remarks.append(f"{path}: not in the log, without a sample: {', '.join(empty)}")
     origin = source.time.origin if source.time else 0.0
     events = tuple(event for one in tables for event in one.events)
     return _File(path, kind.name, sha256_of(path), signals, origin, tuple(remarks), events)
+
+
+def held_lines(held: Sequence[Held]) -> list[str]:
+    """One line for each group of signals that were held together: how many repeats were left out."""
+    groups: dict[tuple[int, int], list[Held]] = {}
+    for one in held:
+        groups.setdefault((one.n, one.n_left_out), []).append(one)
+    return [
+        f"{', '.join(one.name for one in group)}: held between measurements {group[0].interval:.3g} s apart; "
+        f"{n_left_out} of {n} values repeat the one before and are left out"
+        for (n, n_left_out), group in groups.items()
+    ]
 
 
 def _beside(import_map: ImportMap) -> list[Path]:
@@ -114,6 +127,7 @@ def _write_piece(
         metadata[f"source.{i}.sha256"] = one.sha256
         metadata[f"source.{i}.dropped"] = str(one.signals.n_dropped)
         metadata[f"source.{i}.disordered"] = str(one.signals.n_disordered)
+        metadata[f"source.{i}.held"] = "; ".join(held_lines(one.signals.held))
         for signal in one.signals.signals:
             cut = _cut(signal, piece)
             signals.append(replace(cut, t=cut.t + one.origin))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.checks import held_signals
 from daq.errors import SeatrialError
 from daq.importers.import_map import TIME_UNITS, Signal, Source, TimeColumn
 from daq.importers.table import Column, Table
@@ -21,6 +22,9 @@ DAYS_1970 = 719529.0  # MATLAB's datenum of 1970-01-01
 # Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 _ATTITUDE = ("roll", "pitch", "yaw")
+# A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
+# to a value: interpolation would make ramps of the steps of a command.
+FEWEST_LEVELS, LEAST_DIFFERENT, SLOWEST_INPUT_S = 50, 0.5, 1.0
 
 
 @dataclass(frozen=True)
@@ -34,10 +38,21 @@ class SignalData:
 
 
 @dataclass(frozen=True)
+class Held:
+    """A signal whose values the source holds: of ``n`` samples, ``n_left_out`` repeat the one before."""
+
+    name: str
+    n: int
+    n_left_out: int
+    interval: float  # s from one measurement to the next
+
+
+@dataclass(frozen=True)
 class Signals:
     """What one file gave."""
 
     signals: tuple[SignalData, ...]
+    held: tuple[Held, ...]  # signals of which repeats were left out
     n_dropped: int  # rows out of order and cells without a number, where the map drops them
     n_disordered: int  # of these, the rows whose times ran back or repeated
 
@@ -45,6 +60,8 @@ class Signals:
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
     signals, n_dropped, n_disordered = [], 0, 0
+    held: list[Held] = []
+    of_table: dict[tuple[object, ...], list[int]] = {}  # places in `signals` of those that share their rows
     clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
     for signal in source.signals:
         table = _table(tables, signal)
@@ -62,7 +79,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
             columns = [column for s in shared if not s.timeout for column in s.columns]
             new = ordered
             if source.options.style.repeats == "drop" and columns:
-                new = ordered & _news(table, columns)
+                new = ordered & _news([table.numbers(column) for column in columns])
             n_dropped += len(t) - int(new.sum())
             clocks[clock] = t, ordered, new
         t, ordered, new = clocks[clock]
@@ -79,11 +96,42 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         bad = np.flatnonzero(np.isnan(raw) & kept)
         if policy == "error" and len(bad):
             raise table.error(int(bad[0]), signal.columns[0], 'no number; nan = "drop" or "keep" would allow that')
+        repeats = signal.repeats or source.options.style.repeats
+        if repeats == "" and not signal.timeout and signal.hold == "linear":
+            of_table.setdefault((clock, rows.tobytes()), []).append(len(signals))
+        elif signal.repeats == "drop":
+            rows[np.flatnonzero(rows)] &= _news([raw[rows]])
         unit, factor = UNITS[signal.unit]
         signal, values = _turned(signal, values[rows] * factor)
         t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
         signals.append(SignalData(signal, unit, t_signal, values))
-    return Signals(tuple(signals), n_dropped, n_disordered)
+    for places in of_table.values():
+        for k, data, one in _without_held([signals[k] for k in places], places):
+            signals[k] = data
+            held.append(one)
+    return Signals(tuple(signals), tuple(held), n_dropped, n_disordered)
+
+
+def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
+    """The signals of one table whose values are held, each with its place, without the repeats."""
+    t = table[0].t
+    found = held_signals(t, {one.signal.name: one.values for one in table})
+    for k, one in zip(places, table, strict=True):
+        if (held := found.get(one.signal.name)) is None:
+            continue
+        interval = held.rows * float(np.median(np.diff(t)))
+        if one.signal.role == "input" and not _is_measured(one.values[held.new], interval):
+            continue
+        n_left_out = len(t) - int(held.new.sum())
+        data = replace(one, t=t[held.new], values=one.values[held.new])
+        yield k, data, Held(one.signal.name, len(t), n_left_out, interval)
+
+
+def _is_measured(levels: Column, interval: float) -> bool:
+    """Whether the values of an input that is held look like a sensor's, and not like the steps of a command."""
+    levels = levels[np.append(True, levels[1:] != levels[:-1])]
+    different = len(np.unique(levels)) / len(levels)
+    return len(levels) >= FEWEST_LEVELS and different > LEAST_DIFFERENT and interval <= SLOWEST_INPUT_S
 
 
 def _table(tables: Sequence[Table], signal: Signal) -> Table:
@@ -150,11 +198,10 @@ def _angle(values: Column, how: str) -> Column:
     return values
 
 
-def _news(table: Table, columns: Sequence[str]) -> NDArray[np.bool_]:
-    """Rows in which any of the columns differs from the row before, shape (n,)."""
-    values = [table.numbers(column) for column in columns]
+def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
+    """Rows in which any of the columns, each (n,), differs from the row before, shape (n,)."""
     new = np.zeros(len(values[0]), bool)
-    new[0] = True
+    new[:1] = True
     for one in values:
         new[1:] |= (one[1:] != one[:-1]) & ~(np.isnan(one[1:]) & np.isnan(one[:-1]))
     return new

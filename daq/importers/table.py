@@ -85,7 +85,7 @@ class TextStyle:
     columns: tuple[str, ...] = ()  # names, where the file has no header of its own
     nan: str = ""  # error (default of text) | drop (default of all others) | keep
     time_order: str = ""  # likewise error | drop
-    repeats: str = "keep"  # keep | drop: rows whose signals all repeat the row before
+    repeats: str = ""  # keep | drop: rows whose signals all repeat the row before; "": values that are held, by signal
 
 
 @dataclass(frozen=True)

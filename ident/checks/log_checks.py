@@ -18,6 +18,7 @@ from daq.errors import SeatrialError
 from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
+from ident.checks.held import check_held
 from ident.checks.motion import (
     SURGE_LAGS,
     YAW_LAGS,
@@ -267,6 +268,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     ranges = [*check_ranges(c), *check_frozen(c)]
     yield from ranges
     yield from check_smoothing(c)
+    yield from check_held(c)
     matches = sensor_matches(c)
     clock = check_time_scale(matches)
     if clock is not None:
