@@ -13,3 +13,4 @@ from .findings import worst_first as worst_first
 from .held_values import HeldValues as HeldValues
 from .held_values import held_signals as held_signals
 from .held_values import held_together as held_together
+from .import_checks import lacks_too_much as lacks_too_much

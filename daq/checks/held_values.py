@@ -98,9 +98,9 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
         The held signals by name. Signals of one sensor share their rows: a coarse signal that repeats its value in a
         row in which another signal of the sensor changes was measured there.
     """
-    if t.size < 2:
+    if t.size < 2 or not np.ptp(t) > 0.0:
         return {}
-    slowest = SLOWEST_S / float(np.median(np.diff(t)))  # rows
+    slowest = SLOWEST_S * (t.size - 1) / float(np.ptp(t))  # rows
     groups = [tuple(n for n in names if n in signals) for names in TOGETHER]
     groups = [g for g in groups if g] + [(n,) for n in signals if not any(n in names for names in TOGETHER)]
     changed = {g: _changes([signals[n] for n in g]) for g in groups}

@@ -105,7 +105,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     taken, lines = _choose(candidates, clocks, main)
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
-    remarks = [f"# caveat: {table.said}" for table in tables if table.remark]
+    remarks = [f"# caveat: {table.said}" for table in tables if table.said]
     remarks += [f"# caveat: {line}" for line in _held_lines(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
@@ -159,6 +159,8 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
             place = f"{table.topic}, {clock.column!r}" if table.topic else repr(clock.column)
             caveats.append(f"{place}: {clock.caveat}")
     line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
+    if main.rate:
+        line = f"time = {{ rate_hz = {main.rate:.6g} }}  # in place of column = {_quoted(main.column)}"
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
@@ -178,7 +180,7 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks:
     for t, signals in tables.values():
         for names, held in held_together(held_signals(t, signals)):
             yield (
-                f"{names}: held between measurements {held.rows * float(np.median(np.diff(t))):.3g} s apart; "
+                f"{names}: held between measurements {held.rows * float(np.ptp(t)) / (len(t) - 1):.3g} s apart; "
                 'the import leaves the repeats out (repeats = "keep" of a signal takes each row for a measurement)'
             )
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.checks import held_signals
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.importers.import_map import TIME_UNITS, Signal, Source, TimeColumn
 from daq.importers.table import Column, Table
 from daq.importers.units import UNITS
@@ -21,6 +21,7 @@ DAY = 86400.0  # s
 DAYS_1970 = 719529.0  # MATLAB's datenum of 1970-01-01
 # Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
+COARSE = 0.3  # share of the rows whose time repeats: the stamps are coarser than the rows
 _ATTITUDE = ("roll", "pitch", "yaw")
 # A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
 # to a value: interpolation would make ramps of the steps of a command.
@@ -48,6 +49,27 @@ class Held:
 
 
 @dataclass(frozen=True)
+class RowsLeftOut:
+    """Rows of one table that are not in the log because of their times.
+
+    ``why``: ``repeats``, their times repeat; ``back``, times run back (some may repeat); ``stamps``, the source itself
+    found their stamps wrong. ``rate``: rows per second of the whole table [Hz].
+    """
+
+    topic: str
+    n: int
+    n_rows: int
+    why: str
+    rate: float
+
+    @property
+    def text(self) -> str:
+        """What was left out, for people."""
+        place = f"{self.topic}: " if self.topic else ""
+        return f"{place}{counted(self.n, 'row')} left out, where time repeats or runs back ({self.n_rows} in all)"
+
+
+@dataclass(frozen=True)
 class Signals:
     """What one file gave."""
 
@@ -55,11 +77,14 @@ class Signals:
     held: tuple[Held, ...]  # signals of which repeats were left out
     n_dropped: int  # rows out of order and cells without a number, where the map drops them
     n_disordered: int  # of these, the rows whose times ran back or repeated
+    left_out: tuple[RowsLeftOut, ...]  # the same by table, with those that the source has left out
 
 
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
-    signals, n_dropped, n_disordered = [], 0, 0
+    signals: list[SignalData] = []
+    n_dropped = n_disordered = 0
+    left_out: dict[tuple[str, str], RowsLeftOut] = {}
     held: list[Held] = []
     of_table: dict[tuple[object, ...], list[int]] = {}  # places in `signals` of those that share their rows
     clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
@@ -75,6 +100,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
             t = row_times(table, time)
             ordered = _order(table, t, source)
             n_disordered += len(t) - int(ordered.sum())
+            left_out |= {(one.topic, one.why): one for one in _rows_left_out(table, t, ordered)}
             shared = [s for s in source.signals if (id(_table(tables, s)), s.time, s.time_format) == clock]
             columns = [column for s in shared if not s.timeout for column in s.columns]
             new = ordered
@@ -109,7 +135,16 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         for k, data, one in _without_held([signals[k] for k in places], places):
             signals[k] = data
             held.append(one)
-    return Signals(tuple(signals), tuple(held), n_dropped, n_disordered)
+    return Signals(tuple(signals), tuple(held), n_dropped, n_disordered, tuple(left_out.values()))
+
+
+def _rows_left_out(table: Table, t: Column, ordered: NDArray[np.bool_]) -> Iterator[RowsLeftOut]:
+    """What a table lacks because of its times."""
+    if table.n_left_out:
+        yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
+    if n := len(t) - int(ordered.sum()):
+        why = "back" if np.any(np.diff(t) < 0.0) else "repeats"
+        yield RowsLeftOut(table.topic, n, len(t), why, (len(t) - 1) / max(float(np.ptp(t)), 1e-9))
 
 
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
@@ -276,8 +311,16 @@ def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
     if (source.options.style.time_order or ("error" if table.strict else "drop")) == "error":
         what = "repeats" if t[row] == t[row - 1] else f"runs back by {t[row - 1] - t[row]:.6g} s"
         column = source.time.column if source.time else "time"
-        raise table.error(row, column, f'time {what}; csv.time_order = "drop" would leave such rows out')
+        advice = 'csv.time_order = "drop" would leave such rows out'
+        if np.all(np.diff(t) >= 0.0) and len(behind) > COARSE * len(t):
+            advice = f"its stamps are too coarse: {coarse_advice((len(t) - 1) / max(float(np.ptp(t)), 1e-9))}"
+        raise table.error(row, column, f"time {what}; {advice}")
     return _rising(t)
+
+
+def coarse_advice(rate: float) -> str:
+    """What to do about stamps that are coarser than the rows, which come at a rate [Hz]."""
+    return f"time = {{ rate_hz = {rate:.4g} }} of the map gives even times in their place"
 
 
 def _rising(t: Column) -> NDArray[np.bool_]:

@@ -236,7 +236,7 @@ SPOILING = frozenset({
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
-    "log-copied",
+    "log-copied", "rows-left-out",
 })  # fmt: skip
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 

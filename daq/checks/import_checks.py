@@ -1,0 +1,43 @@
+"""Checks of what an import left out: rows whose times repeat, run back or are wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from daq.checks.findings import FAULT, WARNING, Finding
+from daq.errors import counted
+
+MOST_LEFT_OUT, FEWEST_LEFT_OUT = 0.05, 5  # share of a source's rows, and rows: more are a fault
+
+
+def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
+    """Findings on the rows that are not in an imported log because of their times, by its ``metadata``."""
+    k = 1
+    while (name := metadata.get(f"source.{k}.name")) is not None:
+        lines = metadata.get(f"source.{k}.left_out")
+        n_old = int(metadata.get(f"source.{k}.disordered", "0"))
+        k += 1
+        if lines is None and n_old:  # a log of an earlier version, without the number of all rows
+            text = f"{counted(n_old, 'row')} left out: times that ran back or repeated"
+            yield Finding(WARNING, "rows-left-out", "time", name, text, _ADVICE["back"])
+        for line in (lines or "").splitlines():
+            n, n_rows, why, rate, topic = line.split(" ", 4)
+            level = FAULT if lacks_too_much(int(n), int(n_rows)) else WARNING
+            rows = f"{counted(int(n), 'row')} of {n_rows}"
+            code, text = "rows-left-out", f"{rows} left out: times that ran back or repeated"
+            if why == "stamps":
+                code, text = "stamps-wrong", f"{rows} left out: stamps that are empty or far from their receipt"
+            yield Finding(level, code, "time", topic or name, text, _ADVICE[why].format(rate=rate))
+
+
+def lacks_too_much(n: int, n_rows: int) -> bool:
+    """Whether a log without ``n`` of a source's ``n_rows`` is no longer the recording."""
+    return n >= FEWEST_LEFT_OUT and n > MOST_LEFT_OUT * n_rows
+
+
+_ADVICE = {
+    "repeats": "stamps that are coarser than the rows, as whole seconds are: time = {{ rate_hz = {rate} }} of the map",
+    "back": "sort the rows by their time; where a clock was set, or two clocks are mixed, import each part by itself; "
+    "`fraction` of the map mends lost zeros",
+    "stamps": "the driver's clock, or a simulation that was set back: the log lacks these measurements",
+}
