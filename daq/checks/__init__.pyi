@@ -14,3 +14,4 @@ from .held_values import HeldValues as HeldValues
 from .held_values import held_signals as held_signals
 from .held_values import held_together as held_together
 from .import_checks import lacks_too_much as lacks_too_much
+from .import_checks import unknown_times as unknown_times

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.checks.findings import FAULT, OK, WARNING, Finding
-from daq.checks.import_checks import check_rows_left_out
+from daq.checks.import_checks import check_missing_inputs, check_rows_left_out
 from daq.clock import ClockMap
 from daq.errors import counted
 from daq.log import Log
@@ -376,6 +376,7 @@ def _imported(log: Log) -> Iterator[Finding]:
     """Signals of an imported file: rows that the import left out, stamps that lost their zeros, values that stay."""
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
+    yield from check_missing_inputs(log)
     if b"unpadded-ns" in by_map:
         text = "time stamps whose nanoseconds had lost their zeros, put right by the import's map"
         yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, "mend the logger")

@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.checks import lacks_too_much
+from daq.checks import lacks_too_much, unknown_times
 from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
+from daq.importers.missing_inputs import said_gaps
 from daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from daq.importers.sources import source_kind
 from daq.importers.table import Table
@@ -106,6 +107,8 @@ def _read(path: Path, source: Source) -> _File:
     remarks = [f"{path}: {line}" for line in _together([one for one in tables if one.said and one.topic in used])]
     remarks += [f"{path}: {one.text}" for one in signals.left_out if one.why != "stamps" and not _spoils(one)]
     remarks += [f"{path}: {line}" for line in held_lines(signals.held)]
+    gaps = {one.signal.name: unknown_times(one.t, one.values) for one in signals.signals if one.has_gaps}
+    remarks += [f"{path}: {line}" for line in said_gaps(gaps)]
     empty = [one.signal.name for one in signals.signals if not len(one.t)]
     if empty:
         remarks.append(f"{path}: not in the log, without a sample: {', '.join(empty)}")

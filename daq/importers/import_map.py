@@ -63,7 +63,7 @@ class Signal:
     angle: str = "keep"  # keep | wrap | unwrap
     role: str = "output"  # input | output
     hold: str = "linear"  # zero | linear | sampled
-    nan: str = ""  # as TextStyle.nan
+    nan: str = ""  # as TextStyle.nan, or zero: a cell without a number says zero, in `unit`
     timeout: float = 0.0  # s after which an input that is not repeated is zero; 0: never
     missing: float | None = None  # the value of a cell without a measurement
     missing_is: float | None = None  # what such a cell says all the same, in `unit`; None: nothing
@@ -287,7 +287,7 @@ def _signal(table: TomlTable, frame: str) -> Signal:
         angle,
         role,
         hold,
-        table.text("nan", "", choices=("", "error", "drop", "keep")),
+        table.text("nan", "", choices=("", "error", "drop", "keep", "zero")),
         timeout,
         missing,
         table.maybe_number("missing_is"),

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.importers.missing_inputs import stopped_motors
 from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
 from daq.importers.table import Column, SourceOptions, Table, ran_back
 
@@ -109,9 +110,10 @@ class _Topic:
             for name in ("latitude", "longitude"):
                 columns[name] = np.where(columns["status.status"] < 0, np.nan, columns[name])
         n_lost = len(t) - len(order)
+        remark = "; ".join(part for part in (times.remark, stopped_motors(self.kind, columns)) if part)
         clock = ran_back(t[np.isfinite(t)])
         return Table(
-            path, topic, columns, t[order], self.kind, self.frame_id, times.remark, clock=clock, n_left_out=n_lost
+            path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost
         )
 
     def _column(self, name: str) -> Column:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from daq.checks import held_signals
 from daq.errors import SeatrialError, counted
 from daq.importers.import_map import TIME_UNITS, Signal, Source, TimeColumn
+from daq.importers.missing_inputs import input_gaps
 from daq.importers.table import Column, Table
 from daq.importers.units import UNITS
 from daq.log import local_ned, schema
@@ -36,6 +37,11 @@ class SignalData:
     unit: str
     t: Column
     values: Column
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether it is an input that is unknown at times: its sample is NaN there."""
+        return self.signal.role == "input" and self.signal.nan != "keep" and bool(np.isnan(self.values).any())
 
 
 @dataclass(frozen=True)
@@ -112,18 +118,24 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         kept = ordered if signal.timeout else new  # a command that is repeated stands for longer
         raw = _raw(table, signal)
         policy = signal.nan or source.options.style.nan or ("error" if table.strict else "drop")
+        if policy == "zero":
+            raw = np.where(np.isnan(raw), (0.0 - signal.offset) / signal.scale, raw)
         rows = kept & ~(np.isnan(raw) if policy == "drop" else np.zeros(len(raw), bool))
+        if policy == "drop" and signal.role == "input" and not signal.timeout:
+            gaps = np.zeros(len(raw), bool)
+            gaps[kept] = input_gaps(t[kept], raw[kept])
+            rows |= gaps  # as NaN: from there on the input is unknown
         values = signal.sign * (signal.scale * raw + signal.offset)
         if signal.missing is not None and signal.missing_is is None:
             rows &= raw != signal.missing
         elif signal.missing is not None:
             values[raw == signal.missing] = signal.missing_is
-        n_dropped += int(kept.sum()) - int(rows.sum())
+        n_dropped += int(kept.sum()) - int((rows & ~np.isnan(raw)).sum() if policy == "drop" else rows.sum())
         bad = np.flatnonzero(np.isnan(raw) & kept)
         if policy == "error" and len(bad):
             raise table.error(int(bad[0]), signal.columns[0], 'no number; nan = "drop" or "keep" would allow that')
         repeats = signal.repeats or source.options.style.repeats
-        if repeats == "" and not signal.timeout and signal.hold == "linear":
+        if repeats == "" and not signal.timeout and signal.hold == "linear" and not np.isnan(raw[rows]).any():
             of_table.setdefault((clock, rows.tobytes()), []).append(len(signals))
         elif signal.repeats == "drop":
             rows[np.flatnonzero(rows)] &= _news([raw[rows]])

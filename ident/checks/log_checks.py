@@ -293,8 +293,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
 
 
 def device_faults(log: Log) -> list[Finding]:
-    """Faults of a log's devices, and thrusters of which nothing was heard."""
-    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT]
+    """Faults of a log's devices, thrusters of which nothing was heard, and inputs that are unknown at times."""
+    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT or f.code == "input-missing"]
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
