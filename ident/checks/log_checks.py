@@ -19,6 +19,7 @@ from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
 from ident.checks.held import check_held
+from ident.checks.latency import check_latency
 from ident.checks.motion import (
     SURGE_LAGS,
     YAW_LAGS,
@@ -288,6 +289,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     yield from of_frames
     of_motion = [] if of_frames else list(check_motion(c, sides, {f.where for f in of_shafts if f.check == "dead"}))
     yield from of_motion
+    if not of_frames and not any(f.level == FAULT for f in of_motion):
+        yield from check_latency(c, sides)
     if not of_frames and all(f.level == "ok" for f in of_motion):
         yield from check_accelerometer(c, matches.velocity)
 

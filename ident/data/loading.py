@@ -96,6 +96,8 @@ def channels(log: Log) -> dict[str, Channel]:
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
         channel = _channel(table, "value", log.unit(source), source)
+        if log.role(source) == "input" and log.hold(source) != "sampled":
+            channel = replace(channel, hold=log.hold(source))
         found[source] = _sampled(channel) if log.hold(source) == "sampled" else channel
     rig = log.rig
     for source in log.sources(Ahrs):
