@@ -9,8 +9,8 @@ another one (`ident.checks.sensors`). That comparison is blind to a group that i
 - Both together compare attitude with velocity, whatever the delay of the shafts behind the commands is.
 
 Each of the first two is a linear regression: increments of the motion over a window on integrals of thrust and of the
-motion itself, repeated for each lag that is tried. The lag with the least error is the delay. Its standard error is that
-of the jackknife over blocks of time, so that disturbances that last for seconds count as what they are. Where the
+motion itself, repeated for each lag that is tried. The lag with the least error is the delay. Its standard error is
+that of the jackknife over blocks of time, so that disturbances that last for seconds count as what they are. Where the
 regression explains too little, or the interval is wide, the delay is not known.
 
 Notes
@@ -26,6 +26,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.checks import FAULT, OK, WARNING, Finding
 from ident.checks.sensors import (
@@ -107,11 +108,12 @@ def _sensors(attitude: LagEstimate | None, velocity: LagEstimate | None, turned:
     late, ahead, where = (ATTITUDE, VELOCITY, turned) if lag > 0.0 else (VELOCITY, ATTITUDE, moved)
     level = _level(abs(lag), half)
     if level == OK:
-        text = f"{ATTITUDE} and {VELOCITY} are {abs(lag):.2f} s apart, as both follow the thrust ({_interval(lag, half)})"
+        apart = f"{abs(lag):.2f} s apart, as both follow the thrust ({_interval(abs(lag), half)})"
+        text = f"{ATTITUDE} and {VELOCITY} are {apart}"
         yield Finding(OK, "sensors-in-time", "late", turned, text)
         return
-    text = f"{late} {'comes' if late == VELOCITY else 'come'} {abs(lag):.2f} s after {ahead}, as both follow the thrust "
-    text += f"({_interval(abs(lag), half)})"
+    come = "comes" if late == VELOCITY else "come"
+    text = f"{late} {come} {abs(lag):.2f} s after {ahead}, as both follow the thrust ({_interval(abs(lag), half)})"
     yield Finding(level, "sensor-late", "late", where, text, "its filters, output rate or time stamps")
 
 
@@ -136,7 +138,8 @@ def _thrust_times(attitude: LagEstimate | None, velocity: LagEstimate | None, pu
         advice = "time stamps of the shaft speeds, or of all sensors"
         yield Finding(level, "motion-late", "late", push.where, text, advice)
     else:
-        text = f"the motion comes {lag:.2f} s after the thrust ({_interval(lag, half)})"
+        order = "before" if lag < 0.0 else "after"
+        text = f"the motion comes {abs(lag):.2f} s {order} the thrust ({_interval(abs(lag), half)})"
         yield Finding(OK, "thrust-in-time", "late", push.where, text)
 
 
@@ -278,7 +281,7 @@ def _lag(
     at = at[_undisturbed(c, m.t, at, ahead)]
     if at.size * every * STEP < LEAST_SECONDS:
         return None
-    errors = LagErrors(np.arange(-most, most + 1) * STEP, at.size)
+    errors = LagErrors(np.linspace(-LONGEST, LONGEST, 2 * most + 1), at.size)
     target = y[at + ahead] - y[at]
     fixed = np.column_stack([s[at + ahead] - s[at] for s in own])
     for k in range(-most, most + 1):
@@ -287,7 +290,7 @@ def _lag(
     return errors.estimate()
 
 
-def _undisturbed(c: Channels, t: Array, at: Array, ahead: int) -> Array:
+def _undisturbed(c: Channels, t: Array, at: NDArray[np.intp], ahead: int) -> NDArray[np.bool_]:
     """Which increments lie in no pause of a sensor (n_rows,)."""
     paused = np.zeros(t.size + 1)
     for name in (n for n in ("psi", "r", "vx", "vy", "x", "y", "u", "v") if n in c):
@@ -297,4 +300,4 @@ def _undisturbed(c: Channels, t: Array, at: Array, ahead: int) -> Array:
             paused[a] += 1.0
             paused[b] -= 1.0
     before = np.append(0.0, np.cumsum(np.cumsum(paused[:-1]) > 0.0))
-    return np.asarray(before[at + ahead + 1] - before[at] == 0.0)
+    return np.asarray(before[at + ahead + 1] == before[at])

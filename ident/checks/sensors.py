@@ -285,10 +285,10 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
 def sensor_delay(one: str, where: str, other: str, there: str, found: Match) -> Iterator[Finding]:
     """What a lag of ``one`` behind ``other`` means, where it explains something."""
     late, behind, at = (one, other, where) if found.lag > 0 else (other, one, there)
-    interval = f"95 %: {found.lag - found.half:.2f} to {found.lag + found.half:.2f} s"
+    interval = f"95 %: {abs(found.lag) - found.half:.2f} to {abs(found.lag) + found.half:.2f} s"
     if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - STEP / 2:
         level = "fault" if abs(found.lag) >= DELAY_FAULT else "warning"
-        text = f"{late} comes {abs(found.lag):.2f} s after {behind}"
+        text = f"{late} comes {abs(found.lag):.2f} s after {behind} ({interval})"
         yield Finding(level, "sensor-late", "late", at, text, "its filters, output rate or time stamps")
     elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - STEP / 2:
         text = f"the time between {one} and {other} is not known ({interval})"
