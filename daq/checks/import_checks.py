@@ -13,6 +13,7 @@ from daq.log import Log
 from daq.samples import Scalar
 
 MOST_LEFT_OUT, FEWEST_LEFT_OUT = 0.05, 5  # share of a source's rows, and rows: more are a fault
+SHORTEST_GAP_S = 0.5  # s without a value of an input: the last one holds through shorter ones
 
 
 def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
@@ -64,11 +65,12 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
     Returns
     -------
     list
-        Begin and end [s] of each gap: up to the next value, or to the end of the samples.
+        Begin and end [s] of each gap longer than `SHORTEST_GAP_S`: up to the next value, or to the end of the samples.
     """
     unknown = np.isnan(values).astype(np.int8)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], unknown, [0]])))
-    return [(float(t[a]), float(t[min(int(b), len(t) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    gaps = [(float(t[a]), float(t[min(int(b), len(t) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(begin, end) for begin, end in gaps if end - begin > SHORTEST_GAP_S]
 
 
 def lacks_too_much(n: int, n_rows: int) -> bool:

@@ -32,6 +32,7 @@ class Clock(NamedTuple):
     form: str = "s"  # as a map has it
     caveat: str = ""
     rate: float = 0.0  # Hz, of rows whose stamps are coarser than they are; else 0
+    start: float = 0.0  # s, of the first of these rows
 
 
 def clock_of(table: Table) -> Clock:
@@ -87,7 +88,9 @@ def _even_clock(table: Table, clock: Clock) -> Clock:
     steady = float(np.ptp(np.diff(seconds))) < 0.5 * float(np.median(np.diff(seconds)))
     caveat = f"the stamps of {clock.column!r} are coarser than the rows: "
     if even and steady:
-        return clock._replace(rate=rate, caveat=f"{caveat}even times at the rate of the rows take their place")
+        start = float(seconds[1]) - float(count[0]) / rate
+        caveat += "even times at the rate of the rows take their place"
+        return clock._replace(rate=rate, start=start, caveat=caveat)
     return clock._replace(caveat=f"{caveat}rows are left out; rate_hz = {rate:.4g} in its place is their mean rate")
 
 

@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from daq.checks import held_signals, held_together
 from daq.errors import SeatrialError
-from daq.importers.clocks import Clock, clock_of, row_seconds
+from daq.importers.clocks import DATES, Clock, clock_of, row_seconds
 from daq.importers.import_map import GEOGRAPHIC
 from daq.importers.recognise import (
     BEHIND,
@@ -160,7 +161,9 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
             caveats.append(f"{place}: {clock.caveat}")
     line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
     if main.rate:
-        line = f"time = {{ rate_hz = {main.rate:.6g} }}  # in place of column = {_quoted(main.column)}"
+        day = datetime.fromtimestamp(main.start, UTC).isoformat() if main.start > DATES[0] else ""
+        origin = f', origin = "{day}"' if day else ""
+        line = f"time = {{ rate_hz = {main.rate:.6g}{origin} }}  # in place of column = {_quoted(main.column)}"
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 

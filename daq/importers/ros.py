@@ -19,6 +19,7 @@ from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
 from daq.importers.table import Column, SourceOptions, Table, ran_back
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
+CLOCK = "rosgraph_msgs/msg/Clock"  # of a simulation: its time, without a header
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 LONGEST = 16  # numbers of an array that become columns; images and clouds do not
 _ROSBAGS = "bags of ROS need the package rosbags: pip install 'seatrial[ros2]'"
@@ -48,7 +49,7 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
             named = {topic.partition(":")[0] for topic in options.topics}
             for topic in sorted(named - there):
                 raise SeatrialError(f"{path}: no topic {topic}; there is: {', '.join(sorted(there)) or 'none'}")
-            wanted = [c for c in reader.connections if not named or c.topic in named]
+            wanted = [c for c in reader.connections if not named or c.topic in named or c.msgtype == CLOCK]
             for connection, log_ns, data in reader.messages(connections=wanted):
                 try:
                     message = reader.deserialize(data, connection.msgtype)
@@ -81,7 +82,7 @@ class _Topic:
 
     def add(self, t_log: float, message: Any) -> None:
         header = getattr(message, "header", None)
-        stamp = getattr(header, "stamp", None)
+        stamp = message.clock if self.kind == CLOCK else getattr(header, "stamp", None)
         self.frame_id = self.frame_id or str(getattr(header, "frame_id", ""))
         self.t_log.append(t_log)
         self.t_stamp.append(np.nan if stamp is None else stamp.sec + 1e-9 * stamp.nanosec)

@@ -37,11 +37,7 @@ class SignalData:
     unit: str
     t: Column
     values: Column
-
-    @property
-    def has_gaps(self) -> bool:
-        """Whether it is an input that is unknown at times: its sample is NaN there."""
-        return self.signal.role == "input" and self.signal.nan != "keep" and bool(np.isnan(self.values).any())
+    has_gaps: bool = False  # whether it is an input that is unknown at times: its sample is NaN there
 
 
 @dataclass(frozen=True)
@@ -89,8 +85,8 @@ class Signals:
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
     signals: list[SignalData] = []
-    n_dropped = n_disordered = 0
-    left_out: dict[tuple[str, str], RowsLeftOut] = {}
+    n_dropped = 0
+    uses: dict[tuple[int, str, str], _RowUse] = {}
     held: list[Held] = []
     of_table: dict[tuple[object, ...], list[int]] = {}  # places in `signals` of those that share their rows
     clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
@@ -105,8 +101,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         if clock not in clocks:
             t = row_times(table, time)
             ordered = _order(table, t, source)
-            n_disordered += len(t) - int(ordered.sum())
-            left_out |= {(one.topic, one.why): one for one in _rows_left_out(table, t, ordered)}
+            uses[clock] = _RowUse(table, t)
             shared = [s for s in source.signals if (id(_table(tables, s)), s.time, s.time_format) == clock]
             columns = [column for s in shared if not s.timeout for column in s.columns]
             new = ordered
@@ -115,14 +110,22 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
             n_dropped += len(t) - int(new.sum())
             clocks[clock] = t, ordered, new
         t, ordered, new = clocks[clock]
-        kept = ordered if signal.timeout else new  # a command that is repeated stands for longer
         raw = _raw(table, signal)
         policy = signal.nan or source.options.style.nan or ("error" if table.strict else "drop")
         if policy == "zero":
             raw = np.where(np.isnan(raw), (0.0 - signal.offset) / signal.scale, raw)
+        if policy == "drop" and not ordered.all() and np.isnan(raw).any():
+            # A row of another sensor, with the same time and without a cell of this one, costs it nothing.
+            known = np.isfinite(raw)
+            own = np.zeros(len(raw), bool)
+            own[known] = _rising(t[known])
+            new, ordered = new | own if source.options.style.repeats != "drop" else new, ordered | own
+            new, ordered = new & (own | ~known), ordered & (own | ~known)
+        uses[clock].add(raw, ordered)
+        kept = ordered if signal.timeout else new  # a command that is repeated stands for longer
         rows = kept & ~(np.isnan(raw) if policy == "drop" else np.zeros(len(raw), bool))
+        gaps = np.zeros(len(raw), bool)
         if policy == "drop" and signal.role == "input" and not signal.timeout:
-            gaps = np.zeros(len(raw), bool)
             gaps[kept] = input_gaps(t[kept], raw[kept])
             rows |= gaps  # as NaN: from there on the input is unknown
         values = signal.sign * (signal.scale * raw + signal.offset)
@@ -142,21 +145,39 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         unit, factor = UNITS[signal.unit]
         signal, values = _turned(signal, values[rows] * factor)
         t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
-        signals.append(SignalData(signal, unit, t_signal, values))
+        signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any())))
     for places in of_table.values():
         for k, data, one in _without_held([signals[k] for k in places], places):
             signals[k] = data
             held.append(one)
+    left_out = {(one.topic, one.why): one for use in uses.values() for one in use.left_out()}
+    n_disordered = sum(one.n for one in left_out.values() if one.why != "stamps")
     return Signals(tuple(signals), tuple(held), n_dropped, n_disordered, tuple(left_out.values()))
 
 
-def _rows_left_out(table: Table, t: Column, ordered: NDArray[np.bool_]) -> Iterator[RowsLeftOut]:
-    """What a table lacks because of its times."""
-    if table.n_left_out:
-        yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
-    if n := len(t) - int(ordered.sum()):
-        why = "back" if np.any(np.diff(t) < 0.0) else "repeats"
-        yield RowsLeftOut(table.topic, n, len(t), why, (len(t) - 1) / max(float(np.ptp(t)), 1e-9))
+class _RowUse:
+    """Which rows of a table with one clock are in the log, of all its signals."""
+
+    def __init__(self, table: Table, t: Column) -> None:
+        self._table, self._t = table, t
+        self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
+        self._again = np.append(False, np.diff(t) == 0.0)  # rows that say nothing beside the one before
+
+    def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
+        """Add the values (n,) of a signal, and which rows of it are in order (n,)."""
+        known = np.isfinite(raw)
+        self._kept |= ordered & known
+        self._valued |= known
+        self._again[1:] &= (raw[1:] == raw[:-1]) | ~known[1:]
+
+    def left_out(self) -> Iterator[RowsLeftOut]:
+        """What the log lacks because of the times of rows. Rows that are written twice are not lacking."""
+        table, t = self._table, self._t
+        if table.n_left_out:
+            yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
+        if n := int(np.sum(self._valued & ~self._kept & ~self._again)):
+            why = "back" if np.any(np.diff(t) < 0.0) else "repeats"
+            yield RowsLeftOut(table.topic, n, len(t), why, (len(t) - 1) / max(float(np.ptp(t)), 1e-9))
 
 
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:

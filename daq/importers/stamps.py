@@ -33,6 +33,7 @@ OTHER_CLOCK = 1.0  # s; stamps that are further from the receipt are of another 
 STEP_S, STEP_RATE = 0.25, 0.5  # s, and per second between two messages: a difference that changes by more has a step
 DRIFT_S = 0.2  # s, over a whole recording: more is a clock of another rate
 SMOOTH = 51  # messages, over which the difference is the median
+LEAST_DIFFERENT = 0.1  # share of a topic's stamps, below which they stand still
 SHARE = 0.2  # of a topic's stamps that can be its usual ones
 
 
@@ -75,13 +76,14 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
 
 
 def _without_zeros(one: MessageTimes) -> MessageTimes:
-    """Empty stamps and receipts as NaN: a simulation has no time before its first clock. A topic in which all are empty
-    has none."""
+    """Empty stamps and receipts as NaN: a simulation has no time before its first clock. A topic has no stamps at all
+    if they are always empty, or hardly ever change."""
     receipt, stamp = one.receipt.copy(), one.stamp.copy()
     for t in (receipt, stamp):
         if np.any(t > 0.0):
             t[t == 0.0] = np.nan
-    if not np.any(stamp > 0.0):
+    filled = stamp[stamp > 0.0]
+    if len(np.unique(filled)) < LEAST_DIFFERENT * len(filled) or not len(filled):
         stamp[:] = np.nan
     return MessageTimes(receipt, stamp)
 

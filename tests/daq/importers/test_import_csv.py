@@ -434,3 +434,27 @@ def test_a_named_clock_that_is_out_of_order_is_the_clock_all_the_same(folder: Pa
     path = folder / "run.csv"
     path.write_text(shuffled().replace("t,", "time,", 1))
     assert 'column = "time"' in guess_map(path).text
+
+
+def test_a_date_in_whole_seconds_keeps_its_day(folder: Path) -> None:
+    rows = "time,cmd,heading\n" + "".join(f"2025-05-01 12:00:{k // 10:02d},0,{k % 90}\n" for k in range(3, 300))
+    (folder / "run.csv").write_text(rows)
+    (folder / "guess.toml").write_text(guess_map(folder / "run.csv").text)
+    (out,) = import_files(folder / "guess.toml", [folder / "run.csv"])
+    t = np.array(values(out, "psi")[0])
+    np.testing.assert_allclose(t[[0, -1]], np.array([0.3, 29.9]) + 1746100800.0, atol=0.06)
+
+
+def test_rows_of_several_sensors_may_share_their_times(folder: Path) -> None:
+    """A row for each message, with the cells of one sensor: no cell is lost, and nothing is out of order."""
+    rows = "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},,{k % 90}\n{0.1 * k:.1f},{k % 7},\n" for k in range(200))
+    (out,) = import_files(*write(folder, rows, csv='time_order = "drop"\nnan = "drop"'))
+    assert (len(values(out, "psi")[0]), len(values(out, "n_left")[0])) == (200, 200)
+    assert not [f for f in findings(out) if f.code == "rows-left-out"]
+
+
+def test_rows_that_are_written_twice_lack_nothing(folder: Path) -> None:
+    rows = "t,cmd,heading\n" + "".join(2 * f"{0.1 * k:.1f},{k % 7},{k % 90}\n" for k in range(200))
+    (out,) = import_files(*write(folder, rows, csv='time_order = "drop"'))
+    assert len(values(out, "psi")[0]) == 200
+    assert not [f for f in findings(out) if f.code == "rows-left-out"]

@@ -163,6 +163,13 @@ def test_a_device_with_a_clock_of_its_own_is_moved_to_the_others(rate: float) ->
     assert not found["/imu"].remark
 
 
+def test_a_stamp_that_stands_still_is_none() -> None:
+    bag = Bag()
+    bag.found["/fix"].stamp[:] = T0
+    found = bag.times()
+    np.testing.assert_array_equal(found["/fix"].t, bag.found["/fix"].receipt)
+
+
 def test_headers_that_are_never_filled_are_none() -> None:
     bag = Bag()
     for times in bag.found.values():
