@@ -29,8 +29,10 @@ def check_held(c: Channels) -> Iterator[Finding]:
         t = c[table[0]].t
         found = held_signals(t, {name: c[name].value for name in table})
         for names, held in held_together(found):
-            interval = held.rows * float(np.median(np.diff(t)))
-            text = f"held between measurements {interval:.3g} s apart: {t.size - held.new.sum()} of {t.size} "
-            text += "values repeat the one before, and a fit takes each for a measurement"
+            interval, n_again = held.rows * float(np.median(np.diff(t))), t.size - int(held.new.sum())
+            text = (
+                f"held between measurements {interval:.3g} s apart: {n_again} of {t.size} values repeat the one before, "
+                "and a fit takes each for a measurement"
+            )
             advice = "the device's output rate; in the import's map no `repeats = \"keep\"`"
             yield Finding(WARNING, "values-held", "repeats", names, text, advice)
