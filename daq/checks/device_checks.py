@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.checks.findings import FAULT, OK, WARNING, Finding
+from daq.checks.import_checks import check_missing_inputs, check_rows_left_out
 from daq.clock import ClockMap
 from daq.errors import counted
 from daq.log import Log
@@ -374,14 +375,8 @@ def _controllers(log: Log) -> Iterator[Finding]:
 def _imported(log: Log) -> Iterator[Finding]:
     """Signals of an imported file: rows that the import left out, stamps that lost their zeros, values that stay."""
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
-    k = 1
-    while (name := log.metadata.get(f"source.{k}.name")) is not None:
-        left_out = int(log.metadata.get(f"source.{k}.disordered", "0"))
-        k += 1
-        if left_out:
-            text = f"{counted(left_out, 'row')} left out: times that ran back or repeated"
-            advice = "look at its clock; `fraction` of the map mends lost zeros"
-            yield Finding(WARNING, "rows-left-out", "time", name, text, advice)
+    yield from check_rows_left_out(log.metadata)
+    yield from check_missing_inputs(log)
     if b"unpadded-ns" in by_map:
         text = "time stamps whose nanoseconds had lost their zeros, put right by the import's map"
         yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, "mend the logger")

@@ -19,6 +19,8 @@ DATES = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096
 FASTEST, SLOWEST = 5e-4, 60.0  # s between rows, of the loggers of boats
 ODD = 2.0  # s between rows: more is rather a step in milliseconds
 DATENUM = (7e5, 8e5)  # MATLAB's days, of the years 1916 to 2190
+LEAST_RISING = 0.005  # share of the steps ahead, of a column that is called time
+COARSE_ROWS, FEWEST_STAMPS, EVEN = 2, 5, 0.9  # rows of a stamp; stamps; share of them with as many rows as the mean
 _COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
 _ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
 
@@ -29,6 +31,8 @@ class Clock(NamedTuple):
     column: str = ""  # "" where it has times of its own, or none
     form: str = "s"  # as a map has it
     caveat: str = ""
+    rate: float = 0.0  # Hz, of rows whose stamps are coarser than they are; else 0
+    start: float = 0.0  # s, of the first of these rows
 
 
 def clock_of(table: Table) -> Clock:
@@ -40,7 +44,10 @@ def clock_of(table: Table) -> Clock:
     loose = [name for name in table.names if _TIME.search(plain[name])]
     for name in (*strict, *(name for name in table.names if name in table.seconds), *loose):
         if _may_be_time(table, name):
-            return Clock(name, *_format(table, name))
+            return _even_clock(table, Clock(name, *_format(table, name)))
+    for name in strict:  # coarser than the rows, or with rows out of order: its name tells it all the same
+        if _may_be_time(table, name, LEAST_RISING):
+            return _even_clock(table, Clock(name, *_format(table, name)))
     # Without a name to go by: a first column that rises evenly, and is no signal by its name.
     first = read_name(table.names[0])
     known = bool(first.meaning or first.words & (DRIVES | _COUNTS))
@@ -65,13 +72,35 @@ def _is_even(values: Column) -> bool:
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
 
 
-def _may_be_time(table: Table, name: str) -> bool:
+def _even_clock(table: Table, clock: Clock) -> Clock:
+    """The clock with the rate of the rows where its stamps are much coarser, as whole seconds are, and every stamp but
+    the first and the last has about as many rows."""
+    t = row_seconds(table, clock)
+    if t is None or not np.all(np.diff(t) >= 0.0):
+        return clock
+    _, count = np.unique(t, return_counts=True)
+    inner = count[1:-1]
+    if len(inner) < FEWEST_STAMPS or np.median(inner) < COARSE_ROWS:
+        return clock
+    seconds = np.unique(t)
+    rate = float(inner.sum() / (seconds[-1] - seconds[1]))
+    even = float(np.mean(np.abs(inner - inner.mean()) <= 1.0)) > EVEN
+    steady = float(np.ptp(np.diff(seconds))) < 0.5 * float(np.median(np.diff(seconds)))
+    caveat = f"the stamps of {clock.column!r} are coarser than the rows: "
+    if even and steady:
+        start = float(seconds[1]) - float(count[0]) / rate
+        caveat += "even times at the rate of the rows take their place"
+        return clock._replace(rate=rate, start=start, caveat=caveat)
+    return clock._replace(caveat=f"{caveat}rows are left out; rate_hz = {rate:.4g} in its place is their mean rate")
+
+
+def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
     try:
         values = table.numbers(name)
     except SeatrialError:  # dates are text
         return any(character.isdigit() for character in _first_text(table, name))
     good = values[np.isfinite(values)]
-    return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > 0.5
+    return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > rising
 
 
 def _first_text(table: Table, column: str) -> str:

@@ -6,13 +6,15 @@ import json
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from daq.checks import held_signals, held_together
 from daq.errors import SeatrialError
-from daq.importers.clocks import Clock, clock_of, row_seconds
+from daq.importers.clocks import DATES, Clock, clock_of, row_seconds
 from daq.importers.import_map import GEOGRAPHIC
 from daq.importers.recognise import (
     BEHIND,
@@ -104,7 +106,8 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     taken, lines = _choose(candidates, clocks, main)
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
-    remarks = [f"# caveat: {table.said}" for table in tables if table.remark]
+    remarks = [f"# caveat: {table.said}" for table in tables if table.said]
+    remarks += [f"# caveat: {line}" for line in _held_lines(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
@@ -157,7 +160,32 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
             place = f"{table.topic}, {clock.column!r}" if table.topic else repr(clock.column)
             caveats.append(f"{place}: {clock.caveat}")
     line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
+    if main.rate:
+        day = datetime.fromtimestamp(main.start, UTC).isoformat() if main.start > DATES[0] else ""
+        origin = f', origin = "{day}"' if day else ""
+        line = f"time = {{ rate_hz = {main.rate:.6g}{origin} }}  # in place of column = {_quoted(main.column)}"
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
+
+
+def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks: Clocks) -> Iterator[str]:
+    """A line for each group of signals whose values the table holds from one measurement to the next."""
+    tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
+    for candidate in candidates:
+        t = row_seconds(candidate.table, clocks[id(candidate.table)])
+        for signal in candidate.signals:
+            is_output = 'role = "input"' not in signal.extra
+            if t is None or not is_output or not any(signal is one for one in taken):
+                continue
+            values = np.sum([candidate.table.numbers(column) for column in signal.columns], axis=0)
+            known = np.isfinite(values) & np.isfinite(t)
+            table = tables.setdefault((id(candidate.table), known.tobytes()), (t[known], {}))
+            table[1][signal.name] = values[known]
+    for t, signals in tables.values():
+        for names, held in held_together(held_signals(t, signals)):
+            yield (
+                f"{names}: held between measurements {held.rows * float(np.ptp(t)) / (len(t) - 1):.3g} s apart; "
+                'the import leaves the repeats out (repeats = "keep" of a signal takes each row for a measurement)'
+            )
 
 
 # Columns by their names

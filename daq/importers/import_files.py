@@ -12,10 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from daq.checks import lacks_too_much, unknown_times
 from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
-from daq.importers.signals import SignalData, Signals, read_signals
+from daq.importers.missing_inputs import said_gaps
+from daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from daq.importers.sources import source_kind
+from daq.importers.table import Table
 from daq.importers.write_log import sha256_of, write_signals
 from daq.samples import Event
 
@@ -28,7 +31,8 @@ def import_files(
     """Import files by a map and return the logs written, in the order of the files and of the map's [[log]].
 
     `out` names the log where it is a single one; otherwise they go to `out_dir` (default: here), named after the
-    files (after the map, where files are merged) and the pieces. Raises SeatrialError.
+    files (after the map, where files are merged) and the pieces. Raises SeatrialError, also after the logs are written
+    where more than one row in 20 of a source is out of order.
     """
     import_map = load_import_map(map_path)
     groups = _groups(import_map, files)
@@ -36,6 +40,7 @@ def import_files(
     if out is not None and len(groups) * len(pieces) > 1:
         raise SeatrialError(f"{out}: -o names one log, but there will be {len(groups) * len(pieces)}; use --out-dir")
     written: list[Path] = []
+    spoiled: list[tuple[Path, RowsLeftOut]] = []
     for stem, group in groups:
         data = [_read(path, source) for path, source in group]
         for piece in pieces:
@@ -47,7 +52,21 @@ def import_files(
             written.append(target)
         for remark in (remark for one in data for remark in one.remarks):
             warnings.warn(remark, SeatrialWarning, stacklevel=2)
+        spoiled += [(one.path, row) for one in data for row in one.signals.left_out if _spoils(row)]
+    if spoiled:
+        advice = "sort the rows, or import the parts before and after a clock was set by themselves"
+        if spoiled[0][1].why == "repeats":
+            advice = f"its stamps are too coarse: {coarse_advice(spoiled[0][1].rate)}"
+        rest = f" ({counted(len(spoiled) - 1, 'more source')})" if len(spoiled) > 1 else ""
+        raise SeatrialError(
+            f"{spoiled[0][0]}: {spoiled[0][1].text}{rest}: the log is written, but it lacks too much; {advice}"
+        )
     return written
+
+
+def _spoils(row: RowsLeftOut) -> bool:
+    """Whether so many rows are out of order that what is left is not the recording."""
+    return row.why != "stamps" and lacks_too_much(row.n, row.n_rows)
 
 
 def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
@@ -85,15 +104,45 @@ def _read(path: Path, source: Source) -> _File:
     tables = kind.read(path, source.options)
     signals = read_signals(tables, source)
     used = {signal.topic for signal in source.signals}
-    remarks = [f"{path}: {one.said}" for one in tables if one.remark and one.topic in used]
-    if n := signals.n_disordered:
-        remarks.append(f"{path}: {counted(n, 'row')} left out, where time repeats or runs back")
+    remarks = [f"{path}: {line}" for line in _together([one for one in tables if one.said and one.topic in used])]
+    remarks += [f"{path}: {one.text}" for one in signals.left_out if one.why != "stamps" and not _spoils(one)]
+    remarks += [f"{path}: {line}" for line in held_lines(signals.held)]
+    gaps = {one.signal.name: unknown_times(one.t, one.values) for one in signals.signals if one.has_gaps}
+    remarks += [f"{path}: {line}" for line in said_gaps(gaps)]
     empty = [one.signal.name for one in signals.signals if not len(one.t)]
     if empty:
         remarks.append(f"{path}: not in the log, without a sample: {', '.join(empty)}")
     origin = source.time.origin if source.time else 0.0
     events = tuple(event for one in tables for event in one.events)
+    for one in tables:
+        if one.clock and one.topic in used and one.t is not None and len(one.t):
+            events += ((float(one.t[0]), Event("clock", f"{one.topic or path.name}: {one.clock}")),)
     return _File(path, kind.name, sha256_of(path), signals, origin, tuple(remarks), events)
+
+
+def _together(tables: Sequence[Table]) -> list[str]:
+    """The remarks of tables, those that several have in one line."""
+    topics: dict[str, list[str]] = {}
+    for table in tables:
+        topics.setdefault(table.said.removeprefix(f"{table.topic}: "), []).append(table.topic)
+    return [": ".join(part for part in (", ".join(names), text) if part) for text, names in topics.items()]
+
+
+def held_lines(held: Sequence[Held]) -> list[str]:
+    """One line for each group of signals that were held together: how many repeats were left out."""
+    groups: dict[tuple[int, int], list[Held]] = {}
+    for one in held:
+        groups.setdefault((one.n, one.n_left_out), []).append(one)
+    return [
+        f"{', '.join(one.name for one in group)}: held between measurements {group[0].interval:.3g} s apart; "
+        f"{n_left_out} of {n} values repeat the one before and are left out"
+        for (n, n_left_out), group in groups.items()
+    ]
+
+
+def left_out_line(row: RowsLeftOut) -> str:
+    """Rows left out as one line of the log's metadata, which the check of the log reads."""
+    return f"{row.n} {row.n_rows} {row.why} {row.rate:.6g} {row.topic}"
 
 
 def _beside(import_map: ImportMap) -> list[Path]:
@@ -114,6 +163,8 @@ def _write_piece(
         metadata[f"source.{i}.sha256"] = one.sha256
         metadata[f"source.{i}.dropped"] = str(one.signals.n_dropped)
         metadata[f"source.{i}.disordered"] = str(one.signals.n_disordered)
+        metadata[f"source.{i}.left_out"] = "\n".join(left_out_line(row) for row in one.signals.left_out)
+        metadata[f"source.{i}.held"] = "; ".join(held_lines(one.signals.held))
         for signal in one.signals.signals:
             cut = _cut(signal, piece)
             signals.append(replace(cut, t=cut.t + one.origin))

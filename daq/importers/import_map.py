@@ -14,7 +14,8 @@ from daq.importers.table import SourceOptions, TextStyle
 from daq.importers.units import UNITS
 from daq.rig import NAME
 
-FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")  # every map of the second kind is one of the first
+# Every map of the second kind is one of the first, but keeps repeats unless it says otherwise.
+FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
@@ -61,7 +62,7 @@ class Signal:
     angle: str = "keep"  # keep | wrap | unwrap
     role: str = "output"  # input | output
     hold: str = "linear"  # zero | linear | sampled
-    nan: str = ""  # as TextStyle.nan
+    nan: str = ""  # as TextStyle.nan, or zero: a cell without a number says zero, in `unit`
     timeout: float = 0.0  # s after which an input that is not repeated is zero; 0: never
     missing: float | None = None  # the value of a cell without a measurement
     missing_is: float | None = None  # what such a cell says all the same, in `unit`; None: nothing
@@ -73,6 +74,7 @@ class Signal:
     )
     make: str = ""  # a key of MAKES
     units: tuple[str, ...] = ()
+    repeats: str = ""  # keep | drop: values that repeat the one before; "": as TextStyle.repeats
 
     @property
     def log_name(self) -> str:
@@ -116,11 +118,13 @@ def load_import_map(path: Path) -> ImportMap:
     """Read and check a map. Raises SeatrialError that names file and key of whatever is wrong."""
     text = read_text(path)
     root = parse_toml(text, path)
-    root.text("format", choices=FORMATS)
+    form = root.text("format", choices=FORMATS)
     name = root.text("name", path.stem)
     files = root.tables("file")
     whole = () if files else (_source(root, "*", path.parent),)
     sources = whole or tuple(_source(table, table.text("match"), path.parent) for table in files)
+    if form == FORMATS[1]:
+        sources = tuple(_as_it_was(source) for source in sources)
     names = [signal.log_name for source in sources for signal in source.signals]
     for one in names:
         if names.count(one) > 1:
@@ -131,6 +135,12 @@ def load_import_map(path: Path) -> ImportMap:
     vehicle = _known(root.table("geometry"), GEOMETRY) | _known(root.table("scale"), SCALE)
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
+
+
+def _as_it_was(source: Source) -> Source:
+    """A source of the first format, which kept repeats unless the map said otherwise: its logs stay the same."""
+    style = source.options.style
+    return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
 
 
 def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
@@ -201,7 +211,7 @@ def _style(table: TomlTable | None) -> TextStyle:
         table.texts("columns", ()),
         table.text("nan", "", choices=("error", "drop", "keep", "")),
         table.text("time_order", "", choices=("error", "drop", "")),
-        table.text("repeats", "keep", choices=("keep", "drop")),
+        table.text("repeats", "", choices=("keep", "drop", "")),
     )
     table.done()
     return found
@@ -284,7 +294,7 @@ def _signal(table: TomlTable, frame: str) -> Signal:
         angle,
         role,
         hold,
-        table.text("nan", "", choices=("", "error", "drop", "keep")),
+        table.text("nan", "", choices=("", "error", "drop", "keep", "zero")),
         timeout,
         missing,
         table.maybe_number("missing_is"),
@@ -294,6 +304,7 @@ def _signal(table: TomlTable, frame: str) -> Signal:
         FRAMES[table.text("frame", "NED" if make in GEOGRAPHIC else frame, choices=tuple(FRAMES))],
         make,
         units,
+        table.text("repeats", "", choices=("keep", "drop", "")),
     )
     table.done()
     return found

@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.importers.missing_inputs import stopped_motors
+from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
 from daq.importers.table import Column, SourceOptions, Table, ran_back
 
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
+CLOCK = "rosgraph_msgs/msg/Clock"  # of a simulation: its time, without a header
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 LONGEST = 16  # numbers of an array that become columns; images and clouds do not
-OTHER_CLOCK = 1.0  # s; stamps that are further from the receipt are of another clock
 _ROSBAGS = "bags of ROS need the package rosbags: pip install 'seatrial[ros2]'"
 # What an Imu may have, and what stands there where nothing was measured
 IMU_PARTS = {
@@ -32,9 +34,8 @@ IMU_PARTS = {
 def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     """The topics with numbers. Raises SeatrialError where the bag, or a topic that the map names, is not there.
 
-    The time of a message is its header's stamp, or else when the bag got it. Stamps of another clock (a simulation's)
-    are moved to the bag's by the shortest delay between the two. Each pair of frames in a TFMessage is a topic of its
-    own: /tf:odom:base_link.
+    The time of a message is its header's stamp, or else when the bag got it (`daq.importers.stamps`). Each pair of
+    frames in a TFMessage is a topic of its own: /tf:odom:base_link.
     """
     try:
         from rosbags.highlevel import AnyReader
@@ -48,7 +49,7 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
             named = {topic.partition(":")[0] for topic in options.topics}
             for topic in sorted(named - there):
                 raise SeatrialError(f"{path}: no topic {topic}; there is: {', '.join(sorted(there)) or 'none'}")
-            wanted = [c for c in reader.connections if not named or c.topic in named]
+            wanted = [c for c in reader.connections if not named or c.topic in named or c.msgtype == CLOCK]
             for connection, log_ns, data in reader.messages(connections=wanted):
                 try:
                     message = reader.deserialize(data, connection.msgtype)
@@ -66,8 +67,9 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
         raise
     except Exception as error:  # rosbags has errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as a bag of ROS: {' '.join(str(error).split())}") from error
+    times = message_times({topic: one.times for topic, one in topics.items()})
     asked = [(topic, one) for topic, one in topics.items() if not options.topics or topic in options.topics]
-    return [table for topic, one in asked if (table := one.table(path, topic)).columns]
+    return [table for topic, one in asked if (table := one.table(path, topic, times[topic])).columns]
 
 
 class _Topic:
@@ -80,10 +82,10 @@ class _Topic:
 
     def add(self, t_log: float, message: Any) -> None:
         header = getattr(message, "header", None)
-        stamp = getattr(header, "stamp", None)
+        stamp = message.clock if self.kind == CLOCK else getattr(header, "stamp", None)
         self.frame_id = self.frame_id or str(getattr(header, "frame_id", ""))
         self.t_log.append(t_log)
-        self.t_stamp.append(np.nan if stamp is None else (stamp.sec + 1e-9 * stamp.nanosec) or np.nan)
+        self.t_stamp.append(np.nan if stamp is None else stamp.sec + 1e-9 * stamp.nanosec)
         rows = len(self.t_log)
         for name, value in _numbers(message):
             column = self.columns.get(name)
@@ -93,23 +95,27 @@ class _Topic:
                 column.extend([np.nan] * (rows - 1 - len(column)))
                 column.append(value)
 
-    def table(self, path: Path, topic: str) -> Table:
-        t_log, t = np.array(self.t_log), np.array(self.t_stamp)
-        remark = ""
-        stamped = np.isfinite(t)
-        if stamped.any() and abs(np.median((t_log - t)[stamped])) > OTHER_CLOCK:
-            shift = float(np.min((t_log - t)[stamped]))
-            t, remark = t + shift, f"its stamps are of another clock: {shift:+.3f} s"
-        t = np.where(stamped, t, t_log)
-        remark = remark or ran_back(t)
-        order = np.argsort(t, kind="stable")
+    @property
+    def times(self) -> MessageTimes:
+        """Receipts and stamps of its messages."""
+        return MessageTimes(np.array(self.t_log), np.array(self.t_stamp))
+
+    def table(self, path: Path, topic: str, times: EstimatedTimes) -> Table:
+        """The messages that have a time, in its order."""
+        t = times.t
+        order = np.argsort(t, kind="stable")[: int(np.sum(np.isfinite(t)))]
         columns = {name: self._column(name)[order] for name in self.columns}
         if self.kind == IMU:
             _leave_out_unmeasured(columns)
         if self.kind == FIX:
             for name in ("latitude", "longitude"):
                 columns[name] = np.where(columns["status.status"] < 0, np.nan, columns[name])
-        return Table(path, topic, columns, t[order], self.kind, self.frame_id, remark)
+        n_lost = len(t) - len(order)
+        remark = "; ".join(part for part in (times.remark, stopped_motors(self.kind, columns)) if part)
+        clock = ran_back(t[np.isfinite(t)])
+        return Table(
+            path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost
+        )
 
     def _column(self, name: str) -> Column:
         found = np.full(len(self.t_log), np.nan)

@@ -41,7 +41,7 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
         clock, block = np.array(times), np.array(values)
         order = np.argsort(clock, kind="stable")
         columns = {name: block[order, k] for k, name in enumerate(names) if np.isfinite(block[:, k]).any()}
-        tables.append(Table(path, topic, columns, clock[order], kind, remark=ran_back(clock)))
+        tables.append(Table(path, topic, columns, clock[order], kind, clock=ran_back(clock)))
     return tables
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from daq.checks import held_signals
+from daq.errors import SeatrialError, counted
 from daq.importers.import_map import TIME_UNITS, Signal, Source, TimeColumn
+from daq.importers.missing_inputs import input_gaps
 from daq.importers.table import Column, Table
 from daq.importers.units import UNITS
 from daq.log import local_ned, schema
@@ -20,7 +22,11 @@ DAY = 86400.0  # s
 DAYS_1970 = 719529.0  # MATLAB's datenum of 1970-01-01
 # Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
+COARSE = 0.3  # share of the rows whose time repeats: the stamps are coarser than the rows
 _ATTITUDE = ("roll", "pitch", "yaw")
+# A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
+# to a value: interpolation would make ramps of the steps of a command.
+FEWEST_LEVELS, LEAST_DIFFERENT, SLOWEST_INPUT_S = 50, 0.5, 1.0
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,38 @@ class SignalData:
     unit: str
     t: Column
     values: Column
+    has_gaps: bool = False  # whether it is an input that is unknown at times: its sample is NaN there
+
+
+@dataclass(frozen=True)
+class Held:
+    """A signal whose values the source holds: of ``n`` samples, ``n_left_out`` repeat the one before."""
+
+    name: str
+    n: int
+    n_left_out: int
+    interval: float  # s from one measurement to the next
+
+
+@dataclass(frozen=True)
+class RowsLeftOut:
+    """Rows of one table that are not in the log because of their times.
+
+    ``why``: ``repeats``, their times repeat; ``back``, times run back (some may repeat); ``stamps``, the source itself
+    found their stamps wrong. ``rate``: rows per second of the whole table [Hz].
+    """
+
+    topic: str
+    n: int
+    n_rows: int
+    why: str
+    rate: float
+
+    @property
+    def text(self) -> str:
+        """What was left out, for people."""
+        place = f"{self.topic}: " if self.topic else ""
+        return f"{place}{counted(self.n, 'row')} left out, where time repeats or runs back ({self.n_rows} in all)"
 
 
 @dataclass(frozen=True)
@@ -38,13 +76,19 @@ class Signals:
     """What one file gave."""
 
     signals: tuple[SignalData, ...]
+    held: tuple[Held, ...]  # signals of which repeats were left out
     n_dropped: int  # rows out of order and cells without a number, where the map drops them
     n_disordered: int  # of these, the rows whose times ran back or repeated
+    left_out: tuple[RowsLeftOut, ...]  # the same by table, with those that the source has left out
 
 
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
-    signals, n_dropped, n_disordered = [], 0, 0
+    signals: list[SignalData] = []
+    n_dropped = 0
+    uses: dict[tuple[int, str, str], _RowUse] = {}
+    held: list[Held] = []
+    of_table: dict[tuple[object, ...], list[int]] = {}  # places in `signals` of those that share their rows
     clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
     for signal in source.signals:
         table = _table(tables, signal)
@@ -57,33 +101,105 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         if clock not in clocks:
             t = row_times(table, time)
             ordered = _order(table, t, source)
-            n_disordered += len(t) - int(ordered.sum())
+            uses[clock] = _RowUse(table, t)
             shared = [s for s in source.signals if (id(_table(tables, s)), s.time, s.time_format) == clock]
             columns = [column for s in shared if not s.timeout for column in s.columns]
             new = ordered
             if source.options.style.repeats == "drop" and columns:
-                new = ordered & _news(table, columns)
+                new = ordered & _news([table.numbers(column) for column in columns])
             n_dropped += len(t) - int(new.sum())
             clocks[clock] = t, ordered, new
         t, ordered, new = clocks[clock]
-        kept = ordered if signal.timeout else new  # a command that is repeated stands for longer
         raw = _raw(table, signal)
         policy = signal.nan or source.options.style.nan or ("error" if table.strict else "drop")
+        if policy == "zero":
+            raw = np.where(np.isnan(raw), (0.0 - signal.offset) / signal.scale, raw)
+        if policy == "drop" and not ordered.all() and np.isnan(raw).any():
+            # A row of another sensor, with the same time and without a cell of this one, costs it nothing.
+            known = np.isfinite(raw)
+            own = np.zeros(len(raw), bool)
+            own[known] = _rising(t[known])
+            new, ordered = new | own if source.options.style.repeats != "drop" else new, ordered | own
+            new, ordered = new & (own | ~known), ordered & (own | ~known)
+        uses[clock].add(raw, ordered)
+        kept = ordered if signal.timeout else new  # a command that is repeated stands for longer
         rows = kept & ~(np.isnan(raw) if policy == "drop" else np.zeros(len(raw), bool))
+        gaps = np.zeros(len(raw), bool)
+        if policy == "drop" and signal.role == "input" and not signal.timeout:
+            gaps[kept] = input_gaps(t[kept], raw[kept])
+            rows |= gaps  # as NaN: from there on the input is unknown
         values = signal.sign * (signal.scale * raw + signal.offset)
         if signal.missing is not None and signal.missing_is is None:
             rows &= raw != signal.missing
         elif signal.missing is not None:
             values[raw == signal.missing] = signal.missing_is
-        n_dropped += int(kept.sum()) - int(rows.sum())
+        n_dropped += int(kept.sum()) - int((rows & ~np.isnan(raw)).sum() if policy == "drop" else rows.sum())
         bad = np.flatnonzero(np.isnan(raw) & kept)
         if policy == "error" and len(bad):
             raise table.error(int(bad[0]), signal.columns[0], 'no number; nan = "drop" or "keep" would allow that')
+        repeats = signal.repeats or source.options.style.repeats
+        if repeats == "" and not signal.timeout and signal.hold == "linear" and not np.isnan(raw[rows]).any():
+            of_table.setdefault((clock, rows.tobytes()), []).append(len(signals))
+        elif signal.repeats == "drop":
+            rows[np.flatnonzero(rows)] &= _news([raw[rows]])
         unit, factor = UNITS[signal.unit]
         signal, values = _turned(signal, values[rows] * factor)
         t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
-        signals.append(SignalData(signal, unit, t_signal, values))
-    return Signals(tuple(signals), n_dropped, n_disordered)
+        signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any())))
+    for places in of_table.values():
+        for k, data, one in _without_held([signals[k] for k in places], places):
+            signals[k] = data
+            held.append(one)
+    left_out = {(one.topic, one.why): one for use in uses.values() for one in use.left_out()}
+    n_disordered = sum(one.n for one in left_out.values() if one.why != "stamps")
+    return Signals(tuple(signals), tuple(held), n_dropped, n_disordered, tuple(left_out.values()))
+
+
+class _RowUse:
+    """Which rows of a table with one clock are in the log, of all its signals."""
+
+    def __init__(self, table: Table, t: Column) -> None:
+        self._table, self._t = table, t
+        self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
+        self._again = np.append(False, np.diff(t) == 0.0)  # rows that say nothing beside the one before
+
+    def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
+        """Add the values (n,) of a signal, and which rows of it are in order (n,)."""
+        known = np.isfinite(raw)
+        self._kept |= ordered & known
+        self._valued |= known
+        self._again[1:] &= (raw[1:] == raw[:-1]) | ~known[1:]
+
+    def left_out(self) -> Iterator[RowsLeftOut]:
+        """What the log lacks because of the times of rows. Rows that are written twice are not lacking."""
+        table, t = self._table, self._t
+        if table.n_left_out:
+            yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
+        if n := int(np.sum(self._valued & ~self._kept & ~self._again)):
+            why = "back" if np.any(np.diff(t) < 0.0) else "repeats"
+            yield RowsLeftOut(table.topic, n, len(t), why, (len(t) - 1) / max(float(np.ptp(t)), 1e-9))
+
+
+def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
+    """The signals of one table whose values are held, each with its place, without the repeats."""
+    t = table[0].t
+    found = held_signals(t, {one.signal.name: one.values for one in table})
+    for k, one in zip(places, table, strict=True):
+        if (held := found.get(one.signal.name)) is None:
+            continue
+        interval = held.rows * float(np.median(np.diff(t)))
+        if one.signal.role == "input" and not _is_measured(one.values[held.new], interval):
+            continue
+        n_left_out = len(t) - int(held.new.sum())
+        data = replace(one, t=t[held.new], values=one.values[held.new])
+        yield k, data, Held(one.signal.name, len(t), n_left_out, interval)
+
+
+def _is_measured(levels: Column, interval: float) -> bool:
+    """Whether the values of an input that is held look like a sensor's, and not like the steps of a command."""
+    levels = levels[np.append(True, levels[1:] != levels[:-1])]
+    different = len(np.unique(levels)) / len(levels)
+    return len(levels) >= FEWEST_LEVELS and different > LEAST_DIFFERENT and interval <= SLOWEST_INPUT_S
 
 
 def _table(tables: Sequence[Table], signal: Signal) -> Table:
@@ -150,11 +266,10 @@ def _angle(values: Column, how: str) -> Column:
     return values
 
 
-def _news(table: Table, columns: Sequence[str]) -> NDArray[np.bool_]:
-    """Rows in which any of the columns differs from the row before, shape (n,)."""
-    values = [table.numbers(column) for column in columns]
+def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
+    """Rows in which any of the columns, each (n,), differs from the row before, shape (n,)."""
     new = np.zeros(len(values[0]), bool)
-    new[0] = True
+    new[:1] = True
     for one in values:
         new[1:] |= (one[1:] != one[:-1]) & ~(np.isnan(one[1:]) & np.isnan(one[:-1]))
     return new
@@ -229,8 +344,16 @@ def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
     if (source.options.style.time_order or ("error" if table.strict else "drop")) == "error":
         what = "repeats" if t[row] == t[row - 1] else f"runs back by {t[row - 1] - t[row]:.6g} s"
         column = source.time.column if source.time else "time"
-        raise table.error(row, column, f'time {what}; csv.time_order = "drop" would leave such rows out')
+        advice = 'csv.time_order = "drop" would leave such rows out'
+        if np.all(np.diff(t) >= 0.0) and len(behind) > COARSE * len(t):
+            advice = f"its stamps are too coarse: {coarse_advice((len(t) - 1) / max(float(np.ptp(t)), 1e-9))}"
+        raise table.error(row, column, f"time {what}; {advice}")
     return _rising(t)
+
+
+def coarse_advice(rate: float) -> str:
+    """What to do about stamps that are coarser than the rows, which come at a rate [Hz]."""
+    return f"time = {{ rate_hz = {rate:.4g} }} of the map gives even times in their place"
 
 
 def _rising(t: Column) -> NDArray[np.bool_]:

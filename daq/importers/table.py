@@ -27,12 +27,14 @@ class Table:
     kind: str = ""  # type of its messages: sensor_msgs/msg/Imu, vehicle_attitude (PX4), Ahrs
     frame_id: str = ""  # of ROS: the frame that the header names
     remark: str = ""  # what was odd about it
+    clock: str = ""  # what was odd about its times, which a fit has to know
     vehicle: int | None = None  # MAV_TYPE, of logs of autopilots that say it
     parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, where its log has them
     events: Sequence[tuple[float, Event]] = ()  # of the whole source, s since 1970; its first table has them
     units: Mapping[str, str] = field(default_factory=dict)  # of columns, where the source says them
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of text, by name, which have no numbers
     seconds: frozenset[str] = frozenset()  # columns that the source calls times or durations: they are in s
+    n_left_out: int = 0  # rows that the source had and the table has not, because their times are wrong
     strict = False  # text: rows out of order and cells without a number are errors unless the map says otherwise
 
     @property
@@ -42,8 +44,9 @@ class Table:
 
     @property
     def said(self) -> str:
-        """The remark with its topic."""
-        return f"{self.topic}: {self.remark}" if self.topic else self.remark
+        """The remarks with its topic."""
+        remarks = "; ".join(part for part in (self.remark, self.clock) if part)
+        return f"{self.topic}: {remarks}" if self.topic and remarks else remarks
 
     def __len__(self) -> int:
         return len(next(iter((*self.columns.values(), *self.texts.values())), ()))
@@ -85,7 +88,7 @@ class TextStyle:
     columns: tuple[str, ...] = ()  # names, where the file has no header of its own
     nan: str = ""  # error (default of text) | drop (default of all others) | keep
     time_order: str = ""  # likewise error | drop
-    repeats: str = "keep"  # keep | drop: rows whose signals all repeat the row before
+    repeats: str = ""  # keep | drop: rows whose signals all repeat the row before; "": values that are held, by signal
 
 
 @dataclass(frozen=True)

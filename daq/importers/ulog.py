@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.importers.missing_inputs import stopped_motors
 from daq.importers.table import Column, SourceOptions, Table
 
 _PYULOG = "PX4 logs need the package pyulog: pip install 'seatrial[ulog]'"
@@ -39,9 +40,10 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         if "fix_type" in columns:
             for name in {"lat", "lon", "latitude_deg", "longitude_deg"} & set(columns):
                 columns[name] = np.where(columns["fix_type"] < FIX_2D, np.nan, columns[name])
+        remark = stopped_motors(one.name, columns)
         order = np.argsort(one.data["timestamp"], kind="stable")
         t = 1e-6 * np.asarray(one.data["timestamp"], np.float64)
-        tables.append(Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], one.name))
+        tables.append(Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], one.name, remark=remark))
     offset = _utc_offset(tables)
     vehicle = next((int(t.columns["system_type"][-1]) for t in tables if "system_type" in t.columns), None)
     for table in tables:

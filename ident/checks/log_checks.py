@@ -18,6 +18,8 @@ from daq.errors import SeatrialError
 from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
+from ident.checks.held import check_held
+from ident.checks.latency import check_latency
 from ident.checks.motion import (
     SURGE_LAGS,
     YAW_LAGS,
@@ -235,7 +237,7 @@ SPOILING = frozenset({
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
-    "log-copied",
+    "log-copied", "rows-left-out",
 })  # fmt: skip
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 
@@ -267,6 +269,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     ranges = [*check_ranges(c), *check_frozen(c)]
     yield from ranges
     yield from check_smoothing(c)
+    yield from check_held(c)
     matches = sensor_matches(c)
     clock = check_time_scale(matches)
     if clock is not None:
@@ -286,13 +289,15 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     yield from of_frames
     of_motion = [] if of_frames else list(check_motion(c, sides, {f.where for f in of_shafts if f.check == "dead"}))
     yield from of_motion
+    if not of_frames and not any(f.level == FAULT for f in of_motion):
+        yield from check_latency(c, sides)
     if not of_frames and all(f.level == "ok" for f in of_motion):
         yield from check_accelerometer(c, matches.velocity)
 
 
 def device_faults(log: Log) -> list[Finding]:
-    """Faults of a log's devices, and thrusters of which nothing was heard."""
-    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT]
+    """Faults of a log's devices, thrusters of which nothing was heard, and inputs that are unknown at times."""
+    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT or f.code == "input-missing"]
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:

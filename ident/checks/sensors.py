@@ -7,6 +7,7 @@ never differentiated sample by sample.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,21 +24,100 @@ LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s, that are tried
 DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s: worth a word; not to be fitted
 MIN_ERROR_REDUCTION = 0.3  # of the error, from which a lag is no chance
 MIN_R2 = 0.6  # R2 below which two sensors have too little in common to compare their times
+BLOCKS, STUDENT = 10, 2.26  # blocks of time of a jackknife, and the 97.5 % quantile of Student's t with 9 d.o.f.
+UNKNOWN_DELAY = 0.3  # s, half a 95 % interval from which a delay is not known
 SAME_SCALE = 0.15  # by which scales that one clock explains may differ
 MIN_YAW_RATE_SD = 0.02  # rad/s, standard deviation below which the boat has hardly turned
 MIN_VELOCITY_SD = 0.1  # m/s, standard deviation below which the boat has hardly moved
 
 
+class LagEstimate(NamedTuple):
+    """A lag [s] with its standard error [s], and the R2 of the regression at that lag."""
+
+    lag: float
+    se: float
+    r2: float
+
+    @property
+    def half(self) -> float:
+        """Half the width of the 95 % interval [s], by Student's t of the blocks."""
+        return STUDENT * self.se
+
+
+class LagErrors:
+    """Errors of a regression at each lag, by blocks of time, for the best lag and its jackknife.
+
+    Parameters
+    ----------
+    lags
+        That are tried (n_lags,) [s], evenly spaced.
+    n_rows
+        Rows of one regression, in the order of time.
+    """
+
+    def __init__(self, lags: Array, n_rows: int) -> None:
+        self._lags = lags
+        self._edges = np.linspace(0, n_rows, BLOCKS + 1).astype(int)
+        self._whole: list[float] = []
+        self._without: list[list[float]] = []
+
+    def add(self, X: Array, y: Array) -> None:
+        """Add the regression of y (n_rows,) on X (n_rows, k) at the next lag. With several outputs the rows of one
+        output come after those of the other."""
+        n_rows = int(self._edges[-1])
+        scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)  # so that the normal matrix is well conditioned
+        k = X.shape[1]
+        A, b, s = np.zeros((BLOCKS, k, k)), np.zeros((BLOCKS, k)), np.zeros(BLOCKS)
+        for start in range(0, y.size, n_rows):
+            for j, (first, last) in enumerate(pairwise((self._edges + start).tolist())):
+                part, y_part = X[first:last] / scale, y[first:last]
+                A[j] += part.T @ part
+                b[j] += part.T @ y_part
+                s[j] += y_part @ y_part
+        errors = _unexplained(
+            np.concatenate([A.sum(0)[None], A.sum(0) - A]),
+            np.concatenate([b.sum(0)[None], b.sum(0) - b]),
+            np.append(s.sum(), s.sum() - s),
+        )
+        self._whole.append(float(errors[0]))
+        self._without.append(errors[1:].tolist())
+
+    def estimate(self) -> LagEstimate:
+        """The lag with the least error."""
+        each = np.array([self._least(error) for error in np.array(self._without).T])
+        se = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((each - each.mean()) ** 2)))
+        whole = np.array(self._whole)
+        return LagEstimate(self._least(whole), se, 1.0 - float(whole.min()))
+
+    def _least(self, error: Array) -> float:
+        """The lag of the least error, by a parabola through it and its neighbours."""
+        k = int(np.argmin(error))
+        if not 0 < k < error.size - 1:
+            return float(self._lags[k])
+        bend = float(error[k - 1] - 2.0 * error[k] + error[k + 1])
+        step = float(self._lags[1] - self._lags[0])
+        return float(self._lags[k]) + (0.5 * step * float(error[k - 1] - error[k + 1]) / bend if bend > 0.0 else 0.0)
+
+
+def _unexplained(A: Array, b: Array, s: Array) -> Array:
+    """The shares (m,) of the sums of squares s (m,) that regressions do not explain, whose normal equations are
+    A beta = b, (m, k, k) and (m, k)."""
+    beta = np.einsum("mij,mj->mi", np.linalg.pinv(A, rcond=1e-10, hermitian=True), b)
+    return np.asarray(np.maximum(s - np.sum(b * beta, axis=1), 0.0) / np.maximum(s, 1e-300))
+
+
 class Match(NamedTuple):
     """How one signal follows another: it is ``scale`` times as large and comes ``lag`` s later.
 
-    r2 at that lag; gain: part of the error without a lag that the lag explains.
+    r2 at that lag; gain: part of the error without a lag that the lag explains; half: half the width of the 95 %
+    interval of the lag [s].
     """
 
     scale: float
     lag: float
     r2: float
     gain: float = 0.0
+    half: float = 0.0
 
 
 class Matches(NamedTuple):
@@ -204,14 +284,18 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
 
 def sensor_delay(one: str, where: str, other: str, there: str, found: Match) -> Iterator[Finding]:
     """What a lag of ``one`` behind ``other`` means, where it explains something."""
-    lag = found.lag if found.gain > MIN_ERROR_REDUCTION else 0.0
-    late, behind, at = (one, other, where) if lag > 0 else (other, one, there)
-    text = f"{late} comes {abs(lag):.2f} s after {behind}"
-    if abs(lag) >= DELAY_WARNING - STEP / 2:
-        level = "fault" if abs(lag) >= DELAY_FAULT else "warning"
+    late, behind, at = (one, other, where) if found.lag > 0 else (other, one, there)
+    interval = f"95 %: {abs(found.lag) - found.half:.2f} to {abs(found.lag) + found.half:.2f} s"
+    if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - STEP / 2:
+        level = "fault" if abs(found.lag) >= DELAY_FAULT else "warning"
+        text = f"{late} comes {abs(found.lag):.2f} s after {behind} ({interval})"
         yield Finding(level, "sensor-late", "late", at, text, "its filters, output rate or time stamps")
+    elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - STEP / 2:
+        text = f"the time between {one} and {other} is not known ({interval})"
+        yield Finding("ok", "delay-unknown", "late", where, text)
     else:
-        yield Finding("ok", "sensors-in-time", "late", where, f"{one} and {other} are {abs(lag):.2f} s apart")
+        text = f"{one} and {other} are {abs(found.lag):.2f} s apart ({interval})"
+        yield Finding("ok", "sensors-in-time", "late", where, text)
 
 
 def _best(columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
@@ -223,17 +307,21 @@ def _best(columns: list[Array], regressors: list[list[Array]], window: float = W
     at = np.arange(most, columns[0].size - most - ahead, max(1, ahead // 2))
     y = np.concatenate([column[at + ahead] - column[at] for column in columns])
     best, unmoved = Match(np.nan, np.nan, -np.inf), -np.inf
+    errors = LagErrors(LAGS, at.size)
     for lag in LAGS:
         late = at - round(float(lag) / STEP)
         X = np.column_stack([np.concatenate([s[late + ahead] - s[late] for s in one]) for one in regressors])
         beta, *_ = np.linalg.lstsq(X, y, rcond=None)
         e = y - X @ beta
+        errors.add(X, y)
         r2 = 1.0 - float(e @ e) / max(float(y @ y), 1e-300)
         if abs(lag) < STEP / 2:
             unmoved = r2
         if r2 > best.r2:
             best = Match(float(beta[0]), float(lag), r2)
-    return best._replace(gain=1.0 - (1.0 - best.r2) / max(1.0 - unmoved, 1e-12))
+    return best._replace(
+        gain=1.0 - (1.0 - best.r2) / max(1.0 - unmoved, 1e-12), half=float(np.hypot(errors.estimate().half, STEP / 2))
+    )
 
 
 def cumulative(t: Array, rate: NDArray[Any]) -> NDArray[Any]:

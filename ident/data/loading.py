@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import Finding
+from daq.checks import Finding, unknown_times
 from daq.config import parse_toml
 from daq.errors import SeatrialError
 from daq.log import Log, local_ned, open_log
@@ -45,6 +45,7 @@ TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is avera
 GRID_STEP = 0.01  # s, on which the command of a shaft of unknown sign is filtered
 DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
 TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
+SHORTEST_PIECE_S = 10.0  # s between two gaps of the inputs: shorter pieces say too little
 MARGIN_S = 60.0  # read before and after a part of a log: what an input was told last, the sample behind the end
 NEAR_DELAYS = np.arange(-0.05, 0.051, 0.01)  # s, and factors on the time constant: about the best of these
 NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
@@ -95,6 +96,8 @@ def channels(log: Log) -> dict[str, Channel]:
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
         channel = _channel(table, "value", log.unit(source), source)
+        if log.role(source) == "input" and log.hold(source) != "sampled":
+            channel = replace(channel, hold=log.hold(source))
         found[source] = _sampled(channel) if log.hold(source) == "sampled" else channel
     rig = log.rig
     for source in log.sources(Ahrs):
@@ -293,6 +296,7 @@ class LoadedLog:
     device_faults: tuple[Finding, ...] | None = None  # None: nobody looked for them
     origin: FrameOrigin | None = None
     shift: tuple[float, float] = (0.0, 0.0)
+    unknown: tuple[tuple[float, float], ...] = ()  # from when to when [s of the log] an input has no value
 
     @property
     def own_channels(self) -> Mapping[str, Channel]:
@@ -354,10 +358,40 @@ def load_all(
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
-    own = [load_run(p, "estimation", window, device_faults) for p in logs]
-    others = [load_run(p, "validation", device_faults=device_faults) for p in validate]
-    named = share_frame(told_apart([*own, *others], [*logs, *validate]))
+    own = [(p, one) for p in logs for one in known_pieces(load_run(p, "estimation", window, device_faults))]
+    others = [(p, one) for p in validate for one in known_pieces(load_run(p, "validation", WHOLE, device_faults))]
+    files = [p for p, _ in (*own, *others)]
+    named = share_frame(told_apart([one for _, one in (*own, *others)], files))
     return named[: len(own)], named[len(own) :]
+
+
+def known_pieces(one: LoadedLog) -> list[LoadedLog]:
+    """The log, cut where an input is unknown: with the last value before such a gap a fit would believe in a thrust
+    that nobody knows. Pieces shorter than ``SHORTEST_PIECE_S`` are left out. Raises SeatrialError if all are."""
+    if not one.unknown:
+        return [one]
+    first = 0.0 if one.run.t_from is None else one.run.t_from
+    last = max(float(c.t[-1]) for c in one.run.channels.values()) if one.run.t_to is None else one.run.t_to
+    edges = [first, *(t for gap in one.unknown for t in gap), last]
+    spans = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= SHORTEST_PIECE_S]
+    if not spans:
+        raise SeatrialError(f"{one.about['path']}: its inputs are known for less than {SHORTEST_PIECE_S:g} s on end")
+    found = []
+    for k, (a, b) in enumerate(spans):
+        parts = {name: part for name, c in one.run.channels.items() if (part := _piece(c, a, b)).t.size > 1}
+        name = f"{one.run.name}[{a:.6g}:{b:.6g}]"
+        about = one.about | {"path": f"{one.about['path']}[{a:.6g}:{b:.6g}]", "name": name, "duration": b - a}
+        run = replace(one.run, name=name, channels=parts, t_from=a, t_to=b)
+        faults = one.device_faults if k == 0 or one.device_faults is None else ()
+        found.append(replace(one, run=run, about=about, device_faults=faults, unknown=()))
+    return found
+
+
+def _piece(channel: Channel, begin: float, end: float) -> Channel:
+    """A signal from begin to end [s], with its last value before, which holds if it is a command."""
+    a = max(int(np.searchsorted(channel.t, begin, side="right")) - 1, 0)
+    b = int(np.searchsorted(channel.t, end, side="right"))
+    return replace(channel, t=channel.t[a:b], value=channel.value[a:b])
 
 
 def load_runs(
@@ -410,6 +444,7 @@ def load_run(
         with log.keeping_tables():
             found = channels(log)
             origin = _first_fix(log, found, path.stem)
+            unknown = _unknown_inputs(log)
             faults = tuple(device_faults(log)) if device_faults is not None and found else None
         if not found:
             raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
@@ -431,8 +466,25 @@ def load_run(
         propulsion = propulsion_input(log, moved, holds)
         t_to = min(window.t_to, last) if window.t_to < inf else None
         run = LogSegment(path.stem, moved, window.t_from or None, t_to)
-        one = LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults)
+        gaps = tuple((float(a - start), float(b - start)) for a, b in unknown)
+        one = LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults, unknown=gaps)
         return one if origin is None else _at(one, origin)
+
+
+def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
+    """From when to when [s since 1970] any imported input of a thruster has no value, in order and without overlap."""
+    found: list[tuple[float, float]] = []
+    for source in log.sources(Scalar):
+        if log.role(source) == "input":
+            table = log.table(Scalar, source)
+            found += unknown_times(table["t"], table["value"])
+    joined: list[tuple[float, float]] = []
+    for a, b in sorted(found):
+        if joined and a <= joined[-1][1]:
+            joined[-1] = joined[-1][0], max(joined[-1][1], b)
+        else:
+            joined.append((a, b))
+    return joined
 
 
 def _first_fix(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:

@@ -14,6 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+from daq.errors import SeatrialWarning
 from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
 from daq.log.reader import open_log
@@ -31,10 +32,14 @@ ENGINES = ((0, "right"), (1, "left"))  # as PX4 counts them
 Edit = tuple[str, str]
 
 
-def by_guess(source: Path, folder: Path, edits: tuple[Edit, ...] = ()) -> Path:
-    """The log by the guessed map, in which at most five lines are edited."""
+def by_guess(source: Path, folder: Path, edits: tuple[Edit, ...] = (), keep: bool = False) -> Path:
+    """The log by the guessed map, in which at most five lines are edited; ``keep``: with the repeats of slow receivers,
+    as the maps of the examples have them."""
     assert len(edits) <= 5
     text = guess_map(source).text
+    if keep:
+        assert "held between measurements" in text
+        text = text.replace("signal = [", 'csv = { repeats = "keep" }\nsignal = [', 1)
     for old, new in edits:
         (line,) = [line for line in text.splitlines() if old in line]
         text = text.replace(line, new if new.startswith("  {") else line.replace(old, new))
@@ -142,7 +147,7 @@ def test_blueboat_as_a_bag_of_ros_2(blueboat: tuple[Path, dict[str, np.ndarray]]
         "/wamv/thrusters/right/thrust": (number, t, thrust("right_force")),
         "/wamv/thrusters/left/pos": (number, t, lambda k: T["std_msgs/msg/Float64"](0.0)),
     })  # fmt: skip
-    again = by_guess(tmp_path / "bag", tmp_path)
+    again = by_guess(tmp_path / "bag", tmp_path, keep=True)
     same(log, again, "x y u v psi r f_left f_right")
     fits = [estimates(path, tmp_path / str(k), *SURGE, "--fix", "e_u=0.05") for k, path in enumerate((log, again))]
     assert fits[1] == pytest.approx(fits[0], rel=1e-6)
@@ -168,7 +173,7 @@ def blueboat_px4(path: Path, log: Path, c: dict[str, np.ndarray]) -> None:
 def test_blueboat_as_a_log_of_px4(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
     log, c = blueboat
     blueboat_px4(tmp_path / "run.ulg", log, c)
-    again = by_guess(tmp_path / "run.ulg", tmp_path)
+    again = by_guess(tmp_path / "run.ulg", tmp_path, keep=True)
     assert sorted(signals(again)) == ["n_left", "n_right", "psi", "r", "x", "y"]
     same(log, again, "x y psi r n_left n_right", atol=5e-6)  # float32
 
@@ -189,7 +194,7 @@ def test_a_fit_of_blueboat_as_a_log_of_px4(blueboat: tuple[Path, dict[str, np.nd
     usual = 'topic = "actuator_motors", field = "control[{}]", unit = "1", role = "input", hold = "sampled"'
     force = f'topic = "actuator_motors", field = "control[{{}}]", unit = "N", scale = {full}, role = "input"'
     edits = [(f'name = "n_{s}", {usual.format(k)}', f'name = "f_{s}", {force.format(k)}') for k, s in ENGINES]
-    again = by_guess(tmp_path / "run.ulg", tmp_path, tuple(edits))
+    again = by_guess(tmp_path / "run.ulg", tmp_path, tuple(edits), keep=True)
     same(log, again, "x y u v psi f_left f_right", atol=1e-5)  # float32
     fits = [estimates(path, tmp_path / str(k), *SURGE, "--fix", "e_u=0.05") for k, path in enumerate((log, again))]
     assert fits[1] == pytest.approx(fits[0], rel=1e-4)
@@ -206,10 +211,18 @@ def test_blueboat_as_columns(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_p
         import pyarrow.parquet
 
         pyarrow.parquet.write_table(pyarrow.table(c), path)
-    again = by_guess(path, tmp_path)
+    again = by_guess(path, tmp_path, keep=True)
     same(log, again, "x y u v psi r f_left f_right", atol=1e-12)
     fits = [estimates(path, tmp_path / str(k), *SURGE, "--fix", "e_u=0.05") for k, path in enumerate((log, again))]
     assert fits[1] == pytest.approx(fits[0], rel=1e-6)
+
+
+def test_a_slow_receiver_in_the_rows_of_a_fast_table(tmp_path: Path) -> None:
+    """The positions of the BlueBoat are of 5 Hz, in rows of 10 Hz."""
+    with pytest.warns(SeatrialWarning, match="x, y: held between measurements 0.2"):
+        log = signals(by_guess(measured("blueboat/fixed_00000232.csv"), tmp_path))
+    assert len(log["x"][0]) == pytest.approx(0.5 * len(log["psi"][0]), rel=0.02)
+    assert np.median(np.diff(log["x"][0])) == pytest.approx(0.2, abs=0.01)
 
 
 # The Kingfisher: two clocks, commands of -1..1
@@ -255,7 +268,7 @@ def test_kingfisher(tmp_path: Path, form: str) -> None:
         edit = 'name = "n_left", column = "cmd_left", unit = "1"'
     force = edit.replace("n_left", "X").replace('"1"', '"N", scale = 40.0').replace('"sampled"', '"zero"')
     rounding = 2e-6 if form == "ulg" else 1e-12  # float32
-    again = by_guess(source, tmp_path, ((edit, force),))
+    again = by_guess(source, tmp_path, ((edit, force),), keep=True)
     a, b = signals(log), signals(again)
     np.testing.assert_allclose(b["X"][1], a["X"][1], rtol=0, atol=rounding)
     np.testing.assert_allclose(b["n_right"][0] - 1.0, a["n_right"][0], rtol=0, atol=1e-6)

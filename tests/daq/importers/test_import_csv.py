@@ -13,11 +13,14 @@ from click.testing import CliRunner
 
 from daq import cli
 from daq.errors import SeatrialError, SeatrialWarning
+from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
 from daq.importers.import_map import load_import_map
 from daq.importers.write_log import replacing
 from daq.log.reader import open_log
 from daq.samples import Scalar
+from ident.checks import spoils_a_fit
+from tests.bench.check_cases import findings
 from tests.daq.csv_files import EXAMPLES, values, write
 
 
@@ -389,3 +392,69 @@ def test_the_command(folder: Path) -> None:
     assert run.invoke(cli.import_, [*arguments, "--force"], catch_exceptions=False).exit_code == 0
     assert run.invoke(cli.import_, [*arguments, "-o", "x.mcap"]).exit_code == 2
     assert os.listdir("logs") == ["run.mcap"]
+
+
+def shuffled(n: int = 400) -> str:
+    """Rows at 10 Hz in the order of chance."""
+    order = np.random.default_rng(1).permutation(n)
+    return "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},0,{k % 90}\n" for k in order)
+
+
+def test_shuffled_rows_are_a_fault(folder: Path) -> None:
+    csv_map, files = write(folder, shuffled(), csv='time_order = "drop"')
+    with pytest.raises(SeatrialError, match=r"\d+ rows left out, where time repeats .*\(400 in all\).* sort the rows"):
+        import_files(csv_map, files)
+    assert CliRunner().invoke(cli.import_, [str(csv_map), *map(str, files), "--force"]).exit_code != 0
+    (found,) = [f for f in findings(folder / "run.mcap") if f.code == "rows-left-out"]
+    assert found.level == "fault"
+    assert spoils_a_fit(found)
+
+
+def test_two_clocks_in_one_column_are_a_fault(folder: Path) -> None:
+    rows = "t,cmd,heading\n" + "".join(f"{100 + 0.1 * k - 3.0 * (k % 2):.1f},0,{k % 90}\n" for k in range(400))
+    with pytest.raises(SeatrialError, match="200 rows left out"):
+        import_files(*write(folder, rows, csv='time_order = "drop"'))
+
+
+@pytest.mark.parametrize("rate", [4.0, 10.0, 12.5])
+def test_stamps_in_whole_seconds_want_a_rate(folder: Path, rate: float) -> None:
+    rows = "time,cmd,heading\n" + "".join(f"{50 + int(k / rate)},0,{k % 90}\n" for k in range(round(60 * rate)))
+    csv_map, (file,) = write(folder, rows)
+    csv_map.write_text(csv_map.read_text().replace('column = "t"', 'column = "time"'))
+    with pytest.raises(SeatrialError, match=r"too coarse: time = \{ rate_hz = ") as caught:
+        import_files(csv_map, [file])
+    told = float(str(caught.value).partition("rate_hz = ")[2].split()[0])
+    assert told == pytest.approx(rate, rel=0.03)
+    text = guess_map(file).text
+    assert "caveat: the stamps of 'time' are coarser than the rows" in text
+    assert float(text.partition("rate_hz = ")[2].split()[0]) == pytest.approx(rate, rel=0.01)
+
+
+def test_a_named_clock_that_is_out_of_order_is_the_clock_all_the_same(folder: Path) -> None:
+    path = folder / "run.csv"
+    path.write_text(shuffled().replace("t,", "time,", 1))
+    assert 'column = "time"' in guess_map(path).text
+
+
+def test_a_date_in_whole_seconds_keeps_its_day(folder: Path) -> None:
+    rows = "time,cmd,heading\n" + "".join(f"2025-05-01 12:00:{k // 10:02d},0,{k % 90}\n" for k in range(3, 300))
+    (folder / "run.csv").write_text(rows)
+    (folder / "guess.toml").write_text(guess_map(folder / "run.csv").text)
+    (out,) = import_files(folder / "guess.toml", [folder / "run.csv"])
+    t = np.array(values(out, "psi")[0])
+    np.testing.assert_allclose(t[[0, -1]], np.array([0.3, 29.9]) + 1746100800.0, atol=0.06)
+
+
+def test_rows_of_several_sensors_may_share_their_times(folder: Path) -> None:
+    """A row for each message, with the cells of one sensor: no cell is lost, and nothing is out of order."""
+    rows = "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},,{k % 90}\n{0.1 * k:.1f},{k % 7},\n" for k in range(200))
+    (out,) = import_files(*write(folder, rows, csv='time_order = "drop"\nnan = "drop"'))
+    assert (len(values(out, "psi")[0]), len(values(out, "n_left")[0])) == (200, 200)
+    assert not [f for f in findings(out) if f.code == "rows-left-out"]
+
+
+def test_rows_that_are_written_twice_lack_nothing(folder: Path) -> None:
+    rows = "t,cmd,heading\n" + "".join(2 * f"{0.1 * k:.1f},{k % 7},{k % 90}\n" for k in range(200))
+    (out,) = import_files(*write(folder, rows, csv='time_order = "drop"'))
+    assert len(values(out, "psi")[0]) == 200
+    assert not [f for f in findings(out) if f.code == "rows-left-out"]

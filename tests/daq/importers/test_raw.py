@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
@@ -11,11 +12,13 @@ from click.testing import CliRunner
 from daq import cli
 from daq.checks.device_checks import check_devices
 from daq.errors import SeatrialError, SeatrialWarning
+from daq.importers.import_files import import_files
 from daq.importers.raw import import_raw
+from daq.importers.samples import sample_tables
 from daq.log.reader import open_log
 from daq.protocol import nmea, vectornav
 from daq.protocol.framing import sentence
-from daq.samples import Ahrs, Gnss, LoadCell
+from daq.samples import Ahrs, Frame, Gnss, LoadCell
 from tests.measured.data import measured
 
 SAMPLES = [Ahrs(0.1 * k, 0.01, -0.02, 0.001, 0.002, 0.003 * k, 0.1, 0.2, -9.8) for k in range(40)]
@@ -157,6 +160,24 @@ def test_a_vectornav_standing_still(tmp_path: Path) -> None:
         row = log.table(Ahrs, "ahrs")[0]
     assert math.degrees(row["yaw"]) == pytest.approx(first[0])
     assert [row[n] for n in ("ax", "ay", "az", "p", "q", "r")] == pytest.approx(first[6:12])
+
+
+def test_a_clock_that_ran_back_is_a_fault_of_a_mapped_log_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two receivers in one topic, whose clocks are 100 s apart: the rows are sorted, and two tracks are mixed."""
+    fixes = [(t, Gnss(1.7e9 + t, 59.0, 10.0, 3.0, 0.5, 0.1, fix=3)) for t in (0, 100, 1, 101, 2)]
+    rows = [("", 1.7e9 + t, Frame(fix, t, t)) for t, fix in fixes]
+    (table,) = sample_tables(tmp_path / "run.log", rows)
+    assert table.said == "gnss: its times ran back 2 times, by up to 99.0 s"
+    (tmp_path / "map.toml").write_text(
+        'format = "seatrial-import 1"\nsignal = [{ name = "vx", topic = "gnss", field = "vel_n", unit = "m/s" }]\n'
+    )
+    (tmp_path / "run.log").write_text("")
+    kind = SimpleNamespace(name="can", read=lambda path, options: [table])
+    monkeypatch.setattr("daq.importers.import_files.source_kind", lambda path: kind)
+    with pytest.warns(SeatrialWarning, match="ran back 2 times"):
+        (out,) = import_files(tmp_path / "map.toml", [tmp_path / "run.log"], out=tmp_path / "run.mcap")
+    with open_log(out) as log:
+        assert [f.code for f in check_devices(log) if f.level == "fault"] == ["clock-ran-back"]
 
 
 def test_a_clock_that_is_set_back_or_a_second_one_is_told(tmp_path: Path) -> None:

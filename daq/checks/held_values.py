@@ -1,0 +1,169 @@
+"""Sample-and-hold columns: a slow sensor whose last value stands in each row of a faster table.
+
+Each measurement is then in the table several times. A fit that takes each row for a measurement believes the sensor
+too much, and believes a late value at the time of each row.
+
+Notes
+-----
+A repeated value alone proves nothing: a coarse sensor repeats its value, and so does a boat at rest. Values are held
+only if all three are true:
+
+- The value changes at a regular pace, of more than one row.
+- Most changes are larger than one step of the resolution. A coarse sensor changes by one step.
+- Repeats are much more frequent than changes by one step. For a measurement in each row they are about half as many.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+FEWEST_RUNS = 10  # runs of equal values from which their length is judged
+LEAST_REPEATED = 0.15  # share of rows that repeat, and of runs that are longer than one row
+LEAST_REGULAR = 0.8  # share of the runs that have about the usual length
+SLOWEST_S = 5.0  # s between measurements: what changes more rarely is a set-point, and no sensor
+MOST_SINGLE_STEPS = 0.5  # share of the changes that may be one step of the resolution
+TIMES_CHANCE = 4.0  # by which repeats exceed what the resolution explains
+SAME_ROWS = 0.8  # share of common rows of change, from which two signals come from one sensor
+WITHIN = 0.95  # share of the changes of a coarse signal that are at the changes of its sensor
+# Signals that one sensor measures at once: where one of them changes, the other one was measured, too.
+TOGETHER = (("x", "y"), ("vx", "vy"), ("u", "v"), ("ax", "ay"), ("speed_x", "speed_y"))
+
+
+class HeldValues(NamedTuple):
+    """Values that a table holds.
+
+    Attributes
+    ----------
+    rows
+        Mean number of rows from one measurement to the next.
+    new
+        True in each row that has a measurement of its own, (n,).
+    """
+
+    rows: float
+    new: Mask
+
+
+def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
+    """Find whether the values of a sensor are held.
+
+    Parameters
+    ----------
+    columns
+        Values that the sensor measures at once, each (n,), row by row and without NaN.
+
+    Returns
+    -------
+    HeldValues or None
+        None if the rows are measurements, or if that cannot be told.
+    """
+    changed = _changes(columns)
+    first = np.flatnonzero(changed)
+    lengths = np.diff(first)  # without the last run, whose end is not known
+    if lengths.size < FEWEST_RUNS:
+        return None
+    mean = _pace(changed)
+    regular = (lengths >= 0.4 * mean) & (lengths <= 1.6 * mean + 1.0)
+    own = lengths[lengths <= 3.0 * mean + 1.0]  # a boat at rest, or a sensor that pauses, proves nothing
+    repeated, longer = 1.0 - own.size / float(own.sum()), float(np.mean(lengths > 1))
+    if min(repeated, longer) < LEAST_REPEATED or float(np.mean(regular)) < LEAST_REGULAR:
+        return None
+    single = _single_steps(columns, first[1:])
+    by_resolution = 0.5 * single * own.size  # repeats that are expected of measurements
+    if single > MOST_SINGLE_STEPS or repeated * float(own.sum()) < TIMES_CHANCE * by_resolution:
+        return None
+    return HeldValues(mean, _measurements(changed, mean))
+
+
+def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, HeldValues]:
+    """Find the held signals of one table.
+
+    Parameters
+    ----------
+    t
+        Times of the rows (n,) [s], which increase.
+    signals
+        Values (n,) of each signal in the rows of the table, without NaN.
+
+    Returns
+    -------
+    dict
+        The held signals by name. Signals of one sensor share their rows: a coarse signal that repeats its value in a
+        row in which another signal of the sensor changes was measured there.
+    """
+    if t.size < 2 or not np.ptp(t) > 0.0:
+        return {}
+    slowest = SLOWEST_S * (t.size - 1) / float(np.ptp(t))  # rows
+    groups = [tuple(n for n in names if n in signals) for names in TOGETHER]
+    groups = [g for g in groups if g] + [(n,) for n in signals if not any(n in names for names in TOGETHER)]
+    changed = {g: _changes([signals[n] for n in g]) for g in groups}
+    held = []
+    for g in groups:
+        if (one := held_values([signals[n] for n in g])) is not None and one.rows <= slowest:
+            held.append(g)
+    sensors = {g: np.logical_or.reduce([changed[o] for o in held if _alike(changed[g], changed[o])]) for g in held}
+    found: dict[str, HeldValues] = {}
+    for g in groups:
+        sensor = sensors.get(g)
+        if sensor is None and changed[g].sum() > FEWEST_RUNS:  # too coarse to be judged by itself
+            within = [mask for mask in sensors.values() if np.mean(mask[changed[g]]) >= WITHIN]
+            sensor = min(within, key=np.sum, default=None)
+        if sensor is not None:
+            mean = _pace(sensor)
+            found.update(dict.fromkeys(g, HeldValues(mean, _measurements(sensor, mean))))
+    return found
+
+
+def held_together(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:
+    """Join the names of held signals that have equally many measurements: mostly those of one sensor."""
+    groups: dict[int, list[str]] = {}
+    for name, held in found.items():
+        groups.setdefault(int(held.new.sum()), []).append(name)
+    return [(", ".join(names), found[names[0]]) for names in groups.values()]
+
+
+def _pace(changed: Mask) -> float:
+    """Mean number of rows from one change to the next, long pauses left out."""
+    lengths = np.diff(np.flatnonzero(changed))
+    return float(np.mean(lengths[lengths <= 3.0 * np.median(lengths)]))
+
+
+def _changes(columns: Sequence[FloatArray]) -> Mask:
+    """Rows in which any of the columns differs from the row before, and the first row, (n,)."""
+    new = np.zeros(len(columns[0]), bool)
+    new[:1] = True
+    for column in columns:
+        new[1:] |= column[1:] != column[:-1]
+    return new
+
+
+def _single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> float:
+    """Share of the changes, at ``rows``, that are at most one step of the resolution in every column."""
+    small = np.ones(rows.size, bool)
+    for column in columns:
+        steps = np.abs(column[rows] - column[rows - 1])
+        sizes = steps[steps > 1e-12 * max(float(np.max(np.abs(column))), 1e-300)]
+        if sizes.size:
+            small &= steps <= 1.5 * sizes.min()
+    return float(np.mean(small))
+
+
+def _measurements(changed: Mask, period: float) -> Mask:
+    """The rows of changes, and rows one period [rows] apart within a run that is much longer: there the sensor has
+    measured the same value again, as a boat at rest or a frozen sensor does."""
+    new = changed.copy()
+    first = np.append(np.flatnonzero(changed), changed.size)
+    for k in np.flatnonzero(np.diff(first) > 2.5 * period):
+        new[np.rint(np.arange(first[k], first[k + 1] - 0.5 * period, period)).astype(int)] = True
+    return new
+
+
+def _alike(one: Mask, other: Mask) -> bool:
+    return float(np.sum(one & other)) >= SAME_ROWS * float(np.sum(one | other))

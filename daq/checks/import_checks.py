@@ -1,0 +1,86 @@
+"""Checks of what an import left out: rows whose times repeat, run back or are wrong, and inputs without a value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.checks.findings import FAULT, WARNING, Finding
+from daq.errors import counted
+from daq.log import Log
+from daq.samples import Scalar
+
+MOST_LEFT_OUT, FEWEST_LEFT_OUT = 0.05, 5  # share of a source's rows, and rows: more are a fault
+SHORTEST_GAP_S = 0.5  # s without a value of an input: the last one holds through shorter ones
+
+
+def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
+    """Findings on the rows that are not in an imported log because of their times, by its ``metadata``."""
+    k = 1
+    while (name := metadata.get(f"source.{k}.name")) is not None:
+        lines = metadata.get(f"source.{k}.left_out")
+        n_old = int(metadata.get(f"source.{k}.disordered", "0"))
+        k += 1
+        if lines is None and n_old:  # a log of an earlier version, without the number of all rows
+            text = f"{counted(n_old, 'row')} left out: times that ran back or repeated"
+            yield Finding(WARNING, "rows-left-out", "time", name, text, _ADVICE["back"])
+        for line in (lines or "").splitlines():
+            n, n_rows, why, rate, topic = line.split(" ", 4)
+            level = FAULT if lacks_too_much(int(n), int(n_rows)) else WARNING
+            rows = f"{counted(int(n), 'row')} of {n_rows}"
+            code, text = "rows-left-out", f"{rows} left out: times that ran back or repeated"
+            if why == "stamps":
+                code, text = "stamps-wrong", f"{rows} left out: stamps that are empty or far from their receipt"
+            yield Finding(level, code, "time", topic or name, text, _ADVICE[why].format(rate=rate))
+
+
+def check_missing_inputs(log: Log) -> Iterator[Finding]:
+    """Findings on inputs that are unknown at times, as an import marks them."""
+    for source in log.sources(Scalar):
+        if log.role(source) != "input":
+            continue
+        table = log.table(Scalar, source)
+        gaps = unknown_times(table["t"], table["value"])
+        if not gaps:
+            continue
+        first, longest = gaps[0][0] - log.start, max(end - begin for begin, end in gaps)
+        text = f"unknown for {sum(end - begin for begin, end in gaps):.1f} s, in {counted(len(gaps), 'gap')}, from "
+        text += f"{first:.1f} s on, the longest of {longest:.1f} s: a fit leaves these times out"
+        advice = 'nan = "zero" of the signal in the import\'s map, if the thruster stands then'
+        yield Finding(WARNING, "input-missing", "input", source, text, advice)
+
+
+def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> list[tuple[float, float]]:
+    """Find when a signal is unknown.
+
+    Parameters
+    ----------
+    t
+        Times of the samples (n,) [s].
+    values
+        The signal (n,), NaN from where it is unknown.
+
+    Returns
+    -------
+    list
+        Begin and end [s] of each gap longer than `SHORTEST_GAP_S`: up to the next value, or to the end of the samples.
+    """
+    unknown = np.isnan(values).astype(np.int8)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], unknown, [0]])))
+    gaps = [(float(t[a]), float(t[min(int(b), len(t) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(begin, end) for begin, end in gaps if end - begin > SHORTEST_GAP_S]
+
+
+def lacks_too_much(n: int, n_rows: int) -> bool:
+    """Whether a log without ``n`` of a source's ``n_rows`` is no longer the recording."""
+    return n >= FEWEST_LEFT_OUT and n > MOST_LEFT_OUT * n_rows
+
+
+_ADVICE = {
+    "repeats": "stamps that are coarser than the rows, as whole seconds are: time = {{ rate_hz = {rate} }} of the map",
+    "back": "sort the rows by their time; where a clock was set, or two clocks are mixed, import each part by itself; "
+    "`fraction` of the map mends lost zeros",
+    "stamps": "the driver's clock, or a simulation that was set back: the log lacks these measurements",
+}

@@ -1,0 +1,38 @@
+"""Held signals: a slow sensor's value in each row of a faster table, each of which a fit takes for a measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from daq.checks import WARNING, Finding, held_signals, held_together
+from ident.checks.sensors import Channels
+
+SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi", "theta", "p", "q", "force")
+
+
+def check_held(c: Channels) -> Iterator[Finding]:
+    """Warn of sensors whose values are held from one measurement to the next.
+
+    The import of a map leaves repeats out by itself. Here they are of a device that repeats its last value, or of a map
+    with ``repeats = "keep"``.
+    """
+    tables: list[list[str]] = []  # signals that share their times
+    for name in (n for n in SENSED if n in c):
+        same = next((table for table in tables if np.array_equal(c[table[0]].t, c[name].t)), None)
+        if same is None:
+            tables.append([name])
+        else:
+            same.append(name)
+    for table in tables:
+        t = c[table[0]].t
+        found = held_signals(t, {name: c[name].value for name in table})
+        for names, held in held_together(found):
+            interval, n_again = held.rows * float(np.median(np.diff(t))), t.size - int(held.new.sum())
+            text = (
+                f"held between measurements {interval:.3g} s apart: {n_again} of {t.size} values repeat the one before, "
+                "and a fit takes each for a measurement"
+            )
+            advice = "the device's output rate; in the import's map no `repeats = \"keep\"`"
+            yield Finding(WARNING, "values-held", "repeats", names, text, advice)

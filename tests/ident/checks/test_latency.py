@@ -1,0 +1,126 @@
+"""A group of sensors that is late as a whole, and thrust that is logged late, by the motion that follows the thrust."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+import pytest
+
+from daq.checks import Finding
+from ident.checks.latency import check_latency
+from ident.data import Channel
+
+SIDES = {"left": -0.35, "right": 0.35}
+DT, SECONDS, SHAFT_LAG = 0.02, 180.0, 0.2
+ATTITUDE, VELOCITY = ("psi", "r"), ("x", "y", "vx", "vy")
+COMMANDS, SHAFTS = ("n_cmd_left", "n_cmd_right"), ("n_left", "n_right")
+
+
+@cache
+def sailed(seed: int, shaft_lag: float = SHAFT_LAG) -> Mapping[str, Channel]:
+    """Channels of a boat of 50 kg with two thrusters, by Euler's method: steps of the commands, sensors with noise."""
+    rng = np.random.default_rng(seed)
+    n_steps = round(SECONDS / DT)
+    t = DT * np.arange(n_steps)
+    n_cmd = np.repeat(rng.uniform(-0.5, 0.9, (n_steps, 2))[::250], 250, axis=0)[:n_steps]
+    n_cmd[:100] = 0.0
+    rows = np.empty((n_steps, 8))
+    x, y, psi, u, v, r = np.zeros(6)
+    n = np.zeros(2)
+    for k in range(n_steps):
+        rows[k] = x, y, psi, u, v, r, *n
+        f = 35.0 * n * np.abs(n)
+        du = (f.sum() + 75.0 * v * r - 8.0 * u - 20.0 * abs(u) * u) / 50.0 + rng.normal(0.0, 0.03)
+        dv = (-50.0 * u * r - 50.0 * v - 50.0 * abs(v) * v) / 75.0
+        dr = ((f[0] - f[1]) * 0.35 - 25.0 * u * v - 8.0 * r - 8.0 * abs(r) * r) / 10.0 + rng.normal(0.0, 0.03)
+        x, y = x + DT * (u * np.cos(psi) - v * np.sin(psi)), y + DT * (u * np.sin(psi) + v * np.cos(psi))
+        psi, u, v, r = psi + DT * r, u + DT * du, v + DT * dv, r + DT * dr
+        n = n + DT / max(shaft_lag, DT) * (n_cmd[k] - n)
+    x_, y_, psi_, u_, v_, r_ = rows[:, :6].T
+    vx, vy = u_ * np.cos(psi_) - v_ * np.sin(psi_), u_ * np.sin(psi_) + v_ * np.cos(psi_)
+
+    def channel(value: np.ndarray, every: int, noise: float, hold: str = "") -> Channel:
+        own = value[::every]
+        return Channel(t[::every], own + rng.normal(0.0, noise, own.size) if noise else own, hold=hold)
+
+    found = {"psi": channel(psi_, 5, 0.005), "r": channel(r_, 5, 0.004)}
+    found |= {"x": channel(x_, 10, 0.1), "y": channel(y_, 10, 0.1)}
+    found |= {"vx": channel(vx, 10, 0.03), "vy": channel(vy, 10, 0.03)}
+    for k, side in enumerate(SIDES):
+        found[f"n_{side}"] = channel(rows[:, 6 + k], 5, 0.002, "linear")
+        found[f"n_cmd_{side}"] = channel(n_cmd[:, k], 5, 0.0, "zero")
+    return found
+
+
+def log(*groups: tuple[str, ...], late: tuple[str, ...] = (), by: float = 0.0, seed: int = 1) -> dict[str, Channel]:
+    """These groups of signals, one of them late."""
+    own = {name: sailed(seed)[name] for group in groups for name in group}
+    return {n: Channel(c.t + by * (n in late), c.value, c.unit, c.source, c.hold) for n, c in own.items()}
+
+
+def alarms(c: Mapping[str, Channel]) -> list[Finding]:
+    return [f for f in check_latency(c, SIDES) if f.level != "ok"]
+
+
+@pytest.mark.parametrize("thrust", [COMMANDS, SHAFTS])
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_sensors_in_time_are_no_alarm(thrust: tuple[str, ...], seed: int) -> None:
+    found = list(check_latency(log(ATTITUDE, VELOCITY, thrust, seed=seed), SIDES))
+    assert [f.code for f in found] == ["sensors-in-time", "thrust-in-time"]
+    assert all("95 %" in f.text for f in found)
+
+
+@pytest.mark.parametrize("thrust", [COMMANDS, SHAFTS])
+@pytest.mark.parametrize(("late", "words"), [(ATTITUDE, "heading and yaw rate come"), (VELOCITY, "velocity comes")])
+@pytest.mark.parametrize(("by", "level"), [(0.5, "warning"), (0.9, "fault")])
+def test_a_group_that_is_late(
+    thrust: tuple[str, ...], late: tuple[str, ...], words: str, by: float, level: str
+) -> None:
+    (found,) = alarms(log(ATTITUDE, VELOCITY, thrust, late=late, by=by))
+    assert (found.code, found.level) == ("sensor-late", level)
+    assert found.text.startswith(words)
+    assert float(found.text.split(" s after")[0].split()[-1]) == pytest.approx(by, abs=0.2)
+
+
+@pytest.mark.parametrize(("thrust", "by"), [(SHAFTS, 0.5), (SHAFTS, 1.0), (COMMANDS, 0.8)])
+def test_thrust_that_is_logged_late(thrust: tuple[str, ...], by: float) -> None:
+    (found,) = alarms(log(ATTITUDE, VELOCITY, thrust, late=thrust, by=by))
+    assert found.code == "thrust-late"
+    lag = SHAFT_LAG if thrust is COMMANDS else 0.0
+    assert float(found.text.split(" s before")[0].split()[-1]) == pytest.approx(by - lag, abs=0.2)
+
+
+def test_measured_shafts_before_all_sensors() -> None:
+    (found,) = alarms(log(ATTITUDE, VELOCITY, SHAFTS, late=(*ATTITUDE, *VELOCITY), by=0.7))
+    assert found.code == "motion-late"
+
+
+def test_the_lag_of_shafts_behind_commands_is_no_alarm() -> None:
+    """A fit estimates the delay of the shafts."""
+    assert not alarms(log(ATTITUDE, VELOCITY, COMMANDS, late=(*ATTITUDE, *VELOCITY), by=0.7))
+
+
+@pytest.mark.parametrize(("late", "by"), [((), 0.0), (("psi",), 0.8), (("x", "y"), 0.8)])
+def test_without_a_gyro_and_a_receiver_of_positions_alone(late: tuple[str, ...], by: float) -> None:
+    found = alarms(log(("psi",), ("x", "y"), SHAFTS, late=late, by=by))
+    assert [f.code for f in found] == ["sensor-late"] * bool(late)
+
+
+def test_what_cannot_be_known_is_said_so() -> None:
+    """Without thrust, or with a thrust that never changes, a course behind its heading may be sideslip."""
+    without = log(ATTITUDE, VELOCITY, late=ATTITUDE, by=0.8)
+    assert [f.code for f in check_latency(without, SIDES)] == ["delay-unknown"]
+    constant = log(ATTITUDE, VELOCITY, COMMANDS)
+    constant |= {n: Channel(constant[n].t, np.full(constant[n].t.size, 0.5), hold="zero") for n in COMMANDS}
+    assert {f.code for f in check_latency(constant, SIDES)} == {"delay-unknown"}
+    assert "not known" in next(check_latency(constant, SIDES)).text
+
+
+def test_pauses_of_a_receiver_are_left_out() -> None:
+    c = log(ATTITUDE, VELOCITY, SHAFTS)
+    for name in VELOCITY:
+        out = (c[name].t % 40.0) < 6.0
+        c[name] = Channel(c[name].t[~out], c[name].value[~out])
+    assert not alarms(c)
