@@ -271,7 +271,12 @@ def white(values: FloatArray) -> float:
 
 
 def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    fixes = table["fix"] >= 2
+    at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
+    if at_zero.any():
+        first = float(table["t"][int(np.argmax(at_zero))] - table["t"][0])
+        text = f"{counted(int(at_zero.sum()), 'position')} at 0 N 0 E left out, the first at {first:.1f} s"
+        yield Finding(WARNING, "fixes-at-zero", "fix", name, text, "its receiver reports a fix that it does not have")
+    fixes = (table["fix"] >= 2) & ~at_zero
     if np.mean(~fixes) > NO_FIX:
         text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
         yield Finding(

@@ -30,6 +30,7 @@ from ident.checks.motion import (
     thruster_forces,
     turning,
 )
+from ident.checks.outliers import check_outliers
 from ident.checks.sensors import (
     STEP,
     WINDOW,
@@ -235,7 +236,7 @@ SPOILING = frozenset({
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
-    "log-copied",
+    "log-copied", "position-jumps",
 })  # fmt: skip
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 
@@ -264,6 +265,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     yield from found
     if found:
         return
+    of_outliers = list(check_outliers(c))
+    yield from of_outliers
     ranges = [*check_ranges(c), *check_frozen(c)]
     yield from ranges
     yield from check_smoothing(c)
