@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.checks.findings import FAULT, OK, WARNING, Finding
+from daq.checks.thruster_coverage import check_thruster_coverage
 from daq.clock import ClockMap
 from daq.errors import counted
 from daq.log import Log
@@ -75,6 +76,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
             yield from _VALUES.get(kind, _nothing)(name, table, rig)
         yield from _port(source, log)
     yield from _absent(log, rig)
+    yield from check_thruster_coverage(log)
     yield from _controllers(log)
     yield from _imported(log)
 

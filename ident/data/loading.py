@@ -372,10 +372,14 @@ def load_all(
 
 
 def load_runs(
-    logs: Sequence[Path], role: str, window: TimeWindow = WHOLE, reference: FrameOrigin | None = None
+    logs: Sequence[Path],
+    role: str,
+    window: TimeWindow = WHOLE,
+    reference: FrameOrigin | None = None,
+    device_faults: DeviceChecks | None = None,
 ) -> list[LoadedLog]:
     """Logs of one role (``load_run``), told apart, with x and y from one origin (``share_frame``)."""
-    return share_frame(told_apart([load_run(path, role, window) for path in logs], logs), reference)
+    return share_frame(told_apart([load_run(p, role, window, device_faults) for p in logs], logs), reference)
 
 
 def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:

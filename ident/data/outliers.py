@@ -45,6 +45,8 @@ SHAFT = (0.1, 0.35)  # of full speed, s
 TIMES_RANGE, OTHER_SPAN = 1.0, 0.35
 IMPOSSIBLE = 1e6  # SI units, a number that no sensor of a small craft reports in any of these signals
 ANGLES = ("psi", "phi", "theta")
+# A step whose neighbouring changes are smaller than this part of it is a command's; so many of them make a command.
+ALONE, FEWEST_COMMAND_STEPS = 0.05, 3
 COMMANDED = 1.0  # s before a burst in which a command may be its reason
 JUMP, FASTEST = 30.0, 40.0  # m, and m/s: a change of position beyond both is no motion
 AWAY, START = 60.0, 60.0  # s that a section elsewhere lasts at most, in the middle and at the start of a log
@@ -92,12 +94,27 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     bad[kept] = _bursts(name, c.t[kept], c.value[kept], least, span)
     if name.startswith("n_") and f"n_cmd_{name[2:]}" in found:
         bad &= ~_commanded(c, bad, found[f"n_cmd_{name[2:]}"])
+    elif name not in LEAST and bad.any() and is_stepped(c.value, least, int(bad.sum())):
+        return none
     return bad
+
+
+def is_stepped(value: Array, least: float, n_bad: int) -> bool:
+    """Return whether a signal (n,) changes in single steps from level to level, as a command does.
+
+    A joystick's short pulse in such a signal is real. A measured shaft speed follows with a lag, so that a large change
+    takes several samples.
+    """
+    steps = np.abs(np.diff(value))
+    inside = steps[1:-1]
+    alone = (inside > least) & (steps[:-2] < ALONE * inside) & (steps[2:] < ALONE * inside)
+    n_steps = int(alone.sum())
+    return n_steps >= FEWEST_COMMAND_STEPS and n_steps >= 0.5 * n_bad
 
 
 def _limits(name: str, c: Channel) -> tuple[float, float]:
     """Return the least difference of an outlier and its longest time [s]; infinite for a command."""
-    if name.startswith(("n_cmd_", "servo_", "f_cmd_")) or c.sampled or c.hold == "average":
+    if name.startswith(("n_cmd_", "servo_", "f_", "pwm_")) or c.sampled or c.hold == "average":
         return np.inf, 0.0
     if name.startswith("n_"):
         return SHAFT
