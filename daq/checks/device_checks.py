@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from daq.checks.findings import FAULT, OK, WARNING, Finding
 from daq.checks.import_checks import check_missing_inputs, check_rows_left_out
+from daq.checks.thruster_coverage import check_thruster_coverage
 from daq.clock import ClockMap
 from daq.errors import counted
 from daq.log import Log
@@ -76,6 +77,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
             yield from _VALUES.get(kind, _nothing)(name, table, rig)
         yield from _port(source, log)
     yield from _absent(log, rig)
+    yield from check_thruster_coverage(log)
     yield from _controllers(log)
     yield from _imported(log)
 
@@ -272,7 +274,12 @@ def white(values: FloatArray) -> float:
 
 
 def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    fixes = table["fix"] >= 2
+    at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
+    if at_zero.any():
+        first = float(table["t"][int(np.argmax(at_zero))] - table["t"][0])
+        text = f"{counted(int(at_zero.sum()), 'position')} at 0 N 0 E left out, the first at {first:.1f} s"
+        yield Finding(WARNING, "fixes-at-zero", "fix", name, text, "its receiver reports a fix that it does not have")
+    fixes = (table["fix"] >= 2) & ~at_zero
     if np.mean(~fixes) > NO_FIX:
         text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
         yield Finding(

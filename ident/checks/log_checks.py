@@ -32,6 +32,7 @@ from ident.checks.motion import (
     thruster_forces,
     turning,
 )
+from ident.checks.outliers import check_outliers
 from ident.checks.sensors import (
     STEP,
     WINDOW,
@@ -42,6 +43,7 @@ from ident.checks.sensors import (
     sensor_matches,
     velocity_and_acceleration,
 )
+from ident.checks.shaft_sign import check_wrapped, one_sided_shafts
 from ident.checks.shafts import check_shafts
 from ident.checks.signals import check_frozen, check_intervals, check_ranges, check_smoothing
 from ident.data import Channel, channels
@@ -237,7 +239,7 @@ SPOILING = frozenset({
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
-    "log-copied", "rows-left-out",
+    "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided",
 })  # fmt: skip
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 
@@ -266,7 +268,12 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     yield from found
     if found:
         return
-    ranges = [*check_ranges(c), *check_frozen(c)]
+    of_outliers = list(check_outliers(c))
+    yield from of_outliers
+    of_wraps = list(check_wrapped(c))
+    # A wrapped speed is out of range, too; its unit is right.
+    wraps = {f.where for f in of_wraps}
+    ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
     yield from ranges
     yield from check_smoothing(c)
     yield from check_held(c)
@@ -281,7 +288,11 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         *position_and_velocity(c, matches.position),
     ]
     yield from of_sensors
-    of_shafts = list(check_shafts(c))
+    one_sided = one_sided_shafts({n: x for n, x in c.items() if n not in wraps})
+    yield from one_sided.values()
+    # Half of the directions would be taken for a dead band.
+    wrong = {*one_sided, *(n.removeprefix("n_") for n in wraps)}
+    of_shafts = list(check_shafts({n: x for n, x in c.items() if n.removeprefix("n_cmd_") not in wrong}))
     yield from of_shafts
     if any(f.level == "fault" and f.check in ("units", "stuck") for f in (*ranges, *of_sensors)):
         return

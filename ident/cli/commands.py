@@ -60,6 +60,7 @@ def ident() -> None:
 @horizon_option
 @robust_option
 @reml_option()
+@despite_option
 @out_option("thruster")
 def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit shaft dynamics and thrust curve to bench LOGS of one thruster.

@@ -14,11 +14,14 @@ from .loading import load_all as load_all
 from .loading import load_run as load_run
 from .loading import load_runs as load_runs
 from .loading import share_frame as share_frame
+from .outliers import position_jumps as position_jumps
+from .outliers import without_outliers as without_outliers
 from .record import TIME_INPUT as TIME_INPUT
 from .record import WORK_INPUT as WORK_INPUT
 from .record import WORK_UNIT as WORK_UNIT
 from .record import Channel as Channel
 from .record import InitialCondition as InitialCondition
+from .record import LeftOut as LeftOut
 from .record import LogSegment as LogSegment
 from .record import Prepared as Prepared
 from .record import Preparer as Preparer

@@ -37,6 +37,7 @@ from daq.errors import SeatrialError
 from daq.log import Log, local_ned, open_log
 from daq.rig import Rig, Thruster
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from ident.data.outliers import sections_elsewhere, without_outliers
 from ident.data.record import Channel, LogSegment
 from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
@@ -123,7 +124,7 @@ def channels(log: Log) -> dict[str, Channel]:
                 found.setdefault(f"servo_{node}", _channel(log.table(Servo, source, node), "pwm", "us", source))
     for source in log.sources(LoadCell):
         found.setdefault("force", _channel(_good(log.table(LoadCell, source)), "force", "N", source))
-    found = {name: c for name, c in found.items() if c.t.size > 1}
+    found = without_outliers({name: c for name, c in found.items() if c.t.size > 1})
     for pair in (("speed_x", "speed_y"), ("vx", "vy")):
         if "speed" not in found and all(n in found for n in pair):
             x, y = (found[n] for n in pair)
@@ -141,15 +142,25 @@ def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
 
 
 def _fixes(table: Table) -> Table:
-    good: Table = table[(table["fix"] >= 2) & np.isfinite(table["lat"])]
+    """Return the rows with a position. A receiver without a fix may report latitude and longitude zero as valid."""
+    somewhere = (table["lat"] != 0.0) | (table["lon"] != 0.0)
+    good: Table = table[(table["fix"] >= 2) & np.isfinite(table["lat"]) & somewhere]
     return good
+
+
+def _origin_row(table: Table) -> int:
+    """Return the row of the fix that is the origin: the first one after a receiver has settled."""
+    x, y = local_ned(table["lat"], table["lon"])
+    return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
 
 
 def _gnss(table: Table, source: str) -> dict[str, Channel]:
     table = _fixes(table)
     if not len(table):
         return {}
-    x, y = local_ned(table["lat"], table["lon"])
+    origin = _origin_row(table)
+    lat, lon = (np.append(table[c][origin], table[c]) for c in ("lat", "lon"))
+    x, y = (axis[1:] for axis in local_ned(lat, lon))
     t = np.ascontiguousarray(table["t"])
     found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
     for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
@@ -395,10 +406,14 @@ def _piece(channel: Channel, begin: float, end: float) -> Channel:
 
 
 def load_runs(
-    logs: Sequence[Path], role: str, window: TimeWindow = WHOLE, reference: FrameOrigin | None = None
+    logs: Sequence[Path],
+    role: str,
+    window: TimeWindow = WHOLE,
+    reference: FrameOrigin | None = None,
+    device_faults: DeviceChecks | None = None,
 ) -> list[LoadedLog]:
     """Logs of one role (``load_run``), told apart, with x and y from one origin (``share_frame``)."""
-    return share_frame(told_apart([load_run(path, role, window) for path in logs], logs), reference)
+    return share_frame(told_apart([load_run(p, role, window, device_faults) for p in logs], logs), reference)
 
 
 def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
@@ -491,7 +506,8 @@ def _first_fix(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin
     """The origin of x and y, where they are of a receiver's latitude and longitude; else None."""
     if "x" not in found or found["x"].source not in log.sources(Gnss):
         return None
-    first = _fixes(log.table(Gnss, found["x"].source))[0]
+    table = _fixes(log.table(Gnss, found["x"].source))
+    first = table[_origin_row(table)]
     return FrameOrigin(float(first["lat"]), float(first["lon"]), name)
 
 

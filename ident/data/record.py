@@ -31,6 +31,14 @@ SAME_TIME = 1e-6  # s; times closer than this are one row (seconds since 1970 ha
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """Samples left out of a signal: ``t`` (n,) seconds since its first sample, and ``value`` (n,)."""
+
+    t: Array
+    value: Array
+
+
+@dataclass(frozen=True)
 class Channel:
     """One signal on its own clock: ``t`` (n,) seconds, never decreasing; ``value`` (n,). ``hold``: what is known of it
     between the samples (``ident.model.Input``), empty: nothing. ``sampled``: s between the samples that it was made of,
@@ -42,6 +50,7 @@ class Channel:
     source: str = ""
     hold: str = ""
     sampled: float = 0.0
+    left_out: LeftOut | None = None  # outliers (ident.data.outliers); None: nothing was left out
 
 
 def sample_and_hold(channel: Channel, t: Array) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.checks import OK, CheckReport
+from daq.checks import OK, CheckReport, Finding
 from daq.errors import SeatrialError, counted
 from ident.checks import (
     IMPORTED,
@@ -49,22 +49,39 @@ def check_first(
     copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
     checked = []
     for log in logs:
-        name = log.about["path"]
-        assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
-        found = [*log.device_faults, *check_signals(log.own_channels, sides_of_model(model, log))]
-        found += [f for f in copies if f.where == name]
-        told = [f for f in found if f.level != OK]
-        refused = [f for f in told if spoils_a_fit(f)]
-        if refused and not despite_faults:
-            first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "
-            rest = f" ({counted(len(refused) - 1, 'more fault')})" if len(refused) > 1 else ""
-            raise SeatrialError(
-                f"{name}: {where}{first.text} [{first.code}]{rest}; "
-                f"{first.advice}. `seatrial check` says all; --despite-faults fits it as it is"
-            )
-        rows = [f._asdict() | {"spoils": spoils_a_fit(f)} for f in told]
-        checked.append(replace(log, about=log.about | {"findings": rows}))
+        its_copies = [f for f in copies if f.where == log.about["path"]]
+        checked.append(with_findings(log, sides_of_model(model, log), despite_faults, its_copies))
     return checked[: len(loaded)], checked[len(loaded) :]
+
+
+def with_findings(
+    log: LoadedLog, sides: Mapping[str, float], despite_faults: bool, more: Sequence[Finding] = ()
+) -> LoadedLog:
+    """Return the log with what the checks find in it (``about["findings"]``).
+
+    Parameters:
+        log: loaded with ``device_faults``.
+        sides: thruster -> position to starboard [m].
+        despite_faults: whether a fault that makes a fit meaningless is accepted.
+        more: findings from other checks.
+
+    Raises:
+        SeatrialError: the log has such a fault, and it is not accepted.
+    """
+    name = log.about["path"]
+    assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
+    found = [*log.device_faults, *check_signals(log.own_channels, sides), *more]
+    told = [f for f in found if f.level != OK]
+    refused = [f for f in told if spoils_a_fit(f)]
+    if refused and not despite_faults:
+        first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "
+        rest = f" ({counted(len(refused) - 1, 'more fault')})" if len(refused) > 1 else ""
+        raise SeatrialError(
+            f"{name}: {where}{first.text} [{first.code}]{rest}; "
+            f"{first.advice}. `seatrial check` says all; --despite-faults fits it as it is"
+        )
+    rows = [f._asdict() | {"spoils": spoils_a_fit(f)} for f in told]
+    return replace(log, about=log.about | {"findings": rows})
 
 
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:

@@ -36,6 +36,7 @@ from ident.characterisation import (
     thruster_channels,
     thruster_name,
 )
+from ident.checks import device_faults
 from ident.data import Channel, LoadedLog, Record, build_record, load_runs
 from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
 from ident.model import Model
@@ -56,6 +57,7 @@ from ident.results import (
     write_result,
 )
 from ident.validation import evaluate
+from ident.workflows.check import with_findings
 from ident.workflows.model_inputs import check_ahead, check_names
 from ident.workflows.output import write_all
 
@@ -73,6 +75,7 @@ class ThrusterRequest:
         estimation: how parameters are estimated.
         settle: left out after each change of command, of a static curve [s].
         profiles: parameters that get a profile likelihood.
+        despite_faults: fit logs in which the checks find a fault that makes a fit meaningless.
     """
 
     logs: Sequence[Path]
@@ -81,6 +84,7 @@ class ThrusterRequest:
     estimation: EstimationOptions = field(default_factory=lambda: EstimationOptions(reml=True))
     settle: float = 1.5
     profiles: Sequence[str] = ()
+    despite_faults: bool = False
 
 
 def characterise(
@@ -88,7 +92,9 @@ def characterise(
 ) -> ThrusterResult | ThrustCurveResult:
     """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft;
     ``command``: what was typed."""
-    loaded, name, profiles = load_runs(request.logs, "estimation"), request.name, request.profiles
+    name, profiles = request.name, request.profiles
+    loaded = load_runs(request.logs, "estimation", device_faults=device_faults)
+    loaded = [with_findings(log, {}, request.despite_faults) for log in loaded]  # a bench does not turn
     options, horizon = request.estimation, request.estimation.horizon
     if is_static(loaded, name):
         asked = {"--robust": options.outlier_model, "--profile": profiles, "--horizon": horizon is not None}

@@ -1,0 +1,213 @@
+"""Point outliers of a signal: values that neither the samples before nor the samples after them allow.
+
+A sample, or a short burst of samples, is an outlier if three things hold together:
+
+1. The samples on both sides agree with each other, so that no step lies between them.
+2. The value differs from the straight line between the two sides by several times more than any neighbouring sample
+   differs from the next one. Waves, impacts and reversals of a propeller also change the neighbours.
+3. The difference is larger than what a small craft can do within the time of the burst (`LEAST`).
+
+Positions get a second test. A jump that no craft can make starts a section elsewhere; if the positions jump back, the
+section is left out, and so is a short section at the start of a log, before a receiver has settled. A jump without a
+return is kept and is a matter for the checks (`position_jumps`).
+
+Notes:
+    The first test is a Hampel filter (Hampel 1974) with the largest neighbouring step in place of the median absolute
+    deviation, since the deviation of a shaft speed is zero between its steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ident.data.record import Channel, LeftOut
+from ident.numerics import Array, wrap
+
+Mask = NDArray[np.bool_]
+LONGEST = 3  # samples of a burst
+NEIGHBOURS = 6  # samples on each side
+FEWEST_STEPS = 4  # between regular neighbours, from which their size is known
+TIMES_STEP = 5.0  # the difference of an outlier over the largest step of its neighbours
+TIMES_SIDES = 3.0  # the same over the difference between both sides
+# Least difference of an outlier, in the units of the signal, and the longest time [s] from the sample before a burst to
+# the one after it. Beyond that time the craft itself may have moved there and back.
+LEAST: dict[str, tuple[float, float]] = {
+    "x": (5.0, 5.0), "y": (5.0, 5.0), "vx": (3.0, 2.5), "vy": (3.0, 2.5), "u": (3.0, 2.5), "v": (3.0, 2.5),
+    "speed": (3.0, 2.5), "psi": (0.6, 0.7), "phi": (0.6, 0.5), "theta": (0.6, 0.5), "p": (2.0, 0.5), "q": (2.0, 0.5),
+    "r": (1.0, 0.5), "ax": (30.0, 0.3), "ay": (30.0, 0.3), "az": (30.0, 0.3),
+}  # fmt: skip
+SHAFT = (0.1, 0.35)  # of full speed, s
+# A force or another unnamed signal has no physical scale: so many times the range of its middle 98 %.
+TIMES_RANGE, OTHER_SPAN = 1.0, 0.35
+IMPOSSIBLE = 1e6  # SI units, a number that no sensor of a small craft reports in any of these signals
+ANGLES = ("psi", "phi", "theta")
+# A step whose neighbouring changes are smaller than this part of it is a command's; so many of them make a command.
+ALONE, FEWEST_COMMAND_STEPS = 0.05, 3
+COMMANDED = 1.0  # s before a burst in which a command may be its reason
+JUMP, FASTEST = 30.0, 40.0  # m, and m/s: a change of position beyond both is no motion
+AWAY, START = 60.0, 60.0  # s that a section elsewhere lasts at most, in the middle and at the start of a log
+
+
+def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
+    """Leave point outliers out of the signals of a log, and note in each signal what was left out (`Channel.left_out`).
+
+    Commands are not tested: a command may be any value at any time. A pair of coordinates of one receiver loses whole
+    fixes.
+
+    Parameters:
+        found: the signals by name.
+
+    Returns:
+        The same signals. Those without an outlier are the same objects.
+    """
+    masks = {name: outliers(name, c, found) for name, c in found.items() if c.hold != "zero"}
+    pair = [found[n] for n in ("x", "y") if n in found]
+    if len(pair) == 2 and np.array_equal(pair[0].t, pair[1].t):
+        both = masks.get("x", np.zeros(pair[0].t.size, bool)) | masks.get("y", np.zeros(pair[0].t.size, bool))
+        both |= sections_elsewhere(pair[0].t, pair[0].value, pair[1].value, ~both)
+        masks["x"] = masks["y"] = both
+    return {name: _without(c, masks[name]) if name in masks and masks[name].any() else c for name, c in found.items()}
+
+
+def _without(c: Channel, bad: Mask) -> Channel:
+    if bad.all():
+        return c  # the checks of ranges and units name a signal that is wrong throughout
+    left_out = LeftOut(c.t[bad] - c.t[0], c.value[bad])
+    return replace(c, t=c.t[~bad], value=c.value[~bad], left_out=left_out)
+
+
+def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
+    """Return which samples (n,) of a signal are point outliers; none of a command's."""
+    none = np.zeros(c.t.size, bool)
+    least, span = _limits(name, c)
+    if not np.isfinite(least) or c.t.size < 2 * NEIGHBOURS:
+        return none
+    impossible = ~(np.abs(c.value) < IMPOSSIBLE) if name in LEAST or name.startswith("n_") else none
+    if impossible.mean() > 0.05:
+        impossible = none  # a wrong unit, and no single values
+    kept = np.flatnonzero(~impossible)
+    bad = impossible.copy()
+    bad[kept] = _bursts(name, c.t[kept], c.value[kept], least, span)
+    if name.startswith("n_") and f"n_cmd_{name[2:]}" in found:
+        bad &= ~_commanded(c, bad, found[f"n_cmd_{name[2:]}"])
+    elif name not in LEAST and bad.any() and is_stepped(c.value, least, int(bad.sum())):
+        return none
+    return bad
+
+
+def is_stepped(value: Array, least: float, n_bad: int) -> bool:
+    """Return whether a signal (n,) changes in single steps from level to level, as a command does.
+
+    A joystick's short pulse in such a signal is real. A measured shaft speed follows with a lag, so that a large change
+    takes several samples.
+    """
+    steps = np.abs(np.diff(value))
+    inside = steps[1:-1]
+    alone = (inside > least) & (steps[:-2] < ALONE * inside) & (steps[2:] < ALONE * inside)
+    n_steps = int(alone.sum())
+    return n_steps >= FEWEST_COMMAND_STEPS and n_steps >= 0.5 * n_bad
+
+
+def _limits(name: str, c: Channel) -> tuple[float, float]:
+    """Return the least difference of an outlier and its longest time [s]; infinite for a command."""
+    if name.startswith(("n_cmd_", "servo_", "f_", "pwm_")) or c.sampled or c.hold == "average":
+        return np.inf, 0.0
+    if name.startswith("n_"):
+        return SHAFT
+    if name in LEAST:
+        return LEAST[name]
+    low, high = np.quantile(c.value, [0.01, 0.99]) if c.value.size else (0.0, 0.0)
+    return (TIMES_RANGE * float(high - low) if high > low else np.inf), OTHER_SPAN
+
+
+def _bursts(name: str, t: Array, value: Array, least: float, span: float) -> Mask:
+    """Return the samples (n,) of bursts of up to `LONGEST` samples."""
+    bad = np.zeros(t.size, bool)
+    candidates = [_candidates(name, t, value, length, least, span) for length in range(1, LONGEST + 1)]
+    suspect = np.zeros(t.size, bool)
+    for length, (starts, _) in enumerate(candidates, start=1):
+        for k in range(length):
+            suspect[starts + k] = True
+    if suspect.mean() > 0.2:
+        return bad  # noise and no single values
+    steps = np.abs(_difference(name, value[1:], value[:-1]))
+    regular = ~(suspect[1:] | suspect[:-1])
+    for length, (starts, sizes) in enumerate(candidates, start=1):
+        for first, size in zip(starts.tolist(), sizes.tolist(), strict=True):
+            around = slice(max(first - NEIGHBOURS, 0), first + length + NEIGHBOURS - 1)
+            near = steps[around][regular[around]]
+            if near.size >= FEWEST_STEPS and size > TIMES_STEP * float(near.max()):
+                bad[first : first + length] = True
+    return bad
+
+
+def _candidates(
+    name: str, t: Array, value: Array, length: int, least: float, span: float
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the first sample of each burst of this length (m,), and its least difference from the line (m,)."""
+    before, after = value[: -length - 1], value[length + 1 :]
+    duration = t[length + 1 :] - t[: -length - 1]
+    sides = _difference(name, after, before)
+    size = np.full(before.size, np.inf)
+    for k in range(1, length + 1):
+        inside = slice(k, k + before.size)
+        part = (t[inside] - t[: -length - 1]) / np.maximum(duration, 1e-9)
+        size = np.minimum(size, np.abs(_difference(name, value[inside], before + part * sides)))
+    there = (size > least) & (size > TIMES_SIDES * np.abs(sides)) & (duration <= span)
+    starts = np.flatnonzero(there)
+    return starts + 1, size[starts]
+
+
+def _difference(name: str, a: Array, b: Array) -> Array:
+    return wrap(a - b, angle=name in ANGLES)
+
+
+def _commanded(c: Channel, bad: Mask, command: Channel) -> Mask:
+    """Return the outliers (n,) of a shaft speed that its command explains by a change shortly before."""
+    explained = np.zeros(bad.size, bool)
+    typical = np.interp(c.t, c.t[~bad], c.value[~bad]) if not bad.all() else c.value
+    for k in np.flatnonzero(bad).tolist():
+        inside = (command.t >= c.t[k] - COMMANDED) & (command.t <= c.t[k])
+        change = float(np.ptp(command.value[inside])) if inside.any() else 0.0
+        explained[k] = change > 0.5 * abs(float(c.value[k] - typical[k]))
+    return explained
+
+
+def position_jumps(t: Array, x: Array, y: Array) -> NDArray[np.intp]:
+    """Return the samples before which a position (n,) [m] changes as no craft can move."""
+    moved = np.hypot(np.diff(x), np.diff(y))
+    return np.flatnonzero((moved > JUMP) & (moved > FASTEST * np.diff(t))) + 1
+
+
+def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
+    """Return the fixes (n,) of short sections that lie elsewhere: between a jump and its return, or at the start."""
+    bad = np.zeros(t.size, bool)
+    rows = np.flatnonzero(regular)
+    t, x, y = t[rows], x[rows], y[rows]
+    jumps = position_jumps(t, x, y).tolist()
+    if len(jumps) > 0.02 * t.size + 2:
+        return bad  # another unit or another column
+    k = 0
+    while k < len(jumps):
+        first = jumps[k]
+        back = next((j for j in jumps[k + 1 :] if t[j] - t[first - 1] <= AWAY and _near(t, x, y, first - 1, j)), None)
+        if back is not None:
+            bad[rows[first:back]] = True
+            k = jumps.index(back) + 1
+            continue
+        k += 1
+    left = [j for j in jumps if not bad[rows[j]] and not bad[rows[j - 1]]]
+    # A receiver that starts far away settles within the first part of the log.
+    start = [j for j in left if t[j] - t[0] <= min(START, 0.2 * (t[-1] - t[0]))]
+    if start:
+        bad[rows[: max(start)]] = True
+    return bad
+
+
+def _near(t: Array, x: Array, y: Array, i: int, j: int) -> bool:
+    """Whether a craft can have moved from fix i to fix j in the time between them."""
+    return bool(np.hypot(x[j] - x[i], y[j] - y[i]) < max(JUMP, 5.0 * (t[j] - t[i])))

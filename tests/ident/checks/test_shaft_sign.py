@@ -1,0 +1,49 @@
+"""Shaft speeds that are right in one direction only are named as such, and not as a dead band or a unit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from ident.checks.log_checks import check_signals
+from ident.data import Channel
+from ident.numerics import Array
+
+
+def shafts(reported: Callable[[Array], Array]) -> dict[str, Channel]:
+    """A shaft that follows steps ahead and astern with a lag of 0.2 s, as ``reported`` by its controller."""
+    t = np.arange(0.0, 120.0, 0.05)
+    levels = np.random.default_rng(3).uniform(-0.8, 0.8, 30)
+    command = levels[(t // 4.0).astype(int)]
+    n = np.zeros(t.size)
+    for k in range(1, t.size):
+        n[k] = n[k - 1] + 0.22 * (command[k] - n[k - 1])
+    return {"n_cmd_left": Channel(t, command), "n_left": Channel(t + 1e-3, reported(n))}
+
+
+@pytest.mark.parametrize(
+    ("reported", "code"),
+    [
+        (lambda n: np.maximum(n, 0.0), "shaft-speed-one-sided"),
+        (lambda n: np.minimum(n, 0.0), "shaft-speed-one-sided"),
+        (np.abs, "shaft-speed-one-sided"),
+        (lambda n: np.where(n < 0.0, n + 65536.0 / 3000.0, n), "shaft-speed-wrapped"),
+    ],
+    ids=["zero astern", "zero ahead", "magnitude", "wrapped"],
+)
+def test_a_speed_of_one_direction_is_named(reported: Callable[[Array], Array], code: str) -> None:
+    findings = list(check_signals(shafts(reported), {}))
+    assert [f.code for f in findings if f.level == "fault"] == [code]
+    assert not {f.code for f in findings} & {"dead-band-wide", "dead-band-narrow", "n-out-of-range"}
+
+
+def test_a_speed_of_both_directions_is_clean() -> None:
+    assert not [f for f in check_signals(shafts(lambda n: n), {}) if f.check == "sign"]
+
+
+def test_percent_is_no_wrap() -> None:
+    codes = {f.code for f in check_signals(shafts(lambda n: 100.0 * n), {})}
+    assert "n-out-of-range" in codes
+    assert "shaft-speed-wrapped" not in codes
