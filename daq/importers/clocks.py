@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from datetime import datetime
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -11,16 +13,34 @@ import numpy as np
 from daq.errors import SeatrialError
 from daq.importers.import_map import TIME_UNITS, TimeColumn
 from daq.importers.recognise import DRIVES, Name, read_name
-from daq.importers.signals import row_times
+from daq.importers.signals import read_date, row_times
 from daq.importers.table import Column, Table
 
-_TIME = re.compile(r"(^|_)(t|time|stamp|timestamp|datetime|utc|seconds|secs|epoch)($|_)")
+_TIME = re.compile(
+    r"(^|_)(t|time|stamp|timestamp|datetime|date|utc|seconds|secs|epoch|tow|zeit|datum|uhrzeit|zeitstempel|heure|hora|"
+    r"fecha|tijd)($|_)"
+)
 DATES = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096
 FASTEST, SLOWEST = 5e-4, 60.0  # s between rows, of the loggers of boats
 ODD = 2.0  # s between rows: more is rather a step in milliseconds
 DATENUM = (7e5, 8e5)  # MATLAB's days, of the years 1916 to 2190
 LEAST_RISING = 0.005  # share of the steps ahead, of a column that is called time
 COARSE_ROWS, FEWEST_STAMPS, EVEN = 2, 5, 0.9  # rows of a stamp; stamps; share of them with as many rows as the mean
+EXCEL = (36892.0, 71700.0)  # Excel's days, of the years 2001 to 2096
+TRIED = 400  # texts of a column to which the patterns of dates are fitted
+_DAYS: tuple[str, ...] = (
+    "%d.%m.%Y",
+    "%d.%m.%y",
+    "%d/%m/%Y",
+    "%m/%d/%Y",
+    "%d/%m/%y",
+    "%m/%d/%y",
+    "%Y/%m/%d",
+    "%Y.%m.%d",
+    "%d-%m-%Y",
+)
+_DAYS += ("%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y", "%Y%m%d", "%Y:%m:%d", "%Y-%m-%d")
+_CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%H:%M", "%I:%M %p", "%H%M%S")
 _COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
 _ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
 
@@ -39,21 +59,32 @@ def clock_of(table: Table) -> Clock:
     """The clock of a table, as far as it can be told."""
     if table.t is not None:
         return Clock()
-    plain = {name: read_name(name).plain for name in table.names}
-    strict = [name for name in table.names if plain[name] in ("t", "time", "timestamp")]
-    loose = [name for name in table.names if _TIME.search(plain[name])]
-    for name in (*strict, *(name for name in table.names if name in table.seconds), *loose):
+    names = [name for name in table.names if name and table.names.count(name) == 1]
+    plain = {name: read_name(name).plain for name in names}
+    strict = [name for name in names if plain[name] in ("t", "time", "timestamp")]
+    loose = [name for name in names if _TIME.search(plain[name])]
+    # Of a date and a time of day in two columns the first has no time: it is the same in all rows.
+    for name in (*strict, *(name for name in names if name in table.seconds), *loose):
         if _may_be_time(table, name):
             return _even_clock(table, Clock(name, *_format(table, name)))
     for name in strict:  # coarser than the rows, or with rows out of order: its name tells it all the same
         if _may_be_time(table, name, LEAST_RISING):
             return _even_clock(table, Clock(name, *_format(table, name)))
     # Without a name to go by: a first column that rises evenly, and is no signal by its name.
-    first = read_name(table.names[0])
-    known = bool(first.meaning or first.words & (DRIVES | _COUNTS))
-    if not known and _may_be_time(table, table.names[0]) and _is_even(table.numbers(table.names[0])):
-        form, _ = _format(table, table.names[0])
-        return Clock(table.names[0], form, "its first column rises evenly and is taken for the time")
+    for name in names[:2]:  # the first may be the name of a boat or of a run
+        said = read_name(name)
+        if said.meaning or said.words & (DRIVES | _COUNTS):
+            continue
+        try:
+            values = table.numbers(name)
+        except SeatrialError:  # text
+            if form := _format_of_text(table.text(name))[0]:
+                return Clock(name, form, f"{name!r} has dates and is taken for the time")
+            continue
+        if _may_be_time(table, name) and _is_even(values):
+            form, _ = _format(table, name)
+            place = "first" if name == table.names[0] else "second"
+            return Clock(name, form, f"its {place} column rises evenly and is taken for the time")
     return Clock()
 
 
@@ -98,13 +129,10 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
     try:
         values = table.numbers(name)
     except SeatrialError:  # dates are text
-        return any(character.isdigit() for character in _first_text(table, name))
+        texts = table.text(name)
+        return any(c.isdigit() for text in texts[:20] for c in text) and len(set(texts)) > max(1, len(texts) // 1000)
     good = values[np.isfinite(values)]
     return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > rising
-
-
-def _first_text(table: Table, column: str) -> str:
-    return next((text.strip() for text in table.text(column) if text.strip()), "")
 
 
 def _format(table: Table, column: str) -> tuple[str, str]:
@@ -113,11 +141,19 @@ def _format(table: Table, column: str) -> tuple[str, str]:
     try:
         values = table.numbers(column)
     except SeatrialError:
-        return _format_of_text(_first_text(table, column))
-    name = read_name(column)
+        form, caveat = _format_of_text(table.text(column))
+        shown = next((text.strip() for text in table.text(column) if text.strip()), "")[:40]
+        return form or "%d.%m.%Y %H:%M:%S", caveat or "" if form else (
+            f"times like {shown!r}: write their pattern (strptime), and fraction where they have one"
+        )
+    name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
+    values = values[np.isfinite(values)]
     if name.unit in TIME_UNITS:
+        step = float(np.median(np.diff(values)))
+        if TIME_UNITS[name.unit] * step < FASTEST <= step < SLOWEST:
+            return "s", f"steps of {step:.4g} are taken for seconds, though its name has {name.unit}"
         return name.unit, ""
-    form, caveat = _format_of_numbers(values[np.isfinite(values)], name)
+    form, caveat = _format_of_numbers(values, name)
     no_unit = name.no_unit or name.unit
     if no_unit and no_unit.lower() not in _ZONES:
         odd = f"{no_unit!r} behind {column!r} is not taken for a unit of time, which are {', '.join(TIME_UNITS)}"
@@ -125,16 +161,46 @@ def _format(table: Table, column: str) -> tuple[str, str]:
     return form, caveat
 
 
-def _format_of_text(first: str) -> tuple[str, str]:
-    try:
-        datetime.fromisoformat(first)
+def _format_of_text(texts: Sequence[str]) -> tuple[str, str]:
+    """The format of dates or times of a day as text, and the caveat about it; "" if no pattern fits them all."""
+    filled = [text.strip() for text in texts if text.strip()]
+    # Evenly over the file: the day of the month tells the order of day and month as soon as one is above 12.
+    tried = list(dict.fromkeys(filled[:: max(1, len(filled) // TRIED)] + filled[-1:]))
+    if not tried:
+        return "", ""
+    if not tried[0].replace(".", "").isdigit() and _fits(datetime.fromisoformat, tried):
         return "iso", ""
+    fitting = []
+    for day in ("", *_DAYS):
+        for clock in _CLOCKS[: None if day else -1]:
+            for blank in (" ", "T", ", ") if day else ("",):
+                pattern = f"{day}{blank}{clock}"
+                if _fits(partial(read_date, pattern=pattern), tried):
+                    fitting.append(pattern)
+    with_fraction = [pattern for pattern in fitting if "%f" in pattern]
+    fitting = with_fraction or fitting
+    if not fitting:
+        return "", ""
+    found, caveat = fitting[0], ""
+    orders = {pattern.index("%d") < pattern.index("%m") for pattern in fitting if "%m" in pattern and "%d" in pattern}
+    if found.startswith(("%H", "%I")):
+        caveat = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
+    elif len(orders) == 2:
+        if "%p" in found:  # is written where the month stands first
+            found = next(pattern for pattern in fitting if pattern.startswith("%m"))
+        order = "month" if found.startswith("%m") else "day"
+        caveat = f"dates like {tried[0]!r} are taken with the {order} first"
+    return found, caveat
+
+
+def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
+    """Whether a function reads all texts."""
+    try:
+        for text in texts:
+            read(text)
     except ValueError:
-        if re.fullmatch(r"\d+:\d+:\d+(\.\d{1,6})?", first):
-            day = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
-            return "%H:%M:%S.%f" if "." in first else "%H:%M:%S", day
-        caveat = f"times like {first[:40]!r}: write their pattern (strptime), and fraction where they have one"
-        return "%d.%m.%Y %H:%M:%S", caveat
+        return False
+    return True
 
 
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
@@ -146,6 +212,8 @@ def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
             return unit, f'{top:.6g} is taken for seconds since 1970; since a start it may be "ms"' if odd else ""
     if DATENUM[0] < top < DATENUM[1] and ("date" in name.words or 0.0 < step < FASTEST):
         return "datenum", ""
+    if EXCEL[0] < top < EXCEL[1] and 0.0 < step < FASTEST:
+        return "excel", 'days of Excel, counted from 1900; a workbook that counts from 1904 has format = "excel1904"'
     for unit, usual, word in (("ns", 2e6, "nano"), ("us", 2e3, "micro"), ("ms", 2.0, "milli")):
         if step >= usual:
             return unit, f"steps of {step:.4g} are taken for {word}seconds"

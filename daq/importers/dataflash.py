@@ -12,6 +12,8 @@ import contextlib
 import io
 import math
 import os
+import struct
+import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -31,6 +33,10 @@ Found = list[Sample]
 OLDEST_FIX_S = 1.0  # between a fix and its message: more is no age
 # MAV_TYPE by how the first text begins
 FIRMWARE = {"ArduRover": 10, "ArduSub": 12, "ArduCopter": 2, "ArduPlane": 1, "Blimp": 7, "AntennaTracker": 5}
+HEAD = b"\xa3\x95"  # of each message; its type follows
+FMT, FMT_SIZE = 0x80, 89
+SURE = 3  # whole messages in a row, behind a damaged place, that are taken for the log again
+TIME_OFF_US = 1_000_000  # from the median of the times around it: more is a damaged time
 NO_TYPE = 0  # MAV_TYPE: its modes have no names
 
 
@@ -155,9 +161,14 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     reader = _Reader(rig, device)
     rows: list[Timed] = []
     n_messages, skipped, stopped = 0, 0, ""
+    n_torn, n_wrong_times, n_taken_out = 0, 0, 0
     strange: Counter[str] = Counter()
     try:
-        with _opened(path) as log:
+        raw = path.read_bytes()
+        whole, n_torn, n_wrong_times = whole_messages(raw)
+        n_taken_out = 0 if whole is None else len(raw) - len(whole)
+        del raw
+        with _repaired(path, whole) as readable, _opened(readable) as log:
             reader.vehicle = _vehicle(log)
             skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
@@ -176,11 +187,89 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     if not rows:
         raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
     odd = [f"{counted(n, 'message')} {kind} of unknown form" for kind, n in strange.items()]
+    odd += [f"{counted(n_torn, 'damaged place')}: the messages there are left out"] * bool(n_torn)
+    odd += [f"{counted(n_wrong_times, 'message')} with a time that cannot be, left out"] * bool(n_wrong_times)
     odd += [stopped] * bool(stopped)
     for one in odd:
         warnings.warn(f"{path}: {one}", SeatrialWarning, stacklevel=2)
-    read = [counted(n_messages, "message"), f"{counted(max(skipped, 0), 'byte')} not understood", *odd]
+    read = [counted(n_messages, "message"), f"{counted(max(skipped, 0) + n_taken_out, 'byte')} not understood", *odd]
     return list(reader.joined(rows)), ", ".join(read), reader.parameters
+
+
+def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
+    """Return the log without damaged messages.
+
+    A message is whole if another message follows it, or the end of the file. Its time has to lie near the median of
+    the five times around it, which in times that rise is the time itself.
+
+    Returns
+    -------
+    tuple
+        The bytes, None if nothing has to be taken out; the number of damaged places; the number of wrong times.
+    """
+    sizes = {FMT: FMT_SIZE}
+    timed: set[int] = set()  # types whose first field is TimeUS
+
+    def end_of(place: int) -> int:
+        """The end of a message, -1 if no message of a known type begins here."""
+        if raw[place : place + 2] != HEAD or place + 3 > len(raw):
+            return -1
+        size = sizes.get(raw[place + 2], -1)
+        return -1 if size < 3 or place + size > len(raw) else place + size
+
+    def is_chain(place: int) -> bool:
+        """Whether some messages follow each other here, to the end of the file if it is near."""
+        for _ in range(SURE):
+            place = end_of(place)
+            if place < 0 or place == len(raw):
+                return place == len(raw)
+        return True
+
+    found: list[tuple[int, int]] = []  # place and end of each whole message
+    place, n_torn = 0, 0
+    while place < len(raw):
+        end = end_of(place)
+        # At a new type nothing is known yet of what follows a FMT but its head.
+        if end > 0 and (end == len(raw) or raw[end : end + 2] == HEAD or len(raw) - end < 3):
+            if raw[place + 2] == FMT:
+                kind, size = raw[place + 3], raw[place + 4]
+                sizes[kind] = size if kind != FMT else FMT_SIZE
+                if raw[place + 9 : place + 10] == b"Q" and raw[place + 25 : place + 31] == b"TimeUS":
+                    timed.add(kind)
+            found.append((place, end))
+            place = end
+            continue
+        begin, place = place, raw.find(HEAD, place + 1)
+        while place >= 0 and not is_chain(place):
+            place = raw.find(HEAD, place + 1)
+        if place < 0:  # cut off, or the rest of the last page
+            if end > 0:
+                found.append((begin, end))
+            break
+        n_torn += 1
+    places = [k for k, (begin, _) in enumerate(found) if raw[begin + 2] in timed]
+    times = np.array([struct.unpack_from("<Q", raw, found[k][0] + 3)[0] for k in places], np.float64)
+    wrong: set[int] = set()
+    if len(times) >= 5:
+        around = np.lib.stride_tricks.sliding_window_view(np.pad(times, 2, mode="edge"), 5)
+        off = np.abs(times - np.median(around, axis=1)) > TIME_OFF_US
+        wrong = {places[k] for k in np.flatnonzero(off)}
+    if not n_torn and not wrong:
+        return None, 0, 0
+    kept = b"".join(raw[begin:end] for k, (begin, end) in enumerate(found) if k not in wrong)
+    return kept, n_torn, len(wrong)
+
+
+@contextlib.contextmanager
+def _repaired(path: Path, whole: bytes | None) -> Iterator[Path]:
+    """The file to read: a temporary one if damaged messages were taken out."""
+    if whole is None:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        repaired = Path(folder) / "whole.BIN"
+        repaired.write_bytes(whole)
+        yield repaired
 
 
 def firmware_type(texts: Iterable[str]) -> int | None:

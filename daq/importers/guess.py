@@ -35,7 +35,7 @@ from daq.importers.recognise import (
 )
 from daq.importers.sources import source_kind, text_head
 from daq.importers.table import Column, SourceOptions, Table
-from daq.importers.text_table import sniff_style
+from daq.importers.text_table import has_decimal_commas, sniff_style
 from daq.importers.units import UNITS
 from daq.log import LOG_FORMAT, open_log
 
@@ -78,6 +78,10 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     options = SourceOptions(dbc=dbc)
     if kind.name == "csv":
         style = sniff_style(path, text_head(path))
+        if (style is None or (style.delimiter == "," and style.columns)) and has_decimal_commas(text_head(path)):
+            raise SeatrialError(
+                f"{path}: the comma is both its delimiter and its decimal mark; save it again with ; as delimiter"
+            )
         if style is None:
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the map by hand")
         options = SourceOptions(style)

@@ -17,6 +17,7 @@ from daq.rig import NAME
 # Every map of the second kind is one of the first, but keeps repeats unless it says otherwise.
 FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days: 1970-01-01 in each
 GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
@@ -40,7 +41,7 @@ class TimeColumn:
     """Where time comes from: a column, or a rate where the file has none."""
 
     column: str = ""
-    format: str = "s"  # s | ms | us | ns | iso | datenum (MATLAB's days) | a strptime pattern
+    format: str = "s"  # s | ms | us | ns | iso | datenum (MATLAB's days) | excel | excel1904 | a strptime pattern
     fraction: str = ""  # decimal | unpadded-ns: text behind the last point, taken off before `format` applies
     rate_hz: float = 0.0
     origin: float = 0.0  # s since 1970, added
@@ -226,7 +227,7 @@ def _time(table: TomlTable) -> TimeColumn:
     else:
         pattern = _time_format(table, "format", "s")
         fraction = table.text("fraction", "", choices=("", "decimal", "unpadded-ns"))
-        if fraction and pattern in ("ms", "us", "ns", "datenum"):
+        if fraction and pattern in ("ms", "us", "ns", *DAY_COUNTS):
             raise table.error("fraction", "goes with seconds only: format s, iso or a pattern")
         found = TimeColumn(table.text("column"), pattern, fraction, origin=origin)
     table.done()
@@ -235,8 +236,10 @@ def _time(table: TomlTable) -> TimeColumn:
 
 def _time_format(table: TomlTable, key: str, usual: str) -> str:
     pattern = table.text(key, usual)
-    if pattern not in (*TIME_UNITS, "iso", "datenum", usual) and "%" not in pattern:
-        raise table.error(key, f"must be s, ms, us, ns, iso, datenum or a pattern with %, not '{pattern}'")
+    if pattern not in (*TIME_UNITS, "iso", *DAY_COUNTS, usual) and "%" not in pattern:
+        raise table.error(
+            key, f"must be s, ms, us, ns, iso, datenum, excel, excel1904 or a pattern with %, not '{pattern}'"
+        )
     if "%" in pattern:
         try:
             datetime.strptime("", pattern)

@@ -207,6 +207,11 @@ class Name(NamedTuple):
     no_unit: str = ""
 
 
+def unit_of(text: str) -> str:
+    """The unit that a text stands for, as maps have it; "" if it is not known."""
+    return text if text in UNITS else _UNITS.get(text.lower(), "")
+
+
 def without_unit(column: str) -> str:
     """The name of a column without what stands behind it in brackets."""
     return _BRACKET.sub("", column).strip()
@@ -223,7 +228,7 @@ def read_name(column: str) -> Name:
     if not meaning and (suffix := _SUFFIX.search(plain)) is not None:
         behind, plain = behind or suffix.group(1), plain[: suffix.start()]
         meaning = _MEANING.get(plain, "")
-    unit = behind if behind in UNITS else _UNITS.get(behind.lower(), "")
+    unit = unit_of(behind)
     if unit == "ms" and _SI.get(meaning) == "m/s":  # m/s, in a name that can have no /
         unit = "m/s"
     if meaning == "speed" and unit in _SPEED_UNITS:  # of a shaft

@@ -5,6 +5,8 @@ Axes are those of the bag; the map turns them (REP-103: forward, left, up; east,
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from array import array
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -13,11 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.importers.missing_inputs import stopped_motors
 from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
 from daq.importers.table import Column, SourceOptions, Table, ran_back
+from daq.log.recovery import recover_log
 
+BAG_ENDINGS = {".mcap", ".db3"}
+MCAP_MAGIC = b"\x89MCAP0\r\n"
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 CLOCK = "rosgraph_msgs/msg/Clock"  # of a simulation: its time, without a header
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -44,7 +49,10 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
         raise SeatrialError(_ROSBAGS) from error
     topics: dict[str, _Topic] = {}
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with (
+            _readable(path) as (parts, remark),
+            AnyReader(parts, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
+        ):
             there = {connection.topic for connection in reader.connections}
             named = {topic.partition(":")[0] for topic in options.topics}
             for topic in sorted(named - there):
@@ -69,7 +77,62 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
         raise SeatrialError(f"{path}: cannot be read as a bag of ROS: {' '.join(str(error).split())}") from error
     times = message_times({topic: one.times for topic, one in topics.items()})
     asked = [(topic, one) for topic, one in topics.items() if not options.topics or topic in options.topics]
-    return [table for topic, one in asked if (table := one.table(path, topic, times[topic])).columns]
+    tables = [table for topic, one in asked if (table := one.table(path, topic, times[topic])).columns]
+    for table in tables:
+        table.remark = "; ".join(part for part in (table.remark, remark) if part)
+    return tables
+
+
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
+    """The files of a bag that can be read, and a remark on what was missing.
+
+    A folder without metadata.yaml is read file by file. A .mcap without its end is recovered to a temporary file.
+    """
+    if path.name.endswith(".bag.active"):
+        raise SeatrialError(
+            f"{path}: a bag that was not closed; `rosbag reindex {path.name}` mends it, then name it {path.stem}"
+        )
+    parts, remarks = [path], []
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        parts = sorted((one for one in path.iterdir() if one.suffix in BAG_ENDINGS), key=_split_number)
+        if not parts:
+            raise SeatrialError(f"{path}: a folder without metadata.yaml, .mcap and .db3: no bag of ROS")
+        remarks.append(f"without metadata.yaml: read from {counted(len(parts), 'file')}")
+    with tempfile.TemporaryDirectory() as folder:
+        readable: list[Path] = []
+        for k, part in enumerate(parts):
+            if part.suffix != ".mcap" or part.is_dir() or _has_end(part):
+                readable.append(part)
+                continue
+            whole = Path(folder) / f"{k}.mcap"
+            try:
+                recovered = recover_log(part, whole)
+            except SeatrialError as error:
+                if len(parts) == 1:
+                    raise SeatrialError(
+                        f"{path}: cannot be read as a bag of ROS: it has no end and no message"
+                    ) from error
+                remarks.append(f"{part.name} holds no message that is readable")
+                continue
+            readable.append(whole)
+            remarks.append(f"{part.name} has no end: {counted(recovered.messages, 'message')} recovered")
+        if not readable:
+            raise SeatrialError(f"{path}: cannot be read as a bag of ROS: none of its files has a message")
+        yield readable, "; ".join(remarks)
+
+
+def _split_number(path: Path) -> tuple[int, str]:
+    """The number of a split, run_10.mcap after run_9.mcap, and its name."""
+    digits = path.stem.rpartition("_")[2]
+    return int(digits) if digits.isdecimal() else -1, path.name
+
+
+def _has_end(path: Path) -> bool:
+    """Whether a .mcap ends as it should."""
+    with path.open("rb") as file:
+        file.seek(-min(len(MCAP_MAGIC), path.stat().st_size), 2)
+        return file.read() == MCAP_MAGIC
 
 
 class _Topic:

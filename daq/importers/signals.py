@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,17 +13,18 @@ from numpy.typing import NDArray
 
 from daq.checks import held_signals
 from daq.errors import SeatrialError, counted
-from daq.importers.import_map import TIME_UNITS, Signal, Source, TimeColumn
+from daq.importers.import_map import DAY_COUNTS, TIME_UNITS, Signal, Source, TimeColumn
 from daq.importers.missing_inputs import input_gaps
 from daq.importers.table import Column, Table
 from daq.importers.units import UNITS
 from daq.log import local_ned, schema
 
 DAY = 86400.0  # s
-DAYS_1970 = 719529.0  # MATLAB's datenum of 1970-01-01
+HOUR = 3600.0  # s
 # Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 COARSE = 0.3  # share of the rows whose time repeats: the stamps are coarser than the rows
+_ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)$")  # at the end of an ISO time
 _ATTITUDE = ("roll", "pitch", "yaw")
 # A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
 # to a value: interpolation would make ramps of the steps of a command.
@@ -293,9 +295,10 @@ def row_times(table: Table, time: TimeColumn | None) -> Column:
         raise SeatrialError(
             f"{table.path}: it has no times of its own; give [time] column = ... in the map (or rate_hz = ...)"
         )
-    if time.format in (*TIME_UNITS, "datenum") and not time.fraction:
+    if time.format in (*TIME_UNITS, *DAY_COUNTS) and not time.fraction:
         raw = table.numbers(time.column)
-        t = (raw - DAYS_1970) * DAY if time.format == "datenum" else raw * TIME_UNITS[time.format]
+        days = DAY_COUNTS.get(time.format)
+        t = raw * TIME_UNITS[time.format] if days is None else (raw - days) * DAY
         empty = np.flatnonzero(np.isnan(t))
         if len(empty):
             raise table.error(int(empty[0]), time.column, "no time; take the line out")
@@ -310,7 +313,43 @@ def row_times(table: Table, time: TimeColumn | None) -> Column:
             raise table.error(row, time.column, f"'{cell[:40]}' is not a time of format {time.format}") from error
     if "%" in time.format and np.all(found < DAY):  # times of a day, which begins anew where they fall that far
         found[1:] += DAY * np.cumsum(np.diff(found) < -DAY / 2)
+    zoned = "%z" in time.format or (time.format == "iso" and text[:1] and _ZONE.search(text[0].strip()))
+    if time.format != "s" and not zoned:
+        _take_out_clock_changes(table, found)
     return found
+
+
+def _take_out_clock_changes(table: Table, t: Column) -> None:
+    """Take the change between standard and daylight saving time out of local times t (n,) [s].
+
+    The step is one hour, forward or back, beside the usual step; the rows behind it are moved, and a remark says so.
+    """
+    steps = np.diff(t)
+    if len(steps) < 10:
+        return
+    usual = float(np.median(steps))
+    if not 0.0 < usual < 60.0:
+        return
+    for sign, change in ((-1.0, "ends"), (1.0, "begins")):
+        rows = np.flatnonzero(np.abs(steps - usual - sign * HOUR) <= 2.0 * usual)
+        # Two such steps are no change of the season.
+        if len(rows) == 1 and (sign > 0.0 or not np.any(steps < -2.0 * usual - HOUR)):
+            row = int(rows[0]) + 1
+            t[row:] -= sign * HOUR
+            remark = f"daylight saving time {change} at row {row + 1}: later times are moved by {-sign:+.0f} h"
+            if remark not in table.remark:
+                table.remark = "; ".join(part for part in (table.remark, remark) if part)
+
+
+def read_date(text: str, pattern: str) -> datetime:
+    """Read a date and time. A fraction of the pattern may be missing, as in a whole second of many loggers."""
+    try:
+        return datetime.strptime(text, pattern)
+    except ValueError:
+        whole = re.sub(r"[.,]%f", "", pattern)
+        if whole == pattern:
+            raise
+        return datetime.strptime(text, whole)
 
 
 def _parser(time: TimeColumn) -> Callable[[str], float]:
@@ -318,7 +357,7 @@ def _parser(time: TimeColumn) -> Callable[[str], float]:
         if time.format == "s":
             return float(text)
         iso = time.format == "iso"
-        moment = datetime.fromisoformat(text) if iso else datetime.strptime(text, time.format)
+        moment = datetime.fromisoformat(text) if iso else read_date(text, time.format)
         if moment.year == 1900 and not iso and "%Y" not in time.format:  # strptime's, where the pattern has none
             moment = moment.replace(year=1970)
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.errors import SeatrialError, counted
+from daq.importers.recognise import unit_of
 from daq.importers.table import Column, Table, TextStyle
 
 _EMPTY = {"", "nan", "na", "null", "none"}
@@ -52,8 +54,20 @@ class TextTable(Table):
         self._header = [name.strip() for name in header]
         if not self._header:
             raise SeatrialError(f"{self.path}: the file is empty")
+        width = len(self._header)
         for line, cells in rows:
-            if len(cells) != len(self._header):
+            if cells[0].lstrip().startswith("#") or [cell.strip() for cell in cells] == self._header:
+                continue  # a comment, or the header again: the logger was restarted
+            if not self.lines and not self.units and is_units_row(cells):
+                self.units = {
+                    name: found for name, cell in zip(self._header, cells, strict=False) if (found := bare(cell))
+                }
+                continue
+            if len(cells) == width + 1 and not cells[-1].strip():
+                cells.pop()  # a separator at the end of the rows, but not of the header
+            elif len(cells) == width - 1 and not self._header[-1]:
+                cells.append("")  # a separator at the end of the header, but not of the rows
+            if len(cells) != width:
                 raise SeatrialError(
                     f"{self.path}: line {line + self._style.skip_rows}: {counted(len(cells), 'cell')} where the "
                     f"header has {len(self._header)}; is the delimiter right, is the last line whole?"
@@ -115,6 +129,30 @@ def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[st
             yield rows.line_num, cells
 
 
+def bare(cell: str) -> str:
+    """Return the text of a cell of a units row without blanks and brackets."""
+    return cell.strip().strip("()[]{}<>").strip()
+
+
+def is_units_row(cells: list[str]) -> bool:
+    """Whether the cells of a row are the units of the columns: most of them are known, and none is a measured value."""
+    texts = [text for cell in cells if (text := bare(cell))]
+    known = [text for text in texts if unit_of(text)]
+    values = [text for text in texts if text not in known and any(character.isdigit() for character in text)]
+    return not values and 2 * len(known) >= len(texts) and any(text not in ("1", "-") for text in known)
+
+
+def has_decimal_commas(head: bytes) -> bool:
+    """Whether a table has the comma as delimiter and as decimal mark: its rows have more cells than its header."""
+    lines = head.decode("utf-8-sig", "ignore").splitlines()[:-1]
+    widths = [line.count(",") + 1 for line in lines if line.strip()]
+    if len(widths) < 3 or widths[0] < 2 or any(character in ";\t" for character in lines[0]):
+        return False
+    numeric = [line for line in lines[1:] if re.fullmatch(r"[-+0-9eE.,\s]+", line)]
+    wider = sum(widths[0] < width <= 2 * widths[0] for width in widths[1:])
+    return len(numeric) > 0.9 * (len(lines) - 1) and wider > 0.9 * (len(widths) - 1)
+
+
 def wide_encoding(head: bytes) -> str:
     """The encoding of text of two bytes a character (Excel's "Unicode text") that begins so; "" where it is none."""
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -159,8 +197,15 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
         return None
     shares = [_share(cells, style) for cells in body]
     score = sum(share**2 * len(cells) for share, cells in zip(shares, body, strict=True))
-    above = next((k for k in range(first - 1, -1, -1) if rows[k]), None)
-    named = above is not None and len(rows[above]) == width and _share(rows[above], style) < 0.5
+    filled = [k for k in range(first) if rows[k]]
+    if len(filled) > 1 and is_units_row(rows[filled[-1]]):
+        filled.pop()  # the header stands above the units
+    above = filled[-1] if filled else None
+    open_rows = all(not cells[-1].strip() for cells in body if len(cells) == width)  # end with a separator
+    named = above is not None and _share(rows[above], style) < 0.5
+    if named and above is not None:
+        n = len(rows[above])
+        named = n == width or (n == width - 1 and open_rows) or (n == width + 1 and not rows[above][-1].strip())
     header: tuple[str, ...] = () if named else tuple(f"column_{k}" for k in range(1, width + 1))
     skip = above if named and above is not None else first
     return score, TextStyle(style.delimiter, style.decimal, style.encoding, skip, header)

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import io
+import struct
 from pathlib import Path
 
 import numpy as np
 
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, counted
 from daq.importers.missing_inputs import stopped_motors
 from daq.importers.table import Column, SourceOptions, Table
 
 _PYULOG = "PX4 logs need the package pyulog: pip install 'seatrial[ulog]'"
+HEADER = 16  # bytes of the file header
+RECORD = struct.Struct("<HB")  # size of the data, type
+TYPES = frozenset(b"BFIMPQALCDSOR")
+MOST_RECORD = 65538  # bytes of a record
+SURE = 3  # whole records in a row, behind a damaged place, that are taken for the log again
 FIX_2D = 2  # sensor_gps.fix_type
 
 
@@ -25,10 +31,12 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
     except ModuleNotFoundError as error:
         raise SeatrialError(_PYULOG) from error
     try:
-        with _Bounded(path) as file:  # it does not close what it cannot read
+        raw, n_torn = whole_records(path.read_bytes())
+        with _Bounded(path) if raw is None else io.BytesIO(raw) as file:  # pyulog does not close what it cannot read
             data = ULog(file).data_list
     except Exception as error:  # pyulog has errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as a PX4 log: {' '.join(str(error).split())}") from error
+    remark = f"{counted(n_torn, 'damaged place')}: the records there are left out" if n_torn else ""
     tables = []
     for one in data:
         topic = f"{one.name}_{one.multi_id}" if one.multi_id else one.name
@@ -51,6 +59,69 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         table.vehicle = vehicle
         table.t = table.t + offset
     return tables
+
+
+def whole_records(raw: bytes) -> tuple[bytes | None, int]:
+    """Return the log without its torn records, and the number of damaged places.
+
+    A record is whole if another record follows it, or the end of the file. Of a torn record the size is right but the
+    data are in part those of a later place, so that the next header is not where it should be.
+
+    Returns
+    -------
+    tuple
+        The bytes, None if nothing has to be taken out; the number of damaged places.
+    """
+    sizes: dict[int, int] = {}  # of the data of each subscription, by its number
+
+    def end_of(place: int) -> int:
+        """The end of a record, -1 if no record can begin here."""
+        if place + RECORD.size > len(raw):
+            return -1
+        size, kind = RECORD.unpack_from(raw, place)
+        if not size or kind not in TYPES or place + RECORD.size + size > len(raw):
+            return -1
+        if kind == ord("D"):
+            number = int.from_bytes(raw[place + 3 : place + 5], "little")
+            if size != sizes.get(number, size):
+                return -1
+        return place + int(RECORD.size) + int(size)
+
+    def is_chain(place: int) -> bool:
+        """Whether some records follow each other here, to the end of the file if it is near."""
+        for _ in range(SURE):
+            place = end_of(place)
+            if place < 0 or place == len(raw):
+                return place == len(raw)
+        return True
+
+    kept: list[bytes] = [raw[:HEADER]]
+    place, n_torn = HEADER, 0
+    while place < len(raw):
+        end = end_of(place)
+        # The last record of a log that was cut off has no end; nothing is wrong with the one before it.
+        cut_off = end > 0 and len(raw) - end < MOST_RECORD and _is_cut(raw, end)
+        if end > 0 and (end == len(raw) or end_of(end) > 0 or cut_off):
+            if raw[place + 2] == ord("D"):
+                sizes.setdefault(int.from_bytes(raw[place + 3 : place + 5], "little"), end - place - RECORD.size)
+            if raw[place + 2] == ord("B") and any(raw[place + 19 : place + 43]):
+                return None, 0  # data are appended at places that count from the beginning of the file
+            kept.append(raw[place:end])
+            place = end
+            continue
+        place += 1
+        while place < len(raw) and not is_chain(place):
+            place += 1
+        n_torn += place < len(raw)  # else the log was cut off here
+    return (b"".join(kept), n_torn) if n_torn else (None, 0)
+
+
+def _is_cut(raw: bytes, place: int) -> bool:
+    """Whether the record that begins here goes on behind the end of the file."""
+    if place + RECORD.size > len(raw):
+        return True
+    size, kind = RECORD.unpack_from(raw, place)
+    return kind in TYPES and place + RECORD.size + size > len(raw)
 
 
 class _Bounded(io.BufferedReader):

@@ -228,7 +228,8 @@ def test_damage_in_a_dataflash_log_is_counted_and_not_printed(
     dataflash(path)
     data = path.read_bytes()
     path.write_bytes(data[:3000] + bytes(1000) + data[3000:])
-    out, said = import_mavlink(path, out=tmp_path / "bin.mcap")
+    with pytest.warns(SeatrialWarning, match="1 damaged place"):
+        out, said = import_mavlink(path, out=tmp_path / "bin.mcap")
     assert 1000 <= int(said.split(" bytes not understood")[0].rpartition(" ")[2]) < 1100
     assert capfd.readouterr() == ("", "")
     with open_log(out) as log:
@@ -323,3 +324,32 @@ def test_a_damaged_dataflash_log_is_one_line(tmp_path: Path) -> None:
     path.write_bytes(b"\xa3\x95" + bytes(range(200)))
     with pytest.raises(SeatrialError, match=r"bad\.BIN: .*DataFlash"):
         import_mavlink(path, out=tmp_path / "bad.mcap")
+
+
+def test_zeroed_blocks_of_a_dataflash_log_cost_what_they_hit(tmp_path: Path) -> None:
+    path = tmp_path / "00000001.BIN"
+    dataflash(path)
+    data = bytearray(path.read_bytes())
+    for begin in (2000, 2900, 3700):
+        data[begin : begin + 64] = bytes(64)
+    path.write_bytes(data)
+    with pytest.warns(SeatrialWarning, match="3 damaged places: the messages there are left out"):
+        out, _ = import_mavlink(path, out=tmp_path / "bin.mcap")
+    with open_log(out) as log:
+        assert len(log.table(Ahrs, "autopilot")) >= 15
+
+
+def test_a_flipped_bit_in_a_time_costs_one_message(tmp_path: Path) -> None:
+    path = tmp_path / "00000001.BIN"
+    dataflash(path)
+    data = bytearray(path.read_bytes())
+    att = bytes([0xA3, 0x95, 1])
+    place = data.index(att, 2500)
+    data[place + 3 + 6] ^= 0x40  # of TimeUS
+    path.write_bytes(data)
+    with pytest.warns(SeatrialWarning, match="1 message with a time that cannot be"):
+        out, _ = import_mavlink(path, out=tmp_path / "bin.mcap")
+    with open_log(out) as log:
+        attitude = log.table(Ahrs, "autopilot")
+    assert len(attitude) == 19
+    np.testing.assert_allclose(np.ptp(attitude["t"]), 1.9, atol=0.01)

@@ -311,3 +311,23 @@ def test_a_bag_with_nothing_but_tf_for_its_pose(tmp_path: Path) -> None:
     (tmp_path / "wrong.toml").write_text(wrong, encoding="utf-8")
     with pytest.raises(SeatrialError, match="no transform /tf:odom:boat; there is"):
         import_files(tmp_path / "wrong.toml", [path], out_dir=tmp_path)
+
+
+def test_a_folder_without_metadata_and_a_file_without_its_end(bag: Path) -> None:
+    (bag / "metadata.yaml").unlink()
+    tables = {table.topic: table for table in read_bag(bag, SourceOptions())}
+    assert len(tables["/imu/data"]) == N
+    assert "without metadata.yaml: read from 1 file" in tables["/imu/data"].remark
+    (part,) = bag.iterdir()
+    if part.suffix == ".mcap":
+        part.write_bytes(part.read_bytes()[:-40])
+        tables = {table.topic: table for table in read_bag(part, SourceOptions())}
+        assert len(tables["/imu/data"]) == N
+        assert "has no end" in tables["/imu/data"].remark
+
+
+def test_a_bag_that_was_not_closed_names_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "run.bag.active"
+    path.write_bytes(b"#ROSBAG V2.0\n")
+    with pytest.raises(SeatrialError, match=r"rosbag reindex run\.bag\.active"):
+        read_bag(path, SourceOptions())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import sys
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import pytest
 from daq.errors import SeatrialError
 from daq.importers.guess import guess_map
 from daq.importers.import_files import import_files
+from daq.importers.table import SourceOptions
+from daq.importers.ulog import read_ulog, whole_records
 from daq.log.reader import open_log
 from daq.samples import Scalar
 from tests.daq.ulog_files import Topic, needs_pyulog, write_ulog
@@ -90,3 +93,35 @@ def test_without_its_library_it_is_one_line(tmp_path: Path, monkeypatch: pytest.
     flight(tmp_path / "flight.ulg")
     with pytest.raises(SeatrialError, match=r"pip install 'seatrial\[ulog\]'"):
         guess_map(tmp_path / "flight.ulg")
+
+
+def test_a_torn_record_costs_only_itself() -> None:
+    def record(kind: bytes, data: bytes) -> bytes:
+        return struct.pack("<HB", len(data), kind[0]) + data
+
+    def sample(k: int) -> bytes:
+        return record(b"D", struct.pack("<HQf", 0, 1000 * k, float(k)))
+
+    head = b"ULog\x01\x12\x35\x01" + bytes(8)
+    head += record(b"F", b"speed:uint64_t timestamp;float v;") + record(b"A", b"\0" + struct.pack("<H", 0) + b"speed")
+    samples = [sample(k) for k in range(400)]
+    assert whole_records(head + b"".join(samples)) == (None, 0)
+    # The log goes on in the middle of another record: bytes of a block are lost.
+    torn = head + b"".join(samples[:100]) + samples[100][:9] + samples[200][5:] + b"".join(samples[201:])
+    found, n_torn = whole_records(torn)
+    assert n_torn == 1
+    assert found == head + b"".join(samples[:100] + samples[201:])
+    hole = head + b"".join(samples[:100]) + bytes(512) + b"".join(samples[150:])
+    # Nothing tells whether the record in front of the hole is whole: it is left out.
+    assert whole_records(hole) == (head + b"".join(samples[:99] + samples[150:]), 1)
+    assert whole_records(head + b"".join(samples)[:-7]) == (None, 0)  # cut off: no record is wrong
+
+
+def test_a_torn_log_says_so(tmp_path: Path) -> None:
+    flight(tmp_path / "run.ulg")
+    whole = (tmp_path / "run.ulg").read_bytes()
+    n = len(whole) // 2
+    (tmp_path / "torn.ulg").write_bytes(whole[:n] + whole[n + 331 :])
+    tables = read_ulog(tmp_path / "torn.ulg", SourceOptions())
+    assert tables
+    assert {table.remark for table in tables} == {"1 damaged place: the records there are left out"}
