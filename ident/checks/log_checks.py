@@ -270,6 +270,9 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         return
     of_outliers = list(check_outliers(c))
     yield from of_outliers
+    if any(f.code == "position-jumps" for f in of_outliers):
+        # Such positions would be taken for another unit, axis or clock.
+        c = {name: channel for name, channel in c.items() if name not in ("x", "y")}
     of_wraps = list(check_wrapped(c))
     # A wrapped speed is out of range, too; its unit is right.
     wraps = {f.where for f in of_wraps}
