@@ -347,7 +347,13 @@ def _addresses(_context: click.Context, _parameter: click.Parameter, ports: tupl
 
 @click.command()
 @click.argument("ports", nargs=-1, metavar="[PORT]...", callback=_addresses)
-@click.option("--baud", "bauds", type=click.IntRange(min=1), multiple=True, help="Try this rate only; may be repeated.")
+@click.option(
+    "--baud",
+    "bauds",
+    type=click.IntRange(min=1),
+    multiple=True,
+    help="Try this rate only, with every protocol; may be repeated.",
+)
 @click.option(
     "--seconds", type=FiniteRange(min=0.1), default=1.3, show_default=True, help="To listen at each baud rate."
 )
@@ -390,7 +396,8 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
             click.echo(one.toml(f"{one.protocol}{k}", alone))
         elif not toml:
             speed = f" at {one.baud} baud" * bool(one.baud)
-            at = f"{one.protocol}{speed}, {one.rate:.4g}/s" if one.protocol else "-"
+            rate = f", {one.rate:.4g}/s" if math.isfinite(one.rate) else ""
+            at = f"{one.protocol}{speed}{rate}" if one.protocol else "-"
             about = f" ({one.description})" if one.description and one.description != "n/a" else ""
             click.echo(f"{one.port}{about}: {at}: {one.says}")
         if one.hint:

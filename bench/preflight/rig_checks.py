@@ -19,6 +19,7 @@ ARMED = "autopilot-armed"  # code of a finding, whose line comes last
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
 LOST = 0.01  # part of an autopilot's frames
 HOURS = 4.0  # of logging, for which there should be room
+UNDERSTOOD = 5  # frames with a right checksum, from which baud rate and protocol are right
 POLL_WALL_S = 0.05  # between two looks at the status
 
 
@@ -39,16 +40,7 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
     for device in rig.devices:
         port = status.ports.get(device.name)
         if port is None or port.samples == 0:
-            received = 0 if port is None else port.bytes_in
-            text = f"{received} bytes, no sample: wrong baud rate or protocol?" if received else "nothing received"
-            yield Finding(
-                FAULT,
-                "device-silent",
-                "alive",
-                device.name,
-                (port.message if port else "") or text,
-                "power, cable, port, baud",
-            )
+            yield _silent(device, port)
             continue
         if port.message and port.message == port.remark:
             yield Finding(WARNING, "port-error", "alive", device.name, port.message, "the rig, if not meant so")
@@ -72,6 +64,17 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 f"{name} sends nothing",
                 "its node, its power, the bus",
             )
+
+
+def _silent(device: Device, port: PortStatus | None) -> Finding:
+    """A device without a sample: its port, its baud rate, or what it is set to send."""
+    text, advice = "nothing received", "power, cable, port, baud"
+    if port is not None and port.frames >= UNDERSTOOD:
+        text = f"{port.frames} frames of {device.protocol} understood, and none has a measurement"
+        advice = "which messages it is set to send; baud rate and protocol are right"
+    elif port is not None and port.bytes_in:
+        text = f"{port.bytes_in} bytes, no sample: wrong baud rate or protocol?"
+    return Finding(FAULT, "device-silent", "alive", device.name, (port.message if port else "") or text, advice)
 
 
 def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:

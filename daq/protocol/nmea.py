@@ -26,6 +26,7 @@ ORDER_BY = 3  # epochs in a row tell another order of sentences; in one of them 
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d(?:\.\d*)?)\Z")
 _TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}
 _POSITION = ("GGA", "GNS", "RMC", "GLL")  # the first of them that has one gives the position
+TIMELESS_S = 1.5  # s without a sentence that has a time, after which those without one are of a receiver without a fix
 KINDS = frozenset({*_TIME_FIELD, "VTG", "GSA"})
 # GGA quality -> Gnss.fix; 2-D and 3-D fixes are the same in GGA, GSA distinguishes them.
 _QUALITY = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 1}
@@ -141,12 +142,16 @@ def _text(value: float, digits: int) -> str:
 class _Epoch:
     """Values of the sentences of one time so far."""
 
-    seconds: float  # of the day
+    seconds: float  # of the day; NaN of a receiver that does not know the time
     t_rx: float
     kinds: set[str] = field(default_factory=set)
     date: datetime.date | None = None
     position: dict[str, tuple[float, float]] = field(default_factory=dict)
     values: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def timeless(self) -> bool:
+        return math.isnan(self.seconds)
 
 
 class Epochs:
@@ -156,6 +161,7 @@ class Epochs:
     begins. `t_rx` of a sample is that of the epoch's first sentence, which is nearest to the measurement; `t_device` is
     its UTC, NaN before the first fix: until then the time is that of the receiver's own clock, which the fix corrects
     by up to seconds. Without a date (no RMC or ZDA yet) the day is the one that puts the time next to `t_rx`.
+    A receiver that does not know the time at all gives samples without a fix, whose UTC is NaN.
 
     VTG carries no time. It belongs to the sentence that came before, unless it comes between two epochs and nearer to
     the later one: then it is the first of its burst.
@@ -214,6 +220,7 @@ class Epochs:
             return
         seconds = _seconds(words, _TIME_FIELD[kind])
         if math.isnan(seconds):
+            self._timeless(kind, message, t_rx)
             return
         vtg, self._vtg = self._vtg, None
         begins = self._epoch is None or self._epoch.seconds != seconds
@@ -225,6 +232,19 @@ class Epochs:
         self._t_last = t_rx
         if held is not None:
             self._add("VTG", held[1])
+        self._add(kind, message)
+
+    def _timeless(self, kind: str, message: Message, t_rx: float) -> None:
+        """Add a sentence without a time: a receiver that has never had a fix sends them, and it is alive.
+
+        Its epoch begins with a kind of sentence that the epoch before has already. Beside sentences with a time, one
+        without (an old GLL) is of no epoch.
+        """
+        epoch = self._epoch
+        if kind not in _POSITION or not (epoch is None or epoch.timeless or t_rx - epoch.t_rx > TIMELESS_S):
+            return
+        if epoch is None or not epoch.timeless or kind in epoch.kinds:
+            self._begin(NAN, t_rx)
         self._add(kind, message)
 
     def _learn(self, before: float, after: float) -> None:
@@ -273,7 +293,8 @@ class Epochs:
             utc = midnight.timestamp() + epoch.seconds
         else:
             utc = self.utc_of(epoch.seconds, epoch.t_rx)
-        self._last_utc = utc
+        if not math.isnan(utc):
+            self._last_utc = utc
         return utc
 
     def utc_of(self, seconds: float, t_rx: float) -> float:

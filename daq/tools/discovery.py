@@ -11,13 +11,14 @@ from pathlib import Path
 
 from daq.config import default_decoder
 from daq.protocol import DEVICES, Decoder, nmea, slcan, ubx
+from daq.samples import Frame, Gnss
 from daq.transport import PortError, SerialPort, list_serial_ports
 
 LISTEN_S = 1.3  # wall, at each baud rate; a GNSS receiver sends once a second
 SILENT_S = 2.0  # with nothing at all for so long, no baud rate will help
 ENOUGH = 3  # reads with samples in them
 JUDGED_BYTES = 20
-LINES = 5  # of text without a checksum; fewer may be chance
+LINES = 5  # of text without a checksum, or of frames without a sample; fewer may be chance
 CAN_TYPE = 280  # ARPHRD_CAN, linux/if_arp.h
 SLCAN = "slcan"  # not a device of its own: an adapter to a bus
 SLCAN_BAUDS = (115200, 1_000_000)
@@ -51,7 +52,7 @@ class _Listener:
         self.protocol = protocol
         self.decoder: Decoder | slcan.Decoder = slcan.Decoder() if protocol == SLCAN else default_decoder(protocol)
         self.decoder.reset()
-        self.samples = self.n_bytes = 0
+        self.samples = self.n_bytes = self.gnss = self.fixes = 0  # of `gnss` samples, so many have a fix
         self._joined: tuple[int, int] | None = None  # bytes received and unparsed at the first sample
         self.times: list[float] = []
 
@@ -60,13 +61,21 @@ class _Listener:
         found = self.decoder.feed(data, t)
         self.n_bytes += len(data)
         self.samples += len(found)
+        self._look_at(found)
         self.times += [t] * len(found)
         if found and self._joined is None:  # what comes before may be of another baud rate, or half a frame
             self._joined = (self.n_bytes, self.decoder.unparsed_bytes)
 
     def close(self) -> None:
         if isinstance(self.decoder, (nmea.Decoder, ubx.Decoder)):
-            self.samples += len(self.decoder.flush())
+            found = self.decoder.flush()
+            self.samples += len(found)
+            self._look_at(found)
+
+    def _look_at(self, found: Sequence[object]) -> None:
+        samples = [frame.sample for frame in found if isinstance(frame, Frame) and isinstance(frame.sample, Gnss)]
+        self.gnss += len(samples)
+        self.fixes += sum(sample.fix > 0 for sample in samples)
 
     @property
     def checked(self) -> bool:
@@ -85,6 +94,11 @@ class _Listener:
             return 0.0, 0
         # OpenScale's lines may match a load cell's pattern by chance, never the other way round.
         return share + 0.01 * self.checked, self.decoder.frames
+
+    @property
+    def condition(self) -> str:
+        """What keeps a receiver from measuring, to be shown behind its name; empty if it measures."""
+        return "; alive, without a fix: open sky, antenna and its cable" if self.gnss and not self.fixes else ""
 
     def rate(self) -> float:
         """Samples per second, from their times of arrival."""
@@ -127,10 +141,12 @@ def identify_protocol(
 ) -> DiscoveredDevice:
     """Listen on a port at one baud rate after the other. Nothing is ever sent: the device is unknown."""
     answered_at: list[int] = []
+    framed: list[str] = []  # protocols whose checksums were right, without one sample
     hint = ""
     for baud in baud_rates(bauds):
-        candidates = [_Listener(name) for name, row in DEVICES.items() if baud in row.bauds]
-        candidates += [_Listener(SLCAN)] if baud in SLCAN_BAUDS else []
+        # A rate that the user names is tried with every protocol: devices are set to other rates than their usual ones.
+        candidates = [_Listener(name) for name, row in DEVICES.items() if baud in row.bauds or (bauds and row.bauds)]
+        candidates += [_Listener(SLCAN)] if baud in SLCAN_BAUDS or bauds else []
         port = SerialPort(path, baud)
         try:
             n_bytes = _listen(port, candidates, listen, silent=SILENT_S if not answered_at else listen)
@@ -142,10 +158,15 @@ def identify_protocol(
                 path, description, says="silent; what speaks only when asked is not found", hint=hint
             )
         answered_at.append(baud)
+        framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= LINES]
         best = max(candidates, key=_Listener.score, default=None)
         if best is not None and best.score() > (0.0, 0):
             says = "CAN adapter (slcan), its channel open" if best.protocol == SLCAN else DEVICES[best.protocol].says
+            says += best.condition
             return DiscoveredDevice(path, description, best.protocol, baud, best.rate(), says, hint)
+    if framed:
+        says = f"frames of {' or '.join(framed)}, none with a measurement: is the right output switched on?"
+        return DiscoveredDevice(path, description, says=says, hint=hint)
     tried = ", ".join(map(str, answered_at))
     return DiscoveredDevice(path, description, says=f"bytes that no protocol explains at {tried} baud", hint=hint)
 

@@ -9,6 +9,7 @@ from dataclasses import astuple
 from typing import Any
 
 from daq.protocol.decoder import Decoder
+from daq.protocol.framing import sentence
 from daq.samples import Frame
 
 # Of what a serial line brings that is no frame: text, starts of frames, every byte value.
@@ -21,6 +22,12 @@ GARBAGE = (
     b"$GPGGA,12*",
     b"T00000901",
     bytes(range(256)),
+)
+
+# One second of a receiver that has never had a fix: it knows neither time nor place.
+COLD = b"".join(
+    sentence(body)
+    for body in ("GNRMC,,V,,,,,,,,,,N", "GNVTG,,,,,,,,,N", "GNGGA,,,,,,0,00,99.9,,,,,,", "GPGSV,1,1,00")
 )
 
 

@@ -15,7 +15,7 @@ from daq.checks.device_checks import check_devices
 from daq.checks.findings import FAULT, WARNING, Finding
 from daq.drivers.base import LinkStatus
 from daq.log.reader import open_log
-from daq.samples import Ahrs, Gnss, LoadCell
+from daq.samples import NAN, Ahrs, Gnss, LoadCell
 from mocks.plant.bench import draw_bench
 from mocks.world import Sample
 from tests.bench.check_cases import Case, alarms, logged, sailed
@@ -111,6 +111,17 @@ def test_check_refuses_thrusters_behind_px4() -> None:
     (found,) = [one for one in check_ports(rig, status) if one.code == "autopilot-not-driven"]
     assert (found.level, found.where) == (FAULT, "autopilot")
     assert "PX4: only ArduPilot Rover is driven" in found.text
+
+
+@pytest.mark.parametrize(
+    ("frames", "n_bytes", "text"),
+    [(0, 0, "nothing received"), (0, 900, "wrong baud rate"), (30, 900, "30 frames of mavlink understood")],
+)
+def test_a_device_without_a_sample_is_told_from_a_wrong_baud_rate(frames: int, n_bytes: int, text: str) -> None:
+    port = PortStatus("autopilot", "mavlink", "", 25.0, NAN, math.inf, 0, frames, 0, 0, 0, 0, n_bytes, NAN, NAN, "")
+    status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
+    (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "device-silent"]
+    assert text in found.text
 
 
 GOOD = LinkStatus(

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from daq.protocol.framing import sentence
 from daq.protocol.nmea import Decoder, encode
 from daq.samples import NAN, Gnss
-from tests.daq.streams import check_garbage, check_splits, counters, is_close
+from tests.daq.streams import COLD, check_garbage, check_splits, counters, is_close
 from tests.measured.data import measured
 
 T = 1_700_000_000.0  # 2023-11-14 22:13:20 UTC
@@ -130,7 +130,25 @@ def test_void_fixes_have_no_position_and_a_zda_alone_is_no_sample() -> None:
     (sample,) = read(void)
     assert is_close(sample, Gnss(T, NAN, NAN, n_sat=0))
     assert read(sentence("GPZDA,221320.00,14,11,2023,00,00")) == []
-    assert read(sentence("GPGGA,,,,,,0,00,99.9,,,,,,")) == []
+
+
+def test_a_receiver_that_has_never_had_a_fix_gives_one_sample_an_epoch() -> None:
+    decoder = Decoder()
+    frames = [frame for k in range(4) for frame in decoder.feed(COLD, 10.0 + k)] + decoder.flush()
+    assert [frame.t_rx for frame in frames] == [10.0, 11.0, 12.0, 13.0]
+    for frame in frames:
+        assert isinstance(frame.sample, Gnss)
+        assert (frame.sample.fix, frame.sample.n_sat) == (0, 0)
+        assert math.isnan(frame.sample.utc)
+        assert math.isnan(frame.t_device)
+    # The first time of the day ends the epochs without one.
+    (sample,) = read(COLD + gga("221320.00") + rmc("221320.00"))[-1:]
+    assert (sample.fix, sample.utc) == (3, T)
+
+
+def test_a_sentence_without_a_time_among_others_is_of_no_epoch() -> None:
+    old = sentence("GPGLL,4916.45,N,12311.12,W")
+    assert read(gga("221320.00") + old + rmc("221320.00")) == read(gga("221320.00") + rmc("221320.00"))
 
 
 @pytest.mark.parametrize(("quality", "fix"), [(1, 3), (2, 4), (4, 5), (5, 6), (6, 1), (3, 3)])

@@ -17,9 +17,11 @@ from pymavlink.dialects.v20.ardupilotmega import MAVLink
 
 from daq import cli
 from daq.config.rig_file import parse_rig
-from daq.protocol import loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
+from daq.protocol import DEVICES, loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
+from daq.protocol.framing import sentence
 from daq.samples import Ahrs, Esc, Gnss
 from daq.tools.discovery import _Listener, baud_rates, identify_protocol
+from tests.daq.streams import COLD
 
 SPEEDS = {9600: termios.B9600, 38400: termios.B38400, 115200: termios.B115200, 57600: termios.B57600}
 
@@ -95,6 +97,30 @@ def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
         ear.feed(SAYS[name][1](k), 0.2 * k)
     ear.close()
     assert ear.rate() == pytest.approx(5.0 * each)
+
+
+def test_a_rate_that_the_user_names_is_tried_with_every_protocol() -> None:
+    baud = 9600  # no VectorNav leaves the factory with it
+    assert baud not in DEVICES["vectornav"].bauds
+    with device(baud, SAYS["vectornav"][1]) as port:
+        found = identify_protocol(port, bauds=(baud,), listen=0.4)
+    assert (found.protocol, found.baud) == ("vectornav", baud)
+
+
+def test_a_receiver_without_a_fix_is_recognised() -> None:
+    with device(9600, lambda k: COLD) as port:
+        done = CliRunner().invoke(cli.devices, [port, "--baud", "9600", "--seconds", "0.4"])
+    assert done.exit_code == 0, done.output
+    assert "nmea at 9600 baud" in done.output
+    assert "without a fix" in done.output
+
+
+def test_right_frames_without_a_sample_are_no_wrong_baud_rate() -> None:
+    """A receiver that lists satellites only."""
+    with device(9600, lambda k: sentence("GPGSV,1,1,00")) as port:
+        found = identify_protocol(port, bauds=(9600,), listen=0.4)
+    assert found.protocol == ""
+    assert found.says.startswith("frames of vectornav at 9600 baud or nmea at 9600 baud")
 
 
 def test_what_is_not_known_is_said() -> None:
