@@ -10,7 +10,6 @@ from .findings import findings_lines as findings_lines
 from .findings import findings_paragraphs as findings_paragraphs
 from .findings import findings_summary as findings_summary
 from .findings import worst_first as worst_first
-from .held_values import HeldValues as HeldValues
 from .held_values import held_signals as held_signals
 from .held_values import held_together as held_together
 from .import_checks import lacks_too_much as lacks_too_much

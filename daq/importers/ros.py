@@ -175,7 +175,7 @@ class _Topic:
                 columns[name] = np.where(columns["status.status"] < 0, np.nan, columns[name])
         n_lost = len(t) - len(order)
         remark = "; ".join(part for part in (times.remark, stopped_motors(self.kind, columns)) if part)
-        clock = ran_back(t[np.isfinite(t)])
+        clock = "" if times.mixed else ran_back(t[np.isfinite(t)])
         return Table(
             path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost
         )

@@ -8,6 +8,8 @@ step. The difference of both, receipt minus stamp, shows which one failed:
   that of the topic with most messages, as in a bag of a simulation. Its rate need not be that of the recorder: a
   simulation at half the real time has stamps that run half as fast.
 - A step of the difference in all topics is of the clock whose own interval is odd across the step.
+- A recorder's clock that was set back writes messages of before and after into the same receipts. In the order of their
+  stamps, which stay regular, the step is plain. What was received in that time without a stamp is left out.
 - A stamp that is far from the reference beside the other stamps of its topic is wrong. It is left out. A message that
   is merely late keeps its stamp: then the interval of the receipts is odd, and not that of the stamps.
 - A topic whose stamps are of another clock is moved onto the reference by the shortest delay, or by a straight line
@@ -34,6 +36,7 @@ STEP_S, STEP_RATE = 0.25, 0.5  # s, and per second between two messages: a diffe
 DRIFT_S = 0.2  # s, over a whole recording: more is a clock of another rate
 SMOOTH = 51  # messages, over which the difference is the median
 LEAST_DIFFERENT = 0.1  # share of a topic's stamps, below which they stand still
+FEWEST_BACK, REGULAR = 3, 0.95  # stamps that run back; share of the intervals of stamps in order that are as usual
 SHARE = 0.2  # of a topic's stamps that can be its usual ones
 
 
@@ -48,10 +51,14 @@ class MessageTimes(NamedTuple):
 
 
 class EstimatedTimes(NamedTuple):
-    """Times of a topic's messages ``t`` (n,) [s]: NaN where a message has no time that can be trusted; and a remark."""
+    """Times of a topic's messages ``t`` (n,) [s], NaN where a message has no time that can be trusted, and a remark.
+
+    ``mixed``: the receipts are out of order, and the times are not.
+    """
 
     t: Column
     remark: str
+    mixed: bool = False
 
 
 def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTimes]:
@@ -129,9 +136,13 @@ class _Reference:
         stamp = np.concatenate([stamped[n].stamp for n in own])
         topic = np.concatenate([np.full(len(stamped[n].stamp), k) for k, n in enumerate(own)])
         known = np.isfinite(receipt + stamp)
-        order = np.flatnonzero(known)[np.argsort(receipt[known], kind="stable")]
+        self.set_back = all(_is_set_back(stamped[n]) for n in own)
+        order = np.flatnonzero(known)[np.argsort((stamp if self.set_back else receipt)[known], kind="stable")]
         receipt, stamp, topic = receipt[order], stamp[order], topic[order]
         level = _smoothed(receipt - self.rate * stamp)
+        if self.set_back:
+            self._set_branches(receipt, level)
+            return
         wrong = self._stamp_steps(receipt, stamp, topic, level)
         self._receipt, self._level = receipt[~wrong], level[~wrong]
         if self.is_recorder:
@@ -142,6 +153,15 @@ class _Reference:
         else:  # the calendar begins with the recording
             delay = receipt - stamp
             self.shift = float(delay[~wrong].min()) if self.rate == 1.0 else float(delay[~wrong][0])
+
+    def _set_branches(self, receipt: Column, level: Column) -> None:
+        """Receipts and levels before and after each time that the recorder's clock was set back."""
+        steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
+        edges = [0, *steps.tolist(), len(level)]
+        near = [k for k, (a, b) in enumerate(pairwise(edges)) if b > a and abs(np.median(level[a:b])) < OTHER_CLOCK]
+        self._branches = [(receipt[a:b], level[a:b]) for a, b in pairwise(edges) if b > a]
+        first = self._branches[near[0] if near else 0][1]
+        self.shift = float(np.median(first)) if self.is_recorder else float(first[0])
 
     @staticmethod
     def _near(one: MessageTimes) -> bool:
@@ -181,6 +201,15 @@ class _Reference:
 
     def level(self, receipt: Column) -> Column:
         """Receipt minus `rate` times the stamp, as messages that were received then have it, (n,)."""
+        if self.set_back:
+            pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
+            edge = max(pause, default=0.0)  # next to the ends of a branch a message may be of either
+            inside = np.stack([(receipt >= own[0] - edge) & (receipt <= own[-1] + edge) for own, _ in self._branches])
+            levels = np.stack([np.interp(receipt, *branch) for branch in self._branches])
+            nearest = np.stack([np.minimum(abs(receipt - own[0]), abs(receipt - own[-1])) for own, _ in self._branches])
+            which = np.where(inside.any(axis=0), np.argmax(inside, axis=0), np.argmin(nearest, axis=0))
+            one_level = levels[which, np.arange(len(receipt))]
+            return np.asarray(np.where(inside.sum(axis=0) > 1, np.nan, one_level))
         found = np.asarray(np.interp(receipt, self._receipt, self._level))
         after = np.clip(np.searchsorted(self._receipt, receipt), 1, max(len(self._receipt) - 1, 1))
         if len(self._receipt) < 2:
@@ -195,6 +224,9 @@ class _Reference:
         """The times of a topic."""
         if not is_stamped:
             return self._of_receipts(one)
+        if self.set_back and _is_set_back(one):
+            remark = "the recorder's clock was set back; its stamps are in order"
+            return EstimatedTimes(one.stamp + (0.0 if self.is_recorder else self.shift), remark, mixed=True)
         misfit = one.receipt - self.rate * one.stamp - self.level(one.receipt)
         known = np.isfinite(misfit)
         near = np.abs(misfit) < OTHER_CLOCK * max(self.rate, 1.0)
@@ -239,6 +271,17 @@ class _Reference:
             remark = f"its stamps are of another clock, at {1.0 / relative:.3g} times the rate of the others"
         t = np.where(wrong, np.nan, relative * one.stamp + shift)
         return EstimatedTimes(t, "; ".join([remark, *_said_wrong(one, wrong, misfit - usual)]))
+
+
+def _is_set_back(one: MessageTimes) -> bool:
+    """Whether the receipts of a topic mix messages whose stamps, in their own order, are as regular as ever."""
+    known = np.isfinite(one.receipt + one.stamp)
+    stamp = one.stamp[known]
+    if np.sum(np.diff(stamp) < -STEP_S) < FEWEST_BACK:
+        return False
+    step = np.diff(np.sort(stamp))
+    usual = float(np.median(step))
+    return bool(np.mean((step > 0.5 * usual) & (step < 1.5 * usual)) > REGULAR)
 
 
 def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: float, rate: float) -> bool:

@@ -31,8 +31,8 @@ def check_held(c: Channels) -> Iterator[Finding]:
         for names, held in held_together(found):
             interval, n_again = held.rows * float(np.median(np.diff(t))), t.size - int(held.new.sum())
             text = (
-                f"held between measurements {interval:.3g} s apart: {n_again} of {t.size} values repeat the last one, "
-                "and a fit takes each for a measurement"
+                f"held between measurements {interval:.3g} s apart: {n_again} of {t.size} values repeat the one "
+                "before, and a fit takes each for a measurement"
             )
             advice = "the device's output rate; in the import's map no `repeats = \"keep\"`"
             yield Finding(WARNING, "values-held", "repeats", names, text, advice)

@@ -125,6 +125,19 @@ def test_a_step_of_the_recorders_clock_is_taken_out_of_the_commands(by: float) -
     assert "follow the stamps" in found["/cmd"].remark
 
 
+@pytest.mark.parametrize("by", [-4.0, -30.0])
+@pytest.mark.parametrize("topics", [tuple(RATES), ("/fix",)])
+def test_a_recorder_that_was_set_back_costs_what_cannot_be_told_apart(by: float, topics: tuple[str, ...]) -> None:
+    bag = Bag(recorder=lambda t: t + by * (t > 60.0), topics=topics)
+    for name, one in bag.found.items():  # as a reader of the bag has them
+        order = np.argsort(one.receipt, kind="stable")
+        bag.found[name], bag.true[name] = MessageTimes(one.receipt[order], one.stamp[order]), bag.true[name][order]
+    found = bag.times()
+    assert max(bag.errors(found).values()) < 0.1
+    assert not any(lost(found, name) for name in topics)
+    assert lost(found, "/cmd") == pytest.approx(2 * 10 * -by, abs=6)
+
+
 def test_a_step_of_two_topics_alone_is_of_their_recorder_too() -> None:
     bag = Bag(recorder=lambda t: t + 3.0 * (t > 60.0), topics=("/fix",))
     found = bag.times()
