@@ -32,8 +32,6 @@ except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
 # a tenth of a second. Before numpy; the processes of a command inherit it.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
-# Child processes that a library starts (joblib) import no module from the working folder, as our own (`-P`) do not.
-os.environ.setdefault("PYTHONSAFEPATH", "1")
 
 if TYPE_CHECKING:
     from bench.preflight.report import MotionChecks
@@ -223,6 +221,9 @@ def main(args: Sequence[str] | None = None) -> None:
     words = list(sys.argv[1:] if args is None else args)
     if args is None:
         bounds.enable()
+        # Child processes that a library starts (joblib) import no module from the working folder, as our own (`-P`) do
+        # not. A program that calls this function keeps its own environment.
+        os.environ.setdefault("PYTHONSAFEPATH", "1")
     # People add --debug to the end of the line that failed, so it is taken from anywhere before a `--`.
     own = words[: words.index("--")] if "--" in words else words
     debug = "--debug" in own

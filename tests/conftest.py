@@ -43,6 +43,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 PORTS = (
     "tests/bench/preflight/test_check_live.py",
     "tests/bench/execution/test_sequencer.py",
+    "tests/daq/acquisition/test_watchdog_parts.py",
+    "tests/daq/test_child_process.py",
     "tests/bench/execution/test_dronecan.py",
     "tests/bench/execution/test_follow.py",
     "tests/bench/execution/test_operator_interface.py",

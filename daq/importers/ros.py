@@ -19,7 +19,7 @@ from daq.errors import SeatrialError, counted
 from daq.importers.missing_inputs import stopped_motors
 from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
 from daq.importers.table import Column, SourceOptions, Table, ran_back
-from daq.log.recovery import recover_log
+from daq.log import recover_log
 
 BAG_ENDINGS = {".mcap", ".db3"}
 MCAP_MAGIC = b"\x89MCAP0\r\n"

@@ -21,7 +21,6 @@ from .record import WORK_INPUT as WORK_INPUT
 from .record import WORK_UNIT as WORK_UNIT
 from .record import Channel as Channel
 from .record import InitialCondition as InitialCondition
-from .record import LeftOut as LeftOut
 from .record import LogSegment as LogSegment
 from .record import Prepared as Prepared
 from .record import Preparer as Preparer
