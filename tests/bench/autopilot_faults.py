@@ -138,6 +138,7 @@ def with_a_second(component_heard: bool) -> Callable[[Run], None]:
     return strike
 
 
+RESTORED = ("FS_THR_ENABLE", "FS_GCS_ENABLE", "RC_OVERRIDE_TIME")  # 1 in every setting; faults change them
 KILL, STOP = signal.SIGKILL, signal.SIGSTOP
 FAULTS = (
     Fault("runner killed", 0.0, killed(KILL, "pid")),
@@ -252,6 +253,8 @@ def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measur
     rover.until(lambda: rover.beats[-1][0] > time.monotonic() - 2.0, 60.0, "a heartbeat")
     disarmed = not rover.armed
     told = "MAY STILL BE" in says[0] or "all of ours" in fault.name
+    for name in RESTORED:
+        rover.set_parameter(name, 1.0)
     _put_right(rover)
     if fault.no_pulses and setting.signed:  # with the simulator's parameters its key is forgotten
         rover.sign((folder / "key").read_bytes())

@@ -45,9 +45,17 @@ def test_a_command_of_the_demo_executes_nothing_of_its_folder(tmp_path: Path) ->
 
 
 def test_processes_of_a_library_execute_nothing_of_the_working_folder(tmp_path: Path) -> None:
-    """joblib starts its own, as a study of recovery does; `seatrial` is imported first, as by its command."""
+    """joblib starts its own, as a study of recovery does, after the command's own start."""
     executed = plant(tmp_path)
-    code = "import seatrial, joblib; print(joblib.Parallel(2)(joblib.delayed(abs)(-k) for k in (1, 2)))"
+    code = """
+import contextlib, io, sys
+import seatrial
+sys.argv = ["seatrial", "--version"]
+with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+    seatrial.main()
+import joblib
+print(joblib.Parallel(2)(joblib.delayed(abs)(-k) for k in (1, 2)))
+"""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
