@@ -55,17 +55,15 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
         if n > 1
     ]
     if not tables:
-        raise SeatrialError(f"{path}: holds no vectors of numbers; {_ADVICE}")
+        raise SeatrialError(
+            f"{path}: holds no vectors of numbers; objects (timetable, timeseries, datetime) are read from files of "
+            "version 7.3: save('run.mat', 'TT', '-v7.3'); or save their columns as vectors, e.g. "
+            "t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
+        )
     tables = _together(path, tables)
     if left_out:
         tables[0].remark = f"of a class that is not read: {', '.join(left_out)}"
     return tables
-
-
-_ADVICE = (
-    "objects (timetable, timeseries, datetime) are read from files of version 7.3: save('run.mat', 'TT', '-v7.3'); "
-    "or save their columns as vectors, e.g. t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
-)
 
 
 def _together(path: Path, tables: Sequence[Table]) -> list[Table]:
