@@ -73,6 +73,7 @@ class Status:
     links: dict[str, LinkStatus] = dataclasses.field(default_factory=dict)  # by device
     # By device: run time at which zero was written to its port, if nothing else was commanded since.
     zeroed: dict[str, float] = dataclasses.field(default_factory=dict)
+    alarm: str = ""  # why nothing is written to the log now; it is the first of the warnings, too
     hints: tuple[str, ...] = ()  # no faults, but possible improvements, one line each
 
 

@@ -81,6 +81,7 @@ class StatusReporter:
             duration=now - self._started,
             stopped=stopped or ended,
             warnings=tuple(warnings),
+            alarm=self._writer.alarm,
             hints=tuple(f"{name} ({ports[name].port}): {loop.hint}" for name, loop in self._loops.items() if loop.hint),
             skipped=self._count_skipped(),
             zeroed={name: loop.zeroed for name, loop in self._loops.items() if not math.isnan(loop.zeroed)},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from collections.abc import Collection, Mapping
@@ -11,6 +12,7 @@ from typing import Any
 from daq.errors import SeatrialError, counted
 
 _MISSING = object()
+NEAR = 0.75  # likeness of two keys, by difflib, of which one is a slip of the other
 HUGE = 1e15  # numbers beyond are not written out: they may have thousands of digits
 
 
@@ -57,8 +59,14 @@ class TomlTable:
         if key in self.values:
             return self.values[key]
         if default is _MISSING:
-            raise self.error(key, "missing; this key is required")
+            raise self.error(key, f"missing; this key is required{self.misspelt(key)}")
         return default
+
+    def misspelt(self, key: str) -> str:
+        """Return the end of an error line that names a key like a missing one, "" if there is none."""
+        others = [name for name in self.values if name not in self._taken]
+        near = difflib.get_close_matches(key, others, 1, NEAR)
+        return f"; {near[0]!r} is there: is it meant?" if near else ""
 
     def has(self, key: str) -> bool:
         """Whether the file gives the key at all."""

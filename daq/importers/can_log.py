@@ -5,7 +5,6 @@ Frames become the 16 bytes of `struct can_frame` and go through the decoders tha
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 
 from daq.config import load_rig
 from daq.errors import SeatrialError, counted
+from daq.importers.can_text import BusFrame, dialect_of, read_text_frames
 from daq.importers.import_map import CAN_PROTOCOLS
 from daq.importers.samples import sample_tables
 from daq.importers.table import SourceOptions, Table
@@ -25,35 +25,33 @@ from daq.rig import Device, Rig
 from daq.samples import Frame
 
 ENDINGS = (".log", ".asc", ".blf", ".trc", ".db", ".mf4", ".csv")  # of python-can
-CANDUMP = "CanutilsLogReader"
-_HEAD = 4096
-_CANDUMP = re.compile(rb"\(\d+\.\d+\) \S+ [0-9A-Fa-f]{3,8}#")
-_ASC = re.compile(rb"(?i)(date |base (hex|dec))")
+BLF = b"LOGG"
+_HEAD = 65536
 
 
-def reader_name(head: bytes) -> str:
-    """python-can's reader of a log that begins so; "" where it looks like none."""
-    if head.startswith(b"LOGG"):
-        return "BLFReader"
-    return CANDUMP if _CANDUMP.match(head) else "ASCReader" if _ASC.match(head) else ""
+def is_can_log(head: bytes) -> bool:
+    """Return whether a file that begins so is a log of a CAN bus."""
+    return head.startswith(BLF) or bool(dialect_of(head))
 
 
-class BusFrame(NamedTuple):
-    """A data frame: when, on which bus, its identifier with the bit of the long ones, its data."""
+def read_frames(path: Path) -> list[BusFrame]:
+    """Return the data frames of a log, in the order of the file. Raises SeatrialError."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD)
+    except OSError as error:
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    if dialect := dialect_of(head):
+        return read_text_frames(path, dialect)
+    if not head.startswith(BLF) and path.suffix.lower() not in ENDINGS:
+        raise SeatrialError(f"{path}: is not a CAN log; known are candump, BusMaster, {', '.join(ENDINGS)}")
+    return list(_library_frames(path, "BLFReader" if head.startswith(BLF) else "LogReader"))
 
-    t: float  # s since 1970, or since the start
-    bus: str
-    word: int
-    data: bytes
 
-
-def read_frames(path: Path) -> Iterator[BusFrame]:
-    """The data frames of a log, in the order of the file. Raises SeatrialError."""
+def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
     import can
 
     try:
-        with path.open("rb") as file:
-            name = reader_name(file.read(_HEAD)) or ("LogReader" if path.suffix.lower() in ENDINGS else CANDUMP)
         with getattr(can, name)(path) as reader:
             for message in reader:
                 if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
@@ -68,7 +66,7 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
 
     They are those of the map's rig or protocol, or else of the protocol that understands most. Raises SeatrialError.
     """
-    frames = list(read_frames(path))
+    frames = read_frames(path)
     if options.dbc is not None:
         return _by_dbc(path, frames, options.dbc)
     if options.rig is not None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from daq.errors import SeatrialError
+from daq.importers.matlab_values import Hdf5Variables, MatlabObject, Vector, scipy_value, vectors
 from daq.importers.own_hdf5 import refuse_data_of_other_files
 from daq.importers.table import Column, SourceOptions, Table
 
@@ -19,36 +20,83 @@ WIDEST = 16  # columns of a matrix that are taken
 
 
 def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
-    """Vectors and matrices of numbers: those of the workspace without a topic, those of a struct under its name, with
-    the names of nested structs and dots before their own. Columns of one length make a table. Raises SeatrialError.
+    """Read vectors and matrices of numbers.
+
+    Those of the workspace have no topic. Those of a struct, a table, a timetable or a timeseries have its name; those
+    of nested structs have the names of these, with dots, before their own. The signals of a Simulink structure with
+    time have their labels. Columns of one length make a table. Raises SeatrialError.
     """
+    left_out: list[str] = []
+    groups: dict[tuple[str, int], dict[str, Column]] = {}
+    units: dict[str, dict[str, str]] = {}
+    seconds: dict[str, set[str]] = {}
     try:
-        values = dict(_workspace(path))
+        for name, value in _workspace(path):
+            for one in vectors(name, value, left_out):
+                for called, column in _columns(one):
+                    groups.setdefault((one.topic, len(column)), {})[called] = column
+                    if one.unit:
+                        units.setdefault(one.topic, {})[called] = one.unit
+                    if one.is_time:
+                        seconds.setdefault(one.topic, set()).add(called)
     except SeatrialError:
         raise
     except Exception as error:  # scipy and h5py have errors of many kinds for a file that is none, or damaged
         raise SeatrialError(f"{path}: cannot be read as a MATLAB file: {' '.join(str(error).split())}") from error
-    groups: dict[tuple[str, int], dict[str, Column]] = {}
-    for name, value in values.items():
-        topic, _, field = name.rpartition("\0")
-        array = np.atleast_1d(np.squeeze(value))
-        if array.ndim == 1:
-            groups.setdefault((topic, len(array)), {})[field] = array
-        elif array.ndim == 2 and min(array.shape) <= WIDEST:
-            long = array if array.shape[0] >= array.shape[1] else array.T
-            for k in range(long.shape[1]):
-                groups.setdefault((topic, len(long)), {})[f"{field}[{k}]"] = long[:, k]
-    tables = [Table(path, topic, columns) for (topic, n), columns in groups.items() if n > 1]
+    tables = [
+        Table(
+            path,
+            topic,
+            columns,
+            units={name: unit for name, unit in units.get(topic, {}).items() if name in columns},
+            seconds=frozenset(seconds.get(topic, set()) & set(columns)),
+        )
+        for (topic, n), columns in groups.items()
+        if n > 1
+    ]
     if not tables:
         raise SeatrialError(
-            f"{path}: holds no vectors of numbers; objects (timetable, timeseries, table) are for MATLAB only: save "
-            "their columns as vectors, e.g. t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
+            f"{path}: holds no vectors of numbers; objects (timetable, timeseries, datetime) are read from files of "
+            "version 7.3: save('run.mat', 'TT', '-v7.3'); or save their columns as vectors, e.g. "
+            "t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
         )
+    tables = _together(path, tables)
+    if left_out:
+        tables[0].remark = f"of a class that is not read: {', '.join(left_out)}"
     return tables
 
 
-def _workspace(path: Path) -> Iterator[tuple[str, Column]]:
-    """Numbers by name, that of a struct and a zero byte before those of its fields."""
+def _together(path: Path, tables: Sequence[Table]) -> list[Table]:
+    """Put variables with one signal each, as Simulink's To Workspace blocks write them, into a table if their times are
+    the same: x and y are a position then."""
+    alone: dict[bytes, list[Table]] = {}
+    for table in tables:
+        others = [name for name in table.names if name.lower() != "time"]
+        if others == [table.topic] and len(table.names) == 2:
+            alone.setdefault(table.numbers(table.names[0]).tobytes(), []).append(table)
+    merged = {id(one) for group in alone.values() if len(group) > 1 for one in group}
+    found = [table for table in tables if id(table) not in merged]
+    for group in alone.values():
+        if len(group) > 1:
+            columns = {name: one.columns[name] for one in group for name in one.columns}
+            units = {name: unit for one in group for name, unit in one.units.items()}
+            found.append(Table(path, "", columns, units=units, seconds=group[0].seconds))
+    return found
+
+
+def _columns(one: Vector) -> Iterator[tuple[str, Column]]:
+    """Yield the columns of a vector or of a matrix that is not too wide."""
+    array = np.atleast_1d(np.squeeze(one.values)).astype(np.float64)
+    if array.ndim == 1:
+        yield one.name, array
+    elif array.ndim == 2 and min(array.shape) <= WIDEST:
+        long = array if array.shape[0] >= array.shape[1] else array.T
+        for k in range(long.shape[1]):
+            yield f"{one.name}[{k}]", long[:, k]
+
+
+def _workspace(path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield the variables of a file by name, as Python values."""
     with path.open("rb") as file:
         head = file.read(520)
     if b"\x89HDF" in head:
@@ -58,9 +106,7 @@ def _workspace(path: Path) -> Iterator[tuple[str, Column]]:
             raise SeatrialError(_H5PY) from error
         with h5py.File(path) as file:
             refuse_data_of_other_files(path, file)
-            for name, value in file.items():
-                if not name.startswith("#"):
-                    yield from _hdf(name, value)
+            yield from Hdf5Variables(file).items()
         return
     from scipy.io import loadmat
 
@@ -68,26 +114,10 @@ def _workspace(path: Path) -> Iterator[tuple[str, Column]]:
         warnings.simplefilter("ignore")  # of objects that it cannot read; they are left out
         workspace = loadmat(path, squeeze_me=True, struct_as_record=True)
     for name, value in workspace.items():
-        if not name.startswith("__"):
-            yield from _flat(name, value)
-
-
-def _flat(name: str, value: Any) -> Iterator[tuple[str, Column]]:
-    if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1 and type(value) is np.ndarray:
-        for field in value.dtype.names:
-            yield from _flat(
-                f"{name}{'.' if chr(0) in name else chr(0)}{field}", value.item()[value.dtype.names.index(field)]
-            )
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1:
-        yield name if "\0" in name else f"\0{name}", value.astype(np.float64)
-
-
-def _hdf(name: str, value: Any) -> Iterator[tuple[str, Column]]:
-    if hasattr(value, "items"):
-        for field, part in value.items():
-            yield from _hdf(f"{name}{'.' if chr(0) in name else chr(0)}{field}", part)
-    elif value.dtype.kind in "biuf" and value.size > 1 and "MATLAB_empty" not in value.attrs:
-        yield name if "\0" in name else f"\0{name}", np.asarray(value, np.float64).T
+        if type(value).__name__ == "MatlabOpaque":  # scipy keeps one of them, without its name
+            yield str(name), MatlabObject("version 7: save it with '-v7.3'", {})
+        elif not name.startswith("__"):
+            yield name, scipy_value(value)
 
 
 def read_parquet(path: Path, options: SourceOptions) -> list[Table]:

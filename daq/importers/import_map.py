@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -155,6 +156,10 @@ def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     for name in ("c1", "length"):
         if found.get(name, 1.0) <= 0.0:
             raise table.error(name, f"must be positive, not {found[name]:g}")
+    for name in ("y_left", "y_right"):
+        if abs(found.get(name, 0.0)) > found.get("length", math.inf):
+            where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"
+            raise table.error(name, f"{where}; positions are in metres, to starboard")
     if found.get("y_left", -1.0) >= found.get("y_right", 1.0):
         raise table.error("y_left", "must be less than y_right: positions are counted to starboard")
     table.done()
@@ -220,7 +225,7 @@ def _style(table: TomlTable | None) -> TextStyle:
 
 def _time(table: TomlTable) -> TimeColumn:
     if table.has("column") == table.has("rate_hz"):
-        raise table.error("column", "give either column or rate_hz")
+        raise table.error("column", f"give either column or rate_hz{table.misspelt('column')}")
     origin = _origin(table)
     if table.has("rate_hz"):
         found = TimeColumn(rate_hz=table.number("rate_hz", positive=True), origin=origin)

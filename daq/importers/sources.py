@@ -45,14 +45,14 @@ def source_kind(path: Path) -> SourceKind:
         from daq.importers.samples import read_autopilot_log
 
         return SourceKind("mavlink", read_autopilot_log)
-    from daq.importers.can_log import read_can, reader_name
+    from daq.importers.can_log import is_can_log, read_can
 
-    if reader_name(head):
+    if is_can_log(head):
         return SourceKind("can", read_can)
     if b"\0" in head and not wide_encoding(head):
         raise SeatrialError(
             f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
-            "MATLAB (.mat), Parquet, CAN (candump, .asc, .blf)"
+            "MATLAB (.mat), Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 as text)"
         )
     return SourceKind("csv", _read_text)
 

@@ -50,6 +50,7 @@ TYPES = {  # samples whose message has the sample's own fields behind t_rx and t
     Autopilot: "seatrial_msgs/msg/Autopilot",
     Scalar: "seatrial_msgs/msg/Scalar",
 }
+SAMPLE_TYPES = frozenset((DEVICE_TIME, *TYPES.values())) - {TYPES[Command]}  # one message for each sample of a device
 Measured = Ahrs | Gnss | Esc | Command | LoadCell | Servo | Battery | Autopilot | Scalar
 NODE_TOPICS: dict[type, str] = {Esc: "state", Command: "command", Servo: "servo"}  # kinds with a topic for each node
 _LAST: dict[type, str] = {

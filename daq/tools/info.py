@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from daq.errors import SeatrialError, counted
-from daq.log import Log, first_of
+from daq.log import Log, first_of, schema
 from daq.samples import PortHealth, Scalar
 
 FIRST_EVENTS, LAST_EVENTS = 25, 15  # shown of many: the end of a run is last
@@ -35,7 +35,9 @@ def show_log(log: Log, console: Console) -> None:
     console.print(f"[bold]{escape(str(log.path))}[/]  {_size(size)}{pieces}, {state}")
     if log.counts:
         begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
-        console.print(f"from {begin}, {log.duration:.3f} s, {counted(sum(log.counts.values()), 'message')}")
+        n_samples = sum(log.counts[topic] for topic, kind in log.types().items() if kind in schema.SAMPLE_TYPES)
+        what = f"{counted(n_samples, 'sample')} in {counted(sum(log.counts.values()), 'message')}"
+        console.print(f"from {begin}, {log.duration:.3f} s, {what}")
     else:
         console.print("no messages")
     first = first_of(log.path)

@@ -32,6 +32,7 @@ WIDE = 110  # columns from which the table has all its columns
 FIX = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
 # Never colour alone: each state has a word too. Blue and orange are distinguishable with most colour blindness.
 GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
+ALARM = "bold white on red"
 
 
 def default_log_path(rig: Rig) -> Path:
@@ -151,10 +152,12 @@ def _patience(rate: float, speed: float) -> float:
 
 def _header(status: Status, rig: Rig, answers: bool) -> Text:
     text = Text(no_wrap=True, overflow="ellipsis")
-    if answers:
-        text.append(" REC ", style="reverse bold")
-    else:
+    if not answers:
         text.append(f"! {NO_ANSWER}", style=BAD)
+    elif status.alarm:
+        text.append(f" NOT RECORDING: {status.alarm} ", style=ALARM)
+    else:
+        text.append(" REC ", style="reverse bold")
     text.append(f" {duration_text(status.duration)}", style="bold")
     if rig.speed != 1.0:
         text.append(f" at speed {rig.speed:g}", style=DIM)
@@ -237,15 +240,15 @@ def line(status: Status, rig: Rig, now: float) -> str:
         wrong = "".join(f" {word}" for count, word in zip(counts, said, strict=True) if count)
         ports.append(f"{port.name} {rate}{wrong}")
     warnings = "".join(f"; {warning}" for warning in status.warnings)
-    silence = "" if answers else f" {NO_ANSWER}"
+    silence = f" {NO_ANSWER}" if not answers else " NOT RECORDING" if status.alarm else ""
     return f"{duration_text(status.duration)} {size_text(status.bytes)}{silence}: {', '.join(ports)}{warnings}"
 
 
 def log_summary(status: Status, path: Path) -> str:
-    """The last line: file, duration, messages, losses and silent devices."""
+    """The last line: file, duration, samples, losses and silent devices."""
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
-    text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'message')}, {size_text(status.bytes)}"
+    text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'sample')}, {size_text(status.bytes)}"
     text += f", {lost} lost" if lost else ""
     return text + (f"; nothing from {', '.join(silent)}" if silent else "")
 

@@ -168,7 +168,9 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
         return
     if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
         radians = np.abs(c["psi"].value).max() < 7.0
-        what = ("yaw rate in deg/s" if radians else "both in degrees?") if size < 1.0 else "heading in degrees"
+        what = "yaw rate in deg/s" if radians else "both in degrees"
+        if size > 1.0:
+            what = "a yaw rate in rad/s that was declared deg/s" + ("" if radians else ", or a heading in degrees")
         yield Finding(
             "fault",
             "angle-in-degrees",

@@ -16,6 +16,7 @@ from ident.cli.options import (
     FILE,
     FOLDER,
     LOG,
+    MODEL,
     Lines,
     LiveLine,
     command_line,
@@ -82,7 +83,7 @@ def _intervals(_context: click.Context, _parameter: click.Parameter, given: Sequ
 
 
 @click.command(short_help="Estimate position, speeds and current with a fitted model.")
-@click.argument("model", type=LOG)
+@click.argument("model", type=MODEL)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option(
     "--smooth/--filter",
@@ -124,7 +125,7 @@ ident.add_command(navigate)
 
 
 @click.command(short_help="Write a fitted model for Python, CasADi, C or ROS 2.")
-@click.argument("model", type=LOG)
+@click.argument("model", type=MODEL)
 @click.option(
     "--to",
     "target",
@@ -176,7 +177,7 @@ ident.add_command(export)
 
 
 @click.command(short_help="Fisher information per log segment and parameter.")
-@click.argument("model", type=LOG)
+@click.argument("model", type=MODEL)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @click.option("--seconds", type=FiniteRange(2.0), default=30.0, show_default=True, help="Length of a segment.")
 @click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters, d_v,m_v.")
@@ -293,7 +294,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 
 
 @ident.command(short_help="Find effects that a model lacks; errors before and after.")
-@click.argument("model", type=LOG)
+@click.argument("model", type=MODEL)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
 @validate_option
 @window_option

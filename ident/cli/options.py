@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ident.results import Result
 
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
+MODEL = click.Path(exists=True, path_type=Path)  # a folder gets its line where the model is read
 FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 

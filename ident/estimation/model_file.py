@@ -235,7 +235,12 @@ def load_model(path: Path) -> SavedModel:
 
     Raises SeatrialError with what is wrong and where.
     """
-    table = parse_toml(read_text(path), path).values
+    if path.is_dir():
+        raise SeatrialError(f"{path}: is a folder; give the model in it: {path / 'model.toml'}")
+    text = read_text(path)
+    if text.lstrip().startswith("{"):
+        raise SeatrialError(f"{path}: is JSON, as a result is; give the model.toml beside it")
+    table = parse_toml(text, path).values
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
     try:

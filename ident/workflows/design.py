@@ -272,7 +272,8 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
 
     Raises SeatrialError where the model has no such sensor, nothing to learn, or inputs that no mission commands.
     """
-    saved = load_model(Path(source)) if source.endswith(".toml") else None
+    is_path = source.endswith((".toml", ".json")) or ("/" in source and Path(source).is_dir())
+    saved = load_model(Path(source)) if is_path else None
     model = saved.model if saved is not None else make_model(source)
     if why := not_commanded(model):
         raise SeatrialError(f"no mission can be designed for model {model.name}: {why}")

@@ -241,6 +241,9 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     assert (tmp_path / "x.mcap").read_bytes() == b"an earlier log"
     with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
         import_can(path, tmp_path / "rig.toml", out=tmp_path / "rig.toml", force=True)
-    path.write_text("(1.000000) can0 123#00\n(1.1")
-    with pytest.raises(SeatrialError, match="cannot be read as a CAN log"):
+    path.write_text("(1.000000) can0 123#00\n" + "what is this?\n" * 2)
+    with pytest.raises(SeatrialError, match=r"of no kind that import knows|no table of numbers found"):
+        guess_map(path)
+    path.write_text("(1.000000) can0 123#00\n" * 60 + "what is this?\n" * 70)
+    with pytest.raises(SeatrialError, match="cannot be read as a CAN log: line 61 is no frame of candump -L"):
         guess_map(path)

@@ -269,6 +269,10 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ('column = "t"', 'column = "t"\nformat = "hours"', r"time\.format: must be s, ms, us, ns, iso, datenum"),
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
         ("[time]", "[tims]", r"tims: unknown key"),
+        ('column = "t"', 'colum = "t"', r"rate_hz; 'colum' is there: is it meant\?"),
+        ('column = "heading"', 'colum = "heading"', r"signal\[1\]\.column: missing; .*'colum' is there: is it"),
+        ("[csv]", "[geometry]\ny_left = -25.0\ny_right = 25.0\nlength = 1.2\n[csv]",
+         r"geometry\.y_left: 25 m from the middle of a hull of 1\.2 m; positions are in metres"),
         ("[csv]", '[csv]\ndelimiter = ", "', r"csv\.delimiter: must be one character"),
         ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),
         ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign: must be 1 or -1"),
@@ -278,7 +282,7 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ("[csv]", "[geometry]\ny_left = 0.2\ny_right = -0.2\n[csv]", r"geometry\.y_left: must be less than y_right"),
         ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key; known here: delimiter"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_with_a_map_is_one_line(folder: Path, old: str, new: str, line: str) -> None:
     path, _ = write(folder)
     text = path.read_text()

@@ -105,7 +105,22 @@ def test_plain_lines_and_the_last_line() -> None:
     assert "hung up" in text
     assert "\n" not in text
     last = log_summary(status(), Path("run.mcap"))
-    assert last == "run.mcap: 1:01.2, 99 messages, 12.3 MB; nothing from cell"
+    assert last == "run.mcap: 1:01.2, 99 samples, 12.3 MB; nothing from cell"
+
+
+def test_a_full_disk_is_no_recording() -> None:
+    """The table said REC while nothing was written."""
+    rig, why = parse_rig(RIG.format(speed=1.0), "rig.toml"), "/logs: the disk is full, nothing is written now"
+    full = dataclasses.replace(status(), alarm=why)
+    console = Console(width=120, force_terminal=True, color_system="truecolor", highlight=False)
+    with console.capture() as capture:
+        console.print(table(full, rig, 120, 9.0))
+    first = capture.get().splitlines()[0]
+    assert f"NOT RECORDING: {why}" in first
+    assert "REC " not in first.replace("NOT RECORDING", "")
+    assert "41m" in first  # on red
+    assert " NOT RECORDING: " in line(full, rig, 9.0)
+    assert "NOT RECORDING" not in line(status(), rig, 9.0)
 
 
 def test_values_for_people() -> None:
@@ -170,7 +185,7 @@ def test_log_for_a_while_in_a_pipe(tmp_path: Path) -> None:
     assert lines
     assert all("ahrs" in text for text in lines)
     assert last.startswith(f"{path}: 0:1")
-    assert "messages" in last
+    assert "samples" in last
     recorded = open_log(path)
     assert recorded.warnings == []
     assert 9.0 < recorded.duration < 14.0

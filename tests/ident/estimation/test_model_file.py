@@ -301,3 +301,14 @@ def test_what_is_too_deep_or_too_long_is_one_line(tmp_path: Path, text: str) -> 
         load_model(tmp_path / "model.toml")
     assert "\n" not in str(refused.value)
     assert load_curve(tmp_path / "model.toml") is None
+
+
+def test_a_folder_and_a_result_are_no_model(tmp_path: Path) -> None:
+    """Each gets one line that names the file to give."""
+    (tmp_path / "vehicle").mkdir()
+    with pytest.raises(SeatrialError, match=r"vehicle: is a folder; give the model in it: .*vehicle/model\.toml$"):
+        load_model(tmp_path / "vehicle")
+    result = tmp_path / "result.json"
+    result.write_text('{"kind": "vehicle"}')
+    with pytest.raises(SeatrialError, match=r"result\.json: is JSON, as a result is; give the model\.toml beside it$"):
+        load_model(result)

@@ -1,0 +1,302 @@
+"""Logs of a CAN bus as text: candump, Vector's ASC, BusMaster, and three forms of NMEA 2000.
+
+| dialect | a line | source |
+|---|---|---|
+| candump -L, -l | ``(1715504400.100000) can0 123#1122`` | can-utils, candump.c |
+| candump -ta, -tA, -tz, -td | ``(2024-05-12 09:00:00.1)  can0  123   [2]  11 22`` | can-utils, candump.c |
+| ASC | ``0.100000 1  123x  Rx  d 2 11 22`` | Vector, CANalyzer |
+| BusMaster | ``9:00:00:1234 Rx 1 0x123 s 2 11 22``, 100 us | rbei-etas.github.io/busmaster |
+| Yacht Devices RAW | ``09:00:00.100 R 09F11200 11 22`` | manual of YDNU-02, appendix E |
+| N2K ASCII | ``A090000.100 00FF2 1F112 1122`` | Actisense, NMEA 2000 ASCII output format |
+| canboat | ``2024-05-12T09:00:00.100Z,2,127250,0,255,2,11,22`` | canboat, analyzer |
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+from daq.errors import SeatrialError, SeatrialWarning, counted
+from daq.protocol import EXTENDED
+
+DAY = 86400.0  # s
+LONGEST_FRAME = 8  # bytes
+LOOKED_AT = 40  # lines by which a dialect is told
+LARGEST_PGN = 0x3FFFF  # above are the messages of a gateway itself
+_MONTHS = ("jan", "feb", "m.r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]")
+
+
+class BusFrame(NamedTuple):
+    """A data frame: when, on which bus, its identifier with the bit of the long ones, its data."""
+
+    t: float  # s since 1970, or since the start
+    bus: str
+    word: int
+    data: bytes
+
+
+Fields = dict[str, str]
+_BYTES = r"(?P<data>(?:[0-9A-Fa-f]{2}(?: +|$))*)"
+_CANDUMP_TIME = r"\((?P<t>\d+\.\d+|\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+)\)"
+_COMPACT = re.compile(
+    rf"{_CANDUMP_TIME} +(?P<bus>\S+) +(?P<id>[0-9A-Fa-f]{{3,8}})#(?P<data>[#0-9A-Fa-fRr.]*)(?: [RT])?"
+)
+_SPACED = re.compile(
+    rf"(?:{_CANDUMP_TIME} +)?(?P<bus>[A-Za-z]\S*) +(?:[RT]X +[-BE] [-BE] +)?(?P<id>[0-9A-Fa-f]{{3,8}}) +"
+    r"\[(?P<n>\d+)\] *(?P<data>(?:[0-9A-Fa-f]{2} ?)*|remote request)(?: +'.*')?"
+)
+_ASC = re.compile(
+    r"(?P<t>\d+\.\d+) +(?P<bus>\d+) +(?P<id>[0-9A-Fa-f]+)(?P<long>x?) +(?:Rx|Tx) +(?P<kind>[dr])"
+    r"(?: +(?P<n>[0-9A-Fa-f]+)(?P<data>(?: +[0-9A-Fa-f]+)*?))?(?: +\w+ *= *.*)?",
+    re.IGNORECASE,
+)
+_ASC_EVENT = re.compile(r"(?P<t>\d+\.\d+) +\S.*")
+_ASC_DATE = re.compile(
+    r"(?i)(?:date|begin triggerblock) +\w+ +(?P<month>\w+) +(?P<day>\d+) +(?P<h>\d+):(?P<m>\d+):(?P<s>\d+(?:\.\d+)?) *"
+    r"(?P<half>[ap]m)? +(?P<year>\d{4})"
+)
+_BUSMASTER = re.compile(
+    r"(?P<t>\d+:\d+:\d+:\d+) +(?:Rx|Tx) +(?P<bus>\d+) +(?P<id>(?:0x)?[0-9A-Fa-f]+) +(?P<kind>s|x|sr|xr) +(?P<n>\d+)"
+    r"(?P<data>(?: +[0-9A-Fa-f]+)*)"
+)
+_BUSMASTER_DATE = re.compile(r"\*{3}START DATE AND TIME (\d+):(\d+):(\d+) (\d+):(\d+):(\d+):(\d+)")
+_YACHT = re.compile(rf"(?P<t>\d\d:\d\d:\d\d\.\d+) +[RT] +(?P<id>[0-9A-Fa-f]{{8}}) *{_BYTES}")
+_N2K = re.compile(
+    r"A(?P<t>\d{6}\.\d+) +(?P<source>[0-9A-Fa-f]{2})(?P<to>[0-9A-Fa-f]{2})(?P<priority>[0-9A-Fa-f]) +"
+    r"(?P<pgn>[0-9A-Fa-f]{5}) +(?P<data>(?:[0-9A-Fa-f]{2})*)"
+)
+_CANBOAT = re.compile(
+    r"(?P<t>\d{4}-\d\d-\d\d[T -]\d\d:\d\d:\d\d(?:\.\d+)?Z?),(?P<priority>\d),(?P<pgn>\d+),(?P<source>\d+),(?P<to>\d+),"
+    r"(?P<n>\d+)(?P<data>(?:,[0-9A-Fa-f]{2})*)"
+)
+
+
+class _Dialect(NamedTuple):
+    """A form of lines, and the function that makes frames of one, with a time of its own."""
+
+    name: str
+    form: re.Pattern[str]
+    frames: Callable[[_Log, Fields], Iterator[BusFrame]]
+
+
+class _Log:
+    """What the heading of a log tells, and what is counted while it is read."""
+
+    def __init__(self) -> None:
+        self.start = 0.0  # s since 1970
+        self.since_midnight = 0.0  # s, of the start
+        self.base = 16  # of identifiers and data
+        self.is_delta = False  # times are those since the frame before
+        self.sequence = 0  # of fast packets
+        self.has_no_times = False
+
+
+def dialect_of(head: bytes) -> str:
+    """Return the name of the dialect of a text that begins so, "" if it is no CAN log."""
+    lines = [line.strip() for line in head.decode("utf-8", "replace").splitlines() if line.strip()][:LOOKED_AT]
+    if any(_BUSMASTER_DATE.match(line) or line.startswith("***BUSMASTER") for line in lines):
+        return "BusMaster"
+    if any(re.match(r"(?i)base +(hex|dec)", line) for line in lines):
+        return "ASC"
+    for one in _DIALECTS:
+        # The last line may be cut, and a log may begin within one.
+        matching = [k for k, line in enumerate(lines) if one.form.fullmatch(line)]
+        if matching and len(matching) >= 0.5 * len(lines) and one.name not in ("ASC", "BusMaster"):
+            return one.name
+    return ""
+
+
+def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
+    """Return the data frames of a text log, with a warning for lines that are none.
+
+    Raises
+    ------
+    SeatrialError
+        The file cannot be read, holds no frames, or its frames have no times.
+    """
+    one = next(one for one in _DIALECTS if one.name == dialect)
+    log = _Log()
+    frames: list[BusFrame] = []
+    strange: list[int] = []  # numbers of lines
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            for number, line in enumerate(file, start=1):
+                text = line.strip()
+                match = one.form.fullmatch(text)
+                if match is not None:
+                    try:
+                        frames += one.frames(log, match.groupdict(default=""))
+                    except ValueError:  # numbers that are none, or a day that no calendar has
+                        strange.append(number)
+                elif text and not _is_heading(log, one.name, text):
+                    strange.append(number)
+    except OSError as error:
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    if log.has_no_times:
+        raise SeatrialError(
+            f"{path}: its frames have no times; record with times: candump -ta can0, or candump -L can0"
+        )
+    if len(strange) > len(frames):
+        raise SeatrialError(f"{path}: cannot be read as a CAN log: line {strange[0]} is no frame of {dialect}")
+    if strange:
+        text = f"{path}: {counted(len(strange), 'line')} left out that are no frames, the first is line {strange[0]}"
+        warnings.warn(text, SeatrialWarning, stacklevel=2)
+    return _with_times(log, one.name, frames)
+
+
+def _with_times(log: _Log, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
+    """Return frames whose times go on behind midnight, and add up where each counts from the one before."""
+    t, total = [frame.t for frame in frames], 0.0
+    is_delta = log.is_delta
+    if dialect == "candump" and t and max(t) < DAY:  # -td begins anew with each frame, -tz with the first
+        is_delta = any(b < a for a, b in pairwise(t))
+    if is_delta:
+        times = []
+        for step in t:
+            total += step
+            times.append(total)
+        t = times
+    elif dialect in ("BusMaster", "Yacht Devices", "N2K"):
+        for k in range(1, len(t)):
+            total += DAY * (t[k] + total < t[k - 1] - DAY / 2)
+            t[k] += total
+    return [frame._replace(t=log.start + time) for frame, time in zip(frames, t, strict=True)]
+
+
+def _is_heading(log: _Log, dialect: str, line: str) -> bool:
+    """Return whether a line is a part of the heading or an event without data; keep what it tells about the log."""
+    if dialect == "ASC":
+        return _is_asc_heading(log, line)
+    if dialect == "BusMaster":
+        if (date := _BUSMASTER_DATE.match(line)) is not None:
+            day, month, year, hours, minutes, seconds, milliseconds = (int(part) for part in date.groups())
+            log.start = datetime(year, month, day, tzinfo=UTC).timestamp()  # the frames have the time of the day
+            log.since_midnight = 3600.0 * hours + 60.0 * minutes + seconds + 1e-3 * milliseconds
+        elif line == "***DEC***":
+            log.base = 10
+        elif line in ("***RELATIVE MODE***", "***ABSOLUTE MODE***"):
+            log.start += log.since_midnight  # the frames count from the start
+            log.is_delta = line.startswith("***REL")
+        return line.startswith("***")
+    return line.startswith(("#", "//", ";")) or "ERRORFRAME" in line or (dialect == "canboat" and "," not in line)
+
+
+def _is_asc_heading(log: _Log, line: str) -> bool:
+    low = line.lower()
+    if (date := _ASC_DATE.match(line)) is not None:
+        if not log.start:
+            log.start = _asc_date(date.groupdict(default=""))
+        return True
+    if low.startswith("base"):
+        log.base = 10 if "dec" in low.split() else 16
+        log.is_delta = "relative" in low.split()
+        return True
+    event = _ASC_EVENT.fullmatch(line)
+    return event is not None or not line[0].isdigit()
+
+
+def _asc_date(parts: Fields) -> float:
+    month = next((k for k, name in enumerate(_MONTHS, 1) if re.match(name, parts["month"].lower())), 0)
+    hours = int(parts["h"])
+    if parts["half"]:
+        hours = hours % 12 + 12 * (parts["half"].lower() == "pm")
+    if not month:
+        return 0.0
+    day = datetime(int(parts["year"]), month, int(parts["day"]), tzinfo=UTC).timestamp()
+    return day + 3600.0 * hours + 60.0 * int(parts["m"]) + float(parts["s"])
+
+
+def _candump(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    text = parts["data"]
+    if not parts["t"]:
+        log.has_no_times = True
+    if text.startswith("#") or text[:1] in ("R", "r"):  # CAN FD, a remote request
+        return
+    word, is_long = int(parts["id"], 16), len(parts["id"]) > 3
+    if word > 0x1FFFFFFF:  # a message of an error
+        return
+    data = bytes.fromhex(text.replace(".", ""))
+    if len(data) <= LONGEST_FRAME and int(parts.get("n") or len(data)) == len(data):
+        yield BusFrame(_moment(parts["t"]), parts["bus"], word | (EXTENDED if is_long else 0), data)
+    elif len(data) <= LONGEST_FRAME:
+        raise ValueError(text)
+
+
+def _moment(text: str) -> float:
+    """Return a time [s]: a number, or a date with a time of day, which is taken for UTC."""
+    if "-" not in text:
+        return float(text or "0")
+    moment = datetime.fromisoformat(text.rstrip("Z"))
+    return moment.replace(tzinfo=UTC).timestamp()
+
+
+def _asc(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    data = bytes(int(part, log.base) for part in parts["data"].split())
+    if parts["kind"] in "dD":
+        word = int(parts["id"], log.base) | (EXTENDED if parts["long"] else 0)
+        yield BusFrame(float(parts["t"]), parts["bus"], word, data[:LONGEST_FRAME])
+
+
+def _busmaster(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    data = bytes(int(part, log.base) for part in parts["data"].split())
+    word = int(parts["id"], 16 if parts["id"].startswith("0x") else log.base)
+    if parts["kind"] in ("s", "x") and len(data) <= LONGEST_FRAME:
+        hours, minutes, seconds, ticks = (int(part) for part in parts["t"].split(":"))
+        t = 3600.0 * hours + 60.0 * minutes + seconds + 1e-4 * ticks
+        yield BusFrame(t, parts["bus"], word | (EXTENDED if parts["kind"] == "x" else 0), data)
+
+
+def _yacht(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    hours, minutes, seconds = parts["t"].split(":")
+    t = 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
+    yield BusFrame(t, "1", int(parts["id"], 16) | EXTENDED, bytes.fromhex(parts["data"])[:LONGEST_FRAME])
+
+
+def _n2k(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    clock = parts["t"]
+    t = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:])
+    numbers = [int(parts[name], 16) for name in ("priority", "pgn", "source", "to")]
+    yield from _message(log, t, numbers, bytes.fromhex(parts["data"]))
+
+
+def _canboat(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    text = parts["t"]
+    t = _moment(text[:10] + "T" + text[11:])
+    numbers = [int(parts[name]) for name in ("priority", "pgn", "source", "to")]
+    data = bytes.fromhex(parts["data"].replace(",", ""))
+    if len(data) != int(parts["n"]):
+        raise ValueError(text)
+    yield from _message(log, t, numbers, data)
+
+
+def _message(log: _Log, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
+    """Yield the frames of a whole message of NMEA 2000: one, or those of a fast packet."""
+    priority, pgn, source, to = numbers
+    if pgn > LARGEST_PGN or source > 255 or to > 255:
+        return
+    is_addressed = pgn >> 8 & 0xFF < 0xF0
+    word = EXTENDED | (priority & 7) << 26 | (pgn | (to if is_addressed else 0)) << 8 | source
+    if len(data) <= LONGEST_FRAME:
+        yield BusFrame(t, "1", word, data)
+        return
+    first = log.sequence << 5
+    log.sequence = (log.sequence + 1) % 8
+    yield BusFrame(t, "1", word, bytes([first, len(data)]) + data[:6])
+    for k, at in enumerate(range(6, len(data), 7), start=1):
+        yield BusFrame(t, "1", word, bytes([first | k]) + data[at : at + 7].ljust(7, b"\xff"))
+
+
+_DIALECTS = (
+    _Dialect("candump -L", _COMPACT, _candump),
+    _Dialect("candump", _SPACED, _candump),
+    _Dialect("ASC", _ASC, _asc),
+    _Dialect("BusMaster", _BUSMASTER, _busmaster),
+    _Dialect("Yacht Devices", _YACHT, _yacht),
+    _Dialect("N2K", _N2K, _n2k),
+    _Dialect("canboat", _CANBOAT, _canboat),
+)

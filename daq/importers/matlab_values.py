@@ -1,0 +1,331 @@
+"""Variables of MATLAB files as Python values: structs, struct arrays, cells, text, and objects of version 7.3.
+
+Version 5 to 7 comes from scipy. Version 7.3 is HDF5: a struct is a group, a struct array a group whose fields are
+references, a cell an array of references. An object (datetime, duration, table, timetable, timeseries) is a number of
+the list ``/#subsystem#/MCOS``; its first entry says, as 32-bit words, which class an object has and which of the other
+entries are its properties. MathWorks does not publish this layout; it is that of https://github.com/foreverallama/matio
+(docs/mcos.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.errors import SeatrialError
+
+OBJECT = 0xDD000000  # first word of a reference to an object
+DEEPEST = 30  # structs, cells and objects in each other
+MOST_STRUCTS = 16  # elements of a struct array that become topics of their own
+_HEADER_BYTES = 40  # of the list of objects: version, number of names, ends of 8 regions
+_CONTENTS = 2  # entries before the properties
+TABLES = ("table", "timetable")
+
+
+@dataclass(frozen=True)
+class MatlabObject:
+    """An object: its class and its properties by name."""
+
+    kind: str
+    properties: Mapping[str, Any]
+
+
+class Vector(NamedTuple):
+    """Numbers of a variable: the topic and the name that they get, and what MATLAB tells about them."""
+
+    topic: str
+    name: str
+    values: NDArray[Any]  # (n,) or a matrix
+    unit: str = ""
+    is_time: bool = False  # s, since 1970 for a datetime
+
+
+def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: int = 0) -> Iterator[Vector]:
+    """Yield the numbers in a variable; add the names of objects without numbers, with their classes, to `left_out`.
+
+    Parameters
+    ----------
+    name
+        The name of the variable, or of the field of a struct.
+    value
+        Its value: array, text, dict (struct), list (cell or struct array) or MatlabObject.
+    left_out
+        Gets what is of a class that is not read.
+    topic
+        The variable whose field this is, "" for the variable itself.
+    depth
+        How many structs it is in.
+    """
+    place = f"{topic}.{name}" if topic else name
+    if depth > DEEPEST:
+        raise SeatrialError(f"{place[:60]}: structs in structs, more than {DEEPEST} deep")
+    if isinstance(value, MatlabObject):
+        yield from _object_vectors(name, value, left_out, topic, depth)
+    elif isinstance(value, Mapping):
+        if (signals := _simulink_signals(value)) is not None:
+            yield from _simulink_vectors(place, name, value["time"], signals)
+            return
+        for field, part in value.items():
+            below = name if not topic and depth == 0 else topic
+            inner = field if not topic and depth == 0 else f"{name}.{field}"
+            yield from vectors(inner, part, left_out, below, depth + 1)
+    elif isinstance(value, list) and value and all(isinstance(one, Mapping) for one in value):
+        yield from _struct_array_vectors(name, value, left_out, topic, depth)
+    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1:
+        yield Vector(topic, name, value)
+
+
+def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: str, depth: int) -> Iterator[Vector]:
+    """Yield the numbers of an object: a time, the columns of a table, or the properties of another class."""
+    place = f"{topic}.{name}" if topic else name
+    if (seconds := _seconds(value)) is not None:
+        if seconds.size > 1:
+            yield Vector(topic, name, seconds, is_time=True)
+    elif value.kind in TABLES and (columns := list(_table_columns(place, value))):
+        yield from columns
+    elif value.kind in (*TABLES, "string", "categorical", "calendarDuration"):
+        left_out.append(f"{place} ({value.kind})")
+    else:  # timeseries, and what else has its numbers in properties
+        found = [
+            one
+            for field, part in value.properties.items()
+            for one in vectors(field.strip("_"), part, left_out, place, depth + 1)
+        ]
+        yield from (one._replace(name=name) if one.name.lower() == "data" else one for one in found)
+        if not found:
+            left_out.append(f"{place} ({value.kind})")
+
+
+def _seconds(value: Any) -> NDArray[np.float64] | None:
+    """Return a datetime (since 1970, UTC if it has a zone) or a duration in s; None if it is neither."""
+    if not isinstance(value, MatlabObject) or value.kind not in ("datetime", "duration"):
+        return None
+    milliseconds = value.properties.get("data" if value.kind == "datetime" else "millis")
+    if not isinstance(milliseconds, np.ndarray):  # the value of a new object is not in the file: 0 s
+        return np.zeros(1) if value.kind == "duration" else np.full(1, np.nan)
+    # The imaginary part of a datetime is what the real part, a double, is too coarse for.
+    return np.asarray(1e-3 * milliseconds.real + 1e-3 * milliseconds.imag, np.float64)
+
+
+def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
+    """Yield the columns of a table or a timetable, its times first."""
+    inner = value.properties.get("any", value.properties)
+    if not isinstance(inner, Mapping):
+        return
+    data = inner.get("data")
+    names = inner.get("varNames", inner.get("varnames"))
+    if not isinstance(data, list) or not isinstance(names, list) or len(names) != len(data):
+        return
+    n_rows = int(_scalar(inner.get("numRows", inner.get("nrows"))) or 0)
+    if value.kind == "timetable":
+        dimensions = inner.get("dimNames")
+        called = dimensions[0] if isinstance(dimensions, list) and dimensions else "Time"
+        t = _row_times(inner.get("rowTimes"), n_rows)
+        if t is not None and len(t) == n_rows and np.isfinite(t).any():
+            yield Vector(place, str(called), t, is_time=True)
+    properties = inner.get("props")
+    units = inner.get("varUnits", properties.get("VariableUnits") if isinstance(properties, Mapping) else None)
+    units = units if isinstance(units, list) and len(units) == len(names) else [""] * len(names)
+    for name, column, unit in zip(names, data, units, strict=True):
+        seconds = _seconds(column)
+        values = column if seconds is None else seconds
+        if isinstance(values, np.ndarray) and values.dtype.kind in "biuf" and values.size > 1:
+            unit = unit if isinstance(unit, str) else ""
+            yield Vector(place, str(name), values, unit, seconds is not None)
+
+
+def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
+    """Return the times of the rows of a timetable, (n_rows,) [s]; None if they are of a kind that is not known."""
+    if (seconds := _seconds(value)) is not None:
+        return seconds.ravel()
+    if not isinstance(value, Mapping):
+        return None
+    origin, step = _seconds(value.get("origin")), _seconds(value.get("stepSize"))
+    rate = _scalar(value.get("sampleRate"))
+    if origin is None or not origin.size:
+        return None
+    is_rate = _scalar(value.get("specifiedAsRate"))
+    if step is not None and step.size and step.flat[0] > 0.0 and not is_rate:
+        return np.asarray(origin.flat[0] + step.flat[0] * np.arange(n_rows), np.float64)
+    if rate and is_rate:
+        return np.asarray(origin.flat[0] + np.arange(n_rows) / rate, np.float64)
+    return None
+
+
+def _scalar(value: Any) -> float | None:
+    ok = isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "biuf"
+    return float(value.flat[0]) if ok else None
+
+
+def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
+    """Return the signals of a structure with time, as Simulink writes it; None if it is another struct."""
+    signals, time = value.get("signals"), value.get("time")
+    one = [signals] if isinstance(signals, Mapping) else signals
+    if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(one, list) or not one:
+        return None
+    if not all(isinstance(signal, Mapping) and "values" in signal for signal in one):
+        return None
+    return one
+
+
+def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[str, Any]]) -> Iterator[Vector]:
+    """Yield the times and the signals of a structure with time: by their labels, their blocks or the variable."""
+    t = np.ravel(time)
+    yield Vector(place, "time", t)
+    for k, signal in enumerate(signals):
+        values = signal["values"]
+        if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
+            continue
+        if values.ndim == 3 and values.shape[2] == len(t):  # a column or a matrix at each time
+            values = values.reshape(-1, len(t)).T
+        label, block = signal.get("label"), signal.get("blockName")
+        called = label if isinstance(label, str) and label else ""
+        if not called and len(signals) > 1 and isinstance(block, str):
+            called = block.rpartition("/")[2]
+        yield Vector(place, called or (name if len(signals) == 1 else f"signals[{k}]"), values)
+
+
+def _struct_array_vectors(
+    name: str, value: list[Mapping[str, Any]], left_out: list[str], topic: str, depth: int
+) -> Iterator[Vector]:
+    """Yield the numbers of a struct array: a column for each field with one number a struct, else a topic a struct."""
+    place = f"{topic}.{name}" if topic else name
+    numbers = {field: [_scalar(one.get(field)) for one in value] for field in value[0]}
+    columns = {field: found for field, found in numbers.items() if not any(one is None for one in found)}
+    for field, found in columns.items():
+        if len(value) > 1:
+            yield Vector(place, field, np.array(found, np.float64))
+    if not columns:
+        for k, one in enumerate(value[:MOST_STRUCTS]):
+            yield from vectors(f"{place}[{k}]", one, left_out, "", depth and DEEPEST // 2)
+
+
+def scipy_value(value: Any, depth: int = 0) -> Any:
+    """Return a variable of scipy.io.loadmat (squeezed) as a Python value."""
+    if depth > DEEPEST or not isinstance(value, np.ndarray):
+        return value if isinstance(value, str) else np.asarray(value) if np.isscalar(value) else None
+    if value.dtype.names and type(value) is np.ndarray:
+        structs = [
+            {field: scipy_value(one[field], depth + 1) for field in value.dtype.names}
+            for one in np.atleast_1d(value).flat
+        ]
+        return structs[0] if value.size == 1 else structs
+    if value.dtype.kind == "O" and type(value) is np.ndarray:
+        return [scipy_value(one, depth + 1) for one in value.flat]
+    if value.dtype.kind == "U":
+        return str(value) if value.ndim == 0 else [str(one) for one in value.flat]
+    return value if value.dtype.kind in "biufc" else None
+
+
+class Hdf5Variables:
+    """The variables of a MATLAB file of version 7.3."""
+
+    def __init__(self, file: Any) -> None:
+        """Read the list of objects of an open h5py file, if it has one."""
+        self._file = file
+        self._contents: list[Any] = []
+        self._classes: list[str] = []
+        self._objects: NDArray[np.uint32] = np.zeros((0, 6), np.uint32)
+        self._saved: list[list[tuple[str, int, int]]] = []
+        self._properties: list[list[tuple[str, int, int]]] = []
+        if "#subsystem#" in file and "MCOS" in file["#subsystem#"]:
+            self._contents = list(file["#subsystem#/MCOS"][()].ravel())
+            self._read_objects(np.asarray(file[self._contents[0]][()], np.uint8).tobytes())
+
+    def _read_objects(self, data: bytes) -> None:
+        """Read the classes and objects: regions of 32-bit words behind a header and the names."""
+        words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
+        n_names, ends = int(words[1]), [int(end) for end in words[2:7]]
+        names = [
+            "",
+            *(part.decode("utf-8", "replace") for part in data[_HEADER_BYTES : ends[0]].split(b"\0")[:n_names]),
+        ]
+        region = [words[a // 4 : b // 4] for a, b in pairwise(ends)]
+        self._classes = [names[int(row[1])] for row in region[0].reshape(-1, 4)]
+        self._saved, self._properties = (_property_lists(region[k], names) for k in (1, 3))
+        self._objects = region[2].reshape(-1, 6)
+
+    def items(self) -> Iterator[tuple[str, Any]]:
+        """Yield each variable with its value."""
+        for name, one in self._file.items():
+            if not name.startswith("#"):
+                yield name, self._value(one, 0)
+
+    def _value(self, one: Any, depth: int) -> Any:
+        if depth > DEEPEST:
+            raise SeatrialError(f"structs, cells or objects in each other, more than {DEEPEST} deep")
+        if hasattr(one, "items"):
+            return self._struct(one, depth)
+        kind = one.attrs.get("MATLAB_class", b"")
+        if "MATLAB_empty" in one.attrs:
+            return "" if kind == b"char" else np.zeros(0)
+        if one.dtype.kind == "O":
+            return [self._value(self._file[ref], depth + 1) for ref in one[()].T.ravel()]
+        values = one[()]
+        if "MATLAB_object_decode" in one.attrs or (kind not in _NUMERIC and _is_reference(values)):
+            return self._object(values, depth)
+        if values.dtype.names == ("real", "imag"):
+            return (values["real"] + 1j * values["imag"]).T
+        if kind == b"char":
+            return "".join(chr(code) for code in values.T.ravel())
+        return np.asarray(values).T
+
+    def _struct(self, group: Any, depth: int) -> Any:
+        """Return a struct as a dict, a struct array as a list of them."""
+        is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets(group)]
+        if not is_array or not all(is_array) or len(is_array) < len(group):
+            return {field: self._value(part, depth + 1) for field, part in group.items()}
+        columns = {field: self._value(part, depth + 1) for field, part in group.items()}
+        n = min(len(column) for column in columns.values())
+        return [{field: column[k] for field, column in columns.items()} for k in range(n)]
+
+    def _object(self, reference: NDArray[Any], depth: int) -> Any:
+        """Return the object of a reference: its first word, its number of dimensions, these, the objects, the class."""
+        words = [int(word) for word in np.ravel(reference)]
+        if len(words) < 2 or words[0] != OBJECT or words[1] != len(words[2 : 2 + words[1]]):
+            return None
+        numbers = words[2 + words[1] : -1]
+        found = [self._one_object(number, depth) for number in numbers[:MOST_STRUCTS]]
+        return found[0] if len(found) == 1 else found
+
+    def _one_object(self, number: int, depth: int) -> MatlabObject | None:
+        if not 0 < number < len(self._objects):
+            return None
+        kind, _, _, saved, plain, _ = (int(word) for word in self._objects[number])
+        pairs = self._saved[saved] if saved else self._properties[plain]
+        properties: dict[str, Any] = {}
+        for name, how, value in pairs:
+            if how == 1 and _CONTENTS + value < len(self._contents):  # 0 is an enumeration, 2 a number or a truth value
+                properties[name] = self._value(self._file[self._contents[_CONTENTS + value]], depth + 1)
+        return MatlabObject(self._classes[kind], properties)
+
+
+_NUMERIC = {b"double", b"single", b"logical", b"int8", b"uint8", b"int16", b"uint16", b"int32", b"int64", b"uint64"}
+
+
+def _is_reference(values: Any) -> bool:
+    return bool(values.dtype == np.uint32 and values.size >= 5 and values.ravel()[0] == OBJECT)
+
+
+def _datasets(group: Any) -> list[Any]:
+    return [part for part in group.values() if not hasattr(part, "items")]
+
+
+def _property_lists(words: NDArray[np.uint32], names: list[str]) -> list[list[tuple[str, int, int]]]:
+    """Return the properties of each object: their names, how their values are kept, and which these are.
+
+    Each list has its length in front, and begins at an even word.
+    """
+    found, at = [], 0
+    while at < len(words):
+        n = int(words[at])
+        rows = words[at + 1 : at + 1 + 3 * n].reshape(-1, 3)
+        found.append([(names[int(row[0])], int(row[1]), int(row[2])) for row in rows])
+        at += 1 + 3 * n
+        at += at % 2
+    return found

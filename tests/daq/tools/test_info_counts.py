@@ -1,0 +1,28 @@
+"""`seatrial info` counts the samples that `seatrial log` counts, beside the messages that they became."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from daq.importers.write_log import SignalRow, write_frames
+from daq.log import open_log
+from daq.samples import Ahrs, Esc, Frame, Gnss, Sample
+from daq.tools import show_log
+
+
+def test_samples_and_their_messages(tmp_path: Path) -> None:
+    samples: list[tuple[str, Sample]] = [
+        *[("ahrs", Ahrs(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8, 1e-5, 0.0, 4e-5))] * 5,
+        *[("gnss", Gnss(1.0, 54.1, 10.8, fix=3, vel_n=1.0, vel_e=0.0))] * 3,
+        *[("esc", Esc(1, 1000.0, 2.0, 0.5, 16.0, 30.0))] * 2,
+    ]
+    rows = [SignalRow(1.0 + k, device, Frame(sample, 1.0 + k, 1.0)) for k, (device, sample) in enumerate(samples)]
+    write_frames(tmp_path / "run.mcap", rows, metadata={}, note="test")
+    console = Console(width=200, highlight=False)
+    with open_log(tmp_path / "run.mcap") as log, console.capture() as capture:
+        show_log(log, console)
+    n_messages = sum(log.counts.values())
+    assert n_messages > 2 * len(samples)  # time, IMU and magnetometer of an AHRS, for instance
+    assert f"9.000 s, {len(samples)} samples in {n_messages} messages" in capture.get()

@@ -1,0 +1,34 @@
+"""A yaw rate and a heading of which one is in degrees: the finding names the unit that is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.checks.sensors import Match, gyro_and_heading
+from ident.data import Channel
+from ident.numerics import Array
+
+T: Array = 0.1 * np.arange(400)
+
+
+def channels(psi: Array) -> dict[str, Channel]:
+    rate: Array = np.gradient(psi, T)
+    return {"psi": Channel(T, psi), "r": Channel(T, rate)}
+
+
+@pytest.mark.parametrize(
+    ("scale", "top", "said"),
+    [
+        (57.3, 3.0, "a yaw rate in rad/s that was declared deg/s?"),
+        (57.3, 300.0, "a yaw rate in rad/s that was declared deg/s, or a heading in degrees?"),
+        (1.0 / 57.3, 3.0, "yaw rate in deg/s?"),
+    ],
+)
+def test_the_unit_that_is_wrong_is_named(scale: float, top: float, said: str) -> None:
+    """The change of heading is `scale` times the yaw rate."""
+    (finding, *_) = gyro_and_heading(
+        channels(np.asarray(top * np.sin(T), np.float64)), Match(scale, 0.0, 1.0, half=0.01)
+    )
+    assert (finding.level, finding.code) == ("fault", "angle-in-degrees")
+    assert finding.text.endswith(said)
