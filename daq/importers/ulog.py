@@ -48,10 +48,10 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         if "fix_type" in columns:
             for name in {"lat", "lon", "latitude_deg", "longitude_deg"} & set(columns):
                 columns[name] = np.where(columns["fix_type"] < FIX_2D, np.nan, columns[name])
-        remark = stopped_motors(one.name, columns)
+        remarks = "; ".join(part for part in (stopped_motors(one.name, columns), remark) if part)
         order = np.argsort(one.data["timestamp"], kind="stable")
         t = 1e-6 * np.asarray(one.data["timestamp"], np.float64)
-        tables.append(Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], one.name, remark=remark))
+        tables.append(Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], one.name, remark=remarks))
     offset = _utc_offset(tables)
     vehicle = next((int(t.columns["system_type"][-1]) for t in tables if "system_type" in t.columns), None)
     for table in tables:
