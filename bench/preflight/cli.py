@@ -303,7 +303,7 @@ def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
 
 
 def _motion(motion: MotionChecks, path: Path) -> list[Finding]:
-    """What the motion in a log says; without the part that can tell, one finding that says so."""
+    """Return the findings on the motion in a log; one warning if the package that compares motions is missing."""
     try:
         return motion.check_log(path)
     except SeatrialError as error:

@@ -85,7 +85,7 @@ class _Dialect(NamedTuple):
 
 
 class _Log:
-    """What the heading of a log tells, and what is counted while it is read."""
+    """State of the reader of one log: the values of its heading, and a counter of fast packets."""
 
     def __init__(self) -> None:
         self.start = 0.0  # s since 1970

@@ -305,7 +305,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Nothing to standard error, by C either, which knows nothing of sys.stderr."""
+    """Discard what the block writes to standard error. C code writes to the descriptor, so sys.stderr is not enough."""
     before = os.dup(2)
     try:
         with open(os.devnull, "wb") as nowhere:

@@ -121,7 +121,7 @@ class Log:
 
     @cached_property
     def sha256(self) -> str:
-        """Of the file as it is now; with several segments, of all their bytes in order."""
+        """Return the SHA-256 of the file. For a log of several segments, hash their bytes in order."""
         digest = hashlib.sha256()
         for path in self.paths:
             with path.open("rb") as file:

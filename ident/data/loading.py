@@ -354,7 +354,7 @@ def _at(one: LoadedLog, origin: FrameOrigin) -> LoadedLog:
 
 
 def far_apart(origins: Sequence[object]) -> bool:
-    """Whether logs with these origins (`FrameOrigin`) surely have no common frame; None: nobody knows."""
+    """Whether the logs have different origins (`FrameOrigin`). An origin that is None is unknown and is ignored."""
     return len({o for o in origins if o is not None}) > 1
 
 

@@ -173,7 +173,7 @@ def _is_sized(effect: Effect, own: Mapping[str, Effect]) -> bool:
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
-    """What the forces rest on; None for a model that has none of its own."""
+    """Return the table of where thrust and arm come from; None if the model has no forces of its own."""
     scale, table = scale_of(model), tomlkit.table()
     for line in scale.caveats:
         table.add(tomlkit.comment(line))
@@ -335,7 +335,7 @@ def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
 
 
 def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
-    """The structure's parameter with what its row says; without a prior there, the structure's own stays."""
+    """Return a parameter of the structure with the values of its row. A row without a prior keeps the structure's."""
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
     prior = p.prior

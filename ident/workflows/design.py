@@ -443,7 +443,7 @@ def _answer(
 
 
 def worse_than(baseline: BaselineSignal, made: Design) -> str:
-    """That a random sequence would tell more, and what to do about it."""
+    """Return the warning that a random sequence is more informative than the design, with advice."""
     free = ", which keeps to no limits," if made.task.limits.bind else ""
     return (
         f"Worse than {baseline.kind}: its {made.task.criterion} criterion is {format_number(made.value)}, the best of "
