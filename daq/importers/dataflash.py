@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError, SeatrialWarning, counted
+from daq.importers.damage import is_chain
 from daq.importers.write_log import Timed
 from daq.protocol import FIXES, HALF_MS, mode_name
 from daq.rig import Device, Rig
@@ -35,7 +36,6 @@ OLDEST_FIX_S = 1.0  # between a fix and its message: more is no age
 FIRMWARE = {"ArduRover": 10, "ArduSub": 12, "ArduCopter": 2, "ArduPlane": 1, "Blimp": 7, "AntennaTracker": 5}
 HEAD = b"\xa3\x95"  # of each message; its type follows
 FMT, FMT_SIZE = 0x80, 89
-SURE = 3  # whole messages in a row, behind a damaged place, that are taken for the log again
 TIME_OFF_US = 1_000_000  # from the median of the times around it: more is a damaged time
 NO_TYPE = 0  # MAV_TYPE: its modes have no names
 
@@ -217,14 +217,6 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
         size = sizes.get(raw[place + 2], -1)
         return -1 if size < 3 or place + size > len(raw) else place + size
 
-    def is_chain(place: int) -> bool:
-        """Whether some messages follow each other here, to the end of the file if it is near."""
-        for _ in range(SURE):
-            place = end_of(place)
-            if place < 0 or place == len(raw):
-                return place == len(raw)
-        return True
-
     found: list[tuple[int, int]] = []  # place and end of each whole message
     place, n_torn = 0, 0
     while place < len(raw):
@@ -240,7 +232,7 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
             place = end
             continue
         begin, place = place, raw.find(HEAD, place + 1)
-        while place >= 0 and not is_chain(place):
+        while place >= 0 and not is_chain(place, len(raw), end_of):
             place = raw.find(HEAD, place + 1)
         if place < 0:  # cut off, or the rest of the last page
             if end > 0:

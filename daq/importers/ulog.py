@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.errors import SeatrialError, counted
+from daq.importers.damage import is_chain
 from daq.importers.missing_inputs import stopped_motors
 from daq.importers.table import Column, SourceOptions, Table
 
@@ -17,7 +18,6 @@ HEADER = 16  # bytes of the file header
 RECORD = struct.Struct("<HB")  # size of the data, type
 TYPES = frozenset(b"BFIMPQALCDSOR")
 MOST_RECORD = 65538  # bytes of a record
-SURE = 3  # whole records in a row, behind a damaged place, that are taken for the log again
 FIX_2D = 2  # sensor_gps.fix_type
 
 
@@ -87,14 +87,6 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
                 return -1
         return place + int(RECORD.size) + int(size)
 
-    def is_chain(place: int) -> bool:
-        """Whether some records follow each other here, to the end of the file if it is near."""
-        for _ in range(SURE):
-            place = end_of(place)
-            if place < 0 or place == len(raw):
-                return place == len(raw)
-        return True
-
     kept: list[bytes] = [raw[:HEADER]]
     place, n_torn = HEADER, 0
     while place < len(raw):
@@ -110,7 +102,7 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
             place = end
             continue
         place += 1
-        while place < len(raw) and not is_chain(place):
+        while place < len(raw) and not is_chain(place, len(raw), end_of):
             place += 1
         n_torn += place < len(raw)  # else the log was cut off here
     return (b"".join(kept), n_torn) if n_torn else (None, 0)
