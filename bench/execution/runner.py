@@ -164,6 +164,11 @@ class RunResult:
     still_armed: tuple[str, ...]  # autopilots that were armed before the run and still are
 
 
+def _at_zero(rests: list[Rest] | None) -> bool:
+    """Whether every thruster was measured at zero thrust."""
+    return rests is not None and all(rest.is_zero for rest in rests)
+
+
 class _Runner:
     """One run: what `run_mission` was given, and how thrust returns to zero."""
 
@@ -226,7 +231,7 @@ class _Runner:
     def _require_zero(self) -> None:
         """Raise SafetyStop if the thrusters are not measured at zero thrust."""
         rests = self._settled()
-        if self._moved and (rests is None or not all(rest.is_zero for rest in rests)):
+        if self._moved and not _at_zero(rests):
             raise SafetyStop("the run has ended")
 
     def _fall_silent(self) -> None:
@@ -380,7 +385,7 @@ class _Runner:
         self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         rests = self._settled()
         closed = self._tried(self._acquisition.stop)
-        if rests is None or not all(rest.is_zero for rest in rests):
+        if not _at_zero(rests):
             rests = self._rests()  # the acquisition process has repeated zero before it closed the log
         thrust = self._thrust_in_words(rests)
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
@@ -406,7 +411,7 @@ class _Runner:
     def _settled(self) -> list[Rest] | None:
         """Wait until every thruster is measured at zero thrust, or its time is over; return the last measurement."""
         until = time.monotonic() + SETTLE_S
-        while (rests := self._rests()) is not None and not all(rest.is_zero for rest in rests):
+        while (rests := self._rests()) is not None and not _at_zero(rests):
             if time.monotonic() > until or not (self._moved and self._ports_are_open()):
                 break
             time.sleep(SETTLE_POLL_S)
@@ -423,16 +428,16 @@ class _Runner:
 
     def _thrust_in_words(self, rests: list[Rest] | None) -> str:
         """Return what was measured of the thrust at the end. "Zero" is used only for a measurement."""
-        if rests is not None and all(rest.is_zero for rest in rests):
+        if _at_zero(rests):
             return ZERO
-        if not self._moved:
-            return "no thrust was commanded"
         wrong = [rest for rest in rests or [] if not rest.is_zero]
         pushing = [rest.thruster for rest in wrong if rest.is_zero is False and self._is_output(rest.thruster)]
         if pushing:
             links = self._acquisition.status().links
             modes = [links[name].mode for name in self._vehicles.names if name in links]
             return f"{', '.join(pushing)} STILL PUSH: the autopilot is in {', '.join(modes)}; stop it yourself"
+        if not self._moved:
+            return "no thrust was commanded"
         measured = ": " + "; ".join(rest.text for rest in wrong) if wrong else ""
         times = self._vehicles.tested_s.items()
         tested = [f"{name} ended thrust {seconds:.1f} s after its link was lost" for name, seconds in times]

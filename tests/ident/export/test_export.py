@@ -252,4 +252,4 @@ def test_the_command_names_a_file_that_is_no_model(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
     done = CliRunner().invoke(ident, ["export", str(tmp_path / "result.json"), "--to", "c"])
     assert isinstance(done.exception, SeatrialError)
-    assert "not valid TOML" in str(done.exception)
+    assert "result.json: is JSON, as a result is; give the model.toml beside it" in str(done.exception)
