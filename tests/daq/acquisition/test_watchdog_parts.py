@@ -35,8 +35,9 @@ from daq.acquisition.watchdog import (
     _step_in,
     _watch,
 )
-from daq.config.rig_file import load_rig
-from daq.log.watchdog_note import read_note
+from daq.config.rig_file import load_rig, parse_rig
+from daq.drivers.dronecan import DronecanDriver
+from daq.log.watchdog_note import note_path, read_note
 from tests.daq.ptys import TestBoat
 
 
@@ -210,6 +211,7 @@ def test_zero_is_sent_for_its_time_and_to_every_thruster(tmp_path: Path) -> None
     assert {node for node, _ in commands} == {t.node for t in rig.thrusters if t.device == "esc"}
     assert {n for _, n in commands} == {0.0}
     assert len(commands) > 20
+    assert sender._port.fileno() < 0  # it is closed again: the next program needs it
 
 
 def test_a_port_that_stays_shut_is_tried_for_its_time(tmp_path: Path) -> None:
@@ -224,15 +226,51 @@ def test_a_port_that_stays_shut_is_tried_for_its_time(tmp_path: Path) -> None:
     assert sender.outcome != "not tried"
 
 
+def test_what_a_driver_needs_is_loaded_before_it_is_urgent(tmp_path: Path) -> None:
+    """Modules that are loaded while thrust has to end cost a tenth of a second."""
+    with TestBoat(tmp_path) as boat:
+        text = boat.rig_path.read_text(encoding="utf-8").replace('protocol = "vesc"', 'protocol = "dronecan"')
+        rig = parse_rig(text, boat.rig_path)
+        made: list[str] = []
+        with pytest.MonkeyPatch.context() as patch:
+            zero = DronecanDriver.zero
+            patch.setattr(DronecanDriver, "zero", lambda self, now: made.append("zero") or zero(self, now))
+            sender = FailsafeSender(rig.device("esc"), rig)
+        assert made == ["zero"]
+        assert sender._driver is not None
+        first = sender._driver
+        sender.start()
+        sender.join(10.0)
+        assert sender._driver is not first  # prepared anew: a signature of long ago would be refused
+        assert sender.outcome == "zero was sent"
+
+
+def test_a_watchdog_that_does_not_get_ready_is_an_error_after_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+    monkeypatch.setattr(watchdog, "READY_S", 0.2)
+    ours, theirs = socket.socketpair()
+    with ours, theirs, pytest.raises((OSError, EOFError)):
+        Heartbeat(ours, rig, Path("run.mcap"))
+
+
 class _Sender(FailsafeSender):
     """A sender that only notes that it was started."""
+
+    log = Path()
 
     def __init__(self) -> None:
         threading.Thread.__init__(self, name="failsafe esc")
         self.outcome = "not tried"
 
     def run(self) -> None:
-        time.sleep(0.05)
+        deadline = time.monotonic() + 2.0
+        while not note_path(self.log).exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        # The reason is written before the senders are done: nobody may live to write it later.
+        assert "watchdog: the acquisition process" in read_note(self.log)
         self.outcome = "zero was sent"
 
 
@@ -242,7 +280,9 @@ def test_what_hangs_is_killed_and_what_died_is_not(tmp_path: Path) -> None:
     for victim, reason, code in zip(victims, reasons, (-signal.SIGKILL, None), strict=True):
         log = tmp_path / f"{victim.pid}.mcap"
         log.touch()
-        _step_in(victim.pid, log, reason, [_Sender()])
+        sender = _Sender()
+        sender.log = log
+        _step_in(victim.pid, log, reason, [sender])
         if code is not None:
             assert victim.wait(5.0) == code
         else:
