@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bench.execution import safety_guard as guard_module
 from bench.execution.safety_guard import (
     AT_REST_S,
     COAST_S,
@@ -572,3 +573,206 @@ def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
         shifted = again.step(moved.t, moved, [(moved.t, rows[0][1])])
         assert (shifted.stop is None) == (decision.stop is None)
         assert len(shifted.setpoints) == len(decision.setpoints)
+
+
+# What the mutation test asked for: numbers, windows at other speeds, and sources of several thrusters.
+
+
+def test_the_numbers_are_those_of_the_safety_page() -> None:
+    """A change of one of these changes what docs/safety.md promises."""
+    assert (guard_module.STALE_S, guard_module.STALE_PERIODS, guard_module.STALE_MAX_S) == (1.0, 5.0, 5.0)
+    assert (guard_module.STALE_WALL_S, guard_module.STUCK_WALL_S, guard_module.LIMIT_MAX_S) == (1.0, 3.0, 6.0)
+    assert (guard_module.QUICK, guard_module.SLOW) == (1.5, 3.0)
+    assert (guard_module.RATE_RATIO, guard_module.REST_PART) == (3.0, 0.05)
+    assert (guard_module.STOPPED, guard_module.REACTION_S, guard_module.LINK_AGE_S) == (0.05, 0.1, 3.0)
+    assert (guard_module.JUMP_SPEED, guard_module.JUMP_M, guard_module.COLDEST_C) == (15.0, 20.0, -40.0)
+    assert (guard_module.CHANGE, guard_module.FROZEN_S, guard_module.FROZEN_SAMPLES) == (0.3, 2.0, 5)
+    assert (guard_module.IMPULSE_S, guard_module.AT_REST_S, guard_module.TRAVEL_M) == (3.0, 5.0, 5.0)
+    assert (guard_module.TOLERANCE, guard_module.WINDOW_S, guard_module.LASTS_S) == (0.05, 0.25, 0.1)
+    assert (guard_module.DUTY_TOLERANCE, guard_module.DUTY_WINDOW_S, guard_module.DUTY_LASTS_S) == (0.1, 1.0, 0.3)
+    assert (guard_module.FREE_DUTY, guard_module.COAST_S, guard_module.FALLING) == (0.05, 3.0, 0.92)
+    assert (guard_module.IDLE_PART, guard_module.IDLE_RPM_MIN, guard_module.IDLE_RPM_MAX) == (0.07, 30.0, 300.0)
+    assert (guard_module.IDLE_CURRENT, guard_module.SENSED_A) == (0.05, 1.0)
+    assert (guard_module.BLOCKED_N, guard_module.BLOCKED_RPM) == (0.3, 10.0)
+    assert pytest.approx(6_371_008.8) == EARTH_RADIUS_M
+
+
+def test_a_history_holds_values_and_forgets_old_ones() -> None:
+    history = guard_module.History(2.0)
+    assert not history.covers(0.0)
+    assert history.since(0.0) == []
+    for k in range(100):
+        history.add(0.1 * k, float(k))
+    assert len(history._rows) == 21  # the oldest one holds at the begin of the window
+    assert history.covers(7.9)
+    assert not history.covers(7.7)
+    assert history.since(9.75) == [97.0, 98.0, 99.0]  # the one that held at that time, too
+    assert history.since(9.8) == [97.0, 98.0, 99.0]
+    assert history.since(100.0) == [99.0]
+
+
+def watched(values: list[float], commands: list[float], dt: float = 0.5) -> list[bool]:
+    watch = guard_module.MovementWatch()
+    found = []
+    for k, (value, n) in enumerate(zip(values, commands, strict=True)):
+        watch.update(k * dt, (value,), {"left": n})
+        found.append(watch.is_frozen)
+    return found
+
+
+def test_a_value_is_frozen_from_the_fifth_sample_and_the_second_second_after_a_change() -> None:
+    still, step = [8.5] * 12, [0.0, *[0.5] * 11]
+    assert watched(still, step).index(True) == 6  # 2.5 s after the change: five samples after the one that showed it
+    assert watched(still, step, dt=0.1) == [False] * 12  # too soon
+    assert watched(still, [0.0, *[0.29] * 11]) == [False] * 12
+    assert watched(still, [0.0, 0.5, *[0.0] * 10]).index(True) == 6  # that the command is as before does not help
+    assert watched([8.5, 8.5, 8.5, 8.5, 8.6, *[8.6] * 7], step) == [False] * 12  # it has moved
+    moved = watched([8.5, 8.5, 8.5, 8.5, 8.6, *[8.6] * 11], [0.0, *[0.5] * 6, *[0.9] * 9])
+    assert moved.index(True) == 12  # from the newer value on
+    watch = guard_module.MovementWatch()
+    for _ in range(20):
+        watch.update(0.0, (8.5,), {"left": 0.0})  # the same sample, seen in many statuses
+    watch.update(0.5, (8.5,), {})
+    assert not watch.is_frozen
+    watch.update(0.6, (8.5,), {"new": 0.3})  # a thruster that was not commanded before
+    for k in range(5):
+        watch.update(3.0 + k, (8.5,), {})
+    assert watch.is_frozen
+    assert watch.unchanged_s == 7.0
+
+
+def position_watched(commands: dict[str, float], speed: float, dt: float, n: int) -> list[bool]:
+    watch = guard_module.MovementWatch()
+    watch.is_position = True
+    found = []
+    for k in range(n):
+        watch.update(k * dt, (41.0, -8.0), commands, speed)
+        found.append(watch.is_frozen)
+    return found
+
+
+def test_a_position_is_frozen_by_thrust_ahead_or_by_its_own_speed() -> None:
+    assert position_watched({"left": 1.0, "right": 1.0}, NAN, 1.0, 20).index(True) == 5
+    assert position_watched({"left": -0.5, "right": -0.125}, 0.0, 1.0, 20).index(True) == 10
+    assert position_watched({"left": 0.5, "right": -0.5}, -1.0, 1.0, 20) == [False] * 20
+    assert position_watched({}, 1.0, 1.0, 20).index(True) == 5
+    assert position_watched({}, 2.0, 1.0, 20).index(True) == 5  # and five repeats at least
+    assert position_watched({}, 0.4, 1.0, 20).index(True) == 13
+
+
+@pytest.mark.parametrize("speed", [1.0, 8.0])
+def test_the_windows_of_controllers_are_longer_where_time_runs_faster(tmp_path: Path, speed: float) -> None:
+    """The way to a controller and back takes wall time."""
+    check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), speed)
+    window, lasts, coast = 1.0 + 0.25 * speed, 0.3 + 0.1 * speed, 3.0 + 0.25 * speed
+    found = math.inf
+    for k in range(600):
+        t = 0.05 * k
+        n = 0.6 if t < 10.0 else 0.0
+        now = status(t, n, {ESC: Esc(1, 2700.0 + math.sin(t), 5.0 + 0.1 * math.sin(t), 0.6, 24.0, 30.0)})
+        if check.reason(now):
+            found = t
+            break
+    assert found == pytest.approx(10.0 + window + lasts, abs=0.16)
+    turning = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), speed)
+    for k in range(600):
+        t = 0.05 * k
+        now = status(t, 0.6 if t < 10.0 else 0.0, {ESC: Esc(1, 2700.0 + math.sin(t), 5.0 + 0.1 * math.sin(t))})
+        if turning.reason(now):
+            found = t
+            break
+    assert found == pytest.approx(10.0 + coast, abs=0.16)
+
+
+@pytest.mark.parametrize("speed", [1.0, 8.0])
+def test_the_windows_of_outputs_are_longer_where_time_runs_faster(speed: float) -> None:
+    thruster = mav_rig().thrusters[0]
+    check = guard_module.OutputCheck(thruster, speed)
+    found = math.inf
+    for k in range(400):
+        t = 0.05 * k
+        latest = {("autopilot", thruster.node): Latest(Servo(thruster.node, 1700.0, 0.4), T + t)}
+        now = Status(T + t, {}, latest, {"left": 0.4 if t < 5.0 else 0.0}, 0, "", 1, 1, t, "", ())
+        if check.reason(now):
+            found = t
+            break
+    assert found == pytest.approx(5.0 + 0.25 * speed + 0.1 * speed, abs=0.16)
+    assert len(check._commands) < 200 * speed
+
+
+def two_thrusters(tmp_path: Path, **limits: float | tuple[str, ...]) -> Rig:
+    rig = rig_of(tmp_path, **limits)
+    right = replace(rig.thrusters[0], name="right", node=2)
+    return replace(rig, thrusters=(*rig.thrusters, right))
+
+
+def test_two_controllers_on_one_bus_share_its_rate(tmp_path: Path) -> None:
+    rig = two_thrusters(tmp_path, rpm=4000.0)
+    slow = replace(rig, devices=tuple(replace(device, rate_hz=4.0) for device in rig.devices))
+    guard = SafetyGuard(slow, 1.0, ("left", "right"))
+    both: dict[tuple[str, int | None], Sample] = {ESC: Esc(1, 0.0), ("esc", 2): Esc(2, 0.0)}
+    assert guard.unwatched(status(1.0, 0.0, both)) == []
+    assert guard.unwatched(status(1.0 + 1.5 * 2.5 - 0.1, 0.0, {})) == []  # five periods of 2 Hz, times QUICK
+    late = guard.unwatched(status(1.0 + 1.5 * 2.5 + 0.1, 0.0, {}))
+    assert [limit.whom for limit in late] == ["thruster left", "thruster right"]
+
+
+@pytest.mark.parametrize(
+    ("key", "sample", "patience"),
+    [
+        ("rpm", Esc(1, 0.0), 1.5),
+        ("current_a", Esc(1, current=0.0), 1.5),
+        ("temperature_c", Esc(1, temperature=20.0), 3.0),
+        ("voltage_min_v", Esc(1, voltage=24.0), 3.0),
+    ],
+)
+def test_slow_quantities_may_be_missing_for_longer(tmp_path: Path, key: str, sample: Esc, patience: float) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, **{key: 50.0 if key == "temperature_c" else 5.0}), 1.0, ("left",))
+    assert guard.unwatched(status(1.0, 0.0, {ESC: sample})) == []
+    assert guard.unwatched(status(0.99 + patience - 0.02, 0.0, {})) == []
+    assert [limit.key for limit in guard.unwatched(status(0.99 + patience + 0.02, 0.0, {}))] == [key]
+
+
+def test_a_thruster_without_a_command_yet_counts_as_at_zero(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0), 1.0, ("left",))
+    for k in range(1, 200):
+        now = replace(status(0.05 * k, 0.0, {ESC: Esc(1, 10.0)}), commanded={})
+        assert guard.unwatched(now) == []
+        assert guard.step(now.t, now).stop is None
+
+
+def test_what_is_shown_grows_old_by_its_own_rate(tmp_path: Path) -> None:
+    rig = two_thrusters(tmp_path)
+    guard = SafetyGuard(replace(rig, devices=tuple(replace(one, rate_hz=4.0) for one in rig.devices)), 1.0, ("left",))
+    both: dict[tuple[str, int | None], Sample] = {ESC: Esc(1, 0.0), ("esc", 2): Esc(2, 0.0), CELL: LoadCell(1.0, 1.0)}
+    first = status(0.0, 0.0, both)
+
+    def outdated(source: tuple[str, int | None], age: float) -> bool:
+        return guard.is_outdated(source, replace(first, t=first.latest[source].t + age))
+
+    assert not outdated(ESC, 1.5 * 2.5 - 0.01)
+    assert outdated(ESC, 1.5 * 2.5 + 0.01)
+    assert not outdated(CELL, 1.5 * 1.25 - 0.01)
+    assert outdated(CELL, 1.5 * 1.25 + 0.01)
+    many = replace(first, latest={**first.latest, ("loadcell/battery", None): first.latest[CELL]})
+    assert guard.is_outdated(("loadcell/battery", None), replace(many, t=many.t + 3.0 * 1.25 + 0.1))
+    assert not guard.is_outdated(("loadcell/battery", None), replace(many, t=many.t + 3.0 * 1.25 - 0.1))
+
+
+def test_a_device_that_sends_next_to_nothing_conflicts_and_one_without_a_rate_does_not(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
+    ports = {name: port(name, 40.0) for name in ("esc", "loadcell", "gnss", "ahrs")}
+    for rate, conflicts in ((0.01, True), (0.0, False), (NAN, False), (40.0, False)):
+        now = status(1.0, 0.0, {}, ports={**ports, "esc": port("esc", rate)})
+        assert any(line.startswith("esc ") for line in guard.rate_conflicts(now)) is conflicts
+
+
+def test_a_message_of_a_controller_names_the_newest_command(tmp_path: Path) -> None:
+    check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), 1.0)
+    said = ""
+    for k in range(200):
+        t = 0.05 * k
+        said = check.reason(status(t, 0.1 if t < 4.0 else 0.2, {ESC: Esc(1, 3000.0 + math.sin(t), 9.0, 0.9)}))
+        if t > 4.2:
+            break
+    assert "commanded +0.20" in said
