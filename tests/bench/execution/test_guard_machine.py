@@ -776,3 +776,55 @@ def test_a_message_of_a_controller_names_the_newest_command(tmp_path: Path) -> N
         if t > 4.2:
             break
     assert "commanded +0.20" in said
+
+
+def test_a_limit_that_lost_its_source_says_for_how_long_or_why(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0, force_n=60.0), 1.0, ("left",))
+    guard.unwatched(status(1.0, 0.0, {ESC: Esc(1, 0.0), CELL: LoadCell(1.0, 8.5)}))
+    said = {limit.key: limit.silence(T + 5.0) for limit in guard.unwatched(status(5.0, 0.0, {}))}
+    assert said == {
+        "rpm": "no shaft speed of thruster left (node 1 on esc) for 4.0 s",
+        "force_n": "no force of loadcell for 4.0 s",
+    }
+    for k in range(10):
+        now = status(6.0 + 0.5 * k, 0.0 if k == 0 else 0.5, {ESC: Esc(1, 9.0 * k), CELL: LoadCell(1.0, 8.5)})
+        frozen = guard.unwatched(now)
+    assert [limit.key for limit in frozen] == ["force_n"]
+    assert frozen[0].silence(T + 20.0).endswith("loadcell repeats the same value for 9.5 s though the commands changed")
+
+
+def test_the_patience_with_a_limit_grows_with_the_speed_of_time(tmp_path: Path) -> None:
+    """Against mocks a busy machine pauses for a second of wall time, which is many run seconds."""
+    guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0, temperature_c=80.0), 20.0, ("left",))
+    guard.unwatched(status(1.0, 0.0, {ESC: Esc(1, 0.0, temperature=20.0)}))
+    assert guard.unwatched(status(0.99 + 29.9, 0.0, {})) == []
+    assert [limit.key for limit in guard.unwatched(status(0.99 + 30.1, 0.0, {}))] == ["rpm"]
+    assert len(guard.unwatched(status(0.99 + 59.9, 0.0, {}))) == 1
+    assert len(guard.unwatched(status(0.99 + 60.1, 0.0, {}))) == 2
+
+
+def test_a_force_beyond_its_limit_names_the_part_that_was_there_at_rest(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, force_n=60.0), 1.0, ("left",))
+    guard.check(status(0.1, 0.0, {ESC: Esc(1), CELL: LoadCell(1.0, 24.4)}))
+    with pytest.raises(SafetyStop) as caught:
+        guard.check(status(0.2, 0.5, {ESC: Esc(1), CELL: LoadCell(1.0, 60.5)}))
+    assert str(caught.value) == "force is 60.5 N, limit 60 N, 24.4 N of it at rest (zero_counts in the rig)"
+
+
+def test_a_blocked_controller_is_named_with_its_newest_command(tmp_path: Path) -> None:
+    check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), 1.0)
+    said = ""
+    for k in range(300):
+        n = 0.5 if k % 2 else 0.4
+        esc = Esc(1, 0.0, 0.1, NAN, 24.0 + 0.01 * math.sin(k))
+        if said := check.reason(status(0.05 * k, n, {ESC: esc})):
+            break
+    assert f"does not turn, commanded {n:+.2f} for 3 s" in said
+
+
+def test_a_boat_at_its_start_is_not_stopped_by_its_speed_alone(tmp_path: Path) -> None:
+    rig = replace(rig_of(tmp_path, radius_m=5.0), vehicle={"m_u": 100.0, "d_u": 10.0})
+    guard = SafetyGuard(rig, 1.0, ("left",))
+    assert guard_module.stopping_distance(2.0, {"m_u": 30.0, "d_u": 6.0, "d_uu": 6.0}) > 0.0
+    start = Gnss(T, 41.18, -8.7, vel_n=2.0, vel_e=0.0, fix=3)  # outward has no direction at the start itself
+    guard.check(status(1.0, 0.0, {ESC: Esc(1), FIX: start}))
