@@ -12,22 +12,24 @@ from __future__ import annotations
 
 import argparse
 import ast
-import concurrent.futures
-import copy
+import importlib
+import itertools
+import multiprocessing
 import os
 import random
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("bench", "daq", "mocks", "ident", "tests", "seatrial.py", "pyproject.toml")
 WANTED = 0.95
-PATIENCE_S = 180.0
+PATIENCE_S = 60.0  # of one test
 NEGATED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -37,7 +39,7 @@ SWAPPED: dict[type[ast.operator], type[ast.operator]] = {
 }  # fmt: skip
 
 
-Change = Callable[[Any], bool]  # of a node, in place
+Change = Callable[[Any], None]  # of a node, in place
 
 
 class Target(NamedTuple):
@@ -45,16 +47,20 @@ class Target(NamedTuple):
 
     path: str
     tests: tuple[str, ...]
+    imported: tuple[str, ...]  # modules that do not import the file; each mutant finds them imported
 
 
+LIBRARIES = ("numpy", "scipy.optimize", "hypothesis", "pymavlink.mavutil", "mcap.reader", "click", "serial", "can")
 TARGETS = (
     Target(
         "bench/execution/safety_guard.py",
         tuple(f"tests/bench/execution/test_{name}.py" for name in ("safety_guard", "autopilots", "guard_machine")),
+        (*LIBRARIES, "daq.acquisition", "daq.acquisition.session", "daq.config", "daq.drivers", "daq.log.reader"),
     ),
     Target(
         "daq/acquisition/watchdog.py",
         ("tests/daq/acquisition/test_watchdog_parts.py", "tests/bench/execution/test_watchdog.py"),
+        LIBRARIES,
     ),
 )
 
@@ -63,22 +69,26 @@ class Mutant(NamedTuple):
     """One change of one file."""
 
     target: Target
+    node: int  # in the order of ast.walk
+    change: int  # of those that the node allows
     line: int
     what: str
-    source: str
+
+    def source(self) -> str:
+        """Return the text of the changed file."""
+        tree = ast.parse((ROOT / self.target.path).read_text(encoding="utf-8"))
+        node = next(itertools.islice(ast.walk(tree), self.node, None))
+        _, change = next(itertools.islice(_changes(node), self.change, None))
+        change(node)
+        return ast.unparse(ast.fix_missing_locations(tree))
 
 
 def mutants(target: Target) -> Iterator[Mutant]:
     """Yield every mutant of a file."""
     tree = ast.parse((ROOT / target.path).read_text(encoding="utf-8"))
-    nodes = list(ast.walk(tree))
-    for index, node in enumerate(nodes):
-        for what, change in _changes(node):
-            changed = copy.deepcopy(tree)
-            twin = list(ast.walk(changed))[index]
-            if change(twin):
-                source = ast.unparse(ast.fix_missing_locations(changed))
-                yield Mutant(target, getattr(node, "lineno", 0), what, source)
+    for index, node in enumerate(ast.walk(tree)):
+        for k, (what, _) in enumerate(_changes(node)):
+            yield Mutant(target, index, k, getattr(node, "lineno", 0), what)
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[str, Change]]:
@@ -108,48 +118,41 @@ def _is_text(node: ast.BinOp) -> bool:
     return any(isinstance(side, (str, ast.JoinedStr)) for side in texts)
 
 
-def _negate(node: ast.Compare) -> bool:
+def _negate(node: ast.Compare) -> None:
     node.ops[0] = NEGATED[type(node.ops[0])]()
-    return True
 
 
-def _swap_bool(node: ast.BoolOp) -> bool:
+def _swap_bool(node: ast.BoolOp) -> None:
     node.op = ast.And() if isinstance(node.op, ast.Or) else ast.Or()
-    return True
 
 
-def _swap(node: ast.BinOp) -> bool:
+def _swap(node: ast.BinOp) -> None:
     node.op = SWAPPED[type(node.op)]()
-    return True
 
 
-def _double(node: ast.Constant) -> bool:
+def _double(node: ast.Constant) -> None:
     node.value = 2 * node.value if node.value else 1  # type: ignore[operator]
-    return True
 
 
-def _flip(node: ast.Constant) -> bool:
+def _flip(node: ast.Constant) -> None:
     node.value = not node.value
-    return True
 
 
-def _affirm(node: ast.UnaryOp) -> bool:
+def _affirm(node: ast.UnaryOp) -> None:
     node.op = ast.UAdd()
     inner = node.operand
     node.operand = ast.Call(ast.Name("bool", ast.Load()), [inner], [])
-    return True
 
 
 def _leaving_out(k: int) -> Change:
-    def change(node: ast.FunctionDef) -> bool:
+    def change(node: ast.FunctionDef) -> None:
         node.body[k] = ast.Pass()
-        return True
 
     return change
 
 
 def survives(mutant: Mutant) -> bool:
-    """Whether the tests let a mutant pass."""
+    """Whether the tests let a mutant pass; runs in a process of its own that has the libraries imported already."""
     with tempfile.TemporaryDirectory(prefix="seatrial-mutant-") as name:
         tree = Path(name)
         for part in COPIED:
@@ -161,16 +164,18 @@ def survives(mutant: Mutant) -> bool:
                 shutil.copy(source, tree / part)
         changed = tree / mutant.target.path
         changed.unlink()  # it is a link to the original
-        changed.write_text(mutant.source, encoding="utf-8")
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *mutant.target.tests]
-        environment = {**os.environ, "PYTHONPATH": name, "PYTHONDONTWRITEBYTECODE": "1"}
-        try:
-            done = subprocess.run(
-                command, cwd=tree, env=environment, capture_output=True, timeout=PATIENCE_S, check=False
-            )
-        except subprocess.TimeoutExpired:
-            return False
-        return done.returncode == 0
+        changed.write_text(mutant.source(), encoding="utf-8")
+        os.chdir(tree)
+        # The tests start processes of their own, which have to find the mutant too.
+        os.environ |= {"PYTHONPATH": name, "PYTHONDONTWRITEBYTECODE": "1"}
+        sys.path[:] = [name, *(entry for entry in sys.path if entry not in ("", str(ROOT)))]
+        sys.dont_write_bytecode = True
+        with open(os.devnull, "w", encoding="utf-8") as nowhere:
+            os.dup2(nowhere.fileno(), 1)
+            os.dup2(nowhere.fileno(), 2)
+        words = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+        words += [f"--timeout={PATIENCE_S:g}", *mutant.target.tests]
+        return pytest.main(words) == pytest.ExitCode.OK
 
 
 def main() -> int:
@@ -189,8 +194,10 @@ def main() -> int:
         if options.sample is not None and options.sample < len(found):
             found = random.Random(options.seed).sample(found, options.sample)
         alive = 0
-        with concurrent.futures.ThreadPoolExecutor(options.jobs) as pool:
-            for k, (mutant, lives) in enumerate(zip(found, pool.map(survives, found), strict=True), start=1):
+        for module in target.imported:
+            importlib.import_module(module)
+        with multiprocessing.get_context("fork").Pool(options.jobs, maxtasksperchild=1) as pool:
+            for k, (mutant, lives) in enumerate(zip(found, pool.imap(survives, found, 1), strict=True), start=1):
                 alive += lives
                 if lives:
                     print(f"{mutant.target.path}:{mutant.line}: survives: {mutant.what}", flush=True)

@@ -37,6 +37,21 @@ def _is_attitude(sample: Sample) -> bool:
     return isinstance(sample, Ahrs) and not math.isnan(sample.yaw)
 
 
+def source_of(device: Device, sample: Sample) -> Source:
+    """Return under which name and node the newest sample of this kind is kept.
+
+    The main kind of a device has the device's name, and every further kind has the name `DEVICE/KIND`.
+    """
+    if not device.sends_many_kinds:
+        if isinstance(sample, MAIN.get(device.protocol, Sample)):
+            return device.name, sample.node if isinstance(sample, Esc) else None
+    elif isinstance(sample, Servo):
+        return device.name, sample.node
+    elif _is_attitude(sample):
+        return device.name, None
+    return f"{device.name}/{type(sample).__name__.lower()}", sample.node if isinstance(sample, Esc) else None
+
+
 class DeviceLoop(threading.Thread):
     """The thread of one port, with its counters and newest samples.
 
@@ -199,7 +214,7 @@ class DeviceLoop(threading.Thread):
         frames = [(frame, self._estimate(frame)) for frame in decode_read(self._port, self._decoder, data, t_rx)]
         for frame, t in frames:
             if not isinstance(frame.sample, Event):
-                self._latest[self._source(frame.sample)] = Latest(frame.sample, t)
+                self._latest[source_of(self.device, frame.sample)] = Latest(frame.sample, t)
                 self._t_last = frame.t_rx
                 self._rated += self._is_rated(frame.sample)
             self._sensor_health.take(frame)
@@ -219,17 +234,6 @@ class DeviceLoop(threading.Thread):
         self._attitudes |= _is_attitude(sample)
         yaw = sample.yaw if isinstance(sample, Ahrs) else NAN
         return bool(self.device.is_rated(type(sample), yaw, self._attitudes))
-
-    def _source(self, sample: Sample) -> Source:
-        name = self.device.name
-        if not self._many_kinds:
-            if isinstance(sample, MAIN.get(self.device.protocol, Sample)):
-                return name, sample.node if isinstance(sample, Esc) else None
-        elif isinstance(sample, Servo):
-            return name, sample.node
-        elif _is_attitude(sample):
-            return name, None
-        return f"{name}/{type(sample).__name__.lower()}", sample.node if isinstance(sample, Esc) else None
 
     def _join(self) -> None:
         """The first valid frame: bytes before it are not counted, since a port is opened in the middle of a frame."""

@@ -1,0 +1,171 @@
+"""Replay of recorded logs through the safety guard: whether it would have stopped the run, when and why.
+
+    python -m tests.bench.guard_replay seatrial-demo
+    python -m tests.bench.guard_replay run.mcap --rig rig.toml
+
+The guard reads no clock and opens no port, so that it judges a log as it judges a run. A stop that the
+log holds itself is printed beside that of the replay. The exit status
+is 1 if the guard stops a run that ended by itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.execution.safety_guard import SafetyGuard, Stop
+from daq.acquisition import Source
+from daq.acquisition.device_loop import source_of
+from daq.acquisition.status import Latest, PortStatus, Status
+from daq.config.rig_file import load_rig
+from daq.drivers import LinkStatus
+from daq.errors import SeatrialError
+from daq.log.reader import Log, open_log
+from daq.protocol.mavlink import mode_name
+from daq.rig import Rig
+from daq.samples import MEASURED, Autopilot, Command, Esc, Sample, Scalar, Servo
+
+STATUS_S = 0.05  # wall seconds from one status to the next, as in a run
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What the guard did with a recorded run."""
+
+    statuses: int
+    recorded: str  # why the run was stopped, as the log states; empty if it ended by itself
+    t: float  # run time of the guard's stop, from the first command [s]; infinity without one
+    stop: Stop | None
+
+
+class _Arrival(NamedTuple):
+    """A sample as the acquisition process received it."""
+
+    t_rx: float
+    source: Source
+    latest: Latest
+
+
+def _arrivals(log: Log, rig: Rig) -> Iterator[_Arrival]:
+    """Yield every sample that a device of the rig sent."""
+    devices = {device.name: device for device in rig.devices}
+    for kind in MEASURED:
+        names = [] if kind is Scalar else [name for name in log.sources(kind) if name in devices]
+        for name in names:
+            nodes = log.nodes(kind, name) if kind is Esc or kind is Servo else [None]
+            for node in nodes:
+                for row in log.table(kind, name, node):
+                    sample = _sample(kind, node, row)
+                    latest = Latest(sample, float(row["t"]))
+                    yield _Arrival(float(row["t_rx"]), source_of(devices[name], sample), latest)
+
+
+def _sample(kind: type[Any], node: int | None, row: np.void) -> Sample:
+    names = set(row.dtype.names or ())
+    values = {name: row[name].item() for name in kind.__slots__ if name in names}
+    made: Sample = kind(**{"node": node, **values} if node is not None else values)
+    return made
+
+
+def _port(rig: Rig, name: str, received: list[float], now: float) -> PortStatus:
+    device = rig.device(name)
+    age = now - received[-1] if received else math.inf
+    return PortStatus(
+        name, device.protocol, device.port, device.rate_hz, device.rate_hz, age, len(received), len(received),
+        0, 0, 0, 0, 0, 0.0, 0.0, "",
+    )  # fmt: skip
+
+
+def replay(path: Path, rig: Rig | None = None) -> Replay:
+    """Step a guard through the log of a run, from the first command to the last.
+
+    Parameters
+    ----------
+    path : log of a mission or of a bench run
+    rig : its rig, if it is to be another one than that in the log
+    """
+    with open_log(path) as log:
+        rig = rig or log.rig
+        if rig is None:
+            raise SeatrialError(f"{path} has no rig: it was not recorded by a run; give one with --rig")
+        arrivals = sorted(_arrivals(log, rig), key=lambda arrival: arrival.t_rx)
+        commands = {
+            thruster.name: log.table(Command, thruster.device, thruster.node)
+            for thruster in rig.thrusters
+            if thruster.node in log.nodes(Command, thruster.device)
+        }
+        recorded = next((text for _, kind, text in log.events() if kind == "stop"), "")
+    if not any(len(rows) for rows in commands.values()):
+        raise SeatrialError(f"{path} has no command: nothing was driven")
+    start = min(float(rows["t_rx"][0]) for rows in commands.values() if len(rows))
+    end = max(float(rows["t_rx"][-1]) for rows in commands.values() if len(rows))
+
+    guard = SafetyGuard(rig, rig.speed, tuple(commands))
+    guard.start()
+    latest: dict[Source, Latest] = {}
+    received: dict[str, list[float]] = {device.name: [] for device in rig.devices}
+    k = 0
+    times = np.arange(start, end, STATUS_S * rig.speed).tolist()
+    for number, now in enumerate(times, start=1):
+        while k < len(arrivals) and arrivals[k].t_rx <= now:
+            arrival, k = arrivals[k], k + 1
+            latest[arrival.source] = arrival.latest
+            received[arrival.source[0].partition("/")[0]].append(arrival.t_rx)
+        commanded = {name: _held(rows, now) for name, rows in commands.items()}
+        ports = {name: _port(rig, name, times_, now) for name, times_ in received.items()}
+        status = Status(
+            now, ports, dict(latest), commanded, 0, str(path), number, number, now - start, "", (),
+            links=_links(latest),
+        )  # fmt: skip
+        if stop := guard.step(now, status).stop:
+            return Replay(number, recorded, now - start, stop)
+    return Replay(len(times), recorded, math.inf, None)
+
+
+def _held(rows: np.ndarray, now: float) -> float:
+    """Return the command that was sent last at `now`."""
+    index = int(np.searchsorted(rows["t_rx"], now, side="right")) - 1
+    return float(rows["n_cmd"][index]) if index >= 0 else 0.0
+
+
+def _links(latest: dict[Source, Latest]) -> dict[str, LinkStatus]:
+    found = {}
+    for (name, _), newest in latest.items():
+        if isinstance(newest.sample, Autopilot):
+            state = newest.sample
+            device = name.partition("/")[0]
+            found[device] = LinkStatus(received=True, age=0.0, armed=bool(state.armed), mode=mode_name(state.mode))
+    return found
+
+
+def main() -> int:
+    """Replay the logs of the command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("paths", nargs="+", type=Path, help="logs, or folders of logs")
+    parser.add_argument("--rig", type=Path, help="rig file to use instead of the one in the log")
+    options = parser.parse_args()
+    rig = load_rig(options.rig) if options.rig else None
+    status = 0
+    for path in options.paths:
+        for log in sorted(path.rglob("*.mcap")) if path.is_dir() else [path]:
+            try:
+                found = replay(log, rig)
+            except SeatrialError as error:
+                print(f"{log}: not replayed: {error}")
+                continue
+            is_false = found.stop is not None and not found.recorded
+            status |= is_false
+            verdict = "no stop" if found.stop is None else f"stop after {found.t:.1f} s: {found.stop.reason}"
+            print(f"{log}: {found.statuses} statuses, {verdict}; in the log: {found.recorded or 'no stop'}", flush=True)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())
