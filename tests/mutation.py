@@ -20,7 +20,10 @@ import random
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+import threading
+import time
+import types
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,15 +42,21 @@ SWAPPED: dict[type[ast.operator], type[ast.operator]] = {
 }  # fmt: skip
 
 
+WORDS = (
+    "-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning",
+    f"--timeout={PATIENCE_S:g}",
+)  # fmt: skip
+
 Change = Callable[[Any], None]  # of a node, in place
 
 
 class Target(NamedTuple):
-    """A file under test, and the tests that have to notice its mutants, quick ones first."""
+    """A file under test, and the tests that have to notice its mutants."""
 
     path: str
     tests: tuple[str, ...]
     imported: tuple[str, ...]  # modules that do not import the file; each mutant finds them imported
+    selects: bool  # a mutant is given to the tests that call the changed function; not where tests start processes
 
 
 LIBRARIES = ("numpy", "scipy.optimize", "hypothesis", "pymavlink.mavutil", "mcap.reader", "click", "serial", "can")
@@ -56,11 +65,13 @@ TARGETS = (
         "bench/execution/safety_guard.py",
         tuple(f"tests/bench/execution/test_{name}.py" for name in ("safety_guard", "autopilots", "guard_machine")),
         (*LIBRARIES, "daq.acquisition", "daq.acquisition.session", "daq.config", "daq.drivers", "daq.log.reader"),
+        selects=True,
     ),
     Target(
         "daq/acquisition/watchdog.py",
         ("tests/daq/acquisition/test_watchdog_parts.py", "tests/bench/execution/test_watchdog.py"),
         LIBRARIES,
+        selects=False,
     ),
 )
 
@@ -73,6 +84,7 @@ class Mutant(NamedTuple):
     change: int  # of those that the node allows
     line: int
     what: str
+    tests: tuple[str, ...]
 
     def source(self) -> str:
         """Return the text of the changed file."""
@@ -83,12 +95,60 @@ class Mutant(NamedTuple):
         return ast.unparse(ast.fix_missing_locations(tree))
 
 
-def mutants(target: Target) -> Iterator[Mutant]:
-    """Yield every mutant of a file."""
+def mutants(target: Target, calls: Mapping[int, Sequence[str]]) -> Iterator[Mutant]:
+    """Yield every mutant of a file, with the tests to run: those that call its function, or all for a module's line."""
     tree = ast.parse((ROOT / target.path).read_text(encoding="utf-8"))
+    owners: dict[ast.AST, int] = {}  # first line of the innermost function around a node
+    for function in ast.walk(tree):
+        if isinstance(function, (ast.FunctionDef, ast.Lambda)):
+            decorators = function.decorator_list if isinstance(function, ast.FunctionDef) else []
+            first = min([function.lineno, *(decorator.lineno for decorator in decorators)])
+            body = function.body if isinstance(function.body, list) else [function.body]
+            owners.update((node, first) for statement in body for node in ast.walk(statement))
+            owners[function] = first
     for index, node in enumerate(ast.walk(tree)):
+        tests = tuple(calls.get(owners[node], ())) if target.selects and node in owners else target.tests
         for k, (what, _) in enumerate(_changes(node)):
-            yield Mutant(target, index, k, getattr(node, "lineno", 0), what)
+            yield Mutant(target, index, k, getattr(node, "lineno", 0), what, tests)
+
+
+class CallRecorder:
+    """Pytest plugin that records which tests call which functions of a file, and how long each test takes."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+        self._callers: dict[int, set[str]] = {}  # by first line of the function
+        self._duration: dict[str, float] = {}
+        self._test = ""
+
+    def _profile(self, frame: types.FrameType, event: str, _: object) -> None:
+        if event == "call" and frame.f_code.co_filename.endswith(self._path):
+            self._callers.setdefault(frame.f_code.co_firstlineno, set()).add(self._test)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        """Record the calls of a test and of its fixtures."""
+        self._test, begin = item.nodeid, time.perf_counter()
+        sys.setprofile(self._profile)
+        threading.setprofile(self._profile)
+        try:
+            return (yield)
+        finally:
+            sys.setprofile(None)
+            self._duration[item.nodeid] = time.perf_counter() - begin
+
+    def calls(self) -> dict[int, list[str]]:
+        """Return the tests that call each function, the quick ones first."""
+        return {line: sorted(tests, key=self._duration.__getitem__) for line, tests in self._callers.items()}
+
+
+def record_calls(target: Target) -> dict[int, list[str]]:
+    """Run the tests of a file once; returns which of them call which function, by its first line."""
+    recorder = CallRecorder(target.path)
+    status = pytest.main([*WORDS, *target.tests], plugins=[recorder])
+    if status != pytest.ExitCode.OK:
+        raise SystemExit(f"the tests of {target.path} fail without any change: mend them first")
+    return recorder.calls()
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[str, Change]]:
@@ -97,7 +157,7 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, Change]]:
         yield "comparison negated", _negate
     elif isinstance(node, ast.BoolOp):
         yield "and/or swapped", _swap_bool
-    elif isinstance(node, ast.BinOp) and type(node.op) in SWAPPED and not _is_text(node):
+    elif isinstance(node, ast.BinOp) and type(node.op) in SWAPPED and not _is_text(node) and not _is_by_one(node):
         yield "operator swapped", _swap
     elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
         yield "number doubled", _double
@@ -116,6 +176,11 @@ def _is_text(node: ast.BinOp) -> bool:
     """Whether an operator joins texts."""
     texts = (side.value if isinstance(side, ast.Constant) else side for side in (node.left, node.right))
     return any(isinstance(side, (str, ast.JoinedStr)) for side in texts)
+
+
+def _is_by_one(node: ast.BinOp) -> bool:
+    """Whether the right side is one of the constants that are 1: a multiplication and a division are the same then."""
+    return isinstance(node.right, ast.Name) and node.right.id in ("STALE_WALL_S", "STALE_S")
 
 
 def _negate(node: ast.Compare) -> None:
@@ -173,9 +238,7 @@ def survives(mutant: Mutant) -> bool:
         with open(os.devnull, "w", encoding="utf-8") as nowhere:
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
-        words = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
-        words += [f"--timeout={PATIENCE_S:g}", *mutant.target.tests]
-        return pytest.main(words) == pytest.ExitCode.OK
+        return not mutant.tests or pytest.main([*WORDS, *mutant.tests]) == pytest.ExitCode.OK
 
 
 def main() -> int:
@@ -190,13 +253,16 @@ def main() -> int:
     for target in TARGETS:
         if options.only not in target.path:
             continue
-        found = list(mutants(target))
+        for module in target.imported:
+            importlib.import_module(module)
+        fork = multiprocessing.get_context("fork")
+        with fork.Pool(1) as pool:
+            calls = pool.apply(record_calls, (target,)) if target.selects else {}
+        found = list(mutants(target, calls))
         if options.sample is not None and options.sample < len(found):
             found = random.Random(options.seed).sample(found, options.sample)
         alive = 0
-        for module in target.imported:
-            importlib.import_module(module)
-        with multiprocessing.get_context("fork").Pool(options.jobs, maxtasksperchild=1) as pool:
+        with fork.Pool(options.jobs, maxtasksperchild=1) as pool:
             for k, (mutant, lives) in enumerate(zip(found, pool.imap(survives, found, 1), strict=True), start=1):
                 alive += lives
                 if lives:

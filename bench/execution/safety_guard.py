@@ -478,7 +478,7 @@ class ControllerCheck:
         # The propeller turns. While a boat coasts the water turns it, without current and ever slower.
         if self._current >= SENSED_A and abs(esc.current) <= IDLE_CURRENT * self._current:
             return _Motion.COASTS
-        if abs(esc.rpm) > FALLING * max(self._rpm.since(t - self._coast), default=0.0):
+        if abs(esc.rpm) > FALLING * max(self._rpm.since(t - self._coast)):
             return _Motion.DRIVEN
         return _Motion.COASTS if has_duty else _Motion.SLOWS
 
@@ -884,7 +884,7 @@ class Fence:
 
     def reason(self, name: str, fix: Gnss, t: float) -> str:
         """Return why the run has to end, in one line; empty while the boat is inside and can stop inside."""
-        if fix.fix < 2 or not math.isfinite(fix.lat + fix.lon):
+        if fix.fix < 2 or not (math.isfinite(fix.lat) and math.isfinite(fix.lon)):
             return ""
         lat, lon = math.radians(fix.lat), math.radians(fix.lon)
         if self._home is None:

@@ -27,6 +27,7 @@ from bench.execution.safety_guard import (
 )
 from daq.acquisition.status import Latest, PortStatus, Status
 from daq.config.rig_file import parse_rig
+from daq.drivers import LinkStatus
 from daq.errors import SafetyStop
 from daq.rig import Limits, Rig
 from daq.samples import Esc, Gnss, LoadCell, Sample, Servo
@@ -776,6 +777,10 @@ def test_a_message_of_a_controller_names_the_newest_command(tmp_path: Path) -> N
         if t > 4.2:
             break
     assert "commanded +0.20" in said
+    for k in range(40):  # the command changes just before the message
+        n = 0.2 if k % 2 else 0.1
+        if said := check.reason(status(20.0 + 0.05 * k, n, {ESC: Esc(1, 3000.0 + math.sin(k), 9.0, 0.9)})):
+            assert f"commanded {n:+.2f}" in said
 
 
 def test_a_limit_that_lost_its_source_says_for_how_long_or_why(tmp_path: Path) -> None:
@@ -828,3 +833,85 @@ def test_a_boat_at_its_start_is_not_stopped_by_its_speed_alone(tmp_path: Path) -
     assert guard_module.stopping_distance(2.0, {"m_u": 30.0, "d_u": 6.0, "d_uu": 6.0}) > 0.0
     start = Gnss(T, 41.18, -8.7, vel_n=2.0, vel_e=0.0, fix=3)  # outward has no direction at the start itself
     guard.check(status(1.0, 0.0, {ESC: Esc(1), FIX: start}))
+
+
+def test_a_shaft_speed_that_repeats_while_the_command_changes_is_not_watched(tmp_path: Path) -> None:
+    def held(t: float, n: float) -> Esc:
+        return Esc(1, 100.0, 9.0 + math.sin(t), NAN, 24.0, 30.0)
+
+    _, stop = ran(rig_of(tmp_path, rpm=4000.0), 30.0, steps, {ESC: held})
+    assert stop is not None
+    assert stop.code is StopCode.UNWATCHED
+    assert "limits.rpm is not watched any more: no shaft speed of thruster left" in stop.reason
+    assert ran(rig_of(tmp_path), 30.0, steps, {ESC: held}) == (math.inf, None)
+
+
+@pytest.mark.parametrize("current", [0.7, -0.7])
+def test_a_motor_that_draws_current_is_not_blocked_whatever_its_speed_sensor_says(
+    tmp_path: Path, current: float
+) -> None:
+    def unsensed(t: float, n: float) -> Esc:
+        return Esc(1, 0.0, current + 0.05 * math.sin(t), NAN, 24.0, 30.0)
+
+    assert ran(rig_of(tmp_path), 20.0, lambda t: 0.5, {ESC: unsensed}) == (math.inf, None)
+
+
+def test_a_motor_with_duty_is_not_blocked_whatever_its_speed_sensor_says(tmp_path: Path) -> None:
+    def unsensed(t: float, n: float) -> Esc:
+        return Esc(1, 0.0, 0.1, n, 24.0 + 0.01 * math.sin(t), 30.0)
+
+    assert ran(rig_of(tmp_path), 20.0, lambda t: 0.5, {ESC: unsensed}) == (math.inf, None)
+
+
+def test_no_rig_allows_more_than_full_thrust(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, n_max=3.0), 1.0, ("left",))
+    guard.start()
+    assert len(guard.allow([(1.0, {"left": 1.0})])) == 1
+    with pytest.raises(SafetyStop, match="only -1 to 1 is allowed"):
+        guard.allow([(1.0, {"left": 1.01})])
+
+
+def test_a_silent_controller_among_two_is_silent_after_five_of_its_own_periods(tmp_path: Path) -> None:
+    rig = two_thrusters(tmp_path)
+    guard = SafetyGuard(replace(rig, devices=tuple(replace(one, rate_hz=4.0) for one in rig.devices)), 1.0, ("left",))
+    first = status(1.0, 0.0, {ESC: Esc(1, 0.0), ("esc", 2): Esc(2, 0.0)})
+    assert guard.step(first.t, first).stop is None
+    late = replace(first, t=first.latest[ESC].t + 2.49, bytes=first.bytes + 1)
+    assert guard.step(late.t, late).stop is None
+    silent = replace(late, t=first.latest[ESC].t + 2.51, bytes=late.bytes + 1)
+    stop = guard.step(silent.t, silent).stop
+    assert stop is not None
+    assert stop.reason == "thruster left (node 1 on esc) is silent for 2.5 s"
+
+
+@pytest.mark.parametrize(("known", "stops"), [({}, True), ({"autopilot": 0}, True), ({"autopilot": 1}, False)])
+def test_a_parameter_that_changed_before_the_start_is_no_reason(known: dict[str, int], stops: bool) -> None:
+    guard = SafetyGuard(replace(mav_rig(), limits=Limits()), 1.0, ("left",))
+    guard.start(known)
+    link = LinkStatus(received=True, age=0.0, armed=True, mode="MANUAL", changed=("FS_THR_ENABLE is 0, was 1",))
+    now = Status(T, {"autopilot": port("autopilot")}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
+    codes = [stop.code for stop in guard._links(now)]
+    assert codes == ([StopCode.PARAMETER] if stops else [])
+
+
+def test_linear_and_quadratic_damping_of_the_same_size_both_brake() -> None:
+    """The closed form of 10 u' = -2 u - 2 u^2 from 1 m/s to 0.05 m/s."""
+    way = guard_module.stopping_distance(1.0, {"m_u": 10.0, "d_u": 2.0, "d_uu": 2.0})
+    assert way == pytest.approx(5.0 * math.log(2.0 / 1.05))
+
+
+@pytest.mark.parametrize(("lat", "lon"), [(NAN, -8.7), (41.18, NAN), (math.inf, -8.7), (41.18, -math.inf)])
+def test_a_fix_without_a_position_moves_neither_the_start_nor_the_fence(lat: float, lon: float) -> None:
+    fence = guard_module.Fence(100.0, {})
+    assert fence.reason("gnss", Gnss(T, lat, lon, fix=3), T) == ""
+    assert fence.reason("gnss", Gnss(T, 41.18, -8.7, fix=3), T + 1.0) == ""
+    assert fence.reason("gnss", Gnss(T, 41.18 + 99.0 * METRE, -8.7, fix=3), T + 9.0) == ""
+    assert fence.reason("gnss", Gnss(T, lat, lon, fix=3), T + 10.0) == ""
+    assert "101 m from the start" in fence.reason("gnss", Gnss(T, 41.18 + 101.0 * METRE, -8.7, fix=3), T + 11.0)
+
+
+def test_a_saturated_reading_now_and_then_does_not_stop(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, force_n=60.0), 1.0, ("left",))
+    for k in range(1, 60):
+        cell = LoadCell(1.0, 1.0 + 0.1 * k, flags=guard_module.SATURATED if k % 3 == 0 else 0)
+        guard.check(status(0.1 * k, 0.2, {ESC: shaken(k, 0.2), CELL: cell}))
