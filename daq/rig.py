@@ -250,6 +250,7 @@ class Rig:
     segments: Segments = field(default_factory=Segments)
     live: Live = field(default_factory=Live)
     ros2: Ros2 = field(default_factory=Ros2)
+    hardware_watchdog: Path | None = None  # device of the computer's watchdog timer, armed while a run drives
 
     def device(self, name: str) -> Device:
         """The device of that name. Raises SeatrialError that lists the known ones."""

@@ -32,6 +32,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("bench", "daq", "mocks", "ident", "tests", "seatrial.py", "pyproject.toml")
 WANTED = 0.95
+ANYWHERE = 0  # in place of the line of a function
 PATIENCE_S = 60.0  # of one test
 NEGATED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -107,7 +108,7 @@ def mutants(target: Target, calls: Mapping[int, Sequence[str]]) -> Iterator[Muta
             owners.update((node, first) for statement in body for node in ast.walk(statement))
             owners[function] = first
     for index, node in enumerate(ast.walk(tree)):
-        tests = tuple(calls.get(owners[node], ())) if target.selects and node in owners else target.tests
+        tests = tuple(calls.get(owners.get(node, ANYWHERE), ())) if target.selects else target.tests
         for k, (what, _) in enumerate(_changes(node)):
             yield Mutant(target, index, k, getattr(node, "lineno", 0), what, tests)
 
@@ -138,8 +139,9 @@ class CallRecorder:
             self._duration[item.nodeid] = time.perf_counter() - begin
 
     def calls(self) -> dict[int, list[str]]:
-        """Return the tests that call each function, the quick ones first."""
-        return {line: sorted(tests, key=self._duration.__getitem__) for line, tests in self._callers.items()}
+        """Return the tests that call each function, the quick ones first; all tests at `ANYWHERE`."""
+        callers = {**self._callers, ANYWHERE: set(self._duration)}
+        return {line: sorted(tests, key=self._duration.__getitem__) for line, tests in callers.items()}
 
 
 def record_calls(target: Target) -> dict[int, list[str]]:

@@ -40,6 +40,7 @@ class Configuration:
     speed: float  # run seconds per wall second
     origin: Sequence[float]  # of the run clock: `RunClock.origin`
     role: str  # LinkRole, to the autopilots
+    terminal: int = -1  # inherited descriptor of the parent's standard error; -1 if it has none
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
 
@@ -133,7 +134,9 @@ class WatchdogConfiguration:
 
 @dataclass(frozen=True)
 class WatchdogReady:
-    """The watchdog can step in from now on."""
+    """The watchdog can step in from now on, or it states why it cannot."""
+
+    trouble: str = ""
 
 
 Message = (

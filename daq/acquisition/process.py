@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
 import select
 import signal
 import socket
@@ -40,7 +41,7 @@ from daq.acquisition.watchdog import Heartbeat
 from daq.clock import RunClock
 from daq.config import parse_rig
 from daq.drivers import LinkRole, Setpoints, check_keys, make_driver
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, printable
 from daq.log import Recorder, check_room
 from daq.protocol import make_decoder
 from daq.realtime_priority import set_realtime_priority
@@ -66,21 +67,24 @@ class Process:
         clock: RunClock,
         role: LinkRole,
         heartbeat: Heartbeat | None = None,
+        terminal: int = -1,
     ) -> None:
-        self._role = role
+        self._role, self._terminal = role, terminal
+        self._parent = os.getppid()
+        self._path = recorder.path
         self._link, self._rig, self._clock, self._heartbeat = link, rig, clock, heartbeat
         self._sink = LogSink()
         self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol in DRIVES}
         self._loops = {device.name: self._loop(device.name) for device in rig.devices}
         self._writer = LogThread(recorder, self._sink, self._health, clock)
-        path = str(recorder.path)
+        path = str(self._path)
         self._reporter = StatusReporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
         self._parent_seen = self._runner_seen = time.monotonic()
         self._terminated = False
         self._stopped = ""  # why this process stopped thrust, which is for good: thrust starts with a new run
         self._thrust = threading.RLock()  # to stop thrust, or to command it
         self._end_reason = ""
-        self._unrequested = False
+        self._unrequested = self._parent_hangs = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
         """SIGTERM: end as on a `Stop` message."""
@@ -164,8 +168,10 @@ class Process:
             self._stop_thrust(self._writer.alarm)  # a run that is not recorded is not worth its risk
         if any(setpoints.active for setpoints in self._setpoints.values()):
             if now - self._parent_seen > SILENCE_S:
+                self._parent_hangs = True
                 self._end(f"no heartbeat of the parent for {SILENCE_S} s", unrequested=True)
             elif now - self._runner_seen > SILENCE_S:
+                self._parent_hangs = True
                 self._end(f"no sign of life of the runner for {SILENCE_S} s", unrequested=True)
 
     def _end(self, reason: str, unrequested: bool) -> None:
@@ -251,6 +257,17 @@ class Process:
         with contextlib.suppress(OSError):  # the parent may be gone
             why = self._writer.failure
             self._link.send(Failed(why) if why else Closed(self._end_reason))
+        if self._unrequested and (self._parent_hangs or os.getppid() != self._parent):
+            self._say_the_end()
+
+    def _say_the_end(self) -> None:
+        """Print the last line of the run, since the parent is not there to do it or hangs."""
+        thrust = "zero was sent, not confirmed; " if self._setpoints and self._role is LinkRole.DRIVE else ""
+        text = f"seatrial: {self._end_reason}: {thrust}the log is {printable(str(self._path))}\n"
+        # A reader that reads nothing must not keep this process: one line fits whenever a pipe can be written at all.
+        with contextlib.suppress(OSError, ValueError):
+            if select.select([], [self._terminal], [], 0.0)[1]:
+                os.write(self._terminal, text.encode(errors="replace"))
 
     def _may_close(self, since: float) -> bool:
         """Whether zero has been repeated to every thruster, or its port has not come back in time."""
@@ -301,7 +318,7 @@ def main() -> None:
             path, rig=rig, clock=clock, attachments=begin.attachments, metadata=begin.metadata, patient=True
         )
         heartbeat = _connect_watchdog(rig, path) if len(sys.argv) > 2 else None
-        process = Process(link, rig, recorder, clock, LinkRole(begin.role), heartbeat)
+        process = Process(link, rig, recorder, clock, LinkRole(begin.role), heartbeat, begin.terminal)
     except SeatrialError as error:
         link.send(Failed(str(error)))
         return

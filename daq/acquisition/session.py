@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import socket
 import subprocess
 import sys
@@ -39,10 +40,19 @@ from daq.log import read_note
 from daq.realtime_priority import set_realtime_priority
 from daq.rig import Rig
 
+STDERR = 2
 HEARTBEAT_S = 0.05  # wall, as all of these
 START_S = 30.0
 STOP_S = 15.0
 WATCHDOG_S = 5.0  # it opens ports for 3 s at most, and sends zero for 1
+
+
+def _copy_of_stderr() -> int | None:
+    """Return a new descriptor of standard error; None if it is closed, as in a service."""
+    try:
+        return os.dup(STDERR)
+    except OSError:
+        return None
 
 
 class Acquisition:
@@ -86,19 +96,23 @@ class Acquisition:
         ours, theirs = socket.socketpair()
         self._stderr: IO[bytes] = tempfile.TemporaryFile()
         with theirs, contextlib.ExitStack() as stack:
-            ends = [theirs]
+            ends: list[int] = [theirs.fileno()]
             if self._drive:
                 watched, watching = (stack.enter_context(sock) for sock in socket.socketpair())
-                self._watchdog = self._start("daq.acquisition.watchdog", [watching])
-                ends.append(watched)
-            self._process = self._start("daq.acquisition.process", ends)
+                self._watchdog = self._start("daq.acquisition.watchdog", [watching.fileno()])
+                ends.append(watched.fileno())
+            terminal = _copy_of_stderr()
+            if terminal is not None:
+                stack.callback(os.close, terminal)
+            inherited = [] if terminal is None else [terminal]
+            self._process = self._start("daq.acquisition.process", ends, inherited)
         self._link = AcquisitionChannel(ours)
         self._threads = [
             threading.Thread(target=self._listen, name="acquisition status", daemon=True),
             threading.Thread(target=self._beat, name="acquisition heartbeat", daemon=True),
         ]
         try:
-            self._send(self._configuration())
+            self._send(self._configuration(-1 if terminal is None else terminal))
             for thread in self._threads:
                 thread.start()
             self._await(lambda: self._status is not None, START_S, "did not start")
@@ -107,12 +121,11 @@ class Acquisition:
             raise
         return self
 
-    def _start(self, module: str, ends: Sequence[socket.socket]) -> subprocess.Popen[bytes]:
-        """Start a module as a process that inherits these sockets."""
-        numbers = [end.fileno() for end in ends]
+    def _start(self, module: str, ends: Sequence[int], inherited: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+        """Start a module as a process that gets the sockets `ends` as arguments and inherits them and `inherited`."""
         return subprocess.Popen(
-            module_command(module, *map(str, numbers)),
-            pass_fds=numbers,
+            module_command(module, *map(str, ends)),
+            pass_fds=[*ends, *inherited],
             stdin=subprocess.DEVNULL,
             stdout=self._stderr,
             stderr=self._stderr,
@@ -193,7 +206,7 @@ class Acquisition:
             self._abandon()
         self._raise_failure()
 
-    def _configuration(self) -> Configuration:
+    def _configuration(self, terminal: int) -> Configuration:
         return Configuration(
             rig_text=self.rig.text,
             rig_path=str(Path(self.rig.path).absolute()),
@@ -201,6 +214,7 @@ class Acquisition:
             speed=self.clock.speed,
             origin=self.clock.origin,
             role=self._role.value,
+            terminal=terminal,
             attachments=self._attachments,
             metadata={"command_line": " ".join(sys.argv), **self._metadata},
         )

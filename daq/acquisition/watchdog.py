@@ -19,6 +19,7 @@ import threading
 import time
 from pathlib import Path
 
+from daq.acquisition.hardware_watchdog import HardwareWatchdog
 from daq.acquisition.ipc import ACTIVE, ANSWER, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
 from daq.config import parse_rig
 from daq.drivers import DeviceDriver
@@ -38,6 +39,8 @@ OPEN_S = 3.0  # for a port to be free again
 ZERO_S = 1.0  # zero is sent for so long
 ANSWER_S = 1.0  # for the watchdog to answer a heartbeat
 
+READ_BYTES = 4096
+
 
 class Heartbeat:
     """The acquisition's side. Raises nothing while thrust is commanded: `trouble` says why the watchdog cannot help.
@@ -47,16 +50,17 @@ class Heartbeat:
     """
 
     def __init__(self, sock: socket.socket, rig: Rig, log: Path) -> None:
-        """Returns when the watchdog is ready. Raises OSError or EOFError when it does not start."""
+        """Return when the watchdog is ready. Raises OSError or EOFError when it does not start, else SeatrialError."""
         self.trouble = ""
         self._socket = sock
-        self._next = 0.0
+        self._next = self._looked = -math.inf
         self._unanswered_since = math.inf
-        self._looked = 0.0
         sock.settimeout(READY_S)
         link = AcquisitionChannel(sock)
         link.send(WatchdogConfiguration(rig.text, str(rig.path), os.getpid(), str(log.absolute())))
-        link.receive_first()
+        answer = link.receive_first()
+        if isinstance(answer, WatchdogReady) and answer.trouble:
+            raise SeatrialError(answer.trouble)
         sock.setblocking(False)
 
     def beat(self, active: bool, now: float, at_once: bool = False) -> None:
@@ -68,7 +72,7 @@ class Heartbeat:
 
     def _hear(self, now: float) -> None:
         with contextlib.suppress(OSError):
-            if self._socket.recv(4096):
+            if self._socket.recv(READ_BYTES):
                 self._unanswered_since = math.inf
         paused = now - self._looked > 0.5 * ANSWER_S  # a pause of this process: the answer may have been there in time
         self._unanswered_since = now if paused else min(self._unanswered_since, now)
@@ -183,14 +187,23 @@ def main() -> None:
     rig = parse_rig(config.rig_text, Path(config.rig_path))
     driven = [d for d in rig.devices if d.protocol in DRIVES and any(t.device == d.name for t in rig.thrusters)]
     senders = [FailsafeSender(device, rig) for device in driven]
+    try:
+        timer = None if rig.hardware_watchdog is None else HardwareWatchdog(rig.hardware_watchdog)
+    except OSError as error:
+        why = f"hardware_watchdog {rig.hardware_watchdog} cannot be opened ({error.strerror})"
+        remedy = "give this user the right to write to it, or take the key out of the rig"
+        link.send(WatchdogReady(f"{rig.path}: {why}: {remedy}"))
+        return
     set_realtime_priority()  # all of its life it waits, and when it does not it is urgent
     link.send(WatchdogReady())
-    reason = _watch(sock)
+    reason = _watch(sock, timer)
     if reason:
         _step_in(config.pid, Path(config.log), reason, senders)
+    if timer is not None:
+        timer.close()
 
 
-def _watch(sock: socket.socket) -> str:
+def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
     """Monitor until there is a reason to step in; empty when the acquisition process has finished."""
     sock.setblocking(False)
     watch = HeartbeatMonitor(time.monotonic())
@@ -199,7 +212,7 @@ def _watch(sock: socket.socket) -> str:
         words: bytes | None = b""
         if ready:
             try:
-                words = sock.recv(4096) or None
+                words = sock.recv(READ_BYTES) or None
             except BlockingIOError:
                 words = b""
             except OSError:
@@ -207,6 +220,8 @@ def _watch(sock: socket.socket) -> str:
         if words:
             with contextlib.suppress(OSError):  # it does not read any more: nobody is there to be answered
                 sock.send(ANSWER)
+        if timer is not None:
+            timer.beat(time.monotonic())
         found = watch.look(time.monotonic(), words)
         if found is not None:
             return found

@@ -70,8 +70,12 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     _unique(root, "thruster", [f"{t.device} rc_channel {t.output.rc_channel}" for t in thrusters if t.output])
     limits = _limits(root.table("limits"))
     vehicle = _vehicle(root.table("vehicle"))
+    timer = root.text("hardware_watchdog", "")
     root.done()
-    return Rig(name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live, ros2)
+    return Rig(
+        name, path, text, speed, folder / directory, devices, thrusters, limits, vehicle, segments, live, ros2,
+        Path(timer) if timer else None,
+    )  # fmt: skip
 
 
 def default_decoder(protocol: str) -> Decoder:

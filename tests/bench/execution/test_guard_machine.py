@@ -30,7 +30,7 @@ from daq.config.rig_file import parse_rig
 from daq.drivers import LinkStatus
 from daq.errors import SafetyStop
 from daq.rig import Limits, Rig
-from daq.samples import Esc, Gnss, LoadCell, Sample, Servo
+from daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample, Servo
 from tests.bench.execution.test_safety_guard import GNSS
 from tests.bench.standin import RIG
 from tests.daq.mavlink_ends import mav_rig
@@ -915,3 +915,9 @@ def test_a_saturated_reading_now_and_then_does_not_stop(tmp_path: Path) -> None:
     for k in range(1, 60):
         cell = LoadCell(1.0, 1.0 + 0.1 * k, flags=guard_module.SATURATED if k % 3 == 0 else 0)
         guard.check(status(0.1 * k, 0.2, {ESC: shaken(k, 0.2), CELL: cell}))
+
+
+def test_what_thrust_need_not_move_may_stay_as_it_is(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, temperature_c=80.0, voltage_min_v=12.0, roll_deg=45.0, pitch_deg=45.0)
+    devices: dict[tuple[str, int | None], Device] = {ESC: shaken, ("ahrs", None): lambda t, n: Ahrs(0.1, 0.0, 0.0)}
+    assert ran(rig, 60.0, steps, devices) == (math.inf, None)

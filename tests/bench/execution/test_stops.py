@@ -212,7 +212,12 @@ def test_kill_9_of_the_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path:
         assert standin.zero_after(sent) - sent < DEADMAN_S + AT_ONCE_S
         assert standin.commands[-1][1] == 0.0  # it was told, it did not have to time out
         until(lambda: not is_alive(acquisition), 10.0)
+        run.end()
     assert standin.n == 0.0
+    # The runner cannot print its last line any more; the acquisition process does.
+    why, _, thrust = run.line().partition(": ")[2].partition(": ")
+    assert why in ("the parent process is gone", "no heartbeat of the parent for 0.25 s")
+    assert thrust == f"zero was sent, not confirmed; the log is {run.log}"
     log = open_log(run.log)
     assert not log.warnings  # closed, not salvaged
     assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
@@ -226,6 +231,11 @@ def test_a_hanging_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Pat
         run.process.send_signal(signal.SIGSTOP)
         until(lambda: standin.n == 0.0, 5.0)
         assert standin.zero_after(sent) - sent < DEADMAN_S + AT_ONCE_S
+        assert run.process.stderr is not None
+        first = run.process.stderr.readline()  # from the acquisition process: the runner still hangs
+        assert first == (
+            f"seatrial: no heartbeat of the parent for 0.25 s: zero was sent, not confirmed; the log is {run.log}\n"
+        )
         run.process.send_signal(signal.SIGCONT)
         assert run.end() in (1, 3)
     run.line()

@@ -37,6 +37,7 @@ from daq.acquisition.watchdog import (
 )
 from daq.config.rig_file import load_rig, parse_rig
 from daq.drivers.dronecan import DronecanDriver
+from daq.errors import SeatrialError
 from daq.log.watchdog_note import note_path, read_note
 from tests.daq.ptys import TestBoat
 
@@ -74,7 +75,7 @@ def words(sock: socket.socket) -> bytes:
 def test_the_limits_are_those_of_the_safety_page() -> None:
     """An ESC stops after a second: the watchdog has to be sooner, and later than a busy machine pauses."""
     assert (HANG_S, ANSWER_S, POLL_S, HEARTBEAT_S) == (0.6, 1.0, 0.02, 0.02)
-    assert (watchdog.OPEN_S, watchdog.ZERO_S, watchdog.READY_S) == (3.0, 1.0, 20.0)
+    assert (watchdog.OPEN_S, watchdog.ZERO_S, watchdog.READY_S, watchdog.READ_BYTES) == (3.0, 1.0, 20.0, 4096)
 
 
 def test_a_heartbeat_says_whether_thrust_is_commanded_and_not_too_often(
@@ -188,6 +189,7 @@ def test_the_watch_answers_and_returns_why_it_ends(sent: bytes, closed: bool, re
         if closed:
             ours.close()
         thread.join(5.0)
+        assert theirs.gettimeout() == 0.0  # a wake-up without a word must not stop the watch
     assert found == [reason]
     took = time.monotonic() - begun
     assert took < (HANG_S if not closed and reason != "" else 0.0) + 0.3
@@ -299,9 +301,7 @@ def test_the_process_ignores_signals_and_ends_when_it_is_told(tmp_path: Path) ->
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
     ours, theirs = socket.socketpair()
-    with theirs:
-        command = [sys.executable, "-m", "daq.acquisition.watchdog", str(theirs.fileno())]
-        process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
+    process = start_watchdog(theirs)
     heartbeat = Heartbeat(ours, rig, tmp_path / "run.mcap")
     monitored(heartbeat, process)
     ours.close()
@@ -319,3 +319,59 @@ def monitored(heartbeat: Heartbeat, process: subprocess.Popen[bytes]) -> None:
     assert process.poll() is None
     heartbeat.end()
     assert process.wait(5.0) == 0
+
+
+def start_watchdog(end: socket.socket) -> subprocess.Popen[bytes]:
+    with end:
+        command = [sys.executable, "-m", "daq.acquisition.watchdog", str(end.fileno())]
+        return subprocess.Popen(command, pass_fds=[end.fileno()], start_new_session=True)
+
+
+def test_the_computers_watchdog_timer_is_kept_running_and_disarmed_at_the_end(tmp_path: Path) -> None:
+    timer = tmp_path / "timer"  # a file shows what a device would get
+    timer.touch()
+    with TestBoat(tmp_path) as boat:
+        text = boat.rig_path.read_text(encoding="utf-8")
+    rig = parse_rig(text.replace("\n[", f'\nhardware_watchdog = "{timer}"\n[', 1), boat.rig_path)
+    ours, theirs = socket.socketpair()
+    process = start_watchdog(theirs)
+    heartbeat = Heartbeat(ours, rig, tmp_path / "run.mcap")
+    begun = time.monotonic()
+    while time.monotonic() - begun < 1.3:
+        heartbeat.beat(False, time.monotonic())
+        time.sleep(0.01)
+    assert set(timer.read_bytes()) == {0}  # it beats and is armed
+    heartbeat.end()
+    assert process.wait(5.0) == 0
+    ours.close()
+    written = timer.read_bytes()
+    assert written[-1:] == b"V"
+    assert 2 <= len(written) <= 4  # once a second
+
+
+def test_a_watchdog_timer_that_cannot_be_opened_is_named_before_anything_moves(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        text = boat.rig_path.read_text(encoding="utf-8")
+    rig = parse_rig(text.replace("\n[", '\nhardware_watchdog = "/nowhere/watchdog"\n[', 1), boat.rig_path)
+    ours, theirs = socket.socketpair()
+    process = start_watchdog(theirs)
+    with ours, pytest.raises(SeatrialError, match="hardware_watchdog /nowhere/watchdog cannot be opened"):
+        Heartbeat(ours, rig, tmp_path / "run.mcap")
+    assert process.wait(5.0) == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="needs the scheduling classes of Linux")
+def test_the_watchdog_is_urgent_where_the_system_lets_it(tmp_path: Path) -> None:
+    with TestBoat(tmp_path) as boat:
+        rig = load_rig(boat.rig_path)
+    probe = [sys.executable, "-c", "from daq.realtime_priority import *; set_realtime_priority(); import os;"
+             "print(os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))"]  # fmt: skip
+    allowed = subprocess.run(probe, capture_output=True, text=True, check=True).stdout.split()
+    ours, theirs = socket.socketpair()
+    process = start_watchdog(theirs)
+    heartbeat = Heartbeat(ours, rig, tmp_path / "run.mcap")
+    pid = process.pid
+    assert [str(os.sched_getscheduler(pid)), str(os.getpriority(os.PRIO_PROCESS, pid))] == allowed
+    heartbeat.end()
+    assert process.wait(5.0) == 0
+    ours.close()

@@ -1,0 +1,44 @@
+"""The watchdog timer of the computer (Linux `/dev/watchdog`): it restarts a computer that hangs during a run."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import struct
+from pathlib import Path
+
+TIMEOUT_S = 10  # until the computer restarts
+BEAT_S = 1.0
+SET_TIMEOUT = 0xC0045706  # WDIOC_SETTIMEOUT of linux/watchdog.h
+DISARM = b"V"  # the "magic close" of the kernel's watchdog API
+
+
+class HardwareWatchdog:
+    """A watchdog timer that is armed until `close`.
+
+    Notes
+    -----
+    The timer is a net for the computer and not for thrust: speed controllers stop by their own time-out long before.
+    A driver that was loaded with `nowayout` cannot be disarmed, so that the computer restarts after every run.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the timer, which arms it. Raises OSError."""
+        self._file = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        with contextlib.suppress(OSError):  # a driver may have one fixed time
+            fcntl.ioctl(self._file, SET_TIMEOUT, struct.pack("i", TIMEOUT_S))
+        self._next = -float("inf")
+
+    def beat(self, now: float) -> None:
+        """Restart the timer, at most once in `BEAT_S`; `now` is a monotonic time [s]."""
+        if now >= self._next:
+            self._next = now + BEAT_S
+            with contextlib.suppress(OSError):
+                os.write(self._file, b"\0")
+
+    def close(self) -> None:
+        """Disarm the timer and close it."""
+        with contextlib.suppress(OSError):
+            os.write(self._file, DISARM)
+        os.close(self._file)
