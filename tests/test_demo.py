@@ -19,6 +19,7 @@ from bench.demo import DemoSteps, StepFailed
 from bench.execution.sequencer import said_of_losses
 from daq.config.rig_file import load_rig
 from daq.errors import SeatrialError
+from tests.bench.guard_replay import replay
 from tests.daq.logs import T0, recorder
 
 RESULT = {
@@ -161,6 +162,8 @@ def test_the_whole_loop(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[-1].startswith("ground truth: the plant's hidden effect was ")
     for name in ("bench.mcap", "estimation.mcap", "validation.mcap", "diagnosis/report.html"):
         assert (tmp_path / "demo" / name).stat().st_size > 1000
+    logs = sorted((tmp_path / "demo").glob("*.mcap"))
+    assert [log.name for log in logs if (found := replay(log)).stop and not found.recorded] == []
 
 
 class Rehearsal:

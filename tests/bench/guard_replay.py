@@ -32,6 +32,7 @@ from daq.protocol.mavlink import mode_name
 from daq.rig import Rig
 from daq.samples import MEASURED, Autopilot, Command, Esc, Sample, Scalar, Servo
 
+ENDS = ("zero", "stop", "end")  # kinds of events
 STATUS_S = 0.05  # wall seconds from one status to the next, as in a run
 
 
@@ -41,7 +42,7 @@ class Replay:
 
     statuses: int
     recorded: str  # why the run was stopped, as the log states; empty if it ended by itself
-    t: float  # run time of the guard's stop, from the first command [s]; infinity without one
+    t: float  # run time of the guard's stop, from the start of the run [s]; infinity without one
     stop: Stop | None
 
 
@@ -84,7 +85,7 @@ def _port(rig: Rig, name: str, received: list[float], now: float) -> PortStatus:
 
 
 def replay(path: Path, rig: Rig | None = None) -> Replay:
-    """Step a guard through the log of a run, from the first command to the last.
+    """Step a guard through the log of a run, from its start to its end.
 
     Parameters
     ----------
@@ -101,11 +102,15 @@ def replay(path: Path, rig: Rig | None = None) -> Replay:
             for thruster in rig.thrusters
             if thruster.node in log.nodes(Command, thruster.device)
         }
-        recorded = next((text for _, kind, text in log.events() if kind == "stop"), "")
+        events = log.events()
+        recorded = next((text for _, kind, text in events if kind == "stop"), "")
     if not any(len(rows) for rows in commands.values()):
         raise SeatrialError(f"{path} has no command: nothing was driven")
-    start = min(float(rows["t_rx"][0]) for rows in commands.values() if len(rows))
-    end = max(float(rows["t_rx"][-1]) for rows in commands.values() if len(rows))
+    # The guard of a run starts when the autopilots are armed, and is not asked after the zero that ends the mission.
+    first = min(float(rows["t_rx"][0]) for rows in commands.values() if len(rows))
+    start = next((t for t, kind, _ in events if kind == "start"), first)
+    last = max(float(rows["t_rx"][-1]) for rows in commands.values() if len(rows))
+    end = next((t for t, kind, _ in events if kind in ENDS and t > start), last)
 
     guard = SafetyGuard(rig, rig.speed, tuple(commands))
     guard.start()

@@ -22,6 +22,7 @@ from daq.config.mission_file import Mission, Segment, save_mission
 from daq.log.reader import open_log
 from daq.log.watchdog_note import read_note
 from daq.samples import Command, Esc
+from tests.bench.guard_replay import replay
 from tests.bench.runs import AT_ONCE_S, DEADMAN_S, acquisition_of, watchdog_of
 from tests.bench.standin import until
 
@@ -97,6 +98,7 @@ def test_a_run_from_command_to_log(tmp_path: Path) -> None:
         told = {row["n"] for row in it.trace()}
         assert not it.turning()
     assert sorted(told) == pytest.approx([-0.4, 0.0, 0.6], abs=1e-4)
+    assert replay(it.log).stop is None
     with open_log(it.log) as log:
         assert not log.warnings
         assert set(np.round(log.table(Command, "esc", node=1)["n_cmd"], 3)) == {0.6, -0.4, 0.0}

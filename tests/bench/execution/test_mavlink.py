@@ -27,6 +27,7 @@ from daq.errors import SeatrialError
 from daq.log.reader import open_log
 from daq.samples import Ahrs, Command, Servo
 from ident.data.loading import channels
+from tests.bench.guard_replay import replay
 from tests.bench.runs import IMPATIENT, acquisition_of, is_alive
 from tests.bench.standin import until
 
@@ -114,6 +115,7 @@ def test_a_mission_runs_end_to_end_and_its_outputs_are_the_input(tmp_path: Path)
         assert run.returncode == 0, err
         assert not turning(tmp_path)
     assert "autopilot: armed" in out
+    assert replay(tmp_path / "run.mcap").stop is None
     with open_log(tmp_path / "run.mcap") as log:
         assert not log.warnings
         events = [(kind, text) for _, kind, text in log.events()]

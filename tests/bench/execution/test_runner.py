@@ -6,6 +6,7 @@ import os
 import random
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 from daq.config.mission_file import Mission, Segment, parse_mission, save_mission
 from daq.log.reader import open_log
 from daq.samples import Command, Esc, LoadCell
+from tests.bench.guard_replay import replay
 from tests.bench.runs import SPEED, acquisition_of, assert_plan_was_run, running, short_mission
 from tests.bench.standin import RPM_MAX, StandIn
 
@@ -54,6 +56,13 @@ def test_a_mission_is_driven_recorded_and_tared(standin: StandIn, tmp_path: Path
     for text in tares:
         assert f"tare: {text}" in run.out
     assert "guard ok" in run.out
+    assert replay(run.log).stop is None
+    assert log.rig is not None
+    strict = replace(log.rig, limits=replace(log.rig.limits, force_n=10.0))
+    found = replay(run.log, strict)
+    assert found.stop is not None
+    assert found.stop.code == "limit"
+    assert found.stop.reason.startswith("force is 1")
 
 
 def test_a_plan_whose_set_points_were_overtaken_says_so(standin: StandIn, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from bench.demo import write_demo_rig
 from daq.config.mission_file import parse_mission
 from daq.log.reader import open_log
 from daq.samples import Command, Esc, LoadCell
+from tests.bench.guard_replay import replay
 from tests.bench.mock_process import mock_process
 from tests.bench.runs import assert_plan_was_run
 from tests.bench.standin import until
@@ -68,6 +69,7 @@ def test_bench_steps_end_to_end(tmp_path: Path) -> None:
     assert "done: bench steps thruster" in out
     log = open_log(tmp_path / "run.mcap")
     assert not log.warnings
+    assert replay(tmp_path / "run.mcap").stop is None
     # A set-point of this plan holds for 0.18 s of wall time: a busy machine may miss one, and then it says so.
     plan = parse_mission(log.attachments["mission.toml"].decode(), "log")
     levels = plan.setpoints()[1]
