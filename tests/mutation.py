@@ -100,7 +100,10 @@ def mutants(target: Target, calls: Mapping[int, Sequence[str]]) -> Iterator[Muta
     """Yield every mutant of a file, with the tests to run: those that call its function, or all for a module's line."""
     tree = ast.parse((ROOT / target.path).read_text(encoding="utf-8"))
     owners: dict[ast.AST, int] = {}  # first line of the innermost function around a node
+    options: set[ast.AST] = set()  # of decorators, as `frozen=True`: no behaviour
     for function in ast.walk(tree):
+        if isinstance(function, (ast.FunctionDef, ast.ClassDef)):
+            options.update(node for decorator in function.decorator_list for node in ast.walk(decorator))
         if isinstance(function, (ast.FunctionDef, ast.Lambda)):
             decorators = function.decorator_list if isinstance(function, ast.FunctionDef) else []
             first = min([function.lineno, *(decorator.lineno for decorator in decorators)])
@@ -108,6 +111,8 @@ def mutants(target: Target, calls: Mapping[int, Sequence[str]]) -> Iterator[Muta
             owners.update((node, first) for statement in body for node in ast.walk(statement))
             owners[function] = first
     for index, node in enumerate(ast.walk(tree)):
+        if node in options:
+            continue
         tests = tuple(calls.get(owners.get(node, ANYWHERE), ())) if target.selects else target.tests
         for k, (what, _) in enumerate(_changes(node)):
             yield Mutant(target, index, k, getattr(node, "lineno", 0), what, tests)

@@ -135,7 +135,7 @@ class _Quantity:
 
 
 def _position(fix: Gnss) -> float:
-    return fix.lat + fix.lon if fix.fix >= 2 else NAN
+    return fix.lat if fix.fix >= 2 and math.isfinite(fix.lon) else NAN
 
 
 def _temperature(esc: Esc) -> float:
@@ -175,14 +175,18 @@ class MovementWatch:
     """
 
     def __init__(self) -> None:
-        self._value: tuple[float, ...] = ()
-        self._t = self._changed_at = math.nan  # of the newest sample, and of the first one with its value
-        self._commands: Mapping[str, float] = {}  # when the value changed last
+        self.is_position = False
+        self._take(math.nan, (), {})
+
+    def _take(self, t: float, value: tuple[float, ...], commands: Mapping[str, float]) -> None:
+        """Take a value that differs from the one before, and begin to count."""
+        self._value = value
+        self._t = self._changed_at = t  # of the newest sample, and of the first one with its value
+        self._commands = dict(commands)  # when the value changed last
         self._commanded_at = math.nan  # since when the commands are others than those
         self._samples = 0  # since then
         self._repeats = 0  # samples with the same value
         self._impulse = self._travel = 0.0  # since the value changed
-        self.is_position = False
 
     def update(self, t: float, value: tuple[float, ...], commands: Mapping[str, float], speed: float = NAN) -> None:
         """Take a sample.
@@ -195,10 +199,7 @@ class MovementWatch:
         speed : speed over ground [m/s] that a receiver reports beside its position; NaN for other quantities
         """
         if value != self._value:
-            self._value, self._commands = value, dict(commands)
-            self._t = self._changed_at = t
-            self._commanded_at, self._samples, self._repeats = math.nan, 0, 0
-            self._impulse = self._travel = 0.0
+            self._take(t, value, commands)
             return
         if not t > self._t:
             return

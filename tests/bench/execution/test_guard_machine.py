@@ -921,3 +921,18 @@ def test_what_thrust_need_not_move_may_stay_as_it_is(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, temperature_c=80.0, voltage_min_v=12.0, roll_deg=45.0, pitch_deg=45.0)
     devices: dict[tuple[str, int | None], Device] = {ESC: shaken, ("ahrs", None): lambda t, n: Ahrs(0.1, 0.0, 0.0)}
     assert ran(rig, 60.0, steps, devices) == (math.inf, None)
+
+
+def test_each_jump_needs_a_second_fix_of_its_own(tmp_path: Path) -> None:
+    """A jump inside the fence that was confirmed does not confirm a later one beyond it."""
+    rig = rig_of(tmp_path, radius_m=100.0)
+    assert fixes(rig, [0.0, 0.1, 60.0, 60.1, 60.2, 1000.0, 60.3, 60.4]) == (8, None)
+    assert fixes(rig, [0.0, 0.1, 60.0, 60.1, 60.2, 1000.0, 1000.1])[0] == 6
+
+
+@pytest.mark.parametrize(("lat", "lon", "watched"), [(41.0, -8.0, True), (NAN, -8.0, False), (41.0, NAN, False)])
+def test_a_fix_without_latitude_or_longitude_watches_no_fence(
+    tmp_path: Path, lat: float, lon: float, watched: bool
+) -> None:
+    guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
+    assert (guard.unwatched(status(1.0, 0.0, {FIX: Gnss(T, lat, lon, fix=3)})) == []) is watched
