@@ -35,15 +35,16 @@ import click
 from daq.errors import SeatrialError, printable
 from daq.files import report_scratch_to, require_file
 
-# What a command needs without a file, and what it may need in addition for each byte of the files. Measured for logs of
-# all kinds: at most 0.6 GB and 30 bytes of memory, 4 s and 2 s/MB; the slowest computers take five times as long.
-MEMORY_BYTES, MEMORY_RATIO = 2 << 30, 64
+# What a command may take without a file, and in addition for each byte of the files.
+MEMORY_BYTES, MEMORY_RATIO = 1_900_000_000, 64
 CPU_S, CPU_S_PER_BYTE = 15.0, 20e-6
 DISK_BYTES, DISK_RATIO = 256 << 20, 64
 GRACE_S = 2  # of processor time between the signal that ends a command in good order and the one that kills it
 WATCH_S = 0.1  # wall, between two looks at the disk
 REPEAT_S = 1.0  # wall; a second Ctrl-C within this is the same one, which came by the parent
 MAX_FILES = 10_000  # of a folder, that are looked at
+# Libraries of linear algebra reserve some 40 MB of address space for each thread, and start one for each processor.
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 ADVICE = "it is damaged, or made to do harm; --trust-file reads it without limits"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -176,6 +177,8 @@ def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
     os.environ["TMPDIR"] = tempfile.tempdir = scratch
+    for name in THREADS:
+        os.environ.setdefault(name, "2")
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt_once())
     signal.signal(signal.SIGXCPU, _too_slow)
