@@ -43,8 +43,6 @@ GRACE_S = 2  # of processor time between the signal that ends a command in good 
 WATCH_S = 0.1  # wall, between two looks at the disk
 REPEAT_S = 1.0  # wall; a second Ctrl-C within this is the same one, which came by the parent
 MAX_FILES = 10_000  # of a folder, that are looked at
-# Libraries of linear algebra reserve some 40 MB of address space for each thread, and start one for each processor.
-THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 ADVICE = "it is damaged, or made to do harm; --trust-file reads it without limits"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -163,7 +161,9 @@ def continue_in_child(paths: Sequence[Path]) -> None:
 
 
 def _segments(path: Path) -> Iterator[Path]:
-    """The later segments of a log, which are read with it."""
+    """The later segments of a log, and the logs of a database, which are read with it."""
+    if path.suffix == ".db3":
+        yield from (one for end in ("-wal", "-journal") if (one := Path(f"{path}{end}")).is_file())
     if path.suffix == ".mcap":
         yield from path.parent.glob(f"{glob.escape(path.stem)}.*{path.suffix}")
 
@@ -177,8 +177,6 @@ def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
     os.environ["TMPDIR"] = tempfile.tempdir = scratch
-    for name in THREADS:
-        os.environ.setdefault(name, "2")
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt_once())
     signal.signal(signal.SIGXCPU, _too_slow)

@@ -6,8 +6,8 @@ import math
 from datetime import UTC, datetime
 from itertools import groupby
 
-from rich.console import Console
 from rich import markup
+from rich.console import Console
 from rich.table import Table
 
 from daq.errors import SeatrialError, counted

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from daq import bounds
-
 COMMAND = """
 import os, sys, tempfile, time
 from pathlib import Path
@@ -93,13 +91,3 @@ def test_a_signal_ends_both_processes(tmp_path: Path, number: signal.Signals) ->
     assert process.returncode != 0
     assert "Traceback" not in said
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap"]
-
-
-def test_libraries_with_a_thread_for_each_processor_do_not_fill_the_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """On a computer of 64 processors their threads alone would take more address space than the command may."""
-    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    process = start(tmp_path, "click.echo(os.environ['OPENBLAS_NUM_THREADS'])")
-    assert process.communicate(timeout=60.0)[0] == "began\n2\ndone\n"
-    assert bounds.MEMORY_BYTES < 2e9
