@@ -182,7 +182,8 @@ def index_entries(data: bytes, at: int) -> bytes:
 
 
 def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, bytes], None]) -> list[int]:
-    found, n_kinds, n_private = [], 0, 0
+    found: list[int] = []
+    n_kinds = n_private = 0
     while at + HEADER <= stop and n_kinds < MAX_KINDS:
         if n_private > MAX_PRIVATE + MAX_PRIVATE_PER_MESSAGE * len(found):
             break
