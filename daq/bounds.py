@@ -35,9 +35,8 @@ import click
 from daq.errors import SeatrialError, printable
 from daq.files import report_scratch_to, require_file
 
-# What a command needs without a file, and what it may need in addition for each byte of the files. Measured for logs of
-# all kinds: at most 0.6 GB and 30 bytes of memory, 4 s and 2 s/MB; the slowest computers take five times as long.
-MEMORY_BYTES, MEMORY_RATIO = 2 << 30, 64
+# What a command may take without a file, and in addition for each byte of the files.
+MEMORY_BYTES, MEMORY_RATIO = 1_900_000_000, 64
 CPU_S, CPU_S_PER_BYTE = 15.0, 20e-6
 DISK_BYTES, DISK_RATIO = 256 << 20, 64
 GRACE_S = 2  # of processor time between the signal that ends a command in good order and the one that kills it
@@ -162,7 +161,9 @@ def continue_in_child(paths: Sequence[Path]) -> None:
 
 
 def _segments(path: Path) -> Iterator[Path]:
-    """The later segments of a log, which are read with it."""
+    """The later segments of a log, and the logs of a database, which are read with it."""
+    if path.suffix == ".db3":
+        yield from (one for end in ("-wal", "-journal") if (one := Path(f"{path}{end}")).is_file())
     if path.suffix == ".mcap":
         yield from path.parent.glob(f"{glob.escape(path.stem)}.*{path.suffix}")
 

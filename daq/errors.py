@@ -28,9 +28,21 @@ def counted(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
+class _Spelled(dict[int, str]):
+    """What `printable` makes of each character, by its number. `str.translate` is ten times as fast as a loop."""
+
+    def __missing__(self, number: int) -> str:
+        c = chr(number)
+        found = c if c.isprintable() or c == "\n" else " " if c.isspace() else ascii(c)[1:-1]
+        if number < 1 << 16:
+            self[number] = found
+        return found
+
+
+_SPELLED = _Spelled()
+
+
 def printable(text: str) -> str:
     """A text of somebody else's, for a terminal: what would move its cursor, colour it or turn it around is spelled.
     Lines stay lines."""
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() or c == "\n" else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+    return text if text.isprintable() else text.translate(_SPELLED)

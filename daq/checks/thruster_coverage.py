@@ -11,6 +11,7 @@ from daq.log import Log
 from daq.samples import Command, Esc
 
 SLOW = 0.5  # of the rate of the fastest controller on the same bus
+LONGEST_PAUSE_S = 60.0  # s; a longer time between two speeds is a gap of the log and tells nothing of their rate
 FEWEST = 10  # samples of the fastest one
 
 
@@ -46,7 +47,9 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             if most < FEWEST:
                 continue
             t = np.sort(log.table(Esc, device, node)["t"])
-            rate = (n - 1) / float(t[-1] - t[0]) if n > 1 and t[-1] > t[0] else 0.0
+            steps = np.diff(t)
+            steps = steps[steps < LONGEST_PAUSE_S]
+            rate = steps.size / float(steps.sum()) if steps.sum() > 0.0 else 0.0
             if n < SLOW * most:
                 text = f"{n} speeds ({rate:.3g} Hz), and {most} of the other controllers on {device}"
                 advice = "bus load, its cable, its power"

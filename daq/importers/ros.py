@@ -6,6 +6,9 @@ Axes are those of the bag; the map turns them (REP-103: forward, left, up; east,
 from __future__ import annotations
 
 import contextlib
+import os
+import shutil
+import sqlite3
 import tempfile
 from array import array
 from collections.abc import Iterator
@@ -16,12 +19,14 @@ from typing import Any
 import numpy as np
 
 from daq.errors import SeatrialError, counted
+from daq.files import require_file
 from daq.importers.missing_inputs import stopped_motors
 from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
 from daq.importers.table import Column, SourceOptions, Table, ran_back
 from daq.log import recover_log
 
 BAG_ENDINGS = {".mcap", ".db3"}
+SQLITE_LOGS = ("-wal", "-journal")  # appended to the name of a database
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 IMU, FIX = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix"
 CLOCK = "rosgraph_msgs/msg/Clock"  # of a simulation: its time, without a header
@@ -87,7 +92,8 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
 def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
     """The files of a bag that can be read, and a remark on what was missing.
 
-    A folder without metadata.yaml is read file by file. A .mcap without its end is recovered to a temporary file.
+    A folder without metadata.yaml is read file by file. A .mcap without its end is recovered to a temporary file. A
+    .db3 whose recorder left a log of SQLite beside it is completed in a temporary copy.
     """
     if path.name.endswith(".bag.active"):
         raise SeatrialError(
@@ -101,7 +107,14 @@ def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
         remarks.append(f"without metadata.yaml: read from {counted(len(parts), 'file')}")
     with tempfile.TemporaryDirectory() as folder:
         readable: list[Path] = []
+        if path.is_dir() and parts == [path]:
+            parts, said = _with_sqlite_logs_of_folder(path, Path(folder))
+            remarks += said
         for k, part in enumerate(parts):
+            if part.suffix == ".db3" and _sqlite_logs(part):
+                readable.append(_with_sqlite_logs(part, Path(folder) / f"{k}.db3"))
+                remarks.append(f"{part.name} read with {' and '.join(one.name for one in _sqlite_logs(part))}")
+                continue
             if part.suffix != ".mcap" or part.is_dir() or _has_end(part):
                 readable.append(part)
                 continue
@@ -120,6 +133,41 @@ def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
         if not readable:
             raise SeatrialError(f"{path}: cannot be read as a bag of ROS: none of its files has a message")
         yield readable, "; ".join(remarks)
+
+
+def _sqlite_logs(path: Path) -> list[Path]:
+    """The logs that SQLite has left beside a database: messages that are not in it yet, or have to be taken back."""
+    beside = (path.with_name(path.name + ending) for ending in SQLITE_LOGS)
+    return [one for one in beside if os.path.lexists(one) and not (one.is_file() and one.stat().st_size == 0)]
+
+
+def _with_sqlite_logs(path: Path, copy: Path) -> Path:
+    """Copy a database with its logs and let SQLite complete the copy: beside the original nothing may be written."""
+    shutil.copyfile(path, copy)
+    for log in _sqlite_logs(path):
+        if log.is_symlink():  # it could name any file
+            raise SeatrialError(f"{log}: is not a file")
+        require_file(log)
+        shutil.copyfile(log, copy.with_name(copy.name + log.name.removeprefix(path.name)))
+    with contextlib.closing(sqlite3.connect(copy)) as database:
+        database.execute("PRAGMA journal_mode=DELETE").fetchall()
+        database.execute("SELECT count(*) FROM sqlite_master").fetchall()
+    return copy
+
+
+def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
+    """The bag of a folder with metadata.yaml, or a copy of it where a database has logs, and remarks."""
+    logs = {part.name: _sqlite_logs(part) for part in sorted(path.glob("*.db3"))}
+    if not any(logs.values()):
+        return [path], []
+    copy = folder / "bag"
+    copy.mkdir()
+    for part in path.iterdir():
+        if logs.get(part.name):
+            _with_sqlite_logs(part, copy / part.name)
+        elif not part.name.endswith(SQLITE_LOGS):
+            (copy / part.name).symlink_to(part.resolve())
+    return [copy], [f"{name} read with {' and '.join(x.name for x in own)}" for name, own in logs.items() if own]
 
 
 def _split_number(path: Path) -> tuple[int, str]:

@@ -20,6 +20,10 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAX_CHUNK = 64 * 2**20  # bytes, uncompressed
+MAX_KINDS = 70_000  # schemas and channels between two messages: a file has at most 2^16 channels
+# Records of applications can have no content, and millions of them compress to nothing. What a real file has of them:
+MAX_PRIVATE = 65_536  # between two messages of the index,
+MAX_PRIVATE_PER_MESSAGE = 16  # and for each message that no index names
 MAX_PACKED = MAX_CHUNK + 2**20  # what does not compress becomes a little longer
 RECORD = struct.Struct("<BQ")  # opcode, length
 HEADER = RECORD.size
@@ -178,8 +182,11 @@ def index_entries(data: bytes, at: int) -> bytes:
 
 
 def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, bytes], None]) -> list[int]:
-    found = []
-    while at + HEADER <= stop:
+    found: list[int] = []
+    n_kinds = n_private = 0
+    while at + HEADER <= stop and n_kinds < MAX_KINDS:
+        if n_private > MAX_PRIVATE + MAX_PRIVATE_PER_MESSAGE * len(found):
+            break
         opcode, length = RECORD.unpack_from(view, at)
         end = at + HEADER + length
         if opcode == 0 or end > stop or (opcode == Opcode.MESSAGE and length < HEAD_BYTES):
@@ -187,7 +194,10 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
         if opcode == Opcode.MESSAGE:
             found.append(at)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            n_kinds += 1
             register(opcode, bytes(view[at + HEADER : end]))
+        else:
+            n_private += 1
         at = end
     return found
 

@@ -51,6 +51,9 @@ from daq.log.mcap_chunk import (
 BATCH_BYTES = 4 * 2**20  # uncompressed chunks read at a time
 CACHE_BYTES = 24 * 2**20  # uncompressed chunks kept for the next table
 MAX_HELD = 64 * 2**20  # attachments, metadata, schemas and channels of a file, all together
+MAX_TEXT = 2**16  # characters of a name; a longer one is no name
+MAX_UNPACKED = 2**28  # bytes of all chunks together, that any file may have; else
+MAX_RATIO = 256  # times its own bytes
 MAX_WARNINGS = 20
 FEW_MESSAGES = 2_000_000  # so many any file may have
 LAST_NS = 2**64 - 1
@@ -108,6 +111,8 @@ class RawLog:
         self._fd, self._size, self._same = self._open()
         if not self._believe_summary():
             self._walk()
+        elif (n := self._bound_chunks()) < len(self._chunks):
+            self._seen[n:] = -1
 
     def _open(self) -> tuple[int, int, tuple[int, int]]:
         # Plain reads, no mmap: the file may still be growing, and a disk that fails must end in a line, not a signal.
@@ -171,6 +176,18 @@ class RawLog:
             if self._too_many(n_found):
                 return
 
+    def _bound_chunks(self) -> int:
+        """Return how many chunks from the first on may be unpacked, and warn where that is not all of them.
+
+        The data of an instrument shrinks by a factor of some tens at most. A file that claims more only costs time.
+        """
+        total = np.cumsum(np.minimum(self._chunks["size"], MAX_CHUNK))
+        n = int(np.searchsorted(total, max(MAX_UNPACKED, MAX_RATIO * self._size), side="right"))
+        if n < len(self._chunks):
+            whole = f"{total[-1] / 1e9:.1f} GB, {total[-1] / self._size:.0f} times the file"
+            self._warn(f"its chunks unpack to {whole}, which no instrument writes: the last of them are left out")
+        return n
+
     def _too_many(self, n_messages: int) -> bool:
         if n_messages <= max(FEW_MESSAGES, self._size):  # a message takes some bytes, however well it is packed
             return False
@@ -210,6 +227,8 @@ class RawLog:
         """The uncompressed bytes of a chunk and the entries of its indexes. Raises one of DAMAGE, and warns once."""
         if number in self._cache:
             return self._cache[number]
+        if self._seen[number] < 0:
+            raise ValueError("left out")
         at, stop, index_bytes = (int(self._chunks[name][number]) for name in ("at", "stop", "index_bytes"))
         if self._partial is not None and number == len(self._chunks) - 1:
             self._seen[number] = 1
@@ -314,6 +333,7 @@ class RawLog:
         else:
             self._warn("the recording was cut off or still goes on (no footer): everything up to there is used")
         self._chunks, self._seen = found.chunks(), np.zeros(len(found.at), np.int8)
+        self._seen[self._bound_chunks() :] = -1
         # Only chunks have a checksum: their channel records go before those elsewhere.
         channels, schemas, self.channels, self.schemas = self.channels, self.schemas, {}, {}
         self._scan(found, only_new=whole and not self.complete)
@@ -406,6 +426,7 @@ class RawLog:
             if checksum not in (0, zlib.crc32(memoryview(data)[:-4])):
                 raise ValueError("checksum of an attachment")
             found = _parse(Attachment.read, data)
+            _check_name(found.name)
             self.attachments.append(replace(found, name=printable(found.name)))
         elif opcode == Opcode.METADATA:
             about = _parse(Metadata.read, data)
@@ -418,12 +439,14 @@ class RawLog:
         try:
             if opcode == Opcode.SCHEMA:
                 schema = _parse(Schema.read, data)
+                _check_name(schema.name)
                 if schema.id not in self.schemas:
                     self._held += len(data)
                 if self._held <= MAX_HELD:
                     self.schemas[schema.id] = replace(schema, name=printable(schema.name))
             else:
                 channel = _parse(Channel.read, data)
+                _check_name(channel.topic)
                 if channel.id not in self.channels:
                     self._held += len(data)
                 if self._held <= MAX_HELD:
@@ -559,6 +582,12 @@ def _chunk_indexes(
     k = np.arange(len(chunk)) - np.repeat(np.cumsum(n_map // 10) - n_map // 10, n_map // 10)
     channel = rows_at(block, begins[chunk] + _CHUNK_INDEX.itemsize + 10 * k, np.dtype("<u2"))
     return found, chunk.astype(np.int32), channel
+
+
+def _check_name(name: str) -> None:
+    """Raise ValueError where a text is too long for a name."""
+    if len(name) > MAX_TEXT:
+        raise ValueError(f"a name of {len(name)} characters")
 
 
 def _ignore(opcode: int, data: bytes) -> None:

@@ -6,8 +6,8 @@ import math
 from datetime import UTC, datetime
 from itertools import groupby
 
+from rich import markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from daq.errors import SeatrialError, counted
@@ -24,7 +24,13 @@ _ABOUT = {
     "speed": "run seconds a wall second",
     "import.map": "import.map",
 }
+LONGEST = 2000  # characters of one text that are shown; what is longer was never meant to be read
 FOLDED = ("skipped", "parameter")  # kinds of events that come in swarms
+
+
+def escape(text: str) -> str:
+    """A text of the log as the console prints it unchanged; of a very long one the beginning."""
+    return markup.escape(text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)")
 
 
 def show_log(log: Log, console: Console) -> None:

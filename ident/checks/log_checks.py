@@ -7,13 +7,13 @@ Evidence of a check, as curves for its page: sample intervals, signals, shafts, 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import FAULT, Finding, check_devices
+from daq.checks import FAULT, OK, Finding, check_devices, worst_first
 from daq.errors import SeatrialError
 from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
@@ -46,7 +46,7 @@ from ident.checks.sensors import (
 from ident.checks.shaft_sign import check_wrapped, one_sided_shafts
 from ident.checks.shafts import check_shafts
 from ident.checks.signals import check_frozen, check_intervals, check_ranges, check_smoothing
-from ident.data import Channel, channels
+from ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
 from ident.numerics import Array
 
 POSITION_WINDOW = 5.0  # s, over which positions are differenced, as the check does
@@ -65,6 +65,11 @@ class SampleIntervals:
     t: Array
     interval: Array
     expected: float | None
+
+    def between(self, begin: float, end: float) -> SampleIntervals:
+        """The intervals that end in a part of the log [s]; that from before the part is none of its own."""
+        own = (self.t > begin) & (self.t <= end) & (self.t - self.interval >= begin)
+        return replace(self, t=self.t[own], interval=self.interval[own])
 
 
 @dataclass(frozen=True)
@@ -128,16 +133,24 @@ class CheckEvidence:
     signals: tuple[SignalCurve, ...] = ()
 
 
-def log_evidence(path: Path, name: str = "") -> CheckEvidence:
-    """Curves of one log; ``name``: for people, else the file's. Raises SeatrialError where it is no log at all."""
+def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
+    """Curves of one log, of each part between its gaps; ``name``: for people, else the file's. Raises SeatrialError
+    where it is no log at all."""
     with open_log(path) as log:
-        c = {n: Channel(s.t - log.start, s.value, s.unit, s.source) for n, s in channels(log).items()}
+        signals = channels(log)
         rig = log.rig
-        duration, intervals, sides = log.duration, _intervals(log), sides_of(log)
-    return CheckEvidence(
-        name or path.stem, duration, rig.name if rig else None, tuple(intervals), tuple(_shafts(c)),
-        tuple(push(c, sides)), tuple(sensors(c)), tuple(_signals(c)),
-    )  # fmt: skip
+        duration, intervals, sides, start = log.duration, _intervals(log), sides_of(log), log.start
+    gaps, found = silent_times(signals), []
+    for signals_of_part in parts_between(signals, gaps):
+        c = {n: Channel(s.t - start, s.value, s.unit, s.source) for n, s in signals_of_part.items()}
+        begin, end = _span(c) if gaps and c else (0.0, duration)
+        own = [row.between(begin, end) for row in intervals] if gaps else intervals
+        found.append(CheckEvidence(
+            f"{name or path.stem}[{seconds(begin)}:{seconds(end)}]" if gaps else name or path.stem, end - begin,
+            rig.name if rig else None, tuple(row for row in own if row.t.size), tuple(_shafts(c)),
+            tuple(push(c, sides)), tuple(sensors(c)), tuple(_signals(c)),
+        ))  # fmt: skip
+    return found
 
 
 def _intervals(log: Log) -> list[SampleIntervals]:
@@ -254,9 +267,39 @@ def check_log(path: Path | str) -> list[Finding]:
     try:
         with open_log(path) as log:
             found = channels(log)
-            return [*_mute(log), *check_signals(found, sides_of(log))]
+            return [*_mute(log), *_check_parts(found, sides_of(log), log.start)]
     except SeatrialError as error:
         return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
+
+
+def _check_parts(c: Channels, sides: Mapping[str, float], start: float) -> list[Finding]:
+    """Check each part of a log between its gaps, as a fit uses them, and return the worst answer to each question.
+
+    start: of the log [s], from which the times in the answers count.
+    """
+    gaps = silent_times(c)
+    if not gaps:
+        return list(check_signals(c, sides))
+    worst: dict[tuple[str, str], Finding] = {}
+    parts = [part for part in parts_between(c, gaps) if part and _duration(part) >= SHORTEST_PIECE_S]
+    for part in sorted(parts, key=_duration, reverse=True):  # of equal answers, that of the longest part
+        begin, end = (seconds(t - start) for t in _span(part))
+        for finding in check_signals(part, sides):
+            key = finding.check, finding.where
+            if finding.level != OK:
+                finding = finding._replace(text=f"from {begin} to {end} s: {finding.text}")
+            if key not in worst or worst_first([worst[key], finding])[0] is not worst[key]:
+                worst[key] = finding
+    return list(worst.values())
+
+
+def _span(c: Channels) -> tuple[float, float]:
+    return min(float(x.t[0]) for x in c.values()), max(float(x.t[-1]) for x in c.values())
+
+
+def _duration(c: Channels) -> float:
+    begin, end = _span(c)
+    return end - begin
 
 
 def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:

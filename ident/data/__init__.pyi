@@ -1,3 +1,7 @@
+from .gaps import SHORTEST_PIECE_S as SHORTEST_PIECE_S
+from .gaps import parts_between as parts_between
+from .gaps import seconds as seconds
+from .gaps import silent_times as silent_times
 from .loading import COMMANDS as COMMANDS
 from .loading import ORIGIN as ORIGIN
 from .loading import SHAFTS as SHAFTS
@@ -13,6 +17,7 @@ from .loading import far_apart as far_apart
 from .loading import load_all as load_all
 from .loading import load_run as load_run
 from .loading import load_runs as load_runs
+from .loading import parts_with_sensors as parts_with_sensors
 from .loading import share_frame as share_frame
 from .outliers import position_jumps as position_jumps
 from .outliers import without_outliers as without_outliers

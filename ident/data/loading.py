@@ -20,6 +20,8 @@ gives it the sign of the delayed and lagged command. `propulsion_input` says whi
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
@@ -33,10 +35,11 @@ from numpy.typing import NDArray
 
 from daq.checks import Finding, unknown_times
 from daq.config import parse_toml
-from daq.errors import SeatrialError
+from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.log import Log, local_ned, open_log
 from daq.rig import Rig, Thruster
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from ident.data.gaps import SHORTEST_PIECE_S, clock_of, gap_line, part_of, parts_between, seconds, silent_times
 from ident.data.outliers import sections_elsewhere, without_outliers
 from ident.data.record import Channel, LogSegment
 from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
@@ -46,7 +49,7 @@ TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is avera
 GRID_STEP = 0.01  # s, on which the command of a shaft of unknown sign is filtered
 DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
 TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
-SHORTEST_PIECE_S = 10.0  # s between two gaps of the inputs: shorter pieces say too little
+TIMES = re.compile(r"\[[\d.e+]+:[\d.e+inf]+\]\Z")  # at the end of the name of a part
 MARGIN_S = 60.0  # read before and after a part of a log: what an input was told last, the sample behind the end
 NEAR_DELAYS = np.arange(-0.05, 0.051, 0.01)  # s, and factors on the time constant: about the best of these
 NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
@@ -196,7 +199,7 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
 def _sampled(output: Channel) -> Channel:
     """An output that was sampled at a rate: a change came at some time since the sample before, of which the straight
     line is the mean."""
-    clock = np.arange(output.t[0], output.t[-1] + GRID_STEP, GRID_STEP) if output.t.size else output.t
+    clock = clock_of(output.t, GRID_STEP)
     mean = np.interp(clock + GRID_STEP / 2, output.t, output.value) if output.t.size else output.value
     interval = float(np.median(np.diff(output.t))) if output.t.size > 1 else 0.0
     return replace(output, t=clock, value=mean, hold="average", sampled=interval)
@@ -244,7 +247,7 @@ def shaft_speed(t: Array, speed: Array, t_told: Array, told: Array) -> tuple[Arr
     Returns: times (n,) s, ``GRID_STEP`` apart, and speeds (n,), each held until the next.
     """
     speed = np.abs(speed)
-    clock = np.arange(t[0] - DELAYS[-1], t[-1] + GRID_STEP, GRID_STEP)
+    clock = clock_of(t, GRID_STEP, before=DELAYS[-1])
     held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
 
     def scale(size: Array) -> float:
@@ -377,11 +380,64 @@ def load_all(
 
 
 def known_pieces(one: LoadedLog) -> list[LoadedLog]:
-    """The log, cut where an input is unknown: with the last value before such a gap a fit would believe in a thrust
-    that nobody knows. Pieces shorter than ``SHORTEST_PIECE_S`` are left out. Raises SeatrialError if all are."""
+    """Cut a log where no sensor has a sample and where an input is unknown.
+
+    Parameters
+    ----------
+    one
+        The log.
+
+    Returns
+    -------
+    list
+        Its parts in order of time, each as a log of its own. A log without such gaps is returned as it is. Parts
+        shorter than `SHORTEST_PIECE_S` are left out.
+
+    Raises
+    ------
+    SeatrialError
+        All parts are too short.
+
+    Notes
+    -----
+    One warning says where the log was cut for the sensors. With the last value before a gap of the inputs, a fit would
+    use a thrust that nobody knows.
+    """
+    return [piece for part in parts_with_sensors(one) for piece in _parts_with_inputs(part)]
+
+
+def parts_with_sensors(one: LoadedLog) -> list[LoadedLog]:
+    """Cut a log where no sensor has a sample, as `known_pieces` does."""
+    gaps = silent_times(one.run.channels)
+    if not gaps:
+        return [one]
+    edges = [-inf, *(t for gap in gaps for t in gap), inf]
+    found, n_short = list[LoadedLog](), 0
+    for begin, end, signals in zip(edges[::2], edges[1::2], parts_between(one.run.channels, gaps), strict=True):
+        a = max(begin, one.run.t_from or 0.0, min((float(c.t[0]) for c in signals.values()), default=0.0))
+        last = max((float(c.t[-1]) for c in signals.values()), default=-inf)
+        b = min(end, inf if one.run.t_to is None else one.run.t_to, last)
+        if b - a < SHORTEST_PIECE_S:
+            n_short += 1
+            continue
+        # Without limits of its own a record begins where all signals are known.
+        t_from = one.run.t_from if one.run.t_from is not None and one.run.t_from > begin else None
+        t_to = one.run.t_to if one.run.t_to is not None and one.run.t_to < end else None
+        unknown = tuple((max(x, a), min(y, b)) for x, y in one.unknown if x < b and y > a)
+        found.append(_as_part(one, replace(one.run, channels=signals, t_from=t_from, t_to=t_to), (a, b), unknown))
+    path, short = one.about["path"], counted(n_short, "part") + f" shorter than {SHORTEST_PIECE_S:g} s"
+    if not found:
+        raise SeatrialError(f"{path}: has no {SHORTEST_PIECE_S:g} s on end with samples; {gap_line(gaps)}")
+    rest = f"; {short} {'is' if n_short == 1 else 'are'} left out" if n_short else ""
+    warnings.warn(f"{path}: {gap_line(gaps)}{rest}", SeatrialWarning, stacklevel=2)
+    return [replace(part, device_faults=one.device_faults if k == 0 else ()) for k, part in enumerate(found)]
+
+
+def _parts_with_inputs(one: LoadedLog) -> list[LoadedLog]:
+    """Cut a log where an input is unknown."""
     if not one.unknown:
         return [one]
-    first = 0.0 if one.run.t_from is None else one.run.t_from
+    first = min(float(c.t[0]) for c in one.run.channels.values()) if one.run.t_from is None else one.run.t_from
     last = max(float(c.t[-1]) for c in one.run.channels.values()) if one.run.t_to is None else one.run.t_to
     edges = [first, *(t for gap in one.unknown for t in gap), last]
     spans = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= SHORTEST_PIECE_S]
@@ -390,19 +446,27 @@ def known_pieces(one: LoadedLog) -> list[LoadedLog]:
     found = []
     for k, (a, b) in enumerate(spans):
         parts = {name: part for name, c in one.run.channels.items() if (part := _piece(c, a, b)).t.size > 1}
-        name = f"{one.run.name}[{a:.6g}:{b:.6g}]"
-        about = one.about | {"path": f"{one.about['path']}[{a:.6g}:{b:.6g}]", "name": name, "duration": b - a}
-        run = replace(one.run, name=name, channels=parts, t_from=a, t_to=b)
-        faults = one.device_faults if k == 0 or one.device_faults is None else ()
-        found.append(replace(one, run=run, about=about, device_faults=faults, unknown=()))
+        piece = _as_part(one, replace(one.run, channels=parts, t_from=a, t_to=b), (a, b), ())
+        found.append(replace(piece, device_faults=one.device_faults if k == 0 else ()))
     return found
+
+
+def _as_part(
+    one: LoadedLog, run: LogSegment, span: tuple[float, float], unknown: tuple[tuple[float, float], ...]
+) -> LoadedLog:
+    """A part of a log, with its times [s] in its name."""
+    a, b = span
+    file, log = (TIMES.sub("", str(one.about[key])) for key in ("path", "name"))
+    times = f"[{seconds(a)}:{seconds(b)}]"
+    about = one.about | {"path": f"{file}{times}", "name": f"{log}{times}", "duration": b - a}
+    return replace(one, run=replace(run, name=f"{log}{times}"), about=about, unknown=unknown)
 
 
 def _piece(channel: Channel, begin: float, end: float) -> Channel:
     """A signal from begin to end [s], with its last value before, which holds if it is a command."""
     a = max(int(np.searchsorted(channel.t, begin, side="right")) - 1, 0)
     b = int(np.searchsorted(channel.t, end, side="right"))
-    return replace(channel, t=channel.t[a:b], value=channel.value[a:b])
+    return part_of(channel, a, b)
 
 
 def load_runs(
@@ -411,9 +475,14 @@ def load_runs(
     window: TimeWindow = WHOLE,
     reference: FrameOrigin | None = None,
     device_faults: DeviceChecks | None = None,
+    *,
+    cut: bool = True,
 ) -> list[LoadedLog]:
-    """Logs of one role (``load_run``), told apart, with x and y from one origin (``share_frame``)."""
-    return share_frame(told_apart([load_run(p, role, window, device_faults) for p in logs], logs), reference)
+    """Logs of one role (``load_run``), told apart, with x and y from one origin (``share_frame``); ``cut``: as the
+    parts between their gaps (``known_pieces``)."""
+    whole = [(p, load_run(p, role, window, device_faults)) for p in logs]
+    loaded = [(p, part) for p, one in whole for part in (known_pieces(one) if cut else [one])]
+    return share_frame(told_apart([one for _, one in loaded], [p for p, _ in loaded]), reference)
 
 
 def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:

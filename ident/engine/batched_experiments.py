@@ -135,6 +135,7 @@ class ExperimentBatch:
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
         self.model, self.free, self.covariance = model, tuple(free), covariance
+        self._tracks_in_noise: dict[int, Kernel] = {}
 
     @cached_property
     def information(self) -> tuple[Kernel, Kernel]:
@@ -155,6 +156,27 @@ class ExperimentBatch:
             f = Filter(self.model, (), covariance=False)
             inputs = {n: v for n, v in f.inputs.items() if n != "X"}
             return _pair([f.bounds(), stage(inputs, f.stepped)], frozenset({"s", "p", "low", "high"}))
+
+    def tracks_in_noise(self, n_common: int) -> Kernel:
+        """``tracks``, where the first inputs, so many, are the same in all lanes, and each lane has its own others.
+
+        The others are the arrays ``w`` and ``w_next``. A command model has dozens of inputs: a copy of them for each
+        lane would take ten times as long as the simulation.
+        """
+        with _lock:
+            if n_common not in self._tracks_in_noise:
+                f = Filter(self.model, (), covariance=False)
+                ends, symbols = ("", "_next"), dict[str, Any]()
+                for end in ends:
+                    symbols[f"u{end}"] = ca.SX.sym(f"u{end}", n_common)
+                    symbols[f"w{end}"] = ca.SX.sym(f"w{end}", f.inputs["u"].numel() - n_common)
+                whole = [ca.vertcat(symbols[f"u{end}"], symbols[f"w{end}"]) for end in ends]
+                (after,) = ca.substitute([f.stepped["s"]], [f.inputs["u"], f.inputs["u_next"]], whole)
+                inputs = {name: f.inputs[name] for name in ("s", "p", "h")} | symbols
+                stages = (f.bounds(), stage(inputs, {"s": after}))
+                rows, lanes = {*symbols, "h"}, {"s", "p", "low", "high", "w", "w_next"}
+                self._tracks_in_noise[n_common] = Kernel(Plan(stages, frozenset(rows), frozenset(lanes)))
+            return self._tracks_in_noise[n_common]
 
 
 def _pair(stages: list[LoopSegment], lanes: frozenset[str]) -> tuple[Kernel, Kernel]:

@@ -28,6 +28,7 @@ T = TypeVar("T")
 SINGULAR_EIGENVALUE = 1e-13  # of the information scaled to unit diagonal: up to it nothing is told
 NULL_PART = 0.1  # of a unit vector
 CHUNK = 4  # groups of vector lanes in a call; they fit into the cache of the processor
+MISSIONS = 4  # of one task of a thread
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,38 @@ class Experiments:
         parts = parallel(work, chunks, self.threads)
         low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
         return low, high
+
+    def extents_in_noise(self, u: Array, noise: Array, values: Array) -> tuple[Array, Array]:
+        """``low`` and ``high`` (n, n_values, k) of n missions, each with the same samples of the parameters and the
+        same noise.
+
+        u (n_rows, n_common, n): the first inputs of the model; noise (n_rows, n_noisy, n_values): the inputs after
+        them; values (n_values, n_parameters).
+        """
+        n_values, k = len(values), len(self.extremes)
+        kernel = self._batch.tracks_in_noise(u.shape[1])
+        width = kernel.layout.width
+        groups = -(-n_values // width)
+        p, w = in_lanes(values.T[None], groups, width)[0], in_lanes(noise, groups, width)
+        linear = np.array([i.hold == "linear" for i in self.model.inputs])
+        common, own = linear[: u.shape[1]], linear[u.shape[1] :]
+        given = {"w": w, "w_next": _interval_ends(own, w, -2), "p": p, "h": self.h}
+        start = start_in_lanes(self.model, p)
+
+        def work(missions: slice) -> list[tuple[Array, Array]]:
+            found = []
+            for j in range(missions.start, missions.stop):
+                shared = np.ascontiguousarray(u[:, :, j])
+                done = self._run(
+                    kernel, given | {"u": shared, "u_next": _interval_ends(common, shared), "s": start.copy()}, k
+                )
+                found.append((_flat(done["low"])[:n_values], _flat(done["high"])[:n_values]))
+            return found
+
+        n = u.shape[2]
+        chunks = [slice(first, min(first + MISSIONS, n)) for first in range(0, n, MISSIONS)]
+        low, high = zip(*(row for part in parallel(work, chunks, self.threads) for row in part), strict=True)
+        return np.array(low), np.array(high)
 
     def _chunks(self, u: Array, values: Array | None) -> tuple[int, list[slice]]:
         counts = {a.shape[axis] for a, axis, full in ((u, 2, 3), (values, 0, 2)) if a is not None and a.ndim == full}
@@ -169,7 +202,11 @@ def in_lanes(a: Array, groups: int, width: int) -> Array:
 def interval_ends(model: Model, u: Array, axis: int = -1) -> Array:
     """The inputs at the end of each interval, of ``u`` (n_rows, ...), which has those of a row along ``axis``: those of
     the next row where they are linear in between, else the same."""
-    linear = np.array([i.hold == "linear" for i in model.inputs])
+    return _interval_ends(np.array([i.hold == "linear" for i in model.inputs]), u, axis)
+
+
+def _interval_ends(linear: NDArray[np.bool_], u: Array, axis: int = -1) -> Array:
+    """``interval_ends`` of inputs that are ``linear`` (n_inputs,) or not."""
     shape = [1] * u.ndim
     shape[axis] = linear.size
     return np.where(linear.reshape(shape), np.concatenate([u[1:], u[-1:]]), u)

@@ -25,7 +25,7 @@ from ident.experiment_design.criteria import SINGULAR
 from ident.experiment_design.excitation import StepInput, prbs, rgs
 from ident.experiment_design.information import errors_of, planned_record, prediction_information, prior_information
 from ident.experiment_design.task import N_TRACKS, DesignProblem
-from ident.numerics import Array, Evaluate, PatternSearch, SearchResult
+from ident.numerics import Array, Evaluate, EvaluateAbove, PatternSearch, SearchResult
 
 N_START, N_RESTARTS = 512, 4
 BLOCK = 100.0  # s, shortest block of a long experiment that is designed separately
@@ -153,7 +153,7 @@ def design(
     if warm is None and task.process_noise:
         warm = _block(task, evaluations, progress)
         evaluations = evaluations if warm is None else evaluations // 2
-    found = search_design(task.steps, lambda z: task.judge(task.commands(z)), evaluations, task.seed, warm, progress)
+    found = _search(task, evaluations, warm, progress)
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
     n_max = task.steps.n_max
     levels = np.clip(levels.round(LEVEL_DIGITS), -n_max, n_max)
@@ -187,11 +187,22 @@ def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> 
         return None
     k = min(parts, key=lambda n: abs(steps.duration / n - 1.4 * BLOCK))
     short = replace(task, steps=replace(steps, n_steps=steps.n_steps // k, duration=steps.duration / k))
-    z = search_design(
-        short.steps, lambda z: short.judge(short.commands(z)), evaluations * k // 2, task.seed, None, progress
-    ).z
+    z = _search(short, evaluations * k // 2, None, progress).z
     n_levels = short.steps.n_steps * short.steps.n_channels
     return np.append(np.tile(z[:n_levels], k), np.tile(z[n_levels:], k))[None]
+
+
+def _search(task: DesignProblem, evaluations: int, warm: Array | None, progress: Progress | None) -> SearchResult:
+    """Search the step sequence of the largest criterion within the limits."""
+    return search_design(
+        task.steps,
+        lambda z: task.judge(task.commands(z)),
+        evaluations,
+        task.seed,
+        warm,
+        progress,
+        above=lambda z, least: task.judge_above(task.commands(z), least),
+    )
 
 
 def search_design(
@@ -203,15 +214,19 @@ def search_design(
     progress: Progress | None,
     *,
     n_start: int = N_START,
+    above: EvaluateAbove | None = None,
 ) -> SearchResult:
-    """Pattern search over step sequences, from the best of n_start random ones or from ``warm`` (n, size)."""
+    """Pattern search over step sequences, from the best of n_start random ones or from ``warm`` (n, size).
+
+    ``above``: as of `PatternSearch`.
+    """
     if warm is None:
         starts = steps.random(n_start, np.random.default_rng([seed, 13]))
         value, violation = evaluate(starts)
         warm = starts[np.lexsort((-value, violation))[:N_RESTARTS]]
     k = np.arange(steps.n_steps)
     together = np.append(np.repeat(k, steps.n_channels), k)
-    return PatternSearch(evaluate, steps.low, steps.high, seed, together).run(warm, evaluations, progress)
+    return PatternSearch(evaluate, steps.low, steps.high, seed, together, above).run(warm, evaluations, progress)
 
 
 def _uninformative(task: DesignProblem, singular: float) -> str:

@@ -15,7 +15,7 @@ from ident.experiment_design.excitation import StepInput, ThrusterResponse
 from ident.experiment_design.information import Experiments, prior_information
 from ident.experiment_design.track_extent import TrackExtent, in_current
 from ident.model import Model, ParameterOrigin
-from ident.numerics import Array
+from ident.numerics import Array, breaks_a_constraint
 
 GRID = 0.2  # s between rows of a search
 REST_S = 5.0  # s before the steps: noise of the sensors, and the boat comes to rest
@@ -261,6 +261,24 @@ class DesignProblem:
         """Criterion (n,) and violation (n,) of commands (n_rows, n_channels, n)."""
         value, singular = self.criterion_of(command)
         return value, self.broken(command) + singular
+
+    def judge_above(self, command: Array, least: float) -> tuple[Array, Array]:
+        """``judge`` for a search that compares with the merit ``least``: commands that cannot be better are judged by
+        the limits alone or by the criterion alone."""
+        if not self.limits.concern_the_track:
+            return self.judge(command)
+        value = np.full(command.shape[2], SINGULAR)
+        if breaks_a_constraint(least):  # anything that keeps the limits is better, whatever its criterion
+            violation = self.broken(command)
+            kept = violation == 0.0
+            if kept.any():
+                value[kept], violation[kept] = self.criterion_of(command[:, :, kept])
+            return value, violation
+        value, violation = self.criterion_of(command)
+        better = (value > least) & (violation == 0.0)
+        if better.any():
+            violation[better] = self.broken(command[:, :, better])
+        return value, violation
 
     def criterion_of(self, command: Array) -> tuple[Array, Array]:
         """Criterion (n,) of commands (n_rows, n_channels, n), averaged over the samples of a robust design in which it

@@ -18,7 +18,6 @@ from ident.model import Effect, Input, Model, Signals
 from ident.numerics import Array
 
 CURRENT = ("V_x", "V_y")
-BATCH = 16  # missions simulated at a time, each with all sampled boats
 
 
 def with_noise_inputs(model: Model) -> tuple[Model, list[str]]:
@@ -83,13 +82,4 @@ class TrackExtent:
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
         """Minimum and maximum (n, n_boats, k) of ``extremes`` under inputs u (n_rows, n_inputs, n)."""
-        n, m, k = u.shape[2], len(self._boats), len(self.extremes)
-        parts = []
-        for first in range(0, n, BATCH):
-            some = u[:, :, first:first + BATCH]
-            given = np.repeat(some, m, axis=2)
-            if self._noisy:
-                given = np.concatenate([given, np.tile(self.noise, (1, 1, some.shape[2]))], axis=1)
-            parts.append(self._experiments.extents(given, np.tile(self._boats, (some.shape[2], 1))))
-        low, high = (np.concatenate(side).reshape(n, m, k) for side in zip(*parts, strict=True))
-        return low, high
+        return self._experiments.extents_in_noise(u, self.noise, self._boats)

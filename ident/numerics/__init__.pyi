@@ -8,8 +8,10 @@ from .linear_algebra import scaled_inverse as scaled_inverse
 from .linear_algebra import scaled_pseudo_inverse as scaled_pseudo_inverse
 from .linear_algebra import unit_diagonal as unit_diagonal
 from .pattern_search import Evaluate as Evaluate
+from .pattern_search import EvaluateAbove as EvaluateAbove
 from .pattern_search import PatternSearch as PatternSearch
 from .pattern_search import SearchResult as SearchResult
+from .pattern_search import breaks_a_constraint as breaks_a_constraint
 from .signal_processing import NORMAL_MAD as NORMAL_MAD
 from .signal_processing import SECOND_DIFFERENCE as SECOND_DIFFERENCE
 from .signal_processing import LagData as LagData

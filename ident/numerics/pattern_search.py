@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ident.numerics.linear_algebra import Array
 
 Evaluate = Callable[[Array], tuple[Array, Array]]
+EvaluateAbove = Callable[[Array, float], tuple[Array, Array]]
 VIOLATION_PENALTY = 1e12  # of the merit, by any violation of a constraint
 FIRST_MESH, LAST_MESH = 0.25, 1e-3  # of the range of a coordinate: mesh size at the start and at the end
 BATCH = 64  # points that are evaluated together
@@ -27,6 +28,11 @@ PATIENCE = 6  # batches without gain before the mesh is halved, where a poll is 
 def penalised_objective(value: Array, violation: Array) -> Array:
     """One number to compare by: the value where no constraint is broken."""
     return np.where(violation > 0, -VIOLATION_PENALTY * (1.0 + violation), value)
+
+
+def breaks_a_constraint(merit: float) -> bool:
+    """Whether a `penalised_objective` is that of a point that breaks a constraint."""
+    return merit <= -VIOLATION_PENALTY
 
 
 @dataclass
@@ -61,12 +67,23 @@ class SearchResult:
 
 
 class PatternSearch:
-    """``evaluate(z (n, size)) -> value (n,), violation (n,)`` within low, high (size,)."""
+    """``evaluate(z (n, size)) -> value (n,), violation (n,)`` within low, high (size,).
+
+    ``above(z, least)``, where it is given, evaluates what is compared with a merit ``least``: of points that are not
+    better it may return any value and violation that are not better, which may cost less. The search is the same.
+    """
 
     def __init__(
-        self, evaluate: Evaluate, low: Array, high: Array, seed: int, groups: NDArray[np.intp] | None = None
+        self,
+        evaluate: Evaluate,
+        low: Array,
+        high: Array,
+        seed: int,
+        groups: NDArray[np.intp] | None = None,
+        above: EvaluateAbove | None = None,
     ) -> None:
         self.evaluate, self.low, self.high = evaluate, low, high
+        self.above: EvaluateAbove = above or (lambda z, least: evaluate(z))
         self.rng = np.random.default_rng([seed, 7])
         self.groups = np.arange(low.size) if groups is None else groups  # coordinates that move together in a search
 
@@ -106,7 +123,7 @@ class PatternSearch:
         chosen, search.order = search.order[: BATCH // 4], search.order[BATCH // 4 :]
         trials = np.concatenate([self._poll(search, chosen), self._moves(search, BATCH // 2 - 3)])
         trials = np.clip(np.concatenate([trials, *(z[None] for z in search.ahead)]), self.low, self.high)
-        merit = penalised_objective(*self.evaluate(trials))
+        merit = penalised_objective(*self.above(trials, search.merit))
         search.evaluations += len(trials)
         at, better = int(np.argmax(merit)), np.flatnonzero(merit > search.merit)
         search.ahead, search.idle = [], search.idle + 1

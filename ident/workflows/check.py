@@ -34,7 +34,7 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
     """Write the page of a check. Raises SeatrialError where a log of it cannot be read, OSError where ``out`` cannot be
     written."""
     name = report.subject if report.rig is not None and len(report.logs) == 1 else ""
-    write_check_page(report, [log_evidence(path, name) for path in report.logs], command, out)
+    write_check_page(report, [part for path in report.logs for part in log_evidence(path, name)], command, out)
 
 
 def check_first(

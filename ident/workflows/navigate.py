@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.errors import SeatrialError, counted
 from daq.files import new_file
-from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record, share_frame
+from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record, parts_with_sensors, share_frame
 from ident.estimation import ParameterCovariance, load_model, reported_units
 from ident.model import Model
 from ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
@@ -76,13 +76,14 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
     loaded, parts, tables, reference = list[LoadedLog](), [], [], saved.origin
     for path in logs:
         reporter.progress(f"navigating {path.name}")
-        (one,) = share_frame([load_run(path, "navigated", request.window)], reference)
-        reference = reference or one.origin
-        loaded.append(completed(one, saved.model.source, curve))
-        assumed = saved_frame_warnings(model, loaded, saved.origin)
-        done, t0 = _navigate(model, loaded[-1], known, request)
-        parts.append((done, t0, gnss_outages(done)))
-        tables.append(_columns(done, t0))
+        own = share_frame(parts_with_sensors(load_run(path, "navigated", request.window)), reference)
+        reference = reference or own[0].origin
+        for one, outages in zip(own, _outages_of(own, request.gnss_outages), strict=True):
+            loaded.append(completed(one, saved.model.source, curve))
+            done, t0 = _navigate(model, loaded[-1], known, request, outages)
+            parts.append((done, t0, gnss_outages(done)))
+            tables.append(_columns(done, t0))
+    assumed = saved_frame_warnings(model, loaded, saved.origin)
     made = provenance(loaded, command)
     result = NavigationResult(
         created=made.created,
@@ -96,7 +97,7 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         warnings=tuple(assumed),
         notes=tuple(_notes(parts, known)),
     )
-    _write(request.out, result, dict(zip(names, tables, strict=True)))
+    _write(request.out, result, dict(zip((one.run.name for one in loaded), tables, strict=True)))
     return result
 
 
@@ -109,11 +110,26 @@ def _write(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -
     write_report(result, out / "report.html")
 
 
+def _outages_of(
+    parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]
+) -> list[list[tuple[float, float]]]:
+    """Return the outages [s of the log] of each part of a log. Between two parts it belongs to the later."""
+    ends = [max(float(c.t[-1]) for c in one.run.channels.values()) for one in parts[:-1]]
+    own: list[list[tuple[float, float]]] = [[] for _ in parts]
+    for begin, end in outages:
+        own[int(np.searchsorted(ends, begin))].append((begin, end))
+    return own
+
+
 def _navigate(
-    model: Model, one: LoadedLog, known: ParameterCovariance, request: NavigationRequest
+    model: Model,
+    one: LoadedLog,
+    known: ParameterCovariance,
+    request: NavigationRequest,
+    without: Sequence[tuple[float, float]],
 ) -> tuple[Navigation, float]:
     """One log, and its time at the record's first row."""
-    rate, without = request.rate, request.gnss_outages
+    rate = request.rate
     model = as_logged(model, one.holds)
     rows = make_record(model, one.run, rate)
     t0 = float(rows.meta["t0"])

@@ -89,7 +89,7 @@ def noise(
     logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter
 ) -> NoiseResult:
     """White noise and random walk of each channel of logs of sensors at rest."""
-    loaded = load_runs(logs, "estimation")
+    loaded = load_runs(logs, "estimation", cut=False)
     notes: list[str] = []
     found: list[NoiseEstimate] = []
     for path, one in zip(logs, loaded, strict=True):

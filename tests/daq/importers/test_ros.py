@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import shutil
+import sqlite3
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -331,3 +335,56 @@ def test_a_bag_that_was_not_closed_names_the_remedy(tmp_path: Path) -> None:
     path.write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(SeatrialError, match=r"rosbag reindex run\.bag\.active"):
         read_bag(path, SourceOptions())
+
+
+def with_wal(folder: Path) -> Path:
+    """A bag whose recorder was killed: half of the messages are only in the log of SQLite beside the database."""
+    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=STORE)
+        for k in range(N):
+            data = STORE.serialize_cdr(imu(k), "sensor_msgs/msg/Imu")
+            writer.write(connection, round((T0 + 0.1 * k) * 1e9), data)
+    (path,) = (folder / "bag").glob("*.db3")
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as database:
+        rows = database.execute("SELECT * FROM messages WHERE id > ?", (N // 2,)).fetchall()
+        database.execute("DELETE FROM messages WHERE id > ?", (N // 2,))
+        database.execute("PRAGMA journal_mode=WAL")
+        database.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows)
+        killed = folder / "killed"
+        killed.mkdir()
+        for name in ("metadata.yaml", path.name, f"{path.name}-wal"):
+            shutil.copyfile(folder / "bag" / name, killed / name)
+    return killed / path.name
+
+
+@pytest.mark.parametrize("how", ["file", "folder", "folder without metadata"])
+def test_a_database_with_a_wal_is_read_whole_and_stays_as_it_is(tmp_path: Path, how: str) -> None:
+    path = with_wal(tmp_path)
+    if how.endswith("metadata"):
+        (path.parent / "metadata.yaml").unlink()
+    before = {one.name: one.read_bytes() for one in path.parent.iterdir()}
+    (table,) = read_bag(path if how == "file" else path.parent, SourceOptions())
+    assert len(table) == N
+    assert f"{path.name} read with {path.name}-wal" in table.remark
+    assert {one.name: one.read_bytes() for one in path.parent.iterdir()} == before
+
+
+@pytest.mark.parametrize("kind", ["pipe", "link", "damaged"])
+def test_a_wal_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
+    path = with_wal(tmp_path)
+    wal = path.with_name(f"{path.name}-wal")
+    data = wal.read_bytes()
+    wal.unlink()
+    if kind == "pipe":
+        os.mkfifo(wal)
+    elif kind == "link":
+        (tmp_path / "secret").write_bytes(data)
+        wal.symlink_to(tmp_path / "secret")
+    else:
+        wal.write_bytes(data[:16] + bytes(16) + data[32:])  # SQLite takes it for one of another database
+        (table,) = read_bag(path, SourceOptions())
+        assert len(table) == N // 2
+        return
+    for source in (path, path.parent):
+        with pytest.raises(SeatrialError, match="-wal: is not a file"):
+            read_bag(source, SourceOptions())

@@ -6,18 +6,21 @@ import os
 import struct
 import subprocess
 import sys
+import time
 import zlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from click.testing import CliRunner
 
 from daq import cli
 from daq.checks.device_checks import check_devices
 from daq.errors import SeatrialError
 from daq.log.cdr import NANO, cdr_layout
+from daq.log.mcap_chunk import MAX_CHUNK, scan
 from daq.log.mcap_reader import RawLog
 from daq.log.mcap_writer import LogWriter
 from daq.log.reader import open_log
@@ -340,6 +343,52 @@ def test_records_beside_the_messages_are_bounded(tmp_path: Path, monkeypatch: py
             assert set(opened.attachments) == {"rig.toml", "small.txt"}
             assert any("attachment at byte" in warning for warning in opened.warnings)
             assert len(opened.events()) == 1
+
+
+def test_a_name_of_megabytes_is_left_out(tmp_path: Path) -> None:
+    """To spell its control characters for the terminal took minutes."""
+    path = tmp_path / "run.mcap"
+    name = "\x1b" * 4_000_000
+    log = recorder(path, attachments={name: b"1", "small.txt": b"1"}, metadata={"rig": name})
+    log.event(T0, "mark", "x" * 4_000_000)
+    log.close()
+    before = time.process_time()
+    with open_log(path) as opened:
+        assert set(opened.attachments) == {"rig.toml", "small.txt"}
+        assert any("left out (a name of 4000000 characters)" in warning for warning in opened.warnings)
+        said = CliRunner().invoke(cli.info, [str(path)]).output
+    assert time.process_time() - before < 5.0
+    assert len(said) < 20_000
+    assert "\x1b" not in said
+
+
+RECORD = struct.Struct("<BQ")
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return RECORD.pack(opcode, len(content)) + content
+
+
+def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path: Path) -> None:
+    """62 kB: ten chunks of seven million records without content each, which took more than a minute."""
+    plain = record(0x80, b"") * (MAX_CHUNK // RECORD.size)
+    packed = zstandard.ZstdCompressor().compress(plain)
+    head = struct.pack("<QQQII", 0, 9, len(plain), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    header = record(1, struct.pack("<II", 0, 0))
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + header + record(6, head + packed) * 10)
+    before = time.process_time()
+    with open_log(path) as opened:
+        assert opened.counts == {}
+        assert any("unpack to 0.7 GB, 10" in warning for warning in opened.warnings)
+    assert time.process_time() - before < 5.0
+
+
+def test_channels_that_no_index_tells_are_found_among_records_of_applications() -> None:
+    """The limit on records of applications costs no message of a file that has some."""
+    message = record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + b"x")
+    plain = (record(0x80, b"") * 10 + message) * 20_000
+    assert len(scan([(np.frombuffer(plain, np.uint8), b"")], lambda *_: None).heads) == 20_000
 
 
 def test_many_segments_are_open_one_at_a_time(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ from ident.model.structure import Input, Model, Output, Sensor, State, plain_mod
 from ident.models.horizontal import horizontal_model
 from ident.models.surge import surge_model
 from ident.models.yaw import yaw_model
+from ident.numerics.pattern_search import penalised_objective
 from ident.studies.cases import repeats
 from ident.workflows.design import beyond_validity
 from tests.ident.toys import follower, values_of
@@ -184,6 +185,21 @@ def test_many_commands_are_judged_a_few_at_a_time(monkeypatch: pytest.MonkeyPatc
     at_once = task.judge(command)
     monkeypatch.setattr("ident.experiment_design.task.HELD", 8 * task.t.size * 2 * 3)
     np.testing.assert_allclose(task.judge(command), at_once)
+
+
+def test_a_search_judges_only_what_can_be_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The design is the same as with all limits and criteria; what cannot win costs half or nothing."""
+    task = DesignProblem(
+        horizontal_model(), StepInput(8, 2, 40.0, 1.0, GRID, n_max=0.6), limits=DesignLimits(area=(12.0, 12.0))
+    )
+    command = task.commands(task.steps.random(40, np.random.default_rng(2)))
+    value, violation = task.judge(command)
+    assert 0 < (violation == 0.0).sum() < 40
+    merit = penalised_objective(value, violation)
+    for least in (merit.min(), np.median(merit[merit < -1e11]), np.median(merit[violation == 0.0]), merit.max()):
+        found = penalised_objective(*task.judge_above(command, float(least)))
+        np.testing.assert_allclose(found[merit > least], merit[merit > least])
+        assert (found[merit <= least] <= least).all()
 
 
 def test_levels_are_rounded_to_what_the_mission_may_have() -> None:

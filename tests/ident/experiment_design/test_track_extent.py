@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +13,7 @@ from daq.errors import SeatrialError
 from ident.estimation.output_error import simulate
 from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from ident.experiment_design.excitation import StepInput
-from ident.experiment_design.information import planned_record
+from ident.experiment_design.information import Experiments, planned_record
 from ident.experiment_design.task import COAST_S, GRID, N_TRACKS, REST_S, DesignLimits, DesignProblem, ParameterPrior
 from ident.experiment_design.track_extent import TrackExtent, in_current, with_noise_inputs
 from ident.models.horizontal import horizontal_model
@@ -38,6 +41,27 @@ def test_without_noise_it_is_a_plain_simulation() -> None:
     for side, found in ((low, x.min(axis=0)), (high, x.max(axis=0))):
         assert side.shape == (3, 1, 7)
         np.testing.assert_allclose(side[:, 0, :6], np.tile(found, (3, 1)), atol=1e-8)
+
+
+def test_the_inputs_of_a_command_model_are_not_copied_for_each_boat() -> None:
+    """Dozens of delayed inputs for each of 25 boats took ten times as long as the simulation, and gigabytes."""
+    model = horizontal_model("command")
+    t = np.arange(400) * 0.05
+    task = DesignProblem(model, StepInput(4, 2, 20.0, 1.0, GRID), grid=0.05)
+    u = replace(task.actuation, t=t).inputs(0.5 * np.sin(np.arange(400 * 2 * 3).reshape(400, 2, 3)))
+    assert u.shape[1] > 20
+    boats = np.tile(values_of(model), (26, 1)) * np.random.default_rng(1).uniform(0.9, 1.1, (26, 1))
+    reach = TrackExtent(model, t, boats, [1])
+    reach(u[:, :, :1])
+    tracemalloc.start()
+    low, high = reach(u)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < u.nbytes * len(boats) / 3
+    every = np.concatenate([np.repeat(u, 26, axis=2), np.tile(reach.noise, (1, 1, 3))], axis=1)
+    one_by_one = Experiments(with_noise_inputs(model)[0], (), t, process_noise=False)
+    for side, expected in zip((low, high), one_by_one.extents(every, np.tile(boats, (3, 1))), strict=True):
+        np.testing.assert_allclose(side.reshape(expected.shape), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_noise_spreads_the_boats_as_another_integrator_does() -> None:

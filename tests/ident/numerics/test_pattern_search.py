@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ident.experiment_design.criteria import SINGULAR, Criterion
-from ident.numerics.pattern_search import PatternSearch
+from ident.numerics.pattern_search import PatternSearch, breaks_a_constraint
 
 
 def bowl(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -31,6 +31,25 @@ def test_it_leaves_what_is_forbidden_and_stays_inside_bounds() -> None:
     found = PatternSearch(limited, -2.0 * np.ones(2), 2.0 * np.ones(2), seed=3).run(np.array([[2.0, -1.5]]), 8000)
     assert found.violation == 0.0
     assert found.value == pytest.approx(np.sqrt(2.0), abs=5e-3)
+
+
+def test_points_that_cannot_be_better_need_not_be_evaluated_and_the_way_is_the_same() -> None:
+    def limited(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return z.sum(axis=1), np.maximum(np.hypot(z[:, 0], z[:, 1]) - 1.0, 0.0)
+
+    def above(z: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
+        value, violation = limited(z)
+        if breaks_a_constraint(least):
+            return np.where(violation > 0.0, np.nan, value), violation
+        return value, np.where(value > least, violation, 0.0)
+
+    start, bounds = np.array([[2.0, -1.5]]), (-2.0 * np.ones(2), 2.0 * np.ones(2))
+    one = PatternSearch(limited, *bounds, seed=3).run(start, 4000)
+    two = PatternSearch(limited, *bounds, seed=3, above=above).run(start, 4000)
+    np.testing.assert_array_equal(one.z, two.z)
+    assert one.history == two.history
+    assert breaks_a_constraint(one.history[0][1])
+    assert not breaks_a_constraint(one.history[-1][1])
 
 
 def test_the_same_seed_takes_the_same_way() -> None:

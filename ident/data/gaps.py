@@ -1,0 +1,140 @@
+"""Gaps of a log: times in which no sensor has a sample, and the parts of the log between them.
+
+A filter would cross a gap step by step: a day costs minutes and gigabytes, and at its end the states are as uncertain
+as at the start of a log. A log is therefore cut there, and its parts are runs of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ident.data.record import ON_CHANGE, Channel, LeftOut
+from ident.numerics import Array
+
+LONGEST_GAP_S = 60.0  # s without a sample of any sensor; a longer time cuts the log
+USUAL_INTERVALS = 10.0  # a log of slow sensors is cut where the gap is longer than so many of its intervals
+SHORTEST_PIECE_S = 10.0  # s; a shorter part of a log gives too little information
+DRIVES = ("n_", "servo_", "voltage_")  # signals of the thrusters, which go on while the sensors are off
+COMMAND = "n_cmd_"
+
+
+def is_held(name: str, channel: Channel) -> bool:
+    """Whether a signal is an input that holds between its samples: a command, or an imported input that is no line."""
+    return name.startswith(COMMAND) or channel.hold not in ("", "linear")
+
+
+def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
+    """Find the gaps of a log: times between two samples in which no sensor has one.
+
+    Parameters
+    ----------
+    channels
+        The signals of the log by name.
+
+    Returns
+    -------
+    list
+        Begin and end [s] of each gap that is longer than `LONGEST_GAP_S` and `USUAL_INTERVALS` usual intervals.
+
+    Notes
+    -----
+    Shaft speeds count only in a log without other sensors, as of a bench. Commands never count: an input without a
+    sensor gives nothing to estimate from.
+    """
+    outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
+    sensors = {name: c for name, c in outputs.items() if not name.startswith(DRIVES) and not c.hold}
+    times = [c.t for c in (sensors or outputs).values()]
+    if not times:
+        return []
+    t: Array = np.unique(np.concatenate(times))
+    steps = np.diff(t)
+    longest = max(LONGEST_GAP_S, USUAL_INTERVALS * float(np.median(steps))) if steps.size else np.inf
+    return [(float(t[k]), float(t[k + 1])) for k in np.flatnonzero(steps > longest)]
+
+
+def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, float]]) -> list[dict[str, Channel]]:
+    """Cut the signals of a log at its gaps.
+
+    Parameters
+    ----------
+    channels
+        The signals of the log by name.
+    gaps
+        Begin and end [s] of each gap, as `silent_times` returns them.
+
+    Returns
+    -------
+    list
+        The signals of each part. A signal with fewer than two samples in a part is left out of it.
+
+    Notes
+    -----
+    A command that is written where it changes holds across the gap: its last value stands at the start of the part.
+    Any other signal is unknown until its first sample after the gap.
+    """
+    edges = [-np.inf, *(t for gap in gaps for t in gap), np.inf]
+    silent = sum(end - begin for begin, end in gaps)
+    parts: list[dict[str, Channel]] = []
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        part: dict[str, Channel] = {}
+        for name, c in channels.items():
+            # A sample inside a gap belongs to no part: the sensors that it would be used with are silent.
+            a, b = int(np.searchsorted(c.t, begin)), int(np.searchsorted(c.t, end, side="right"))
+            cut = part_of(c, a, b)
+            if a and is_held(name, c) and c.t[-1] - c.t[0] - silent > ON_CHANGE * c.t.size:
+                cut = replace(cut, t=np.append(begin, cut.t), value=np.append(c.value[a - 1], cut.value))
+            if cut.t.size > 1:
+                part[name] = cut
+        parts.append(part)
+    return parts
+
+
+def part_of(channel: Channel, a: int, b: int) -> Channel:
+    """Return the samples a to b of a signal, and of those that were left out the ones between them."""
+    t, left_out = channel.t[a:b], channel.left_out
+    if left_out is not None and t.size:
+        times = left_out.t + channel.t[0]
+        inside = (times >= t[0]) & (times <= t[-1])
+        left_out = LeftOut(times[inside] - t[0], left_out.value[inside]) if inside.any() else None
+    return replace(channel, t=t, value=channel.value[a:b], left_out=left_out)
+
+
+def gap_line(gaps: Sequence[tuple[float, float]]) -> str:
+    """Return the sentence about where a log is cut."""
+    begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
+    where = f"no sensor has a sample from {seconds(begin)} to {seconds(end)} s"
+    if len(gaps) == 1:
+        return f"{where}: the log is cut there, and its parts are runs of their own"
+    return f"the log is cut at {len(gaps)} gaps, and its parts are runs of their own; in the longest, {where}"
+
+
+def seconds(t: float) -> str:
+    """Write a time of a log with tenths of a second, which tell the parts of ten years apart."""
+    return f"{round(t, 1) + 0.0:.1f}".removesuffix(".0")  # no "-0"
+
+
+def clock_of(t: Array, step: float, before: float = 0.0) -> Array:
+    """Return a fine clock over the samples of a signal, with nothing in its gaps.
+
+    Parameters
+    ----------
+    t
+        Times of the samples (n,), never decreasing [s].
+    step
+        Interval of the clock [s].
+    before
+        How long before the first sample, and before the first one after a gap, the clock begins [s].
+
+    Returns
+    -------
+    Array
+        Times (m,), increasing [s]. Without a gap they are `step` apart from `t[0] - before` to the last sample.
+    """
+    if not t.size:
+        return t
+    last = np.append(np.flatnonzero(np.diff(t) > LONGEST_GAP_S + before), t.size - 1)
+    first = np.append(0, last[:-1] + 1)
+    return np.concatenate([np.arange(t[a] - before, t[b] + step, step) for a, b in zip(first, last, strict=True)])

@@ -1,0 +1,138 @@
+"""A log is cut where no sensor has a sample, and its parts cost what they would cost alone."""
+
+from __future__ import annotations
+
+import resource
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.errors import SeatrialError, SeatrialWarning
+from daq.samples import Ahrs
+from ident.checks.log_checks import check_log, log_evidence
+from ident.data.gaps import clock_of, parts_between, silent_times
+from ident.data.loading import TimeWindow, known_pieces, load_all, load_run, load_runs
+from ident.data.record import Channel, LeftOut, make_record
+from ident.models.horizontal import horizontal_model
+from tests.missions import boat_with, record, rig_of, sail
+
+DAY, TEN_YEARS = 86_400.0, 10 * 365.25 * 86_400.0
+SECONDS = 30.0
+
+
+def log_with_gap(path: Path, gap: float, n_last: int | None = None) -> Path:
+    """A log of two missions with nothing in between, the second of which may have few samples."""
+    boat = boat_with(None, 4)
+    first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
+    late = [reading._replace(t=reading.t + SECONDS + gap) for reading in second[:n_last]]
+    return record(path, rig_of("boat"), [*first, *late])
+
+
+@pytest.mark.parametrize("gap", [DAY, TEN_YEARS])
+def test_parts_cost_what_they_would_cost_alone(tmp_path: Path, gap: float) -> None:
+    """A day between them cost a minute and a gigabyte, ten years were refused for want of memory."""
+    path = log_with_gap(tmp_path / "run.mcap", gap)
+    end = f"{SECONDS + gap:.0f}"
+    limit = resource.getrlimit(resource.RLIMIT_AS)
+    in_use = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (in_use + 300_000_000, limit[1]))
+    try:
+        with pytest.warns(SeatrialWarning, match=rf"no sensor has a sample from 30 to {end} s: the log is cut there"):
+            loaded, _ = load_all([path], [])
+        records = [make_record(horizontal_model(), one.run, 10.0) for one in loaded]
+        evidence = log_evidence(path)
+        found = check_log(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, limit)
+    assert [one.about["name"] for one in loaded] == ["run[0:30]", f"run[{end}:{SECONDS + SECONDS + gap:.0f}]"]
+    assert [r.name for r in records] == [one.about["name"] for one in loaded]
+    alone = make_record(horizontal_model(), load_run(log_with_gap(tmp_path / "b.mcap", 1.0), "judged").run, 10.0)
+    for one in records:
+        assert one.duration == pytest.approx(SECONDS, abs=0.5)
+        assert one.n_rows < 0.6 * alone.n_rows
+    assert [one.name for one in evidence] == [one.about["name"] for one in loaded]
+    assert all(1000 < one.intervals[0].t.size < 1600 for one in evidence)
+    assert max(row.interval.max() for one in evidence for row in one.intervals) < 1.0
+    assert [f for f in found if f.level == "fault"] == []
+
+
+def test_a_finding_names_the_part_it_is_of(tmp_path: Path) -> None:
+    boat = boat_with(None, 4)
+    first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
+    late = [r._replace(t=r.t + 2.0 * SECONDS + DAY) for r in second]
+    late = [r._replace(sample=replace(r.sample, r=-r.sample.r)) if isinstance(r.sample, Ahrs) else r for r in late]
+    found = check_log(record(tmp_path / "run.mcap", rig_of("boat"), [*first, *late]))
+    (sign,) = [f for f in found if f.level == "fault"]
+    assert sign.text.startswith("from 86460 to 86490 s: ")
+
+
+def test_a_short_gap_and_a_short_part_are_no_runs(tmp_path: Path) -> None:
+    whole = load_run(log_with_gap(tmp_path / "short.mcap", 50.0), "judged")
+    assert known_pieces(whole) == [whole]
+    path = log_with_gap(tmp_path / "run.mcap", DAY, n_last=400)
+    with pytest.warns(SeatrialWarning, match="its parts are runs of their own; 1 part shorter than 10 s is left out"):
+        (one,) = load_runs([path], "judged")
+    assert one.about["name"] == "run[0:30]"
+    with pytest.warns(SeatrialWarning):
+        (late,) = load_runs([log_with_gap(tmp_path / "b.mcap", DAY)], "judged", TimeWindow(40.0))
+    assert late.about["name"] == "b[86430:86460]"
+
+
+def test_a_log_of_nothing_but_gaps_is_refused(tmp_path: Path) -> None:
+    boat = boat_with(None, 4)
+    readings = [r._replace(t=r.t + 100.0 * int(r.t / 5.0)) for r in sail(boat, SECONDS, 3)[0].readings]
+    with pytest.raises(SeatrialError, match=r"run\.mcap: has no 10 s on end with samples; the log is cut at 6 gaps"):
+        load_all([record(tmp_path / "run.mcap", rig_of("boat"), readings)], [])
+
+
+def of(t: list[float], hold: str = "") -> Channel:
+    return Channel(np.array(t), np.arange(len(t), dtype=float), hold=hold)
+
+
+def test_what_counts_as_a_gap() -> None:
+    """A GNSS outage with a running gyro is none, shaft speeds alone are nothing to fit, and slow is no gap."""
+    steady = Channel(np.arange(0.0, 1000.0, 0.5), np.zeros(2000))
+    outage = Channel(np.append(np.arange(100.0), np.arange(900.0, 1000.0)), np.zeros(200))
+    assert silent_times({"r": steady, "x": outage}) == []
+    assert silent_times({"n_left": steady, "x": outage}) == [(99.0, 900.0)]
+    assert silent_times({"n_cmd_left": steady, "n_left": outage}) == [(99.0, 900.0)]
+    assert silent_times({"x": Channel(np.arange(0.0, 90_000.0, 300.0), np.zeros(300))}) == []
+    assert silent_times({"n_cmd_left": steady}) == []
+    assert silent_times({}) == []
+
+
+def test_a_command_written_where_it_changes_holds_across_a_gap() -> None:
+    gaps = [(100.0, 1000.0)]
+    sensor = Channel(np.append(np.arange(101.0), np.arange(1000.0, 1101.0)), np.zeros(202))
+    every_second = Channel(sensor.t + 0.25, np.arange(202.0))
+    first, second = parts_between(
+        {"x": sensor, "n_cmd_left": of([3.0, 90.0, 1050.0]), "n_left": every_second, "f": of([5.0, 9.0])}, gaps
+    )
+    assert first["n_cmd_left"].t.tolist() == [3.0, 90.0]
+    assert (second["n_cmd_left"].t.tolist(), second["n_cmd_left"].value.tolist()) == ([1000.0, 1050.0], [1.0, 2.0])
+    assert second["n_left"].t[0] == 1000.25
+    assert set(second) == {"x", "n_cmd_left", "n_left"}
+    regular = Channel(sensor.t + 0.125, np.arange(202.0), hold="zero")
+    regular = replace(regular, t=np.repeat(regular.t, 2) + np.tile([0.0, 0.5], 202), value=np.arange(404.0))
+    assert parts_between({"x": sensor, "n_cmd_left": regular}, gaps)[1]["n_cmd_left"].t[0] == 1000.125
+
+
+def test_outliers_belong_to_their_part() -> None:
+    t = np.append(np.arange(101.0), np.arange(1000.0, 1101.0))
+    left_out = LeftOut(np.array([7.5, 1003.5]), np.array([1e7, 1e8]))
+    first, second = parts_between({"x": Channel(t, np.zeros(202), left_out=left_out)}, [(100.0, 1000.0)])
+    assert first["x"].left_out is not None
+    assert second["x"].left_out is not None
+    assert (first["x"].left_out.t.tolist(), first["x"].left_out.value.tolist()) == ([7.5], [1e7])
+    assert (second["x"].left_out.t.tolist(), second["x"].left_out.value.tolist()) == ([3.5], [1e8])
+
+
+def test_a_fine_clock_has_nothing_in_a_gap() -> None:
+    t = np.append(np.arange(0.0, 10.0, 0.1), np.arange(3e8, 3e8 + 10.0, 0.1))
+    clock = clock_of(t, 0.01, before=1.0)
+    assert clock.size < 2300
+    assert np.all(np.diff(clock) > 0.0)
+    np.testing.assert_array_equal(clock_of(t[:100], 0.01), np.arange(0.0, t[99] + 0.01, 0.01))
+    assert clock_of(np.array([]), 0.01).size == 0
