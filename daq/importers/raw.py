@@ -6,13 +6,13 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 from daq.config import default_decoder
 from daq.errors import SeatrialError, counted
 from daq.importers.write_log import SignalRow, write_frames
-from daq.protocol import Decoder, nmea, ubx
+from daq.protocol import Decoder, nmea, ubx, vectornav
 from daq.samples import Ahrs, Frame, Gnss, LoadCell
 
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
@@ -35,6 +35,9 @@ def import_raw(
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
         raise SeatrialError(f"{path}: no {protocol} samples among {decoder.frames} whole frames ({wrong})")
+    if isinstance(decoder, vectornav.Decoder):
+        frames, n_left_out = _without_doubles(frames)
+        wrong += f"; {counted(n_left_out, 'ASCII sample')} left out beside the binary ones" * bool(n_left_out)
     device = _NAMES[type(frames[0].sample)]
     times = _even_times(frames, rate) if rate else _device_times(path, frames)
     said = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
@@ -65,6 +68,30 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
         frames = _dated([_timed(frame) for frame in frames])
     decoder.reset()  # an incomplete frame counts as unparsed
     return frames, digest.hexdigest()
+
+
+def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
+    """Leave out the quantities that a VectorNav sends twice, as ASCII without a time and in binary with its own.
+
+    Returns
+    -------
+    tuple
+        The frames; of one without a time only what no binary one has is left, with the time of the one before. The
+        number of frames of which nothing is left.
+    """
+    timed = [frame.sample for frame in frames if math.isfinite(frame.t_device)]
+    names = [field.name for field in fields(Ahrs) if field.name not in ("mx", "my", "mz")]  # which no model takes
+    known = {name for name in names for sample in timed if not math.isnan(getattr(sample, name))}
+    if not known:
+        return list(frames), 0
+    kept: list[Frame] = []
+    for frame in frames:
+        own = {name for name in names if not math.isnan(getattr(frame.sample, name))}
+        if math.isfinite(frame.t_device):
+            kept.append(frame)
+        elif isinstance(frame.sample, Ahrs) and own - known:
+            kept.append(frame._replace(sample=replace(frame.sample, **dict.fromkeys(own & known, math.nan))))
+    return kept, len(frames) - len(kept)
 
 
 def _timed(frame: Frame) -> Frame:
