@@ -20,7 +20,7 @@ from daq.importers.samples import sample_tables
 from daq.log.reader import open_log
 from daq.protocol import nmea, vectornav
 from daq.protocol.framing import crc16, sentence
-from daq.samples import Ahrs, Frame, Gnss, LoadCell
+from daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
 from tests.measured.data import measured
 
 SAMPLES = [Ahrs(0.1 * k, 0.01, -0.02, 0.001, 0.002, 0.003 * k, 0.1, 0.2, -9.8) for k in range(40)]
@@ -75,6 +75,25 @@ def test_what_only_the_ascii_of_a_vectornav_has_is_kept(tmp_path: Path) -> None:
         table = log.table(Ahrs, "ahrs")
     assert np.isnan(table["yaw"]).tolist() == [False, True]
     assert table["r"][1] == pytest.approx(SAMPLES[3].r, abs=1e-6)
+
+
+def test_the_transducers_of_nmea_keep_their_names(tmp_path: Path) -> None:
+    """Pitch and roll are parts of the attitude; others were lost."""
+    parts = []
+    for k in range(20):
+        parts.append(nmea.encode(Gnss(1.7e9 + k, 59.0, 10.0, fix=3)))
+        parts.append(sentence(f"IIXDR,T,{900 + k},R,ENGINE#0,C,40.5,C,ENGINE#0_OIL,A,2.0,D,PTCH,P,1.5,B,Oil Pressure"))
+    (tmp_path / "boat.nmea").write_bytes(b"".join(parts))
+    for rate in (None, 1.0):
+        out, _ = import_raw("nmea", tmp_path / "boat.nmea", rate=rate, out=tmp_path / "b.mcap", force=True)
+        with open_log(out) as log:
+            assert sorted(log.sources(Scalar)) == ["xdr_ENGINE_0", "xdr_ENGINE_0_OIL", "xdr_Oil_Pressure"]
+            table = log.table(Scalar, "xdr_ENGINE_0")
+            assert (log.unit("xdr_ENGINE_0"), log.unit("xdr_Oil_Pressure")) == ("rev/min", "Pa")
+            assert log.table(Scalar, "xdr_Oil_Pressure")["value"][0] == pytest.approx(1.5e5)
+        assert table["value"].tolist() == [900.0 + k for k in range(20)]
+        start = 1.7e9 if rate is None else 0.0
+        np.testing.assert_allclose(table["t"], start + np.arange(20), atol=1e-6)
 
 
 def test_two_kinds_of_sentences_at_a_rate(tmp_path: Path) -> None:
