@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -84,7 +85,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
             )
         if style is None:
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the map by hand")
-        options = SourceOptions(style)
+        options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as the map says
     tables = [table for table in kind.read(path, options) if table.names]
     head = [
         f"# From `seatrial import --guess {path.name}`. Look at each caveat, then `seatrial import MAP {path.name}`.",
@@ -163,7 +164,8 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
         if clock.caveat and clock != main:
             place = f"{table.topic}, {clock.column!r}" if table.topic else repr(clock.column)
             caveats.append(f"{place}: {clock.caveat}")
-    line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
+    date = f", date = {_quoted(main.date)}" if main.date else ""
+    line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)}{date} }}"
     if main.rate:
         day = datetime.fromtimestamp(main.start, UTC).isoformat() if main.start > DATES[0] else ""
         origin = f', origin = "{day}"' if day else ""

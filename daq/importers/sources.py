@@ -11,6 +11,7 @@ from daq.importers.table import SourceOptions, Table
 from daq.importers.text_table import TextTable, wide_encoding
 
 _HEAD = 65536
+LABVIEW = b"LabVIEW Measurement"
 
 
 class SourceKind(NamedTuple):
@@ -49,10 +50,14 @@ def source_kind(path: Path) -> SourceKind:
 
     if is_can_log(head):
         return SourceKind("can", read_can)
+    if head.startswith(LABVIEW):
+        from daq.importers.labview import read_lvm
+
+        return SourceKind("labview", read_lvm)
     if b"\0" in head and not wide_encoding(head):
         raise SeatrialError(
             f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
-            "MATLAB (.mat), Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 as text)"
+            "MATLAB (.mat), LabVIEW (.lvm), Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 as text)"
         )
     return SourceKind("csv", _read_text)
 
