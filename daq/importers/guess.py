@@ -15,6 +15,7 @@ import numpy as np
 
 from daq.checks import held_signals, held_together
 from daq.errors import SeatrialError
+from daq.importers.bench_table import COMMAND, bench_candidates
 from daq.importers.clocks import DATES, Clock, clock_of, row_seconds
 from daq.importers.import_map import GEOGRAPHIC
 from daq.importers.recognise import (
@@ -104,8 +105,9 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
             if words & DRIVES and without_unit(column) not in FORCES:  # N may be north: no share in their scale
                 drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
+    benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
-    candidates += outputs(tables)
+    candidates = benches or [*candidates, *outputs(tables)]
     candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
     taken, lines = _choose(candidates, clocks, main)
@@ -540,6 +542,8 @@ def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))
         return f"this log is of no boat (MAV_TYPE {vehicle}): its outputs are no thrusters of one"
     names = {signal.name for signal in taken}
+    if {"force", COMMAND} <= names:  # a thruster on the bench
+        return ""
     if not names & set(MOTION):
         return "no position, velocity, heading or yaw rate was recognised"
     if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
