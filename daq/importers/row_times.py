@@ -85,7 +85,12 @@ def _of_numbers(raw: Column, weeks: Column, form: str) -> Column:
         return (raw - DAY_COUNTS[form]) * DAY
     if form == "labview":
         return raw + LABVIEW_EPOCH
-    gps = ubx.GPS_EPOCH + weeks * ubx.WEEK + raw * GPS_UNITS[form]
+    return gps_seconds(weeks, raw * GPS_UNITS[form])
+
+
+def gps_seconds(weeks: Column, seconds: Column) -> Column:
+    """Return UTC [s since 1970] of GPS weeks and the seconds in them, each (n,)."""
+    gps = ubx.GPS_EPOCH + weeks * ubx.WEEK + seconds
     return np.array([ubx.gps_to_utc(t) for t in gps.tolist()])
 
 

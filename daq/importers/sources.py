@@ -11,7 +11,7 @@ from daq.importers.table import SourceOptions, Table
 from daq.importers.text_table import TextTable, wide_encoding
 
 _HEAD = 65536
-LABVIEW = b"LabVIEW Measurement"
+LABVIEW, FLYSIGHT = b"LabVIEW Measurement", b"$FLYS"
 
 
 class SourceKind(NamedTuple):
@@ -50,14 +50,18 @@ def source_kind(path: Path) -> SourceKind:
 
     if is_can_log(head):
         return SourceKind("can", read_can)
-    if head.startswith(LABVIEW):
+    if head.removeprefix(b"\xef\xbb\xbf").startswith(LABVIEW):
         from daq.importers.labview import read_lvm
 
         return SourceKind("labview", read_lvm)
+    if head.removeprefix(b"\xef\xbb\xbf").startswith(FLYSIGHT):
+        from daq.importers.flysight import read_flysight
+
+        return SourceKind("flysight", read_flysight)
     if b"\0" in head and not wide_encoding(head):
         raise SeatrialError(
-            f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
-            "MATLAB (.mat), LabVIEW (.lvm), Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 as text)"
+            f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), MATLAB "
+            "(.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 as text)"
         )
     return SourceKind("csv", _read_text)
 
