@@ -60,8 +60,8 @@ def source_kind(path: Path) -> SourceKind:
         return SourceKind("flysight", read_flysight)
     if b"\0" in head and not wide_encoding(head):
         raise SeatrialError(
-            f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), MATLAB "
-            "(.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 as text)"
+            f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
+            "MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 text)"
         )
     return SourceKind("csv", _read_text)
 
