@@ -44,7 +44,7 @@ _DAYS: tuple[str, ...] = (
     "%d-%m-%Y",
 )
 _DAYS += ("%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y", "%Y%m%d", "%Y:%m:%d", "%Y-%m-%d")
-_DAYS += ("%d-%b-%y", "%d-%m-%y", "%d.%b.%Y", "%d/%b/%Y", "%d %B %Y", "%B %d %Y", "%d%m%y")
+_DAYS += ("%d-%b-%y", "%d-%m-%y", "%d.%b.%Y", "%d/%b/%Y", "%d %B %Y", "%B %d %Y")
 _CLOCKS = (
     "%H:%M:%S",
     "%H:%M:%S.%f",
@@ -58,6 +58,7 @@ _CLOCKS = (
 # Some are numbers or dates where they stand alone.
 _BEHIND_DAYS = (*_CLOCKS, "%H%M%S", "%H%M%S.%f", "%H-%M-%S", "%H-%M-%S.%f")
 _MINUTES = ("%M:%S.%f", "%M:%S,%f", "%M:%S")  # times of an hour
+_COMPACT = {6: "%d%m%y", 8: "%Y%m%d"}  # dates of digits alone, by their number
 _WHOLE = ("%a %b %d %H:%M:%S %Y", "%a %b %d %H:%M:%S.%f %Y", "%a, %d %b %Y %H:%M:%S", "%a, %d %b %Y %H:%M:%S.%f")
 _BOTH = tuple(f"{day}{blank}{clock}" for day in _DAYS for clock in _BEHIND_DAYS for blank in (" ", "T", ", ", "_", "-"))
 _ZONE = re.compile(r"( ?)(?:(UTC|GMT)|Z|[+-]\d\d:?\d\d)$")
@@ -128,7 +129,25 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
         form, caveat = format_of_text(together)
         if form:
             clock = Clock(name, form, caveat, date=dates[0])
+    elif form == "s" and (compact := _compact_date(table, name)) is not None:
+        clock = compact
     return _even_clock(table, clock)
+
+
+def _compact_date(table: Table, name: str) -> Clock | None:
+    """The clock of a date and a time of day that are digits alone, 120524 and 130000.5; None if it is none."""
+    times = _typical(table.text(name))
+    if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
+        return None
+    clock = "%H%M%S.%f" if any("." in text for text in times) else "%H%M%S"
+    for date in (one for one in table.names if one and read_name(one).words & {"date", "datum", "day", "utcdate"}):
+        days = _typical(table.text(date)) if table.names.count(date) == 1 else []
+        pattern = _COMPACT.get(len(days[0]) if days else 0)
+        if pattern is None or any(len(day) != len(days[0]) for day in days):
+            continue
+        if _fits(partial(read_date, pattern=pattern), days):
+            return Clock(name, f"{pattern} {clock}", "", date=date)
+    return None
 
 
 def _is_text(table: Table, name: str) -> bool:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.checks import lacks_too_much
 from daq.errors import SeatrialError, counted
 from daq.importers.import_map import DAY_COUNTS, GPS_UNITS, TIME_UNITS, TimeColumn
 from daq.importers.table import Column, Table
@@ -16,7 +17,6 @@ from daq.protocol import ubx
 
 DAY = 86400.0  # s
 HOUR = 3600.0  # s
-MOST_UNTIMED = 0.2  # share of the rows without a time: more is another format
 LABVIEW_EPOCH = -2_082_844_800.0  # s since 1970 of 1904-01-01
 _ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)$")  # at the end of an ISO time
 _LONG_FRACTION = re.compile(r"([.,]\d{6})\d+")  # %f has six digits
@@ -44,7 +44,7 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
     Raises
     ------
     SeatrialError
-        A cell has no time of this format; with ``lenient``, more than one in five.
+        A cell has no time of this format; with ``lenient``, so many that the log would lack too much.
     """
     if time is not None and time.rate_hz:
         return np.arange(len(table)) / time.rate_hz
@@ -117,7 +117,7 @@ def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
 
 
 def _may_lack(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
-    return lenient and len(untimed) <= MOST_UNTIMED * len(t)
+    return lenient and len(untimed) < len(t) and not lacks_too_much(len(untimed), len(t))  # it is another format
 
 
 def _behind_midnight(t: Column, form: str) -> Column:

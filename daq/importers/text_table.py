@@ -111,12 +111,15 @@ class TextTable(Table):
         """Count the lines with another number of cells than the header. Raise where they may be rows."""
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
-        what = f"{counted(n_cells, 'cell')} where the header has {width}"
         if self._style.nan != "drop" or n > MOST_RAGGED * (n + len(self.lines)):
-            raise SeatrialError(f"{self.path}: line {line}: {what}; is the delimiter right, is the last line whole?")
+            raise SeatrialError(
+                f"{self.path}: line {line}: {counted(n_cells, 'cell')} where the header has {width}; is the delimiter "
+                "right, is the last line whole?"
+            )
         if n == 1 and is_cut and (not self.lines or line > self.lines[-1]):
             self._note(f"line {line}, the last, is not whole and left out")
         else:
+            what = f"{counted(n_cells, 'cell')} where the header has {width}"
             self._note(f"{counted(n, 'line')} left out; the first, line {line}, has {what}")
 
     def _note(self, text: str) -> None:

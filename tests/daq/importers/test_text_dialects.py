@@ -260,6 +260,12 @@ DIALECTS: dict[str, tuple[str, float, int]] = {
     "date and time of 12 hours": (
         two_columns("%m/%d/%Y", lambda t: f"{t:%I:%M:%S}{ms(t)} {t:%p}", start=MIDNIGHT), MIDNIGHT.timestamp(), 0,
     ),
+    "date and time of digits": (
+        two_columns("%d%m%y", lambda t: f"{t:%H%M%S}{ms(t)}", start=MIDNIGHT), MIDNIGHT.timestamp(), 0,
+    ),
+    "date and time of digits, the year first": (
+        two_columns("%Y%m%d", lambda t: f"{t:%H%M%S}.{t.microsecond // 100000}"), START.timestamp(), 0,
+    ),
     "UTC behind it": (table("time", lambda t: f"{t:%Y-%m-%d %H:%M:%S}{ms(t)} UTC"), START.timestamp(), 0),
     "a zone behind it": (
         table("time", lambda t: f"{t + timedelta(hours=2):%d.%m.%Y %H:%M:%S}{ms(t)}+02:00"), START.timestamp(), 0,
