@@ -3,6 +3,8 @@
 Theory of operation. ``$COL,GNSS,time,lat,...`` names the columns of a sensor, ``$UNIT,GNSS,,deg,...`` their units, and
 a row of it is ``$GNSS,2024-05-12T13:00:00.000Z,59.1,...``. Fixes have UTC. The other sensors count seconds since
 power-on. ``$TIME,time,tow,week`` has such a time and the GPS time of the same instant, by which they are moved to UTC.
+Without these rows the places of the fixes among the other rows tell the offset: a fix stands behind the last row before
+its receipt. The shortest delay is that of the measurement to within one row.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import math
 from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +23,7 @@ from daq.importers.row_times import gps_seconds
 from daq.importers.table import Column, SourceOptions, Table
 
 _TIME, _CLOCK = "time", "TIME"  # column of the time; sensor that has it with GPS time
+_UTC = 1e9  # s: a time that is greater is one since 1970
 _SLOWEST_RATE = 1e-3  # of the clock against GPS time: more is a wrong row
 
 
@@ -33,11 +37,11 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     """
     columns: dict[str, list[str]] = {}
     units: dict[str, list[str]] = {}
-    rows: dict[str, list[list[str]]] = {}
+    rows: dict[str, list[list[str]]] = {}  # each with the number of its line in front
     n_lost: Counter[str] = Counter()
     try:
         with path.open(encoding="utf-8", errors="replace", newline="") as file:
-            for cells in csv.reader(line.replace("\0", "") for line in file):
+            for number, cells in enumerate(csv.reader(line.replace("\0", "") for line in file)):
                 word, sensor = cells[0] if cells else "", cells[1] if len(cells) > 1 else ""
                 if word == "$COL":
                     columns[sensor] = [cell.strip() for cell in cells[2:]]
@@ -45,40 +49,54 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
                     units[sensor] = [cell.strip() for cell in cells[2:]]
                 elif (name := word[1:]) in columns and word.startswith("$"):
                     if len(cells) - 1 == len(columns[name]):
-                        rows.setdefault(name, []).append(cells[1:])
+                        rows.setdefault(name, []).append([str(number), *cells[1:]])
                     else:
                         n_lost[name] += 1  # a card that was full, or a battery that was empty
     except (OSError, csv.Error) as error:
         raise SeatrialError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    tables = [
-        _table(
-            path,
-            name,
-            columns[name],
-            dict(zip(columns[name], units.get(name, ()), strict=False)),
-            rows[name],
-            n_lost[name],
+    sensors = [
+        _sensor(
+            path, name, columns[name], dict(zip(columns[name], units.get(name, ()), strict=False)), own, n_lost[name]
         )
-        for name in rows
+        for name, own in rows.items()
         if _TIME in columns[name]
     ]
-    if not tables:
+    if not sensors:
         raise SeatrialError(f"{path}: no rows below the header")
-    _move_to_utc(tables)
-    return [table for table in tables if table.topic != _CLOCK] or tables
+    _move_to_utc(sensors)
+    return [one.table for one in sensors if one.table.topic != _CLOCK] or [one.table for one in sensors]
 
 
-def _table(
+class _Sensor(NamedTuple):
+    """A table and the numbers of the lines of its rows, (n,)."""
+
+    table: Table
+    lines: Column
+
+    @property
+    def t(self) -> Column:
+        """Times of its rows [s], (n,)."""
+        assert self.table.t is not None
+        return self.table.t
+
+    @property
+    def has_utc(self) -> bool:
+        """Whether its times are UTC."""
+        return bool(len(self.t) and self.t[0] > _UTC)
+
+
+def _sensor(
     path: Path, name: str, columns: list[str], units: dict[str, str], rows: list[list[str]], n_lost: int
-) -> Table:
+) -> _Sensor:
     at = columns.index(_TIME)
-    t = np.array([_seconds(row[at]) for row in rows])
+    t = np.array([_seconds(row[at + 1]) for row in rows])
     known = np.isfinite(t)
-    values = {c: np.array([_number(row[k]) for row in rows])[known] for k, c in enumerate(columns) if c and k != at}
+    lines = np.array([float(row[0]) for row in rows])[known]
+    values = {c: np.array([_number(row[k + 1]) for row in rows])[known] for k, c in enumerate(columns) if c and k != at}
     n_lost += int(np.sum(~known))
     remark = f"{counted(n_lost, 'row')} without a time or not whole left out" if n_lost else ""
     stated = {column: unit for column, unit in units.items() if unit and column in values}
-    return Table(path, name, values, t[known], remark=remark, units=stated)
+    return _Sensor(Table(path, name, values, t[known], remark=remark, units=stated), lines)
 
 
 def _seconds(cell: str) -> float:
@@ -101,19 +119,30 @@ def _number(cell: str) -> float:
         return math.nan
 
 
-def _move_to_utc(tables: list[Table]) -> None:
-    """Move the times of the device's own clock to UTC, by the rows that have both; without these they stay."""
-    clock = next((table for table in tables if table.topic == _CLOCK and {"tow", "week"} <= set(table.names)), None)
-    if clock is None or clock.t is None:
+def _move_to_utc(sensors: list[_Sensor]) -> None:
+    """Move the times of the device's own clock to UTC."""
+    clock = next(
+        (one for one in sensors if one.table.topic == _CLOCK and {"tow", "week"} <= set(one.table.names)), None
+    )
+    fixes = next((one for one in sensors if one.has_utc), None)
+    own = [one for one in sensors if one.table.topic != _CLOCK and len(one.t) and not one.has_utc]
+    if clock is not None:
+        delay = gps_seconds(clock.table.columns["week"], clock.table.columns["tow"]) - clock.t
+        good = np.isfinite(delay) & (np.abs(delay - np.nanmedian(delay)) < 1.0 + _SLOWEST_RATE * np.ptp(clock.t))
+        if good.any():
+            for one in own:
+                one.table.t = _moved(one.t, clock.t[good], delay[good])
+            return
+    if fixes is None:
         return
-    utc = gps_seconds(clock.columns["week"], clock.columns["tow"])
-    delay = utc - clock.t
-    good = np.isfinite(delay) & (np.abs(delay - np.nanmedian(delay)) < 1.0 + _SLOWEST_RATE * np.ptp(clock.t))
-    if not good.any():
-        return
-    for table in tables:
-        if table.t is not None and table is not clock and len(table.t) and table.t[-1] < utc[good][0]:
-            table.t = _moved(table.t, clock.t[good], delay[good])
+    for one in own:
+        before = np.searchsorted(one.lines, fixes.lines) - 1  # the last row of the sensor in front of each fix
+        delay = fixes.t - one.t[before]
+        if not np.any(before >= 0):
+            continue
+        one.table.t = one.t + np.max(delay[before >= 0])
+        moved = "its times are moved to UTC by the fixes among its rows, to within one row"
+        one.table.remark = "; ".join(part for part in (one.table.remark, moved) if part)
 
 
 def _moved(t: Column, known: Column, delay: Column) -> Column:

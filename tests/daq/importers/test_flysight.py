@@ -71,6 +71,26 @@ def test_sensors_get_the_time_of_gps(tmp_path: Path) -> None:
     np.testing.assert_allclose(r["t"], START + 0.2 * k, atol=1e-3)
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_sensors_among_fixes_get_their_time(late: int, tmp_path: Path) -> None:
+    """Without the time of GPS: most fixes come late, behind a further row of the gyros."""
+    lines = [line for line in sensors() if "TIME" not in line][:-N]
+    lines[-1:] = [line for line in track() if line.startswith(("$COL", "$UNIT"))] + ["$DATA"]
+    fixes = [line for line in track() if line.startswith("$GNSS")]
+    gyros = [f"$IMU,{7.0 + 0.2 * k:.3f},0.1,0.2,{0.1 * k:.2f},0.0,0.01,1.0,25.1" for k in range(N)]
+    behind = [k + late * (k % 10 > 0) for k in range(N)]  # the row of the gyros behind which each fix stands
+    for k in range(N):
+        lines += [gyros[k], *(fixes[j] for j in range(N) if behind[j] == k)]
+    (tmp_path / "ALL.CSV").write_text("\n".join(lines) + "\n")
+    guess = guess_map(tmp_path / "ALL.CSV")
+    (tmp_path / "map.toml").write_text(guess.text)
+    with pytest.warns(SeatrialWarning, match="IMU: its times are moved to UTC by the fixes among its rows"):
+        (path,) = import_files(tmp_path / "map.toml", [tmp_path / "ALL.CSV"], out=tmp_path / "a.mcap")
+    with open_log(path) as log:
+        r = log.table(Scalar, "r")
+    np.testing.assert_allclose(r["t"], START + 0.2 * np.arange(N), atol=1e-3)
+
+
 def test_a_file_without_rows_is_refused(tmp_path: Path) -> None:
     (tmp_path / "TRACK.CSV").write_text("\n".join(track()[:6]) + "\n")
     with pytest.raises(SeatrialError, match="no rows below the header"):
