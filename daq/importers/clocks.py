@@ -14,7 +14,7 @@ import numpy as np
 from daq.errors import SeatrialError
 from daq.importers.import_map import TIME_UNITS, TimeColumn
 from daq.importers.recognise import DRIVES, Name, read_name
-from daq.importers.row_times import LABVIEW_EPOCH, read_date, row_times
+from daq.importers.row_times import LABVIEW_EPOCH, dated, read_date, row_times
 from daq.importers.table import Column, Table
 
 _TIME = re.compile(
@@ -44,7 +44,7 @@ _DAYS: tuple[str, ...] = (
     "%d-%m-%Y",
 )
 _DAYS += ("%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y", "%Y%m%d", "%Y:%m:%d", "%Y-%m-%d")
-_DAYS += ("%d-%b-%y", "%d-%m-%y", "%d.%b.%Y", "%d/%b/%Y", "%d %B %Y", "%B %d %Y")
+_DAYS += ("%d-%b-%y", "%d-%m-%y", "%d.%b.%Y", "%d/%b/%Y", "%d %B %Y", "%B %d %Y", "%Y-%j", "%Y/%j")
 _CLOCKS = (
     "%H:%M:%S",
     "%H:%M:%S.%f",
@@ -58,10 +58,14 @@ _CLOCKS = (
 # Some are numbers or dates where they stand alone.
 _BEHIND_DAYS = (*_CLOCKS, "%H%M%S", "%H%M%S.%f", "%H-%M-%S", "%H-%M-%S.%f")
 _MINUTES = ("%M:%S.%f", "%M:%S,%f", "%M:%S")  # times of an hour
+_DIGITS = re.compile(
+    r"20\d\d(0[1-9]|1[0-2])([0-2]\d|3[01])([01]\d|2[0-3])([0-5]\d){2}(\.?\d{1,6})?"
+)  # 20240512130000.1
+MOST_DAYS = 3.0  # of a time in shares of a day
 _COMPACT = {6: "%d%m%y", 8: "%Y%m%d"}  # dates of digits alone, by their number
 _WHOLE = ("%a %b %d %H:%M:%S %Y", "%a %b %d %H:%M:%S.%f %Y", "%a, %d %b %Y %H:%M:%S", "%a, %d %b %Y %H:%M:%S.%f")
 _BOTH = tuple(f"{day}{blank}{clock}" for day in _DAYS for clock in _BEHIND_DAYS for blank in (" ", "T", ", ", "_", "-"))
-_ZONE = re.compile(r"( ?)(?:(UTC|GMT)|Z|[+-]\d\d:?\d\d)$")
+_ZONE = re.compile(r"( ?)(?:((?!AM|PM)[A-Z]{3,5})|Z|[+-]\d\d:?\d\d)$")
 FEW = 0.05  # share of the texts of a column that may be of another shape: no times
 _COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
 _ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
@@ -124,10 +128,8 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
             caveat = f"{weeks[0]!r} is counted modulo 1024: give the time an origin of 1024 weeks or of 2048"
             clock = clock._replace(caveat=caveat)
     elif dates and form.startswith(("%H", "%I")):
-        days, times = table.text(dates[0]), table.text(name)
-        together = [f"{day.strip()} {time.strip()}" for day, time in zip(days, times, strict=True)]
-        form, caveat = format_of_text(together)
-        if form:
+        form, caveat = format_of_text(dated(table, dates[0], name))
+        if form == "iso" or "%d" in form or "%j" in form:
             clock = Clock(name, form, caveat, date=dates[0])
     elif form == "s" and (compact := _compact_date(table, name)) is not None:
         clock = compact
@@ -216,6 +218,10 @@ def _format(table: Table, column: str) -> tuple[str, str]:
         return form or "%d.%m.%Y %H:%M:%S", caveat or "" if form else (
             f"times like {shown!r}: write their pattern (strptime), and fraction where they have one"
         )
+    if _DIGITS.fullmatch(next((text.strip() for text in table.text(column) if text.strip()), "")):
+        patterns = ("%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f", "%Y%m%d%H%M%S%f")
+        if fitting := [one for one in patterns if _fits(partial(read_date, pattern=one), _typical(table.text(column)))]:
+            return fitting[0], ""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     values = values[np.isfinite(values)]
     if name.unit in TIME_UNITS:
@@ -277,7 +283,9 @@ def _shape(text: str) -> str:
 @cache
 def _pattern_shapes(pattern: str) -> frozenset[str]:
     """The shapes of texts of a pattern, with and without its fraction of a second."""
-    shapes = [re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSf]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))]
+    shapes = [
+        re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSfj]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))
+    ]
     return frozenset(_shape(shape) for shape in shapes)
 
 
@@ -315,7 +323,7 @@ def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))
-    for unit, size in TIME_UNITS.items():
+    for unit, size in ((one, TIME_UNITS[one]) for one in ("s", "ms", "us", "ns")):
         if DATES[0] < size * top < DATES[1] and size * step < SLOWEST:
             odd = size * step >= ODD
             return unit, f'{top:.6g} is taken for seconds since 1970; since a start it may be "ms"' if odd else ""
@@ -325,6 +333,8 @@ def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
         return "datenum", ""
     if EXCEL[0] < top < EXCEL[1] and 0.0 < step < FASTEST:
         return "excel", 'days of Excel, counted from 1900; a workbook that counts from 1904 has format = "excel1904"'
+    if FASTEST < step * TIME_UNITS["day"] < ODD and step < FASTEST and top < MOST_DAYS and not name.unit:
+        return "day", f"steps of {step:.4g} are taken for shares of a day"
     for unit, usual, word in (("ns", 2e6, "nano"), ("us", 2e3, "micro"), ("ms", 2.0, "milli")):
         if step >= usual:
             return unit, f"steps of {step:.4g} are taken for {word}seconds"

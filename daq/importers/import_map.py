@@ -17,7 +17,7 @@ from daq.rig import NAME
 
 # Every map of the second kind is one of the first, but keeps repeats unless it says otherwise.
 FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
 DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days: 1970-01-01 in each
 GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times of a GPS week [s]
 FORMATS_OF_TIME = (*TIME_UNITS, "iso", *DAY_COUNTS, "labview", *GPS_UNITS)

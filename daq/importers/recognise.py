@@ -165,7 +165,7 @@ _UNITS = {  # as they are written behind names -> as maps have them
     "kts": "kn", "knots": "kn", "km/h": "km/h", "m/s2": "m/s2", "m/s^2": "m/s2", "g": "g", "1/s": "rev/s", "hz": "Hz",
     "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns", "-": "1",
     "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "μs": "us", "nsec": "ns",
-    "n·m": "Nm",
+    "n·m": "Nm", "min": "min", "minutes": "min", "h": "h", "hr": "h", "hours": "h", "days": "day", "day": "day",
 }  # fmt: skip
 _SUFFIX = re.compile(r"_(deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
 _BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")

@@ -97,9 +97,7 @@ def gps_seconds(weeks: Column, seconds: Column) -> Column:
 def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
     """Seconds (n,) of text, NaN where a cell is not of the format."""
     parse = _parser(time)
-    text = [cell.strip() for cell in table.text(time.column)]
-    if time.date:
-        text = [f"{day.strip()} {cell}" for day, cell in zip(table.text(time.date), text, strict=True)]
+    text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
     found = np.full(len(text), np.nan)
     first: ValueError | None = None
     for row, cell in enumerate(text):
@@ -112,8 +110,22 @@ def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
     wrong = np.flatnonzero(np.isnan(found))
     if len(wrong) and not _may_lack(wrong, found, lenient):
         row = int(wrong[0])
-        raise table.error(row, time.column, f"'{text[row][:40]}' is not a time of format {time.format}") from first
+        problem = f"'{text[row][:40]}' is not a time of format {time.format}"
+        advice = "; give its pattern (strptime) as format of [time]" if "%" in time.format else ""
+        raise table.error(row, time.column, problem + advice) from first
     return found
+
+
+def dated(table: Table, date: str, time: str) -> list[str]:
+    """Return the texts of a column of dates, a blank, and the texts of a column of times of the day.
+
+    A date that is left out is that of the row above.
+    """
+    texts, day = [], ""
+    for cell, clock in zip(table.text(date), table.text(time), strict=True):
+        day = cell.strip() or day
+        texts.append(f"{day} {clock.strip()}")
+    return texts
 
 
 def _may_lack(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:

@@ -13,6 +13,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
@@ -30,7 +31,8 @@ MOST_TEXT = 0.5  # share of the filled cells of a column: with more it is a colu
 MOST_RAGGED = 0.2  # share of the lines with another number of cells: more is another delimiter
 LEAST_NUMERIC = 0.25  # share of the cells of a row that are numbers or times: in less it is no row
 LEAST_OF_USUAL = 0.4  # of the share that the last rows have: a title with some numbers has less
-LEAST_SAME = 0.9  # share of the rows with as many cells as most: less is no table
+MOST_LINES = 4  # of a cell of a header in quotes
+LEAST_SAME = 0.8  # share of the rows with as many cells as most: less is no table
 _THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*"), ",": re.compile(r"[+-]?\d{1,3}([. ]\d{3})+,\d*")}
 _WHOLE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*([^\d\s.,+-]\S*)", re.IGNORECASE)
@@ -75,11 +77,11 @@ class TextTable(Table):
         first = next(rows, None)
         if first is not None and header[0].strip() in _COMMENTS and len(first[1]) == len(header) - 1:
             header = header[1:]  # the mark of a comment in front of the names
-        self._header = [name.strip() for name in header]
+        self._header = [name.strip().replace("\r", "").replace("\n", " ") for name in header]
         width = len(header)
         ragged: list[tuple[int, int]] = []  # line and number of cells
         for line, cells in chain([first] if first else [], rows):
-            names = [cell.strip() for cell in cells]
+            names = [cell.strip().replace("\r", "").replace("\n", " ") for cell in cells]
             if names == self._header or names[1:] == self._header:
                 continue  # the logger was restarted
             if is_comment(cells, width):
@@ -207,7 +209,7 @@ class _WatchedLines:
     def __iter__(self) -> Iterator[str]:
         for line in self._lines:
             self.is_cut = not line.endswith(("\n", "\r"))
-            yield line
+            yield line.replace("\0", "")  # blocks of a card that were never written
 
 
 def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
@@ -313,25 +315,38 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     except UnicodeDecodeError as error:
         encoding = encoding if error.start > len(head) - 4 else "latin-1"
         text = head.decode(encoding, "ignore")
-    lines = text.splitlines()[:-1] or text.splitlines()
+    lines, places = _whole_lines(text.splitlines()[:-1] or text.splitlines())
     best: tuple[float, TextStyle] | None = None
     for delimiter in DELIMITERS:
         for decimal in (".", ","):
             found = _table_in(lines, TextStyle(delimiter, decimal, encoding))
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
-    return None if best is None else best[1]
+    return None if best is None else replace(best[1], skip_rows=places[best[1].skip_rows])
+
+
+def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
+    """Lines of rows, of which a cell in quotes may have several lines of the file; and at which line each begins."""
+    found: list[str] = []
+    places: list[int] = []
+    for place, line in enumerate(lines):
+        if found and found[-1].count('"') % 2 and place - places[-1] < MOST_LINES:
+            found[-1] += f"\n{line}"
+        else:
+            found.append(line)
+            places.append(place)
+    return found, places
 
 
 def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
     """The style with its header, and how many numbers these lines have in it, times their share; None: no table."""
-    rows = [next((cells for _, cells in _split([line], style)), []) for line in lines]
-    widths = Counter(len(cells) for cells in rows[-20:] if cells).most_common(1)
+    rows = [next((cells for _, cells in _split(line.splitlines(keepends=True), style)), []) for line in lines]
+    widths = Counter(len(cells) for cells in rows if cells).most_common(1)
     if not widths:
         return None
     width = widths[0][0]
     # A line of a title that a spreadsheet has filled up with separators has fewer cells with something in them.
-    last = [cells for cells in rows[-20:] if len(cells) == width]
+    last = [cells for cells in rows if len(cells) == width][-20:]
     least = min(_n_filled(cells) for cells in last) / 2
     least_share = max(LEAST_NUMERIC, LEAST_OF_USUAL * float(np.median([_share(cells, style) for cells in last])))
     first = next(

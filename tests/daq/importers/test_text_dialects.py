@@ -218,6 +218,14 @@ def two_columns(day: str, clock: Callable[[datetime], str], decimal: str = ".", 
 PLAIN = table("time", elapsed)
 HEADER, *ROWS = PLAIN.splitlines()
 MIDNIGHT = datetime(2024, 5, 31, 23, 59, 50, tzinfo=UTC)
+AIM = "\n".join(
+    [
+        quoted("Format;AiM CSV File\nSample Rate;10"),
+        quoted("Time;n_left;n_right;x;y;yaw;yaw_rate\ns;;;m;m;rad;rad/s"),
+        quoted("\n".join(ROWS).replace(",", ";")),
+    ]
+)
+TWO_LINES = PLAIN.replace("yaw [rad]", '"yaw\n[rad]"').replace("yaw_rate [rad/s]", '"yaw rate\n[rad/s]"')
 LABVIEW_S = 2_082_844_800  # from 1904 to 1970
 GPS_S, LEAP_S = 315_964_800, 18
 # Table -> time of its first row [s since 1970], rows that it lacks
@@ -279,6 +287,26 @@ DIALECTS: dict[str, tuple[str, float, int]] = {
     "names of months and underscores": (
         table("time", lambda t: f"{t:%d-%b-%Y_%H-%M-%S}{ms(t)}"), START.timestamp(), 0,
     ),
+    "a header of AiM": (AIM, 0.0, 0),
+    "names of two lines": (TWO_LINES, 0.0, 0),
+    "blocks that were never written": (
+        "\n".join([HEADER, *ROWS[:80], "\0" * 700, *ROWS[80:]]) + "\n" + "\0" * 3000, 0.0, 0,
+    ),
+    "minutes since the start": (table("time [min]", lambda t: f"{(t - START).total_seconds() / 60.0:.8f}"), 0.0, 0),
+    "hours since the start": (table("Time (h)", lambda t: f"{(t - START).total_seconds() / 3600.0:.9f}"), 0.0, 0),
+    "shares of a day": (table("Time", lambda t: f"{(t.timestamp() % 86400.0) / 86400.0:.10f}"), 32400.0, 0),
+    "date and time in one number": (
+        table("stamp", lambda t: f"{t:%Y%m%d%H%M%S}.{t.microsecond // 100000}"), START.timestamp(), 0,
+    ),
+    "date and milliseconds in one number": (
+        table("stamp", lambda t: f"{t:%Y%m%d%H%M%S}{ms(t, '')}"), START.timestamp(), 0,
+    ),
+    "a date in the first row only": (
+        two_columns("%Y-%m-%d", lambda t: f"{t:%H:%M:%S}{ms(t)}").replace("\n2024-05-12;", "\n;").replace(
+            "\n;", "\n2024-05-12;", 1), START.timestamp(), 0,
+    ),
+    "the name of a zone": (table("time", lambda t: f"{t:%d.%m.%Y %H:%M:%S}{ms(t)} CEST"), START.timestamp(), 0),
+    "days of the year": (table("time", lambda t: f"{t:%Y-%j %H:%M:%S}{ms(t)}"), START.timestamp(), 0),
     "ctime": (table("time", lambda t: f"{t:%a %b %d %H:%M:%S}{ms(t)} {t:%Y}"), START.timestamp(), 0),
 }  # fmt: skip
 
@@ -322,6 +350,10 @@ REFUSED = {
     "milliseconds without their zeros": (
         table("time", lambda t: f"{t:%H:%M:%S}:{t.microsecond // 1000}"), "is not a time of format",
     ),
+    "a month in another language": (
+        table("Zeit", lambda t: f"{t:%d}. Mai {t:%Y %H:%M:%S}"), r"its pattern \(strptime\) as format of \[time\]$",
+    ),
+    "a DataFlash log as text": ("FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n", "import the .BIN of"),
     "a third of short lines": (
         "\n".join([HEADER, *(row if k % 3 else "1,2,3" for k, row in enumerate(ROWS))]) + "\n", "no table of numbers",
     ),
