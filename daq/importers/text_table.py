@@ -164,14 +164,16 @@ class TextTable(Table):
         cells = self._without_units(column, [cell.strip() for cell in self.text(column)])
         decimal = self._style.decimal
         has_thousands = decimal == "." and self._style.delimiter == ","  # in quotes: the comma is no decimal mark
-        found = np.full(len(cells), math.nan)
-        wrong: list[int] = []
-        for row, text in enumerate(cells):
-            try:
-                found[row] = to_number(text, decimal, has_thousands)
-            except ValueError:
-                if text.lower() not in _EMPTY:
-                    wrong.append(row)
+        found, wrong = np.full(len(cells), math.nan), list[int]()
+        try:
+            found[:] = _plain_numbers(cells, decimal)
+        except ValueError:  # a cell with more than digits: each by itself
+            for row, text in enumerate(cells):
+                try:
+                    found[row] = to_number(text, decimal, has_thousands)
+                except ValueError:
+                    if text.lower() not in _EMPTY:
+                        wrong.append(row)
         wrong += np.flatnonzero(np.isinf(found)).tolist()
         if not wrong:
             return found
@@ -210,6 +212,13 @@ class _WatchedLines:
         for line in self._lines:
             self.is_cut = not line.endswith(("\n", "\r"))
             yield line.replace("\0", "")  # blocks of a card that were never written
+
+
+def _plain_numbers(cells: Sequence[str], decimal: str) -> list[float]:
+    """The numbers of a column. Raises ValueError where a cell is none, or may be one that no instrument writes."""
+    if any("_" in text for text in cells):
+        raise ValueError("_")
+    return list(map(float, cells if decimal == "." else (text.replace(decimal, ".") for text in cells)))
 
 
 def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
