@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import datetime
-from functools import partial
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,14 +14,17 @@ import numpy as np
 from daq.errors import SeatrialError
 from daq.importers.import_map import TIME_UNITS, TimeColumn
 from daq.importers.recognise import DRIVES, Name, read_name
-from daq.importers.signals import read_date, row_times
+from daq.importers.row_times import LABVIEW_EPOCH, dated, read_date, row_times
 from daq.importers.table import Column, Table
 
 _TIME = re.compile(
     r"(^|_)(t|time|stamp|timestamp|datetime|date|utc|seconds|secs|epoch|tow|zeit|datum|uhrzeit|zeitstempel|heure|hora|"
-    r"fecha|tijd)($|_)"
+    r"fecha|tijd|x_value)($|_)"
 )
-DATES = (1e9, 4e9)  # s since 1970, of the years 2001 to 2096
+_TOW = {"tow", "gps_tow", "gpstow", "itow", "i_tow", "time_of_week", "gps_time_of_week", "gps_ms", "gms", "gps_seconds"}
+_WEEK = {"week", "gps_week", "gpsweek", "wn", "gwk", "week_number", "gps_week_number", "wno"}
+_WEEKS_OF_EPOCH = 1024  # receivers of old count the weeks of GPS modulo this
+DATES = (1e9, 3e9)  # s since 1970, of the years 2001 to 2065
 FASTEST, SLOWEST = 5e-4, 60.0  # s between rows, of the loggers of boats
 ODD = 2.0  # s between rows: more is rather a step in milliseconds
 DATENUM = (7e5, 8e5)  # MATLAB's days, of the years 1916 to 2190
@@ -40,7 +44,29 @@ _DAYS: tuple[str, ...] = (
     "%d-%m-%Y",
 )
 _DAYS += ("%m-%d-%Y", "%d-%b-%Y", "%d %b %Y", "%b %d %Y", "%Y%m%d", "%Y:%m:%d", "%Y-%m-%d")
-_CLOCKS = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%H:%M", "%I:%M %p", "%H%M%S")
+_DAYS += ("%d-%b-%y", "%d-%m-%y", "%d.%b.%Y", "%d/%b/%Y", "%d %B %Y", "%B %d %Y", "%Y-%j", "%Y/%j")
+_CLOCKS = (
+    "%H:%M:%S",
+    "%H:%M:%S.%f",
+    "%H:%M:%S,%f",
+    "%H:%M:%S:%f",
+    "%I:%M:%S %p",
+    "%I:%M:%S.%f %p",
+    "%H:%M",
+    "%I:%M %p",
+)
+# Some are numbers or dates where they stand alone.
+_BEHIND_DAYS = (*_CLOCKS, "%H%M%S", "%H%M%S.%f", "%H-%M-%S", "%H-%M-%S.%f")
+_MINUTES = ("%M:%S.%f", "%M:%S,%f", "%M:%S")  # times of an hour
+_DIGITS = re.compile(
+    r"20\d\d(0[1-9]|1[0-2])([0-2]\d|3[01])([01]\d|2[0-3])([0-5]\d){2}(\.?\d{1,6})?"
+)  # 20240512130000.1
+MOST_DAYS = 3.0  # of a time in shares of a day
+_COMPACT = {6: "%d%m%y", 8: "%Y%m%d"}  # dates of digits alone, by their number
+_WHOLE = ("%a %b %d %H:%M:%S %Y", "%a %b %d %H:%M:%S.%f %Y", "%a, %d %b %Y %H:%M:%S", "%a, %d %b %Y %H:%M:%S.%f")
+_BOTH = tuple(f"{day}{blank}{clock}" for day in _DAYS for clock in _BEHIND_DAYS for blank in (" ", "T", ", ", "_", "-"))
+_ZONE = re.compile(r"( ?)(?:((?!AM|PM)[A-Z]{3,5})|Z|[+-]\d\d:?\d\d)$")
+FEW = 0.05  # share of the texts of a column that may be of another shape: no times
 _COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
 _ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
 
@@ -53,6 +79,7 @@ class Clock(NamedTuple):
     caveat: str = ""
     rate: float = 0.0  # Hz, of rows whose stamps are coarser than they are; else 0
     start: float = 0.0  # s, of the first of these rows
+    date: str = ""  # the column of its dates or GPS weeks, as a map has it
 
 
 def clock_of(table: Table) -> Clock:
@@ -61,15 +88,18 @@ def clock_of(table: Table) -> Clock:
         return Clock()
     names = [name for name in table.names if name and table.names.count(name) == 1]
     plain = {name: read_name(name).plain for name in names}
-    strict = [name for name in names if plain[name] in ("t", "time", "timestamp")]
+    strict = [name for name in names if plain[name] in ("t", "time", "timestamp", "uhrzeit", "zeit")]
     loose = [name for name in names if _TIME.search(plain[name])]
+    dates = [name for name in loose if _is_text(table, name) and _day_format(table.text(name))]
+    in_week = [name for name in names if plain[name] in _TOW]
+    weeks = [name for name in names if plain[name] in _WEEK]
     # Of a date and a time of day in two columns the first has no time: it is the same in all rows.
-    for name in (*strict, *(name for name in names if name in table.seconds), *loose):
-        if _may_be_time(table, name):
-            return _even_clock(table, Clock(name, *_format(table, name)))
+    for name in (*strict, *(name for name in names if name in table.seconds), *in_week, *loose):
+        if name not in dates and _may_be_time(table, name):
+            return _named_clock(table, name, dates, weeks if name in in_week else ())
     for name in strict:  # coarser than the rows, or with rows out of order: its name tells it all the same
-        if _may_be_time(table, name, LEAST_RISING):
-            return _even_clock(table, Clock(name, *_format(table, name)))
+        if name not in dates and _may_be_time(table, name, LEAST_RISING):
+            return _named_clock(table, name, dates, ())
     # Without a name to go by: a first column that rises evenly, and is no signal by its name.
     for name in names[:2]:  # the first may be the name of a boat or of a run
         said = read_name(name)
@@ -78,7 +108,7 @@ def clock_of(table: Table) -> Clock:
         try:
             values = table.numbers(name)
         except SeatrialError:  # text
-            if form := _format_of_text(table.text(name))[0]:
+            if form := format_of_text(table.text(name))[0]:
                 return Clock(name, form, f"{name!r} has dates and is taken for the time")
             continue
         if _may_be_time(table, name) and _is_even(values):
@@ -88,12 +118,54 @@ def clock_of(table: Table) -> Clock:
     return Clock()
 
 
+def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
+    """The clock of a column that is one by its name, with the date or GPS week of another column where it needs one."""
+    form, caveat = _format(table, name)
+    clock = Clock(name, form, caveat)
+    if weeks and form in ("s", "ms"):
+        clock = Clock(name, "gps" if form == "s" else "gps_ms", date=weeks[0])
+        if float(np.nanmax(table.numbers(weeks[0]), initial=0.0)) < _WEEKS_OF_EPOCH:
+            caveat = f"{weeks[0]!r} is counted modulo 1024: give the time an origin of 1024 weeks or of 2048"
+            clock = clock._replace(caveat=caveat)
+    elif dates and form.startswith(("%H", "%I")):
+        form, caveat = format_of_text(dated(table, dates[0], name))
+        if form == "iso" or "%d" in form or "%j" in form:
+            clock = Clock(name, form, caveat, date=dates[0])
+    elif form == "s" and (compact := _compact_date(table, name)) is not None:
+        clock = compact
+    return _even_clock(table, clock)
+
+
+def _compact_date(table: Table, name: str) -> Clock | None:
+    """The clock of a date and a time of day that are digits alone, 120524 and 130000.5; None if it is none."""
+    times = _typical(table.text(name))
+    if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
+        return None
+    clock = "%H%M%S.%f" if any("." in text for text in times) else "%H%M%S"
+    for date in (one for one in table.names if one and read_name(one).words & {"date", "datum", "day", "utcdate"}):
+        days = _typical(table.text(date)) if table.names.count(date) == 1 else []
+        pattern = _COMPACT.get(len(days[0]) if days else 0)
+        if pattern is None or any(len(day) != len(days[0]) for day in days):
+            continue
+        if _fits(partial(read_date, pattern=pattern), days):
+            return Clock(name, f"{pattern} {clock}", "", date=date)
+    return None
+
+
+def _is_text(table: Table, name: str) -> bool:
+    try:
+        table.numbers(name)
+    except SeatrialError:
+        return True
+    return False
+
+
 def row_seconds(table: Table, clock: Clock) -> Column | None:
     """Times of the rows [s], (n,); None where they cannot be told."""
     if not clock.column:
         return table.t
     try:
-        return row_times(table, TimeColumn(clock.column, clock.form))
+        return row_times(table, TimeColumn(clock.column, clock.form, clock.date), lenient=True)
     except SeatrialError:
         return None
 
@@ -107,7 +179,7 @@ def _even_clock(table: Table, clock: Clock) -> Clock:
     """The clock with the rate of the rows where its stamps are much coarser, as whole seconds are, and every stamp but
     the first and the last has about as many rows."""
     t = row_seconds(table, clock)
-    if t is None or not np.all(np.diff(t) >= 0.0):
+    if t is None or not np.all(np.diff(t) >= 0.0):  # NaN, too
         return clock
     _, count = np.unique(t, return_counts=True)
     inner = count[1:-1]
@@ -141,11 +213,15 @@ def _format(table: Table, column: str) -> tuple[str, str]:
     try:
         values = table.numbers(column)
     except SeatrialError:
-        form, caveat = _format_of_text(table.text(column))
+        form, caveat = format_of_text(table.text(column))
         shown = next((text.strip() for text in table.text(column) if text.strip()), "")[:40]
         return form or "%d.%m.%Y %H:%M:%S", caveat or "" if form else (
             f"times like {shown!r}: write their pattern (strptime), and fraction where they have one"
         )
+    if _DIGITS.fullmatch(next((text.strip() for text in table.text(column) if text.strip()), "")):
+        patterns = ("%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f", "%Y%m%d%H%M%S%f")
+        if fitting := [one for one in patterns if _fits(partial(read_date, pattern=one), _typical(table.text(column)))]:
+            return fitting[0], ""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     values = values[np.isfinite(values)]
     if name.unit in TIME_UNITS:
@@ -161,29 +237,23 @@ def _format(table: Table, column: str) -> tuple[str, str]:
     return form, caveat
 
 
-def _format_of_text(texts: Sequence[str]) -> tuple[str, str]:
-    """The format of dates or times of a day as text, and the caveat about it; "" if no pattern fits them all."""
-    filled = [text.strip() for text in texts if text.strip()]
-    # Evenly over the file: the day of the month tells the order of day and month as soon as one is above 12.
-    tried = list(dict.fromkeys(filled[:: max(1, len(filled) // TRIED)] + filled[-1:]))
+def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
+    """Return the format of dates or times of a day as text, and the caveat about it; "" if no pattern fits them."""
+    tried = _typical(texts)
     if not tried:
         return "", ""
     if not tried[0].replace(".", "").isdigit() and _fits(datetime.fromisoformat, tried):
         return "iso", ""
-    fitting = []
-    for day in ("", *_DAYS):
-        for clock in _CLOCKS[: None if day else -1]:
-            for blank in (" ", "T", ", ") if day else ("",):
-                pattern = f"{day}{blank}{clock}"
-                if _fits(partial(read_date, pattern=pattern), tried):
-                    fitting.append(pattern)
-    with_fraction = [pattern for pattern in fitting if "%f" in pattern]
-    fitting = with_fraction or fitting
+    fitting = [one for one in _fitting_patterns(tried, (*_CLOCKS, *_WHOLE, *_BOTH)) if not _is_unpadded(one, tried)]
+    fitting = fitting or _fitting_patterns(tried, _MINUTES)
+    fitting = [pattern for pattern in fitting if "%f" in pattern] or fitting
     if not fitting:
         return "", ""
     found, caveat = fitting[0], ""
     orders = {pattern.index("%d") < pattern.index("%m") for pattern in fitting if "%m" in pattern and "%d" in pattern}
-    if found.startswith(("%H", "%I")):
+    if found in _MINUTES:
+        caveat = f"times like {tried[0]!r} are taken for minutes and seconds, which begin anew each hour"
+    elif found.startswith(("%H", "%I")):
         caveat = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
     elif len(orders) == 2:
         if "%p" in found:  # is written where the month stands first
@@ -191,6 +261,53 @@ def _format_of_text(texts: Sequence[str]) -> tuple[str, str]:
         order = "month" if found.startswith("%m") else "day"
         caveat = f"dates like {tried[0]!r} are taken with the {order} first"
     return found, caveat
+
+
+def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str]:
+    """The patterns that read all texts, each with the zone of the texts behind it if they have one."""
+    fitting = []
+    zone = _ZONE.search(texts[0])
+    for end in ("", zone[1] + (zone[2] or "%z")) if zone else ("",):
+        shapes = {_shape(_ZONE.sub("", text) if end else text) for text in texts}
+        for pattern in patterns:
+            if shapes <= _pattern_shapes(pattern) and _fits(partial(read_date, pattern=pattern + end), texts):
+                fitting.append(pattern + end)
+    return fitting
+
+
+def _shape(text: str) -> str:
+    """A text with 0 for each number and a for each word."""
+    return re.sub(r"[^\W\d_]+", "a", re.sub(r"\d+", "0", text))
+
+
+@cache
+def _pattern_shapes(pattern: str) -> frozenset[str]:
+    """The shapes of texts of a pattern, with and without its fraction of a second."""
+    shapes = [
+        re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSfj]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))
+    ]
+    return frozenset(_shape(shape) for shape in shapes)
+
+
+def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
+    """Whether milliseconds behind a colon have lost their zeros: 12:00:00:5 is 5 ms, and no half second."""
+    return ":%f" in pattern and not all(re.search(r":\d{3}(\D|$)", text) for text in texts)
+
+
+def _typical(texts: Sequence[str]) -> list[str]:
+    """Texts evenly over the file: the day of the month tells the order of day and month as soon as one is above 12.
+    Those of a rare shape are no times: ERR, OVERFLOW."""
+    filled = [text.strip() for text in texts if text.strip()]
+    tried = list(dict.fromkeys(filled[:: max(1, len(filled) // TRIED)] + filled[-1:]))
+    shapes = [_shape(text) for text in tried]
+    number = Counter(shapes)
+    return [text for text, shape in zip(tried, shapes, strict=True) if number[shape] > FEW * len(tried)]
+
+
+def _day_format(texts: Sequence[str]) -> str:
+    """The pattern of texts that are dates without a time of day; "" if they are none."""
+    tried = _typical(texts)
+    return next(iter(_fitting_patterns(tried, _DAYS)), "") if tried else ""
 
 
 def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
@@ -206,14 +323,18 @@ def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))
-    for unit, size in TIME_UNITS.items():
+    for unit, size in ((one, TIME_UNITS[one]) for one in ("s", "ms", "us", "ns")):
         if DATES[0] < size * top < DATES[1] and size * step < SLOWEST:
             odd = size * step >= ODD
             return unit, f'{top:.6g} is taken for seconds since 1970; since a start it may be "ms"' if odd else ""
+    if DATES[0] < top + LABVIEW_EPOCH < DATES[1] and step < SLOWEST:
+        return "labview", ""
     if DATENUM[0] < top < DATENUM[1] and ("date" in name.words or 0.0 < step < FASTEST):
         return "datenum", ""
     if EXCEL[0] < top < EXCEL[1] and 0.0 < step < FASTEST:
         return "excel", 'days of Excel, counted from 1900; a workbook that counts from 1904 has format = "excel1904"'
+    if FASTEST < step * TIME_UNITS["day"] < ODD and step < FASTEST and top < MOST_DAYS and not name.unit:
+        return "day", f"steps of {step:.4g} are taken for shares of a day"
     for unit, usual, word in (("ns", 2e6, "nano"), ("us", 2e3, "micro"), ("ms", 2.0, "milli")):
         if step >= usual:
             return unit, f"steps of {step:.4g} are taken for {word}seconds"

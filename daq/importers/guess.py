@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +15,7 @@ import numpy as np
 
 from daq.checks import held_signals, held_together
 from daq.errors import SeatrialError
+from daq.importers.bench_table import COMMAND, bench_candidates
 from daq.importers.clocks import DATES, Clock, clock_of, row_seconds
 from daq.importers.import_map import GEOGRAPHIC
 from daq.importers.recognise import (
@@ -84,7 +86,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
             )
         if style is None:
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the map by hand")
-        options = SourceOptions(style)
+        options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as the map says
     tables = [table for table in kind.read(path, options) if table.names]
     head = [
         f"# From `seatrial import --guess {path.name}`. Look at each caveat, then `seatrial import MAP {path.name}`.",
@@ -103,8 +105,9 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
             if words & DRIVES and without_unit(column) not in FORCES:  # N may be north: no share in their scale
                 drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
+    benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
-    candidates += outputs(tables)
+    candidates = benches or [*candidates, *outputs(tables)]
     candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
     taken, lines = _choose(candidates, clocks, main)
@@ -163,7 +166,8 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
         if clock.caveat and clock != main:
             place = f"{table.topic}, {clock.column!r}" if table.topic else repr(clock.column)
             caveats.append(f"{place}: {clock.caveat}")
-    line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)} }}"
+    date = f", date = {_quoted(main.date)}" if main.date else ""
+    line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)}{date} }}"
     if main.rate:
         day = datetime.fromtimestamp(main.start, UTC).isoformat() if main.start > DATES[0] else ""
         origin = f', origin = "{day}"' if day else ""
@@ -538,6 +542,8 @@ def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))
         return f"this log is of no boat (MAV_TYPE {vehicle}): its outputs are no thrusters of one"
     names = {signal.name for signal in taken}
+    if {"force", COMMAND} <= names:  # a thruster on the bench
+        return ""
     if not names & set(MOTION):
         return "no position, velocity, heading or yaw rate was recognised"
     if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):

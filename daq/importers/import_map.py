@@ -17,8 +17,10 @@ from daq.rig import NAME
 
 # Every map of the second kind is one of the first, but keeps repeats unless it says otherwise.
 FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
 DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days: 1970-01-01 in each
+GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times of a GPS week [s]
+FORMATS_OF_TIME = (*TIME_UNITS, "iso", *DAY_COUNTS, "labview", *GPS_UNITS)
 GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
@@ -42,10 +44,18 @@ class TimeColumn:
     """Where time comes from: a column, or a rate where the file has none."""
 
     column: str = ""
-    format: str = "s"  # s | ms | us | ns | iso | datenum (MATLAB's days) | excel | excel1904 | a strptime pattern
+    # s | ms | us | ns | iso | datenum (MATLAB's days) | excel | excel1904 | labview (s since 1904) | gps | gps_ms (of
+    # the GPS week in `date`) | a strptime pattern
+    format: str = "s"
+    date: str = ""  # column of the date, in front of the time of day in `column`; or of the GPS week
     fraction: str = ""  # decimal | unpadded-ns: text behind the last point, taken off before `format` applies
     rate_hz: float = 0.0
     origin: float = 0.0  # s since 1970, added
+
+    @property
+    def is_text(self) -> bool:
+        """Whether the times are read as text."""
+        return self.format not in FORMATS_OF_TIME or self.format == "iso" or bool(self.fraction)
 
 
 @dataclass(frozen=True)
@@ -202,7 +212,7 @@ def _style(table: TomlTable | None) -> TextStyle:
     if len(delimiter) != 1 and delimiter != "blank":
         raise table.error("delimiter", f"must be one character or 'blank', not '{delimiter}'")
     decimal = table.text("decimal", ".", choices=(".", ","))
-    if decimal == delimiter:
+    if decimal == delimiter and not (table.has("delimiter") and decimal == ","):  # both where cells are in quotes
         raise table.error("decimal", "is also the delimiter")
     encoding = table.text("encoding", "utf-8-sig")
     try:
@@ -232,19 +242,24 @@ def _time(table: TomlTable) -> TimeColumn:
     else:
         pattern = _time_format(table, "format", "s")
         fraction = table.text("fraction", "", choices=("", "decimal", "unpadded-ns"))
-        if fraction and pattern in ("ms", "us", "ns", *DAY_COUNTS):
+        if fraction and pattern in FORMATS_OF_TIME and pattern not in ("s", "iso"):
             raise table.error("fraction", "goes with seconds only: format s, iso or a pattern")
-        found = TimeColumn(table.text("column"), pattern, fraction, origin=origin)
+        date = table.text("date", "")
+        if date and pattern in FORMATS_OF_TIME and pattern not in ("iso", *GPS_UNITS):
+            raise table.error(
+                "date", f"goes with text or GPS weeks: format iso, gps, gps_ms or a pattern, not {pattern}"
+            )
+        if not date and pattern in GPS_UNITS:
+            raise table.error("format", f"{pattern} needs date: the column of the GPS week")
+        found = TimeColumn(table.text("column"), pattern, date, fraction, origin=origin)
     table.done()
     return found
 
 
 def _time_format(table: TomlTable, key: str, usual: str) -> str:
     pattern = table.text(key, usual)
-    if pattern not in (*TIME_UNITS, "iso", *DAY_COUNTS, usual) and "%" not in pattern:
-        raise table.error(
-            key, f"must be s, ms, us, ns, iso, datenum, excel, excel1904 or a pattern with %, not '{pattern}'"
-        )
+    if pattern not in (*FORMATS_OF_TIME, usual) and "%" not in pattern:
+        raise table.error(key, f"must be {', '.join(FORMATS_OF_TIME)} or a pattern with %, not '{pattern}'")
     if "%" in pattern:
         try:
             datetime.strptime("", pattern)

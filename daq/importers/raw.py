@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 from daq.config import default_decoder
 from daq.errors import SeatrialError, counted
 from daq.importers.write_log import SignalRow, write_frames
-from daq.protocol import Decoder, nmea, ubx
-from daq.samples import Ahrs, Frame, Gnss, LoadCell
+from daq.protocol import Decoder, nmea, ubx, vectornav
+from daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
 
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
+XDR = "xdr_"  # in front of the name of a transducer
 _CHUNK = 1 << 16
 UNDATED = 2 * nmea.DAY  # s since 1970; a time of day without a date is given the day of the receipt, which is 0 here
 
@@ -31,23 +33,47 @@ def import_raw(
     none does. Raises SeatrialError.
     """
     decoder = default_decoder(protocol)
+    if isinstance(decoder, nmea.Decoder):
+        decoder.transducers = []
     frames, sha256 = _decode(decoder, path)
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
         raise SeatrialError(f"{path}: no {protocol} samples among {decoder.frames} whole frames ({wrong})")
-    device = _NAMES[type(frames[0].sample)]
-    times = _even_times(frames, rate) if rate else _device_times(path, frames)
+    if isinstance(decoder, vectornav.Decoder):
+        frames, n_left_out = _without_doubles(frames)
+        wrong += f"; {counted(n_left_out, 'ASCII sample')} left out beside the binary ones" * bool(n_left_out)
+    transducers = list(decoder.transducers or ()) if isinstance(decoder, nmea.Decoder) else []
+    names = _names(frames, transducers)
+    if all(name.startswith(XDR) for name in names):
+        raise SeatrialError(f"{path}: has transducers (XDR) only, which have no times")
+    device = next(name for name in names if not name.startswith(XDR))
+    times = _even_times(frames, names, rate) if rate else _device_times(path, frames)
     said = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
     if rate:
         metadata["import.rate_hz"] = repr(rate)
-    rows = [SignalRow(t, device, frame._replace(t_rx=t)) for t, frame in zip(times, frames, strict=True)]
+    rows = [
+        SignalRow(t, name if name.startswith(XDR) else device, frame._replace(t_rx=t))
+        for t, name, frame in zip(times, names, frames, strict=True)
+    ]
+    units = {name: one.unit for name, one in zip((n for n in names if n.startswith(XDR)), transducers, strict=True)}
     if min(times) < 0.0 or max(times) >= 2**31:
         raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
     note = f"{path.name} as {protocol}: {said}"
-    write_frames(target, rows, metadata=metadata, note=note, force=force, reads=[path])
+    write_frames(target, rows, metadata=metadata, note=note, units=units, force=force, reads=[path])
     return target, said
+
+
+def _names(frames: Sequence[Frame], transducers: Sequence[nmea.Transducer]) -> list[str]:
+    """Return a name for each frame: that of its kind, or for a transducer its own, as a signal can have it."""
+    left = iter(transducers)
+    return [
+        f"{XDR}{re.sub('[^A-Za-z0-9_]+', '_', next(left).name).strip('_')}"
+        if isinstance(frame.sample, Scalar)
+        else _NAMES[type(frame.sample)]
+        for frame in frames
+    ]
 
 
 def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
@@ -65,6 +91,30 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
         frames = _dated([_timed(frame) for frame in frames])
     decoder.reset()  # an incomplete frame counts as unparsed
     return frames, digest.hexdigest()
+
+
+def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
+    """Leave out the quantities that a VectorNav sends twice, as ASCII without a time and in binary with its own.
+
+    Returns
+    -------
+    tuple
+        The frames; of one without a time only what no binary one has is left, with the time of the one before. The
+        number of frames of which nothing is left.
+    """
+    timed = [frame.sample for frame in frames if math.isfinite(frame.t_device)]
+    names = [field.name for field in fields(Ahrs) if field.name not in ("mx", "my", "mz")]  # which no model takes
+    known = {name for name in names for sample in timed if not math.isnan(getattr(sample, name))}
+    if not known:
+        return list(frames), 0
+    kept: list[Frame] = []
+    for frame in frames:
+        own = {name for name in names if not math.isnan(getattr(frame.sample, name))}
+        if math.isfinite(frame.t_device):
+            kept.append(frame)
+        elif isinstance(frame.sample, Ahrs) and own - known:
+            kept.append(frame._replace(sample=replace(frame.sample, **dict.fromkeys(own & known, math.nan))))
+    return kept, len(frames) - len(kept)
 
 
 def _timed(frame: Frame) -> Frame:
@@ -89,13 +139,12 @@ def _at(frame: Frame, t: float) -> Frame:
     return frame._replace(t_device=t, sample=replace(sample, utc=t) if isinstance(sample, Gnss) else sample)
 
 
-def _even_times(frames: Sequence[Frame], rate: float) -> list[float]:
+def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> list[float]:
     """Times [s] 1/rate apart of the most frequent kind of sample, and of one that comes as often but for the ends of
     the capture; rarer ones have the time of the most frequent one before them."""
-    kinds = [type(frame.sample) for frame in frames]
     numbers = Counter(kinds)
-    most, n_most = numbers.most_common(1)[0]
-    so_far: Counter[type] = Counter()
+    most, n_most = max(((kind, n) for kind, n in numbers.items() if not kind.startswith(XDR)), key=lambda pair: pair[1])
+    so_far: Counter[str] = Counter()
     times = []
     for kind in kinds:
         so_far[kind] += 1

@@ -164,7 +164,8 @@ _UNITS = {  # as they are written behind names -> as maps have them
     "rad/s": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "kn": "kn",
     "kts": "kn", "knots": "kn", "km/h": "km/h", "m/s2": "m/s2", "m/s^2": "m/s2", "g": "g", "1/s": "rev/s", "hz": "Hz",
     "rpm": "rev/min", "pwm": "us", "newton": "N", "nm": "Nm", "s": "s", "ms": "ms", "us": "us", "ns": "ns", "-": "1",
-    "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "nsec": "ns",
+    "sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "usec": "us", "µs": "us", "μs": "us", "nsec": "ns",
+    "n·m": "Nm", "min": "min", "minutes": "min", "h": "h", "hr": "h", "hours": "h", "days": "day", "day": "day",
 }  # fmt: skip
 _SUFFIX = re.compile(r"_(deg|degrees|rad|dps|deg_s|rads|rad_s|mps|m_s|kn|kts|knots|ms|us|ns|s|m)$")
 _BRACKET = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
@@ -186,6 +187,7 @@ DRIVES = {
 }
 DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "duty"}
 _NOT_DRIVES = {"angle", "rudder", "azimuth", "pos", "position", "zero", "offset", "current", "voltage", "temperature"}
+_NOT_DRIVES |= {"efficiency"}
 _NOT_DRIVES |= {"effort", "torque", "std", "bias", "status", "min", "max", "temp", "sp", "sat", "sats", "satellites"}
 _LETTERS = {"n", "f"}  # of a thruster only where they stand alone, or beside a side
 SET_POINTS = {"setpoint", "desired", "target", "goal", "reference", "ref"}

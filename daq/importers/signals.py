@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.checks import held_signals
 from daq.errors import SeatrialError, counted
-from daq.importers.import_map import DAY_COUNTS, TIME_UNITS, Signal, Source, TimeColumn
+from daq.importers.import_map import Signal, Source, TimeColumn
 from daq.importers.missing_inputs import input_gaps
+from daq.importers.row_times import row_times
 from daq.importers.table import Column, Table
 from daq.importers.units import UNITS
 from daq.log import local_ned, schema
 
-DAY = 86400.0  # s
-HOUR = 3600.0  # s
 # Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 COARSE = 0.3  # share of the rows whose time repeats: the stamps are coarser than the rows
-_ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)$")  # at the end of an ISO time
 _ATTITUDE = ("roll", "pitch", "yaw")
 # A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
 # to a value: interpolation would make ramps of the steps of a command.
@@ -98,10 +94,10 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         if signal.time:
             time = replace(time or TimeColumn(), column=signal.time, rate_hz=0.0)
             if signal.time_format:
-                time = replace(time, format=signal.time_format, fraction="")
+                time = replace(time, format=signal.time_format, date="", fraction="")
         clock = (id(table), signal.time, signal.time_format)
         if clock not in clocks:
-            t = row_times(table, time)
+            t = row_times(table, time, lenient=source.options.style.time_order == "drop")
             ordered = _order(table, t, source)
             uses[clock] = _RowUse(table, t)
             shared = [s for s in source.signals if (id(_table(tables, s)), s.time, s.time_format) == clock]
@@ -118,7 +114,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
             raw = np.where(np.isnan(raw), (0.0 - signal.offset) / signal.scale, raw)
         if policy == "drop" and not ordered.all() and np.isnan(raw).any():
             # A row of another sensor, with the same time and without a cell of this one, costs it nothing.
-            known = np.isfinite(raw)
+            known = np.isfinite(raw) & np.isfinite(t)
             own = np.zeros(len(raw), bool)
             own[known] = _rising(t[known])
             new, ordered = new | own if source.options.style.repeats != "drop" else new, ordered | own
@@ -164,6 +160,7 @@ class _RowUse:
         self._table, self._t = table, t
         self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
         self._again = np.append(False, np.diff(t) == 0.0)  # rows that say nothing beside the one before
+        self._has_time = np.isfinite(t)  # a remark of the table counts the others
 
     def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
         """Add the values (n,) of a signal, and which rows of it are in order (n,)."""
@@ -174,10 +171,10 @@ class _RowUse:
 
     def left_out(self) -> Iterator[RowsLeftOut]:
         """What the log lacks because of the times of rows. Rows that are written twice are not lacking."""
-        table, t = self._table, self._t
+        table, t = self._table, self._t[self._has_time]
         if table.n_left_out:
             yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
-        if n := int(np.sum(self._valued & ~self._kept & ~self._again)):
+        if n := int(np.sum(self._valued & ~self._kept & ~self._again & self._has_time)):
             why = "back" if np.any(np.diff(t) < 0.0) else "repeats"
             yield RowsLeftOut(table.topic, n, len(t), why, (len(t) - 1) / max(float(np.ptp(t)), 1e-9))
 
@@ -285,100 +282,12 @@ def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
     return np.insert(t, last + 1, t[last] + timeout), np.insert(values, last + 1, 0.0)
 
 
-def row_times(table: Table, time: TimeColumn | None) -> Column:
-    """Time of each row in s of the file's clock, shape (n,). Raises SeatrialError where a cell has none."""
-    if time is not None and time.rate_hz:
-        return np.arange(len(table)) / time.rate_hz
-    if table.t is not None and (time is None or time.column not in table.names):
-        return table.t
-    if time is None:
-        raise SeatrialError(
-            f"{table.path}: it has no times of its own; give [time] column = ... in the map (or rate_hz = ...)"
-        )
-    if time.format in (*TIME_UNITS, *DAY_COUNTS) and not time.fraction:
-        raw = table.numbers(time.column)
-        days = DAY_COUNTS.get(time.format)
-        t = raw * TIME_UNITS[time.format] if days is None else (raw - days) * DAY
-        empty = np.flatnonzero(np.isnan(t))
-        if len(empty):
-            raise table.error(int(empty[0]), time.column, "no time; take the line out")
-        return t
-    parse = _parser(time)
-    text = table.text(time.column)
-    found = np.empty(len(text))
-    for row, cell in enumerate(text):
-        try:
-            found[row] = parse(cell.strip())
-        except ValueError as error:
-            raise table.error(row, time.column, f"'{cell[:40]}' is not a time of format {time.format}") from error
-    if "%" in time.format and np.all(found < DAY):  # times of a day, which begins anew where they fall that far
-        found[1:] += DAY * np.cumsum(np.diff(found) < -DAY / 2)
-    zoned = "%z" in time.format or (time.format == "iso" and text[:1] and _ZONE.search(text[0].strip()))
-    if time.format != "s" and not zoned:
-        _take_out_clock_changes(table, found)
-    return found
-
-
-def _take_out_clock_changes(table: Table, t: Column) -> None:
-    """Take the change between standard and daylight saving time out of local times t (n,) [s].
-
-    The step is one hour, forward or back, beside the usual step; the rows behind it are moved, and a remark says so.
-    """
-    steps = np.diff(t)
-    if len(steps) < 10:
-        return
-    usual = float(np.median(steps))
-    if not 0.0 < usual < 60.0:
-        return
-    for sign, change in ((-1.0, "ends"), (1.0, "begins")):
-        rows = np.flatnonzero(np.abs(steps - usual - sign * HOUR) <= 2.0 * usual)
-        # Two such steps are no change of the season.
-        if len(rows) == 1 and (sign > 0.0 or not np.any(steps < -2.0 * usual - HOUR)):
-            row = int(rows[0]) + 1
-            t[row:] -= sign * HOUR
-            remark = f"daylight saving time {change} at row {row + 1}: later times are moved by {-sign:+.0f} h"
-            if remark not in table.remark:
-                table.remark = "; ".join(part for part in (table.remark, remark) if part)
-
-
-def read_date(text: str, pattern: str) -> datetime:
-    """Read a date and time. A fraction of the pattern may be missing, as in a whole second of many loggers."""
-    try:
-        return datetime.strptime(text, pattern)
-    except ValueError:
-        whole = re.sub(r"[.,]%f", "", pattern)
-        if whole == pattern:
-            raise
-        return datetime.strptime(text, whole)
-
-
-def _parser(time: TimeColumn) -> Callable[[str], float]:
-    def whole(text: str) -> float:
-        if time.format == "s":
-            return float(text)
-        iso = time.format == "iso"
-        moment = datetime.fromisoformat(text) if iso else read_date(text, time.format)
-        if moment.year == 1900 and not iso and "%Y" not in time.format:  # strptime's, where the pattern has none
-            moment = moment.replace(year=1970)
-        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-
-    def split(text: str) -> float:
-        head, point, tail = text.rpartition(".")
-        if not point:
-            return whole(text)
-        if not (tail.isascii() and tail.isdigit()) or len(tail) > 9:
-            raise ValueError(text)
-        # unpadded-ns: a logger wrote seconds, a point, and the nanoseconds as a bare number
-        return whole(head) + (int(tail) * 1e-9 if time.fraction == "unpadded-ns" else float(f"0.{tail}"))
-
-    return split if time.fraction else whole
-
-
 def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
     """The most rows whose times rise; raises where these are not all, unless the others are dropped."""
-    behind = np.flatnonzero(np.diff(t) <= 0.0)
+    has_time = np.isfinite(t)
+    behind = np.flatnonzero(np.diff(t[has_time]) <= 0.0)
     if not len(behind):
-        return np.ones(len(t), bool)
+        return has_time
     row = int(behind[0]) + 1
     if (source.options.style.time_order or ("error" if table.strict else "drop")) == "error":
         what = "repeats" if t[row] == t[row - 1] else f"runs back by {t[row - 1] - t[row]:.6g} s"
@@ -387,7 +296,9 @@ def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
         if np.all(np.diff(t) >= 0.0) and len(behind) > COARSE * len(t):
             advice = f"its stamps are too coarse: {coarse_advice((len(t) - 1) / max(float(np.ptp(t)), 1e-9))}"
         raise table.error(row, column, f"time {what}; {advice}")
-    return _rising(t)
+    ordered = np.zeros(len(t), bool)
+    ordered[has_time] = _rising(t[has_time])
+    return ordered
 
 
 def coarse_advice(rate: float) -> str:

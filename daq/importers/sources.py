@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +12,8 @@ from daq.importers.table import SourceOptions, Table
 from daq.importers.text_table import TextTable, wide_encoding
 
 _HEAD = 65536
+_UNWRITTEN = re.compile(rb"\0{64,}")  # of a card after a power cut, in text too
+LABVIEW, FLYSIGHT = b"LabVIEW Measurement", b"$FLYS"
 
 
 class SourceKind(NamedTuple):
@@ -49,10 +52,21 @@ def source_kind(path: Path) -> SourceKind:
 
     if is_can_log(head):
         return SourceKind("can", read_can)
-    if b"\0" in head and not wide_encoding(head):
+    if head.removeprefix(b"\xef\xbb\xbf").startswith(LABVIEW):
+        from daq.importers.labview import read_lvm
+
+        return SourceKind("labview", read_lvm)
+    if head.removeprefix(b"\xef\xbb\xbf").startswith(FLYSIGHT):
+        from daq.importers.flysight import read_flysight
+
+        return SourceKind("flysight", read_flysight)
+    if head.startswith(b"FMT,"):
+        raise SeatrialError(f"{path}: a DataFlash log as text; import the .BIN of which it was made")
+    written = _UNWRITTEN.sub(b"", head)
+    if not wide_encoding(head) and (b"\0" in written or len(written) < len(head) / 2):
         raise SeatrialError(
             f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
-            "MATLAB (.mat), Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 as text)"
+            "MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 text)"
         )
     return SourceKind("csv", _read_text)
 
@@ -77,4 +91,4 @@ def _head(path: Path) -> bytes:
 
 def text_head(path: Path) -> bytes:
     """The beginning of a text file, by which its style is told."""
-    return _head(path)
+    return _UNWRITTEN.sub(b"", _head(path))

@@ -1,4 +1,10 @@
-"""Text tables: CSV, other delimiters, columns between blanks. Every complaint names file, line and column."""
+"""Text tables: CSV, other delimiters, columns between blanks. Every complaint names file, line and column.
+
+Theory of operation. Loggers write more than rows of numbers: a title, units below the header, comments, the header
+again after a restart, text where a value is missing or out of range, a last line that is cut. A map with
+``nan = "drop"``, as the guess writes it, leaves such lines and cells out, and a remark counts them. Without it they are
+errors, as a table that somebody made by hand should have none.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +12,9 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +23,20 @@ from daq.errors import SeatrialError, counted
 from daq.importers.recognise import unit_of
 from daq.importers.table import Column, Table, TextStyle
 
-_EMPTY = {"", "nan", "na", "null", "none"}
+_EMPTY = {"", "nan", "na", "null", "none", "n/a", "#n/a", "-", "--", "---", "nil"}
 BLANK = "blank"
+DELIMITERS = (",", ";", "\t", "|", BLANK)
+_COMMENTS = ("#", "%", "//")  # how a line begins that is no row
+MOST_TEXT = 0.5  # share of the filled cells of a column: with more it is a column of text
+MOST_RAGGED = 0.2  # share of the lines with another number of cells: more is another delimiter
+LEAST_NUMERIC = 0.25  # share of the cells of a row that are numbers or times: in less it is no row
+LEAST_OF_USUAL = 0.4  # of the share that the last rows have: a title with some numbers has less
+MOST_LINES = 4  # of a cell of a header in quotes
+LEAST_SAME = 0.8  # share of the rows with as many cells as most: less is no table
+_THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*"), ",": re.compile(r"[+-]?\d{1,3}([. ]\d{3})+,\d*")}
+_WHOLE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+_WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*([^\d\s.,+-]\S*)", re.IGNORECASE)
+_DATE_OR_CLOCK = re.compile(r"(\d{1,4}[-/.:]\w{1,9}[-/.:]\d|\d{1,2}:\d{1,2})[\w :.,+-]{,30}")
 ASCII = 0.8  # of the characters of a table at least
 
 
@@ -49,33 +69,64 @@ class TextTable(Table):
             raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
     def _read(self, file: Iterable[str]) -> None:
-        rows = _split(file, self._style)
+        watched = _WatchedLines(file)
+        rows = _split(watched, self._style)
         header = list(self._style.columns) or next((cells for _, cells in rows), [])
-        self._header = [name.strip() for name in header]
-        if not self._header:
+        if not header:
             raise SeatrialError(f"{self.path}: the file is empty")
-        width = len(self._header)
-        for line, cells in rows:
-            if cells[0].lstrip().startswith("#") or [cell.strip() for cell in cells] == self._header:
-                continue  # a comment, or the header again: the logger was restarted
-            if not self.lines and not self.units and is_units_row(cells):
-                self.units = {
+        first = next(rows, None)
+        if first is not None and header[0].strip() in _COMMENTS and len(first[1]) == len(header) - 1:
+            header = header[1:]  # the mark of a comment in front of the names
+        self._header = [name.strip().replace("\r", "").replace("\n", " ") for name in header]
+        width = len(header)
+        ragged: list[tuple[int, int]] = []  # line and number of cells
+        for line, cells in chain([first] if first else [], rows):
+            names = [cell.strip().replace("\r", "").replace("\n", " ") for cell in cells]
+            if names == self._header or names[1:] == self._header:
+                continue  # the logger was restarted
+            if is_comment(cells, width):
+                continue
+            if not self.lines and is_units_row(cells):
+                self.units = self.units or {
                     name: found for name, cell in zip(self._header, cells, strict=False) if (found := bare(cell))
                 }
                 continue
-            if len(cells) == width + 1 and not cells[-1].strip():
-                cells.pop()  # a separator at the end of the rows, but not of the header
+            if not self.lines and self._style.nan and is_subheading(cells):
+                continue
+            if len(cells) > width and not any(cell.strip() for cell in cells[width:]):
+                cells = cells[:width]  # separators at the end of the rows, but not of the header
             elif len(cells) == width - 1 and not self._header[-1]:
                 cells.append("")  # a separator at the end of the header, but not of the rows
             if len(cells) != width:
-                raise SeatrialError(
-                    f"{self.path}: line {line + self._style.skip_rows}: {counted(len(cells), 'cell')} where the "
-                    f"header has {len(self._header)}; is the delimiter right, is the last line whole?"
-                )
+                ragged.append((line + self._style.skip_rows, len(cells)))
+                continue
             self.lines.append(line + self._style.skip_rows)
             self._rows.append(cells)
+        if ragged:
+            self._leave_out(ragged, watched.is_cut)
         if not self.lines:
             raise SeatrialError(f"{self.path}: no rows below the header")
+        for name in {name for name in self._header if name and self._header.count(name) > 1}:
+            self._note(f"column '{name}' is in the header {counted(self._header.count(name), 'time')}: {_RENAME}")
+
+    def _leave_out(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
+        """Count the lines with another number of cells than the header. Raise where they may be rows."""
+        line, n_cells = ragged[0]
+        width, n = len(self._header), len(ragged)
+        if self._style.nan != "drop" or n > MOST_RAGGED * (n + len(self.lines)):
+            raise SeatrialError(
+                f"{self.path}: line {line}: {counted(n_cells, 'cell')} where the header has {width}; is the delimiter "
+                "right, is the last line whole?"
+            )
+        if n == 1 and is_cut and (not self.lines or line > self.lines[-1]):
+            self._note(f"line {line}, the last, is not whole and left out")
+        else:
+            what = f"{counted(n_cells, 'cell')} where the header has {width}"
+            self._note(f"{counted(n, 'line')} left out; the first, line {line}, has {what}")
+
+    def _note(self, text: str) -> None:
+        if text not in self.remark:
+            self.remark = "; ".join(part for part in (self.remark, text) if part)
 
     @property
     def names(self) -> list[str]:
@@ -87,8 +138,9 @@ class TextTable(Table):
     def text(self, column: str) -> list[str]:
         if self._header.count(column) != 1:
             there = ", ".join(one or "(unnamed)" for one in self._header)
-            problem = "appears twice in" if column in self._header else "is not in"
-            raise SeatrialError(f"{self.path}: column '{column}' {problem} the header; there is: {there}")
+            if column in self._header:
+                raise SeatrialError(f"{self.path}: column '{column}' appears twice in the header; {_RENAME}")
+            raise SeatrialError(f"{self.path}: column '{column}' is not in the header; there is: {there}")
         place = self._header.index(column)
         return [cells[place] for cells in self._rows]
 
@@ -96,24 +148,112 @@ class TextTable(Table):
         return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
 
     def numbers(self, column: str) -> Column:
-        """The column as numbers, NaN where a cell is empty. Raises SeatrialError at the first that is none."""
-        if column in self._numbers:
-            return self._numbers[column]
-        cells, decimal = self.text(column), self._style.decimal
-        found = np.empty(len(cells))
-        for row, cell in enumerate(cells):
-            text = cell.strip()
-            try:
-                # Python's float also takes 1_000, which no instrument writes.
-                found[row] = float((text if decimal == "." else text.replace(decimal, ".")).replace("_", "?"))
-            except ValueError:
-                if text.lower() not in _EMPTY:
-                    raise self.error(row, column, f"'{text[:40]}' is not a number") from None
-                found[row] = math.nan
-            if math.isinf(found[row]):
-                raise self.error(row, column, f"'{text[:40]}' is not a finite number")
-        self._numbers[column] = found
+        """Return the column as numbers, shape (n,), NaN where a cell is empty.
+
+        Raises
+        ------
+        SeatrialError
+            A cell is text. With ``nan = "drop"`` or ``"keep"`` it is NaN, and the error is that of a column that has
+            more text than numbers.
+        """
+        if column not in self._numbers:
+            self._numbers[column] = self._as_numbers(column)
+        return self._numbers[column]
+
+    def _as_numbers(self, column: str) -> Column:
+        cells = self._without_units(column, [cell.strip() for cell in self.text(column)])
+        decimal = self._style.decimal
+        has_thousands = decimal == "." and self._style.delimiter == ","  # in quotes: the comma is no decimal mark
+        found, wrong = np.full(len(cells), math.nan), list[int]()
+        try:
+            found[:] = _plain_numbers(cells, decimal)
+        except ValueError:  # a cell with more than digits: each by itself
+            for row, text in enumerate(cells):
+                try:
+                    found[row] = to_number(text, decimal, has_thousands)
+                except ValueError:
+                    if text.lower() not in _EMPTY:
+                        wrong.append(row)
+        wrong += np.flatnonzero(np.isinf(found)).tolist()
+        if not wrong:
+            return found
+        row = min(wrong)
+        n_numbers = int(np.isfinite(found).sum())
+        problem = f"'{cells[row][:40]}' is not a {'finite ' if math.isinf(found[row]) else ''}number"
+        if self._style.nan not in ("drop", "keep") or len(wrong) > MOST_TEXT * (len(wrong) + n_numbers):
+            raise self.error(row, column, problem)
+        found[np.isinf(found)] = math.nan
+        self._note(f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such cell')} left out")
         return found
+
+    def _without_units(self, column: str, cells: list[str]) -> list[str]:
+        """The cells without a unit that stands in each of them (1.25 m), which becomes the unit of the column."""
+        first = _WITH_UNIT.fullmatch(next((text for text in cells if text), ""))
+        if first is None or not unit_of(first[2]):
+            return cells
+        end = first[2]
+        if any(text and text.lower() not in _EMPTY and not text.endswith(end) for text in cells):
+            return cells
+        self.units = {**self.units, column: end}
+        return [text.removesuffix(end).rstrip() for text in cells]
+
+
+_RENAME = 'give each its name: csv.skip_rows = 1 more and csv.columns = ["...", ...] of the map'
+
+
+class _WatchedLines:
+    """Lines of a file; whether the last one has no end."""
+
+    def __init__(self, lines: Iterable[str]) -> None:
+        self._lines = lines
+        self.is_cut = False
+
+    def __iter__(self) -> Iterator[str]:
+        for line in self._lines:
+            self.is_cut = not line.endswith(("\n", "\r"))
+            yield line.replace("\0", "")  # blocks of a card that were never written
+
+
+def _plain_numbers(cells: Sequence[str], decimal: str) -> list[float]:
+    """The numbers of a column. Raises ValueError where a cell is none, or may be one that no instrument writes."""
+    if any("_" in text for text in cells):
+        raise ValueError("_")
+    return list(map(float, cells if decimal == "." else (text.replace(decimal, ".") for text in cells)))
+
+
+def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
+    """Return the number of a cell.
+
+    Parameters
+    ----------
+    text
+        The cell without blanks around it.
+    decimal
+        The decimal mark.
+    has_thousands
+        Whether a comma between digits without a decimal mark, 1,500, separates thousands.
+
+    Returns
+    -------
+    float
+        The number; it may be infinite.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if "_" in text:  # Python's float also takes 1_000, which no instrument writes
+        raise ValueError(text)
+    try:
+        return float(text if decimal == "." else text.replace(decimal, "."))
+    except ValueError:
+        text = text.replace("\u2212", "-").replace("\u202f", " ").replace("\u00a0", " ")  # minus; narrow, fixed blank
+        if _THOUSANDS[decimal].fullmatch(text):
+            text = re.sub("[. ]" if decimal == "," else ",", "", text)
+        elif has_thousands and _WHOLE_THOUSANDS.fullmatch(text):
+            text = text.replace(",", "")
+        return float(text if decimal == "." else text.replace(decimal, "."))
 
 
 def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
@@ -127,6 +267,18 @@ def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[st
     for cells in rows:
         if any(cell.strip() for cell in cells):
             yield rows.line_num, cells
+
+
+def is_comment(cells: Sequence[str], width: int) -> bool:
+    """Whether a line is a comment by how it begins. A row may begin so where the mark is a cell (-- for no value)."""
+    first = cells[0].strip()
+    return first.startswith("#") or (first.startswith(_COMMENTS) and len(cells) != width)
+
+
+def is_subheading(cells: Sequence[str]) -> bool:
+    """Whether a row below the header has words and no number: kinds of values, as Smp and Avg of Campbell."""
+    texts = [text for cell in cells if (text := cell.strip())]
+    return not any(c.isdigit() for text in texts for c in text) and any(text.lower() not in _EMPTY for text in texts)
 
 
 def bare(cell: str) -> str:
@@ -172,53 +324,92 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     except UnicodeDecodeError as error:
         encoding = encoding if error.start > len(head) - 4 else "latin-1"
         text = head.decode(encoding, "ignore")
-    lines = text.splitlines()[:-1] or text.splitlines()
+    lines, places = _whole_lines(text.splitlines()[:-1] or text.splitlines())
     best: tuple[float, TextStyle] | None = None
-    for delimiter in (",", ";", "\t", BLANK):
-        for decimal in (".", ",") if delimiter != "," else (".",):
+    for delimiter in DELIMITERS:
+        for decimal in (".", ","):
             found = _table_in(lines, TextStyle(delimiter, decimal, encoding))
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
-    return None if best is None else best[1]
+    return None if best is None else replace(best[1], skip_rows=places[best[1].skip_rows])
+
+
+def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
+    """Lines of rows, of which a cell in quotes may have several lines of the file; and at which line each begins."""
+    found: list[str] = []
+    places: list[int] = []
+    for place, line in enumerate(lines):
+        if found and found[-1].count('"') % 2 and place - places[-1] < MOST_LINES:
+            found[-1] += f"\n{line}"
+        else:
+            found.append(line)
+            places.append(place)
+    return found, places
 
 
 def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
     """The style with its header, and how many numbers these lines have in it, times their share; None: no table."""
-    rows = [next((cells for _, cells in _split([line], style)), []) for line in lines]
-    widths = Counter(len(cells) for cells in rows[-20:] if cells).most_common(1)
+    rows = [next((cells for _, cells in _split(line.splitlines(keepends=True), style)), []) for line in lines]
+    widths = Counter(len(cells) for cells in rows if cells).most_common(1)
     if not widths:
         return None
     width = widths[0][0]
-    first = next((k for k, cells in enumerate(rows) if len(cells) == width and _share(cells, style) >= 0.5), None)
+    # A line of a title that a spreadsheet has filled up with separators has fewer cells with something in them.
+    last = [cells for cells in rows if len(cells) == width][-20:]
+    least = min(_n_filled(cells) for cells in last) / 2
+    least_share = max(LEAST_NUMERIC, LEAST_OF_USUAL * float(np.median([_share(cells, style) for cells in last])))
+    first = next(
+        (
+            k
+            for k, cells in enumerate(rows)
+            if len(cells) == width and _share(cells, style) >= least_share and _n_filled(cells) >= least
+        ),
+        None,
+    )
     if first is None:
         return None
-    body = [cells for cells in rows[first:] if cells]
-    if sum(len(cells) == width for cells in body) < 0.9 * len(body):
+    body = [cells for cells in rows[first:] if cells and not is_comment(cells, width)]
+    if sum(len(cells) == width for cells in body) < LEAST_SAME * len(body):
         return None
-    shares = [_share(cells, style) for cells in body]
+    shares = [_share(cells, style, with_times=False) for cells in body]
     score = sum(share**2 * len(cells) for share, cells in zip(shares, body, strict=True))
-    filled = [k for k in range(first) if rows[k]]
-    if len(filled) > 1 and is_units_row(rows[filled[-1]]):
-        filled.pop()  # the header stands above the units
-    above = filled[-1] if filled else None
     open_rows = all(not cells[-1].strip() for cells in body if len(cells) == width)  # end with a separator
-    named = above is not None and _share(rows[above], style) < 0.5
-    if named and above is not None:
-        n = len(rows[above])
-        named = n == width or (n == width - 1 and open_rows) or (n == width + 1 and not rows[above][-1].strip())
-    header: tuple[str, ...] = () if named else tuple(f"column_{k}" for k in range(1, width + 1))
-    skip = above if named and above is not None else first
-    return score, TextStyle(style.delimiter, style.decimal, style.encoding, skip, header)
+    above = _header_above(rows, first, width, open_rows, style)
+    if above is not None:
+        return score, TextStyle(style.delimiter, style.decimal, style.encoding, above)
+    header = tuple(f"column_{k}" for k in range(1, width + 1))
+    return score, TextStyle(style.delimiter, style.decimal, style.encoding, first, header)
 
 
-def _share(cells: list[str], style: TextStyle) -> float:
-    """Which part of the cells are numbers or empty, 0 where none is a number."""
+def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: bool, style: TextStyle) -> int | None:
+    """The row of the header above the first row of data; None if it has none."""
+    above = [k for k in range(first) if rows[k]]
+    while above:
+        cells, n = rows[above[-1]], len(rows[above[-1]])
+        is_named = n == width or (n == width - 1 and open_rows) or (n == width + 1 and not cells[-1].strip())
+        is_named |= n == width + 1 and cells[0].strip() in _COMMENTS
+        texts = [text for cell in cells if (text := cell.strip())]
+        is_below = len(above) > 1 and (is_units_row(cells) or len(set(texts)) <= len(texts) / 2)  # the header is above
+        if not (is_below or (is_comment(cells, width) and not is_named)):
+            return above[-1] if is_named and _share(cells, style) < LEAST_NUMERIC else None
+        above.pop()
+    return None
+
+
+def _n_filled(cells: Sequence[str]) -> int:
+    return sum(bool(cell.strip()) for cell in cells)
+
+
+def _share(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
+    """Which part of the cells are numbers, times or empty; 0 where none is a number or a time."""
     n, empty = 0, 0
     for cell in cells:
         text = cell.strip()
+        with_unit = _WITH_UNIT.fullmatch(text)
         try:
-            float(text if style.decimal == "." else text.replace(style.decimal, "."))
+            to_number(with_unit[1] if with_unit and unit_of(with_unit[2]) else text, style.decimal)
             n += 1
         except ValueError:
+            n += with_times and bool(_DATE_OR_CLOCK.fullmatch(text))
             empty += text.lower() in _EMPTY
     return (n + empty) / len(cells) if n else 0.0

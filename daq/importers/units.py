@@ -42,6 +42,7 @@ UNITS: dict[str, tuple[str, float]] = {  # unit of the column -> (unit in the lo
     "kn": ("m/s", 1852.0 / 3600.0),
     "g": ("m/s2", _G),
     "kgf": ("N", _G),
+    "gf": ("N", 1e-3 * _G),
     "lbf": ("N", _LBF),
     "mA": ("A", 1e-3),
     "mV": ("V", 1e-3),

@@ -11,12 +11,12 @@ import math
 import re
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from pynmeagps import NMEAReader
 
 from daq.protocol.framing import StreamDecoder, sentence, take_sentence
-from daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
+from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar, wrap_angle
 
 _FIX_TO_QUALITY = {0: 0, 1: 6, 2: 1, 3: 1, 4: 2, 5: 4, 6: 5}
 KNOT = 1852.0 / 3600.0  # m/s
@@ -38,6 +38,12 @@ _DEG = math.pi / 180.0
 _RANK = {"PASHR": 5, "PSTI": 5, "HDT": 4, "THS": 3, "HDG": 2, "HDM": 1}
 _ATTITUDE = {"PASHR": (2, 5, 4), "PSTI": (4, 5, 6)}  # where heading, pitch and roll stand
 _HEADING_TIME = {b"PASHR": 1, b"PSTI,": 2}  # the headings with a time of their own
+# Kind and unit of a transducer of XDR -> unit and factor of its signal
+_TRANSDUCERS: dict[tuple[bytes, bytes], tuple[str, float]] = {
+    (b"A", b"D"): ("rad", math.pi / 180.0), (b"C", b"C"): ("degC", 1.0), (b"D", b"M"): ("m", 1.0),
+    (b"F", b"H"): ("Hz", 1.0), (b"H", b"P"): ("1", 0.01), (b"I", b"A"): ("A", 1.0), (b"N", b"N"): ("N", 1.0),
+    (b"P", b"B"): ("Pa", 1e5), (b"P", b"P"): ("Pa", 1.0), (b"T", b"R"): ("rev/min", 1.0), (b"U", b"V"): ("V", 1.0),
+}  # fmt: skip
 _LEVEL = {b"PTCH": 0, b"PITCH": 0, b"ROLL": 1}  # transducers of XDR
 _THS_VALID = (b"A", b"E")  # autonomous, estimated; M is by hand, S simulated, V void
 _FULL_TURN = 360.0  # deg; what is beyond, as 999.9, means that there is none
@@ -51,6 +57,7 @@ class Decoder(StreamDecoder[Frame]):
     def __init__(self, declination: float | None = None) -> None:
         super().__init__()
         self._sentences = Sentences(declination)
+        self.transducers: list[Transducer] | None = None  # a list gets those of XDR, each with a `Scalar` in its place
 
     def flush(self) -> list[Frame]:
         """End of the stream: the sample of the epoch that has not been emitted, if there is one."""
@@ -72,6 +79,10 @@ class Decoder(StreamDecoder[Frame]):
         self.frames += 1
         self.remark = self._sentences.headings.remark
         self._out += self._kept(found)
+        if self.transducers is not None:
+            others, self._sentences.headings.transducers = self._sentences.headings.transducers, []
+            self.transducers += others
+            self._out += [Frame(Scalar(one.value), t_rx, NAN) for one in others]
         return length
 
     def _kept(self, found: list[Frame]) -> list[Frame]:
@@ -444,6 +455,14 @@ _READ = {
 }  # fmt: skip
 
 
+class Transducer(NamedTuple):
+    """A reading of XDR that is no part of an attitude."""
+
+    name: str
+    unit: str
+    value: float
+
+
 class Headings:
     """Sentences -> `Ahrs` with yaw, from the best kind of sentence received; roll and pitch where it has them.
 
@@ -458,6 +477,7 @@ class Headings:
         self._best = 0
         self._rate = NAN
         self._level = [NAN, NAN]  # pitch, roll
+        self.transducers: list[Transducer] = []  # of the last XDR
 
     def forget(self) -> None:
         """Discard all received state: a reopened port may have another device."""
@@ -505,12 +525,17 @@ class Headings:
 
     def _transducers(self, words: list[bytes]) -> list[Frame] | None:
         """Groups of kind, value, unit and name; pitch and roll are angles in degrees, bow up and starboard down."""
+        self.transducers = []
         for at in range(1, len(words) - 3, 4):
             if words[at] == b"A" and words[at + 2] == b"D" and words[at + 3] in _LEVEL:
                 numbers = _numbers(words, (at + 1,))
                 if numbers is None:
                     return None
                 self._level[_LEVEL[words[at + 3]]] = numbers[0] * _DEG
+            elif words[at + 3] and (numbers := _numbers(words, (at + 1,))) is not None:
+                unit, factor = _TRANSDUCERS.get((words[at], words[at + 2]), ("1", 1.0))
+                name = words[at + 3].decode("ascii", "replace")
+                self.transducers.append(Transducer(name, unit, factor * numbers[0]))
         return []
 
     def _variation(self, kind: str, words: list[bytes]) -> float:

@@ -56,8 +56,9 @@ def from_json(content: bytes) -> AnyResult:
     return found
 
 
-def read_result(path: Path) -> AnyResult:
-    """Read a result. Raises SeatrialError with the path of the key that is missing, misspelt or mistyped."""
+def read_result(path: Path | str) -> AnyResult:
+    """Read a result.json. Raises SeatrialError with the path of the key that is missing, misspelt or mistyped."""
+    path = Path(path)
     try:
         return from_json(path.read_bytes())
     except (msgspec.DecodeError, OSError) as problem:

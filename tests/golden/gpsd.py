@@ -5,6 +5,19 @@ is gpsd's own decoding, one JSON report a line: positions in TPV, attitudes in A
 
 What gpsd concludes against the receiver's own words is not compared: a date moved by 1024 weeks, a speed made of two
 positions, three dimensions for a height where GSA says two.
+
+Why places differ at the right time. gpsd reports the place of each sentence. We give one sample an epoch, with the
+place of GGA, which has the most digits. Of the 1596 fixes that can be compared 1479 are ours to gpsd's last digit. Of
+the others the receiver has another place in RMC or GLL:
+
+- A chart plotter goes on with the place between the sentences of one second (bundg_zeus_9, 103 fixes). 66 of its RMC
+  and GLL are 0.2 m, the way of a tenth of a second, from GGA of the same time. 37 have the place of the second before
+  under the time of this one, 2 m at 6 kn: to take these would be an error.
+- Its RMC has a digit less than GGA (ac12, ac12_binary, tcp-test, udp-test: 13 fixes, less than 1 m apart).
+
+Such a fix agrees where the sentence that gpsd took gives it by our decoder, too (`Comparison.by_sentence`), and
+`Comparison.late` counts those of the epoch before. One fix is left: ublox-lea-4t, where gpsd has not heard of the leap
+seconds.
 """
 
 from __future__ import annotations
@@ -26,6 +39,7 @@ TIME_DIGITS = 1e-3  # s, as gpsd prints
 SPEED_DIGITS = 6e-3  # m/s: a hundredth of a knot, and what gpsd prints
 ANGLE_DIGITS = 5.1e-3  # deg
 DAY = 86400.0
+EPOCH_S = 1.5  # s: the longest time between two epochs
 MOVED_DATE = "same place, another date"
 
 
@@ -79,7 +93,8 @@ class Comparison:
     checksum_errors: int
     fixes: int
     agreeing: int
-    by_sentence: int = 0  # of these: with another sentence of the epoch than the one we take, of fewer digits
+    by_sentence: int = 0  # of these: with another sentence of the epoch than the one we take
+    late: int = 0  # of these: the place of the epoch before under the time of this one
     misses: Counter[str] = field(default_factory=Counter)
     speeds: Share = field(default_factory=Share)
     modes: Share = field(default_factory=Share)
@@ -150,6 +165,7 @@ def compare(path: Path) -> Comparison:
         elif not _difference(fix, digits, others):
             result.agreeing += 1
             result.by_sentence += 1
+            result.late += _is_late(fix, ours)
         else:
             result.misses[why] += 1
     return result
@@ -252,6 +268,13 @@ def _difference(theirs: Fix, digits: float, ours: list[Fix]) -> str:
         gap = min(abs(o.utc - theirs.utc) for o in same_place)
         return MOVED_DATE if gap >= 0.5 * DAY else f"same place, {gap:.3f} s apart"
     return "no sample of ours at this time" if ours else "no fix of ours at all"
+
+
+def _is_late(theirs: Fix, ours: list[Fix]) -> bool:
+    """Whether a fix has rather the place of our epoch before than that of its own time."""
+    away = {o.utc: max(abs(o.lat - theirs.lat), abs(o.lon - theirs.lon)) for o in ours}
+    own = min((away[t] for t in away if abs(t - theirs.utc) <= TIME_DIGITS), default=NAN)
+    return any(away[t] < 0.5 * own for t in away if TIME_DIGITS < theirs.utc - t <= EPOCH_S)
 
 
 def _size(degrees: float) -> str:

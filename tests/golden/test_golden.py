@@ -7,7 +7,7 @@ import pytest
 from tests.golden.__main__ import totals
 from tests.golden.captures import results
 from tests.golden.fuzz import fuzz, subjects
-from tests.golden.gpsd import Fix, _difference, compare, receiver_bytes
+from tests.golden.gpsd import Fix, _difference, _is_late, compare, receiver_bytes
 from tests.measured.data import measured
 
 N_FUZZ = 400  # `python -m tests.golden.fuzz` does a million
@@ -23,6 +23,9 @@ def test_fixes_and_headings_are_those_that_gpsd_reads() -> None:
     assert all(share.part >= 0.995 for share in shares.values())
     assert all(shares[name].comparable > 1550 for name in ("fixes", "speeds", "modes"))
     assert sum(row.speeds.by_sentence for row in found) < 0.07 * shares["speeds"].comparable
+    # The places of RMC and GLL where GGA of the same time has another one
+    by_sentence = {row.name: (row.by_sentence, row.late) for row in found if row.by_sentence > 1}
+    assert by_sentence == {"ac12": (7, 0), "ac12_binary": (4, 1), "bundg_zeus_9": (103, 37)}
     # neo-m8n: gpsd takes 2015 for 2034; lea-4t: gpsd has not heard of the leap seconds yet.
     assert {row.name for row in found if row.misses} == {"neo-m8n", "ublox-lea-4t"}
     # The first GSA of the capture that has dimensions follows the fix.
@@ -46,6 +49,12 @@ def test_a_difference_is_named() -> None:
     assert _difference(Fix(1001.0, 41.0, -8.0), 5e-10, ours) == "same place, 1.000 s apart"
     assert _difference(Fix(1000.0 + 1024 * 604800, 41.0, -8.0), 5e-10, ours) == "same place, another date"
     assert _difference(Fix(1001.0, 42.0, -8.0), 5e-10, ours) == "no sample of ours at this time"
+
+
+def test_a_place_of_the_epoch_before_is_late() -> None:
+    ours = [Fix(1000.0 + k, 41.0 + 1e-5 * k, -8.0) for k in range(5)]
+    assert _is_late(Fix(1003.0, 41.0 + 2e-5, -8.0), ours)
+    assert not _is_late(Fix(1003.0, 41.0 + 2.9e-5, -8.0), ours)
 
 
 @pytest.mark.measured

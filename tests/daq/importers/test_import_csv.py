@@ -52,7 +52,8 @@ def test_a_clock_of_its_own_with_a_format_of_its_own(folder: Path) -> None:
     rows = "t,t_ms,cmd,heading\n0.0,100,0.5,170\n0.1,200,0.6,171\n"
     (out,) = import_files(*write(folder, rows, signal='time = "t_ms"\ntime_format = "ms"'))
     assert (values(out, "psi")[0], values(out, "n_left")[0]) == ([0.1, 0.2], [0.0, 0.1])
-    for signal, message in (('time_format = "ms"', "needs time"), ('time = "t_ms"\ntime_format = "h"', "must be s,")):
+    wrong = (('time_format = "ms"', "needs time"), ('time = "t_ms"\ntime_format = "weeks"', "must be s,"))
+    for signal, message in wrong:
         with pytest.raises(SeatrialError, match=rf"signal\[1\]\.time_format: {message}"):
             import_files(*write(folder, rows, signal=signal))
 
@@ -266,7 +267,7 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ('name = "psi"', 'name = "n_left"', "signal: 'n_left' appears twice"),
         ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is: needs missing"),
         ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' becomes a topic"),
-        ('column = "t"', 'column = "t"\nformat = "hours"', r"time\.format: must be s, ms, us, ns, iso, datenum"),
+        ('column = "t"', 'column = "t"\nformat = "weeks"', r"time\.format: must be s, ms, us, ns, min, h, day, iso"),
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
         ("[time]", "[tims]", r"tims: unknown key"),
         ('column = "t"', 'colum = "t"', r"rate_hz; 'colum' is there: is it meant\?"),

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -17,8 +19,8 @@ from daq.importers.raw import import_raw
 from daq.importers.samples import sample_tables
 from daq.log.reader import open_log
 from daq.protocol import nmea, vectornav
-from daq.protocol.framing import sentence
-from daq.samples import Ahrs, Frame, Gnss, LoadCell
+from daq.protocol.framing import crc16, sentence
+from daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
 from tests.measured.data import measured
 
 SAMPLES = [Ahrs(0.1 * k, 0.01, -0.02, 0.001, 0.002, 0.003 * k, 0.1, 0.2, -9.8) for k in range(40)]
@@ -45,6 +47,53 @@ def test_samples_are_put_evenly_apart(ascii_capture: Path, tmp_path: Path) -> No
     assert table["r"].tolist() == pytest.approx([s.r for s in SAMPLES], abs=1e-6)
     assert "40 samples of 40 vectornav frames; 1 checksum error, " in said
     assert not said.endswith(" 0 bytes unparsed")  # boot, the bad one, the half one
+
+
+@pytest.mark.parametrize("rate", [None, 50.0])
+def test_a_vectornav_that_sends_ascii_and_binary(rate: float | None, tmp_path: Path) -> None:
+    """Both are on after the factory settings: each sample came twice, and the one in ASCII has no time."""
+    capture = tmp_path / "both.bin"
+    parts = [vectornav.encode_binary(s, 5.0 + 0.02 * k) for k, s in enumerate(SAMPLES)]
+    ascii_parts = [vectornav.encode_ascii(s) if k % 2 else b"" for k, s in enumerate(SAMPLES)]
+    capture.write_bytes(b"".join(a + b for a, b in zip(ascii_parts, parts, strict=True)))
+    out, said = import_raw("vectornav", capture, rate=rate, out=tmp_path / "b.mcap")
+    assert said.endswith("; 20 ASCII samples left out beside the binary ones")
+    with open_log(out) as log:
+        table = log.table(Ahrs, "ahrs")
+    start = 5.0 if rate is None else 0.0
+    np.testing.assert_allclose(table["t"], start + 0.02 * np.arange(len(SAMPLES)), atol=1e-6)
+    np.testing.assert_allclose(table["r"], [s.r for s in SAMPLES], atol=1e-5)
+
+
+def test_what_only_the_ascii_of_a_vectornav_has_is_kept(tmp_path: Path) -> None:
+    binary = struct.pack("<3f", 10.0, 1.0, 2.0)  # yaw, pitch and roll only, with the time since startup
+    body = b"\xfa" + struct.pack("<BH", 1, 0b1001) + struct.pack("<Q", 5_000_000_000) + binary
+    body += struct.pack(">H", crc16(body[1:]))
+    (tmp_path / "both.bin").write_bytes(body + vectornav.encode_ascii(SAMPLES[3]))
+    out, _ = import_raw("vectornav", tmp_path / "both.bin", out=tmp_path / "b.mcap")
+    with open_log(out) as log:
+        table = log.table(Ahrs, "ahrs")
+    assert np.isnan(table["yaw"]).tolist() == [False, True]
+    assert table["r"][1] == pytest.approx(SAMPLES[3].r, abs=1e-6)
+
+
+def test_the_transducers_of_nmea_keep_their_names(tmp_path: Path) -> None:
+    """Pitch and roll are parts of the attitude; others were lost."""
+    parts = []
+    for k in range(20):
+        parts.append(nmea.encode(Gnss(1.7e9 + k, 59.0, 10.0, fix=3)))
+        parts.append(sentence(f"IIXDR,T,{900 + k},R,ENGINE#0,C,40.5,C,ENGINE#0_OIL,A,2.0,D,PTCH,P,1.5,B,Oil Pressure"))
+    (tmp_path / "boat.nmea").write_bytes(b"".join(parts))
+    for rate in (None, 1.0):
+        out, _ = import_raw("nmea", tmp_path / "boat.nmea", rate=rate, out=tmp_path / "b.mcap", force=True)
+        with open_log(out) as log:
+            assert sorted(log.sources(Scalar)) == ["xdr_ENGINE_0", "xdr_ENGINE_0_OIL", "xdr_Oil_Pressure"]
+            table = log.table(Scalar, "xdr_ENGINE_0")
+            assert (log.unit("xdr_ENGINE_0"), log.unit("xdr_Oil_Pressure")) == ("rev/min", "Pa")
+            assert log.table(Scalar, "xdr_Oil_Pressure")["value"][0] == pytest.approx(1.5e5)
+        assert table["value"].tolist() == [900.0 + k for k in range(20)]
+        start = 1.7e9 if rate is None else 0.0
+        np.testing.assert_allclose(table["t"], start + np.arange(20), atol=1e-6)
 
 
 def test_two_kinds_of_sentences_at_a_rate(tmp_path: Path) -> None:

@@ -79,6 +79,23 @@ def test_sentences_are_grouped_by_time_not_by_order(order: str) -> None:
         assert abs(sample.vel_n) < 1e-12
 
 
+def test_the_place_is_that_of_gga_whatever_rmc_repeats() -> None:
+    """A chart plotter sends in RMC and GLL the place of the second before, under the time of this one."""
+    decoder = Decoder()
+    frames = []
+    for k in range(5):
+        minutes = [f"{30.0 + 0.001 * j:.4f}" for j in (k, max(k - 1, 0))]
+        for body in (
+            f"GPRMC,12000{k},A,59{minutes[1]},N,01000.0000,E,5.0,90.0,120524,,,A",
+            f"GPGGA,12000{k},59{minutes[0]},N,01000.0000,E,1,12,0.6,1.0,M,40.0,M,,",
+            f"GPGLL,59{minutes[1]},N,01000.0000,E,12000{k},A,A",
+        ):
+            frames += decoder.feed(sentence(body), float(k))
+    frames += decoder.flush()
+    lat = [frame.sample.lat for frame in frames if isinstance(frame.sample, Gnss)]
+    assert lat == pytest.approx([59.5 + 0.001 * k / 60.0 for k in range(5)], abs=1e-9)
+
+
 def test_an_epoch_is_complete_when_the_kinds_of_the_last_ones_have_come() -> None:
     decoder = Decoder()
     first, second, third = epochs(3)

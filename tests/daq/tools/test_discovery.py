@@ -158,3 +158,13 @@ def test_the_command_writes_what_a_rig_file_needs(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     rig = parse_rig(done.output, tmp_path / "rig.toml")
     assert (rig.devices[0].protocol, rig.devices[0].baud, rig.devices[0].port) == ("nmea", 38400, port)
+
+
+def test_a_device_that_speaks_once_has_no_rate() -> None:
+    """All its samples have one time of arrival: a rate of nan was printed."""
+    burst = b"".join(nmea.encode(fix(k)) for k in range(4))
+    with device(38400, lambda k: burst if k == 10 else b"") as path:
+        words = [path, "--baud", "38400", "--seconds", "0.6"]
+        output = CliRunner().invoke(cli.devices, words, catch_exceptions=False).output
+    assert f"{path}: nmea at 38400 baud: " in output
+    assert "nan" not in output

@@ -9,7 +9,7 @@ from ident.checks.sensors import Match, gyro_and_heading
 from ident.data import Channel
 from ident.numerics import Array
 
-T: Array = 0.1 * np.arange(400)
+T: Array = np.array(0.1 * np.arange(400), np.float64)
 
 
 def channels(psi: Array) -> dict[str, Channel]:

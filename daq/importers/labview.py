@@ -1,0 +1,162 @@
+"""Measurement files of LabVIEW (.lvm): text with a header for the file and one for each segment of rows.
+
+Theory of operation. The header of the file has the separators and the date and time of the start. The header of a
+segment has for each channel the date and time, X0 and Delta_X of its first row, and its unit. The X of a row is in
+seconds: since 1904, or from the time of the segment on, where it is X0. Where no X is written (``X_Columns No``) the
+rows are Delta_X apart. Source: NI, "Specification for the LabVIEW Measurement File (.lvm)", 2023.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from daq.errors import SeatrialError, counted
+from daq.importers.row_times import LABVIEW_EPOCH, read_date
+from daq.importers.table import Column, SourceOptions, Table
+from daq.importers.text_table import to_number
+
+_END = "***End_of_Header***"
+_SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}
+_SINCE_1904 = 1e9  # s; an X that is greater counts from 1904
+
+
+def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
+    """Read a measurement file of LabVIEW as one table with times of its own.
+
+    Raises
+    ------
+    SeatrialError
+        It cannot be read, has no rows, or its channels have different times.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as error:
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+    end = next((k for k, line in enumerate(lines) if line.startswith(_END)), None)
+    if end is None:
+        raise SeatrialError(f"{path}: the header of this LabVIEW file has no end ({_END}): is it whole?")
+    named = next((line[len("Separator") :] for line in lines[:end] if line.startswith("Separator")), "")
+    separator = named.strip("\t,; ").lower()
+    mark = _SEPARATORS.get(separator, "\t")
+    head = _header([line.split(mark) for line in lines[:end]])
+    decimal = _first(head, "Decimal_Separator", ".")
+    found = _Rows(path, decimal, _first(head, "X_Columns", "One"), _moment(head, decimal))
+    segment: list[list[str]] = []
+    is_header = True  # between the header of the file and the end of the first segment's
+    rows: list[list[str]] = []
+    for line in lines[end + 1 :]:
+        cells = line.split(mark)
+        if cells[0] == "Channels":
+            found.add(rows)
+            rows, segment, is_header = [], [cells], True
+        elif line.startswith(_END):
+            found.begin(_header(segment))
+            is_header = False
+        elif is_header:
+            segment.append(cells)
+        elif line.strip(f"{mark} "):
+            rows.append(cells)
+    found.add(rows)
+    return [found.table()]
+
+
+def _header(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
+    return {cells[0].strip(): cells[1:] for cells in lines if cells}
+
+
+def _first(head: Mapping[str, Sequence[str]], key: str, usual: str) -> str:
+    return next((cell.strip() for cell in head.get(key, ()) if cell.strip()), usual)
+
+
+def _moment(head: Mapping[str, Sequence[str]], decimal: str) -> float:
+    """Date and time of a header [s since 1970]; NaN if it has none."""
+    text = f"{_first(head, 'Date', '')} {_first(head, 'Time', '').replace(decimal, '.')}"
+    for pattern in ("%Y/%m/%d %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%f"):
+        try:
+            moment: datetime = read_date(text, pattern)
+        except ValueError:
+            continue
+        return moment.replace(tzinfo=UTC).timestamp()
+    return math.nan
+
+
+class _Rows:
+    """Rows of all segments."""
+
+    def __init__(self, path: Path, decimal: str, x_columns: str, start: float) -> None:
+        self._path, self._decimal, self._x_columns, self._start = path, decimal, x_columns.lower(), start
+        self._names: list[str] = []
+        self._units: dict[str, str] = {}
+        self._places: list[int] = []
+        self._t: list[Column] = []
+        self._values: list[Column] = []
+        self._n_short = 0
+        self._segment: Mapping[str, Sequence[str]] = {}
+
+    def begin(self, segment: Mapping[str, Sequence[str]]) -> None:
+        """Begin a segment with this header."""
+        self._segment = segment
+
+    def add(self, rows: Sequence[Sequence[str]]) -> None:
+        """Add the rows of the segment, of which the first has the names of its columns."""
+        if not rows:
+            return
+        names: list[str] = []
+        for cell in rows[0]:
+            n = sum(name.partition(" (")[0] == cell.strip() for name in names if name != "X_Value")
+            names.append(cell.strip() if not n or not cell.strip() else f"{cell.strip()} ({n + 1})")
+        columns = [k for k, name in enumerate(names) if name and name not in ("X_Value", "Comment")]
+        if not self._names:
+            self._names, self._places = [names[k] for k in columns], columns
+            units = [cell.strip() for cell in self._segment.get("Y_Unit_Label", ())]
+            self._units = {name: unit for name, unit in zip(self._names, units, strict=False) if unit}
+        elif [names[k] for k in columns] != self._names:
+            raise SeatrialError(f"{self._path}: its segments have different channels; export each to a file of its own")
+        width = max(self._places, default=0) + 1
+        whole = [row for row in rows[1:] if len(row) >= width]
+        self._n_short += len(rows) - 1 - len(whole)
+        values = np.array([[self._number(row[k]) for k in self._places] for row in whole]).reshape(-1, len(columns))
+        x = [k for k, name in enumerate(names) if name == "X_Value"]
+        if len(x) > 1 and any(row[k].strip() != row[x[0]].strip() for row in whole for k in x):
+            raise SeatrialError(f"{self._path}: each channel has times of its own; export it with one X column")
+        self._t.append(self._times(whole, x[0] if x and self._x_columns != "no" else None))
+        self._values.append(values)
+
+    def _number(self, cell: str) -> float:
+        try:
+            return to_number(cell.strip(), self._decimal)
+        except ValueError:
+            return math.nan
+
+    def _times(self, rows: Sequence[Sequence[str]], place: int | None) -> Column:
+        """Times of the rows of the segment [s since 1970, or since the start if the file has no date], (n,)."""
+        x0 = self._number(_first(self._segment, "X0", "0"))
+        dx = self._number(_first(self._segment, "Delta_X", "nan"))
+        if place is None:
+            if not dx > 0.0:
+                raise SeatrialError(f"{self._path}: it has neither times (X_Value) nor a Delta_X; export it with one")
+            x = x0 + dx * np.arange(len(rows))
+        else:
+            x = np.array([self._number(row[place]) for row in rows])
+        if len(x) and x[0] > _SINCE_1904:
+            return np.asarray(x + LABVIEW_EPOCH, np.float64)
+        begin = _moment(self._segment, self._decimal)
+        begin, start = (one if math.isfinite(one) else 0.0 for one in (begin, self._start))
+        goes_on = len(x) > 0 and abs(x[0] - x0) > 2.0 * abs(dx)  # from the segments before: X counts from the start
+        return np.asarray(start + x if goes_on or not begin else begin + x - x0)
+
+    def table(self) -> Table:
+        """All rows, without those that have no time."""
+        if not self._t or not sum(map(len, self._t)):
+            raise SeatrialError(f"{self._path}: no rows below the header")
+        t, values = np.concatenate(self._t), np.concatenate(self._values)
+        known = np.isfinite(t)
+        n_lost = self._n_short + int(np.sum(~known))
+        remark = f"{counted(n_lost, 'row')} without a time or not whole left out" if n_lost else ""
+        columns = dict(zip(self._names, values[known].T, strict=True))
+        return Table(self._path, "", columns, t[known], remark=remark, units=self._units)

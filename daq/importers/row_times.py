@@ -1,0 +1,224 @@
+"""Times of the rows of a table, from the column that a map names: numbers, dates, times of a day, GPS weeks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.checks import lacks_too_much
+from daq.errors import SeatrialError, counted
+from daq.importers.import_map import DAY_COUNTS, GPS_UNITS, TIME_UNITS, TimeColumn
+from daq.importers.table import Column, Table
+from daq.protocol import ubx
+
+DAY = 86400.0  # s
+HOUR = 3600.0  # s
+LABVIEW_EPOCH = -2_082_844_800.0  # s since 1970 of 1904-01-01
+_ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)$")  # at the end of an ISO time
+_LONG_FRACTION = re.compile(r"([.,]\d{6})\d+")  # %f has six digits
+# Local hours and months in which clocks are set. Nearly all countries do it on the night to a Sunday.
+_LAST_HOUR, _MONTHS, _SUNDAY = 4, (3, 4, 9, 10, 11), 6
+
+
+def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -> Column:
+    """Return the time of each row.
+
+    Parameters
+    ----------
+    table
+        The rows.
+    time
+        Where their times come from. None: the table has times of its own.
+    lenient
+        Whether a row without a time gets NaN, and a remark of the table counts it. Otherwise it is an error.
+
+    Returns
+    -------
+    Column
+        Time in s of the file's clock, shape (n,).
+
+    Raises
+    ------
+    SeatrialError
+        A cell has no time of this format; with ``lenient``, so many that the log would lack too much.
+    """
+    if time is not None and time.rate_hz:
+        return np.arange(len(table)) / time.rate_hz
+    if table.t is not None and (time is None or time.column not in table.names):
+        return table.t
+    if time is None:
+        raise SeatrialError(
+            f"{table.path}: it has no times of its own; give [time] column = ... in the map (or rate_hz = ...)"
+        )
+    if not time.is_text:
+        raw = table.numbers(time.column)
+        t = _of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
+        untimed = np.flatnonzero(np.isnan(t))
+        if len(untimed) and not _may_lack(untimed, t, lenient):
+            raise table.error(int(untimed[0]), time.column, "no time; take the line out")
+    else:
+        t = _of_text(table, time, lenient)
+        untimed = np.flatnonzero(np.isnan(t))
+        known = np.isfinite(t)
+        if "%" in time.format:
+            t[known] = _behind_midnight(t[known], time.format)
+    if len(untimed):
+        row = int(untimed[0])
+        _remark(table, f"{counted(len(untimed), 'row')} without a time left out, the first is row {row + 1}")
+    is_zoned = "%z" in time.format or time.format.endswith(("UTC", "GMT"))
+    if time.format == "iso":
+        is_zoned = bool(_ZONE.search(next(iter(table.text(time.column)), "").strip()))
+    if time.format != "s" and time.format not in GPS_UNITS and not is_zoned:
+        _take_out_clock_changes(table, t, time)
+    return t
+
+
+def _of_numbers(raw: Column, weeks: Column, form: str) -> Column:
+    """Seconds (n,) of numbers; of GPS times with the weeks of their rows."""
+    if form in TIME_UNITS:
+        return raw * TIME_UNITS[form]
+    if form in DAY_COUNTS:
+        return (raw - DAY_COUNTS[form]) * DAY
+    if form == "labview":
+        return raw + LABVIEW_EPOCH
+    return gps_seconds(weeks, raw * GPS_UNITS[form])
+
+
+def gps_seconds(weeks: Column, seconds: Column) -> Column:
+    """Return UTC [s since 1970] of GPS weeks and the seconds in them, each (n,)."""
+    gps = ubx.GPS_EPOCH + weeks * ubx.WEEK + seconds
+    return np.array([ubx.gps_to_utc(t) for t in gps.tolist()])
+
+
+def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
+    """Seconds (n,) of text, NaN where a cell is not of the format."""
+    parse = _parser(time)
+    text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
+    found = np.full(len(text), np.nan)
+    first: ValueError | None = None
+    for row, cell in enumerate(text):
+        try:
+            found[row] = parse(cell)
+        except ValueError as error:
+            first = first or error
+            if not lenient:
+                break
+    wrong = np.flatnonzero(np.isnan(found))
+    if len(wrong) and not _may_lack(wrong, found, lenient):
+        row = int(wrong[0])
+        problem = f"'{text[row][:40]}' is not a time of format {time.format}"
+        advice = "; give its pattern (strptime) as format of [time]" if "%" in time.format else ""
+        raise table.error(row, time.column, problem + advice) from first
+    return found
+
+
+def dated(table: Table, date: str, time: str) -> list[str]:
+    """Return the texts of a column of dates, a blank, and the texts of a column of times of the day.
+
+    A date that is left out is that of the row above.
+    """
+    texts, day = [], ""
+    for cell, clock in zip(table.text(date), table.text(time), strict=True):
+        day = cell.strip() or day
+        texts.append(f"{day} {clock.strip()}")
+    return texts
+
+
+def _may_lack(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
+    return lenient and len(untimed) < len(t) and not lacks_too_much(len(untimed), len(t))  # it is another format
+
+
+def _behind_midnight(t: Column, form: str) -> Column:
+    """Times of a day, or of an hour if the format has no hours, (n,) [s], that go on where the next one begins."""
+    period = DAY if any(part in form for part in ("%H", "%I", "%c", "%X", "%T", "%s")) else HOUR
+    if len(t) and np.all(t < period):
+        t[1:] += period * np.cumsum(np.diff(t) < -period / 2)
+    return t
+
+
+def _remark(table: Table, text: str) -> None:
+    if text not in table.remark:
+        table.remark = "; ".join(part for part in (table.remark, text) if part)
+
+
+def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
+    """Take the change between standard and daylight saving time out of local times t (n,) [s].
+
+    The step is one hour, forward or back, beside the usual step. It ends at a full hour in a night to a Sunday of
+    spring or autumn. The rows behind it are moved, and a remark says so. A step of an hour at another time is the
+    pause of a logger, or a clock that somebody has set: it stays, and a remark says so.
+    """
+    known = np.flatnonzero(np.isfinite(t))
+    steps = np.diff(t[known])
+    if len(steps) < 10:
+        return
+    usual = float(np.median(steps))
+    if not 0.0 < usual < 60.0:
+        return
+    for sign, change in ((-1.0, "ends"), (1.0, "begins")):
+        rows = np.flatnonzero(np.abs(steps - usual - sign * HOUR) <= 2.0 * usual)
+        # Two such steps are no change of the season.
+        if len(rows) != 1 or (sign < 0.0 and np.any(steps < -2.0 * usual - HOUR)):
+            continue
+        before, row = int(known[rows[0]]), int(known[rows[0] + 1])
+        is_full_hour = t[row] % HOUR <= max(2.0 * usual, 1.0)
+        if not (is_full_hour and all(_are_clocks_set(t[k] + time.origin) for k in (before, row))):
+            _remark(
+                table,
+                f"times step by {sign:+.0f} h at row {row + 1}, when no clock is set to daylight saving time or "
+                "back: they are kept",
+            )
+            continue
+        t[row:] -= sign * HOUR
+        _remark(table, f"daylight saving time {change} at row {row + 1}: later times are moved by {-sign:+.0f} h")
+
+
+def _are_clocks_set(t: float) -> bool:
+    """Whether clocks are set at a local time [s since 1970]. The date of a time of the first days is not known."""
+    moment = datetime(1970, 1, 1) + timedelta(seconds=float(t))
+    is_night = moment.hour <= _LAST_HOUR
+    has_date = t > 2 * DAY
+    return is_night and (not has_date or (moment.weekday() == _SUNDAY and moment.month in _MONTHS))
+
+
+def read_date(text: str, pattern: str) -> datetime:
+    """Read a date and time.
+
+    A fraction of the pattern may be missing, as in a whole second of many loggers. It may have more digits than six, of
+    which the rest is cut off.
+    """
+    try:
+        return datetime.strptime(text, pattern)
+    except ValueError:
+        if "%f" not in pattern:
+            raise
+    shorter = _LONG_FRACTION.sub(r"\1", text)
+    if shorter != text:
+        return datetime.strptime(shorter, pattern)
+    return datetime.strptime(text, re.sub(r"[.,:]%f", "", pattern))
+
+
+def _parser(time: TimeColumn) -> Callable[[str], float]:
+    def whole(text: str) -> float:
+        if time.format == "s":
+            return float(text)
+        iso = time.format == "iso"
+        moment = datetime.fromisoformat(text) if iso else read_date(text, time.format)
+        if moment.year == 1900 and not iso and "%Y" not in time.format:  # strptime's, where the pattern has none
+            moment = moment.replace(year=1970)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+    def split(text: str) -> float:
+        head, point, tail = text.rpartition(".")
+        if not point:
+            return whole(text)
+        if not (tail.isascii() and tail.isdigit()) or len(tail) > 9:
+            raise ValueError(text)
+        # unpadded-ns: a logger wrote seconds, a point, and the nanoseconds as a bare number
+        return whole(head) + (int(tail) * 1e-9 if time.fraction == "unpadded-ns" else float(f"0.{tail}"))
+
+    return split if time.fraction else whole

@@ -1,0 +1,70 @@
+"""Python of the pages navigate.md, use-a-model.md and result.md, run as a reader would who has a log of commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ident.results
+from daq.errors import SeatrialError
+from daq.importers.import_files import import_files
+from ident.cli.commands import ident as commands
+from ident.models.catalogue import make_model
+from tests.test_docs import ROOT, blocks, how_to
+
+T = 0.1 * np.arange(601)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """vehicle/model.toml, a model of commands, and validation.mcap, a log with commands and no shaft speeds."""
+    monkeypatch.chdir(tmp_path)
+    model = make_model("horizontal:command")
+    sensors = ", ".join(f'"{sensor.name}"' for sensor in model.sensors)
+    lines = ['format = "seatrial-model 1"', 'name = "horizontal"', 'source = "horizontal:command"']
+    lines += [f"sensors = [{sensors}]", "effects = []", "[validity]", "u = [-1.0, 1.0]"]
+    for one in model.parameters:
+        lines += ["[[parameter]]", f'name = "{one.name}"', f"value = {float(one.value)!r}", "free = false"]
+    (tmp_path / "vehicle").mkdir()
+    (tmp_path / "vehicle/model.toml").write_text("\n".join(lines), encoding="utf-8")
+    rows = [f"{t:.1f},{0.3 * np.sin(t):.4f},{0.3 * np.cos(t):.4f},0.1,{0.1 * t:.3f},{0.05 * t:.3f}" for t in T]
+    (tmp_path / "run.csv").write_text("\n".join(["t,left,right,psi,x,y", *rows]) + "\n")
+    signals = [f'{{ name = "{name}", column = "{name}", unit = "{unit}" }}' for name, unit in
+               (("psi", "rad"), ("x", "m"), ("y", "m"))]  # fmt: skip
+    signals += [f'{{ name = "n_{side}", column = "{side}", unit = "1", role = "input" }}' for side in ("left", "right")]
+    (tmp_path / "map.toml").write_text(
+        f'format = "seatrial-import 1"\nsignal = [{", ".join(signals)}]\ntime = {{ column = "t" }}\n'
+    )
+    import_files(tmp_path / "map.toml", [tmp_path / "run.csv"], out=tmp_path / "validation.mcap")
+    return tmp_path
+
+
+def test_navigation_with_a_log_of_commands(folder: Path) -> None:
+    (code,) = blocks(how_to("navigate"), "python")
+    space: dict[str, Any] = {}
+    exec(compile(code.replace("(60.0, 90.0)", "(20.0, 30.0)"), "navigate.md", "exec"), space)
+    assert np.shape(space["x"])[0] > 500
+
+
+def test_the_simulation_of_a_model_of_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It has many more inputs than there are thrusters: the commands of some time ago."""
+    words = ["export", "vehicle/model.toml", "--to", "python", "-o", "boat.py"]
+    CliRunner().invoke(commands, words, catch_exceptions=False)
+    monkeypatch.syspath_prepend(str(folder))
+    space: dict[str, Any] = {}
+    exec(compile(blocks(how_to("use-a-model"), "python")[0], "use-a-model.md", "exec"), space)
+    boat, x = space["boat"], space["x"]
+    assert len(boat.INPUTS) > 2
+    assert np.all(np.isfinite(np.asarray(x, float)))
+
+
+def test_a_result_is_read_by_the_name_that_the_page_has(folder: Path) -> None:
+    assert "ident.results.read_result(path)" in (ROOT / "docs/formats/result.md").read_text(encoding="utf-8")
+    (folder / "result.json").write_text('{"kind": "nothing"}')
+    for path in ("result.json", folder / "result.json"):  # text, too
+        with pytest.raises(SeatrialError, match=r"result\.json: "):
+            ident.results.read_result(path)

@@ -1,0 +1,97 @@
+"""Tables of thrust stands (RCbenchmark, Tyto): guess, import and the characterisation of the thruster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daq.importers.guess import guess_map
+from daq.importers.import_files import import_files
+from daq.log import open_log
+from daq.samples import Scalar
+from ident.data import load_runs
+from ident.reporter import QUIET
+from ident.results import ThrustCurveResult
+from ident.workflows.thruster import ThrusterRequest, characterise, is_static
+
+HEADER = (
+    "Time (s),ESC signal (µs),Servo 1 (µs),AccX (g),AccY (g),AccZ (g),Torque (N·m),Thrust (kgf),Voltage (V),"
+    "Current (A),Motor Electrical Speed (RPM),Motor Optical Speed (RPM),Electrical Power (W),Motor Efficiency (%),"
+    "Overall Efficiency (kgf/W),Vibration (g),App message"
+)
+NEWTONS = {"kgf": 9.80665, "gf": 9.80665e-3, "N": 1.0, "lbf": 4.4482216152605}
+AHEAD = (0.0, 0.2, 0.0, 0.4, 0.6, 0.8, 1.0, 0.5, 0.0)
+BOTH = (0.0, 0.2, -0.2, 0.4, -0.4, 0.6, -0.6, 0.8, -0.8, 1.0, -1.0, 0.0)
+FULL_N, FULL_RPM, HOLD_S = 30.0, 3000.0, 4.0
+
+
+def stand(
+    levels: tuple[float, ...], rest: float, span: float, unit: str = "kgf", dt: float = 0.05, sign: int = 1
+) -> str:
+    """A table of a thrust stand with a quadratic thruster whose shaft follows within one row; its speed has no sign."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, HOLD_S * len(levels), dt)
+    n = np.repeat(levels, len(t) // len(levels))
+    force = sign * (FULL_N * n * np.abs(n) + rng.normal(0.0, 0.02, n.size)) / NEWTONS[unit]
+    lines = [HEADER.replace("kgf", unit)]
+    for k, one in enumerate(n):
+        rpm = f"{abs(one) * FULL_RPM:.0f}" if one else ""  # the stand writes none while it stands
+        lines.append(
+            f"{t[k] + 3.2:.4f},{rest + span * one:.0f},,0.01,0.02,-1.0,0.01,{force[k]:.6f},14.8,3.2,{rpm},,40,55,4,0,"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def imported(folder: Path, text: str, encoding: str = "utf-8") -> tuple[Path, str]:
+    source = folder / "stand.csv"
+    source.write_bytes(text.encode(encoding))
+    guess = guess_map(source)
+    assert guess.problem == ""
+    (folder / "map.toml").write_text(guess.text, encoding="utf-8")
+    (log,) = import_files(folder / "map.toml", [source], out=folder / "stand.mcap")
+    return log, guess.text
+
+
+@pytest.mark.parametrize("unit", NEWTONS)
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_a_table_of_one_direction(unit: str, encoding: str, tmp_path: Path) -> None:
+    path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, unit), encoding)
+    assert "# caveat: 1000 us is taken for rest, 2000 us for full" in text
+    with open_log(path) as log:
+        assert sorted(log.sources(Scalar)) == ["force", "n_cmd_thruster", "n_thruster"]
+        force, command, speed = (log.table(Scalar, name)["value"] for name in sorted(log.sources(Scalar)))
+        assert (log.unit("force"), log.role("n_cmd_thruster"), log.role("n_thruster")) == ("N", "input", "output")
+    assert np.max(force) == pytest.approx(FULL_N, abs=0.1)
+    assert (np.min(command), np.max(command)) == pytest.approx((0.0, 1.0))
+    assert np.max(speed) == pytest.approx(1.0)
+    assert not is_static(load_runs([path], "estimation"), None)
+
+
+def test_the_curve_of_two_directions(tmp_path: Path) -> None:
+    """The speed has no sign, so there is a static curve."""
+    path, text = imported(tmp_path, stand(BOTH, 1500.0, 400.0))
+    assert "1500 us is taken for rest, 1900 us for full" in text
+    assert "a speed without a sign, though the thrust has one" in text
+    result = characterise(ThrusterRequest([path], tmp_path / "out"), "test", QUIET)
+    assert isinstance(result, ThrustCurveResult)
+    ends = result.static.force_model[0], result.static.force_model[-1]
+    assert ends == pytest.approx((-FULL_N, FULL_N), abs=0.1)
+
+
+def test_a_load_cell_that_pulls_and_slow_rows(tmp_path: Path) -> None:
+    path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, dt=0.5, sign=-1))
+    assert "the thrust is negative throughout: its sign is turned" in text
+    assert "rows 0.5 s apart tell no time constant" in text
+    with open_log(path) as log:
+        assert sorted(log.sources(Scalar)) == ["force", "n_cmd_thruster"]
+        assert np.max(log.table(Scalar, "force")["value"]) == pytest.approx(FULL_N, abs=0.1)
+
+
+def test_a_table_of_a_boat_is_none_of_a_stand(tmp_path: Path) -> None:
+    lines = stand(AHEAD, 1000.0, 1000.0).splitlines()
+    (tmp_path / "boat.csv").write_text(
+        "\n".join([f"yaw [deg],{lines[0]}", *(f"{k % 90},{x}" for k, x in enumerate(lines[1:]))])
+    )
+    assert '"force"' not in guess_map(tmp_path / "boat.csv").text
