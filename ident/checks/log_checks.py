@@ -19,6 +19,7 @@ from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
 from ident.checks.held import check_held
+from ident.checks.inputs import check_exchanged_telemetry, check_inputs
 from ident.checks.latency import check_latency
 from ident.checks.motion import (
     SURGE_LAGS,
@@ -239,7 +240,7 @@ SPOILING = frozenset({
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
-    "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided",
+    "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged", "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided",
 })  # fmt: skip
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 
@@ -276,7 +277,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     of_wraps = list(check_wrapped(c))
     # A wrapped speed is out of range, too; its unit is right.
     wraps = {f.where for f in of_wraps}
-    ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
+    of_inputs = list(check_inputs(c))
+    ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c), *of_inputs]
     yield from ranges
     yield from check_smoothing(c)
     yield from check_held(c)
@@ -291,10 +293,17 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         *position_and_velocity(c, matches.position),
     ]
     yield from of_sensors
-    one_sided = one_sided_shafts({n: x for n, x in c.items() if n not in wraps})
+    unwrapped = {n: x for n, x in c.items() if n not in wraps}
+    # Neither a direction, nor a shaft, nor a side can be judged by the telemetry of another thruster.
+    exchanged = list(check_exchanged_telemetry(unwrapped))
+    yield from exchanged
+    if exchanged:
+        return
+    one_sided = one_sided_shafts(unwrapped)
     yield from one_sided.values()
     # Half of the directions would be taken for a dead band.
     wrong = {*one_sided, *(n.removeprefix("n_") for n in wraps)}
+    wrong |= {f.where.removeprefix("n_") for f in of_inputs if f.code == "shaft-speed-stuck"}
     of_shafts = list(check_shafts({n: x for n, x in c.items() if n.removeprefix("n_cmd_") not in wrong}))
     yield from of_shafts
     if any(f.level == "fault" and f.check in ("units", "stuck") for f in (*ranges, *of_sensors)):
