@@ -70,7 +70,8 @@ class RowsLeftOut:
     def text(self) -> str:
         """What was left out, for people."""
         place = f"{self.topic}: " if self.topic else ""
-        return f"{place}{counted(self.n, 'row')} left out, where time repeats or runs back ({self.n_rows} in all)"
+        reason = "whose stamps are wrong" if self.why == "stamps" else "where time repeats or runs back"
+        return f"{place}{counted(self.n, 'row')} left out, {reason} ({self.n_rows} in all)"
 
 
 @dataclass(frozen=True)

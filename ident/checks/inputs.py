@@ -23,7 +23,7 @@ MOST_RISES = 2  # with a constant thrust: the boat gathers speed, and turns in
 STUCK_S, STUCK_SAMPLES = 5.0, 10  # a shaft speed that stays the same for longer than both
 TURNING = 0.05  # of full speed, from which a shaft turns
 AGAINST, AGAINST_S = 0.5, 2.0  # command over speed, below which the shaft has to slow down, and s for which it is so
-FOLLOWS, FOLLOWS_OTHER = 0.8, 0.9  # R2 below which a shaft hardly follows its command, and from which it follows another
+FOLLOWS, FOLLOWS_OTHER = 0.8, 0.9  # R2 below which a shaft hardly follows its command, and above which another's
 BETTER = 0.2  # of the error by its own command: what the other thruster's command leaves
 
 
@@ -103,7 +103,7 @@ def _smoothed(channel: Channel) -> Array:
     if t.size <= width:
         return np.empty(0)
     whole = np.append(0.0, np.cumsum(np.interp(t, channel.t, channel.value)))
-    return ((whole[width:] - whole[:-width]) / width)[:: round(EVERY_S / STEP)]
+    return np.asarray((whole[width:] - whole[:-width])[:: round(EVERY_S / STEP)] / width)
 
 
 def _rises(curve: Array, least: float) -> int:

@@ -46,7 +46,7 @@ from ident.checks.sensors import (
 )
 from ident.checks.shaft_sign import check_wrapped, one_sided_shafts
 from ident.checks.shafts import check_shafts
-from ident.checks.signals import check_frozen, check_intervals, check_ranges, check_smoothing
+from ident.checks.signals import check_alternating, check_frozen, check_intervals, check_ranges, check_smoothing
 from ident.data import Channel, channels
 from ident.numerics import Array
 
@@ -240,7 +240,8 @@ SPOILING = frozenset({
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
-    "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged", "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided",
+    "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided", "two-sensors",
+    "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged",
 })  # fmt: skip
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 
@@ -278,7 +279,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     # A wrapped speed is out of range, too; its unit is right.
     wraps = {f.where for f in of_wraps}
     of_inputs = list(check_inputs(c))
-    ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c), *of_inputs]
+    ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
+    ranges += [*check_alternating(c), *of_inputs]
     yield from ranges
     yield from check_smoothing(c)
     yield from check_held(c)

@@ -34,6 +34,9 @@ NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3
             "v": 1e-3}  # fmt: skip
 ESTIMATED = 0.03  # m: white noise of a position that is less than this is no receiver's but an estimator's
 FEWEST = 200  # samples
+# Samples that are judged together, share of their differences that alternates between two sensors (of white noise it is
+# 0.05), and share of repeats from which values are held.
+ALTERNATE_BLOCK, ALTERNATES, FEW_REPEATS = 20, 0.7, 0.2
 FEWEST_STEADY, FINE_S = 4, 0.02  # samples of a velocity that bears an acceleration out; s, step of its integral
 
 
@@ -202,6 +205,33 @@ def _turns(c: Channels, group: Sequence[str], begin: float, end: float) -> Itera
 def _part(channel: Channel, begin: float, end: float) -> tuple[Array, Array]:
     inside = (channel.t >= begin) & (channel.t <= end)
     return channel.t[inside], channel.value[inside]
+
+
+def check_alternating(c: Channels) -> Iterator[Finding]:
+    """Signals of two sensors that alternate: each value lies off the line between its neighbours, to one side and to
+    the other in turn."""
+    for group in GROUPS:
+        shares = {name: _alternating(c[name]) for name in group if name in c}
+        found = [name for name, share in shares.items() if share > ALTERNATES]
+        if found:
+            text = "its values jump to and fro from sample to sample: two sensors, or two receivers, in one signal"
+            advice = "give each sensor a topic, column or port of its own, and import one of them"
+            yield Finding("fault", "two-sensors", "alike", ", ".join(found), text, advice)
+
+
+def _alternating(channel: Channel) -> float:
+    """Share of the differences from the line between the neighbours that alternates in sign; 0 for few samples, and for
+    values that repeat, which alternate when each stands in two rows."""
+    value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
+    if value.size < FEWEST or np.mean(np.diff(value) == 0.0) > FEW_REPEATS:
+        return 0.0
+    dt = np.maximum(np.diff(channel.t), 1e-9)
+    off = value[1:-1] - (value[:-2] * dt[1:] + value[2:] * dt[:-1]) / (dt[1:] + dt[:-1])
+    signs = np.where(np.arange(off.size) % 2 == 0, 1.0, -1.0)
+    n = off.size // ALTERNATE_BLOCK
+    blocks = (off * signs)[: n * ALTERNATE_BLOCK].reshape(n, ALTERNATE_BLOCK)
+    whole = np.mean(blocks**2, axis=1)
+    return float(np.median(np.mean(blocks, axis=1) ** 2 / np.maximum(whole, 1e-300)))
 
 
 def check_smoothing(c: Channels) -> Iterator[Finding]:
