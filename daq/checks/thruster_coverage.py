@@ -8,10 +8,20 @@ import numpy as np
 
 from daq.checks.findings import FAULT, OK, WARNING, Finding
 from daq.log import Log
+from daq.rig import Rig
 from daq.samples import Command, Esc
 
 SLOW = 0.5  # of the rate of the fastest controller on the same bus
 FEWEST = 10  # samples of the fastest one
+
+
+def _numbering(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
+    """What may be wrong about the numbers of the controllers of a bus."""
+    offset = min(heard) - min(nodes)
+    of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
+    if of_dronecan and offset and {node + offset for node in nodes} == heard:
+        return f"index_offset = {offset} of the device, if telemetry and commands count from different numbers"
+    return "another number of a thruster in the rig?"
 
 
 def check_thruster_coverage(log: Log) -> Iterator[Finding]:
@@ -38,7 +48,8 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             if node not in heard and node not in log.nodes(Command, device):
                 text = f"its controller, node {node} of {device}, is not in the log"
                 advice = "its power and cable"
-                advice += f"; node {listed} is unknown: does it count from one?" if unknown else ""
+                if unknown:
+                    advice += f"; node {listed} is unknown: {_numbering(rig, device, set(names), set(heard))}"
                 yield Finding(FAULT, "thruster-not-heard", "thrusters", name, text, advice)
         counts = {node: len(log.table(Esc, device, node)) for node in names if node in heard}
         most = max(counts.values(), default=0)
