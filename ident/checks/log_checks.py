@@ -18,7 +18,7 @@ from daq.errors import SeatrialError
 from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
-from ident.checks.held import check_held
+from ident.checks.held import check_held, check_held_inputs
 from ident.checks.inputs import check_exchanged_telemetry, check_inputs
 from ident.checks.latency import check_latency
 from ident.checks.motion import (
@@ -284,6 +284,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     yield from ranges
     yield from check_smoothing(c)
     yield from check_held(c)
+    yield from check_held_inputs(c)
     matches = sensor_matches(c)
     clock = check_time_scale(matches)
     if clock is not None:
