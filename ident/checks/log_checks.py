@@ -46,7 +46,14 @@ from ident.checks.sensors import (
 )
 from ident.checks.shaft_sign import check_wrapped, one_sided_shafts
 from ident.checks.shafts import check_shafts
-from ident.checks.signals import check_alternating, check_frozen, check_intervals, check_ranges, check_smoothing
+from ident.checks.signals import (
+    check_alternating,
+    check_frozen,
+    check_intervals,
+    check_quantised,
+    check_ranges,
+    check_smoothing,
+)
 from ident.data import Channel, channels
 from ident.numerics import Array
 
@@ -283,6 +290,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     ranges += [*check_alternating(c), *of_inputs]
     yield from ranges
     yield from check_smoothing(c)
+    yield from check_quantised(c)
     yield from check_held(c)
     yield from check_held_inputs(c)
     matches = sensor_matches(c)

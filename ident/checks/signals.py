@@ -34,6 +34,11 @@ NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3
             "v": 1e-3}  # fmt: skip
 ESTIMATED = 0.03  # m: white noise of a position that is less than this is no receiver's but an estimator's
 FEWEST = 200  # samples
+# Least and largest step of a coarse resolution (m, m/s), as 0.001 and 0.01 minutes or 1 km/h and 1 m/s; samples per
+# level that show it; how near to a whole number of steps each difference is; steps at both ends of a value that stays
+# the same for the sake of the resolution.
+COARSE = {"x": (0.3, 20.0), "y": (0.3, 20.0), "vx": (0.2, 1.1), "vy": (0.2, 1.1)}
+LEAST_PER_LEVEL, ON_GRID, MOST_STEPS = 3, 0.02, 2.5
 # Samples that are judged together, share of their differences that alternates between two sensors (of white noise it is
 # 0.05), and share of repeats from which values are held.
 ALTERNATE_BLOCK, ALTERNATES, FEW_REPEATS = 20, 0.7, 0.2
@@ -112,6 +117,8 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
             noisy = group == ("ax", "ay") and not all(_noiseless(n, c[n]) for n in same)
             if not noisy and _steady(c, group, begin + SETTLED_S, end - SETTLED_S):
                 continue  # as in simulators, and of a coarse resolution: the same motion is the same value
+            if _within_resolution(c, name, begin, end):
+                continue
             start, duration = float(c[name].t[0]), float(np.ptp(c[name].t))
             value = float(c[name].value[np.searchsorted(c[name].t, begin)])
             if end - begin >= 0.99 * duration:
@@ -121,6 +128,57 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
                 text = f"{value:.6g} for {end - begin:.1f} s, from {begin - start:.1f} s on, and the boat moves"
             advice = "another column, or leave that time out: [[log]] t_from, t_to in the import's map"
             yield Finding("fault", code, "stuck", name, text, advice)
+
+
+def check_quantised(c: Channels) -> Iterator[Finding]:
+    """Positions and velocities that are known in coarse steps, as minutes with three decimals and whole knots are."""
+    for group in PLACES:
+        steps = {name: coarse_step(c, name) for name in group if name in c}
+        if any(steps.values()):
+            unit = "m" if group == ("x", "y") else "m/s"
+            text = f"known in steps of {max(steps.values()):.2g} {unit}: its rounding is a part of its noise"
+            advice = "more decimals of the receiver or of the export"
+            where = ", ".join(name for name, step in steps.items() if step)
+            yield Finding("warning", "channel-quantised", "resolution", where, text, advice)
+
+
+def coarse_step(c: Channels, name: str) -> float:
+    """Return the step of a position [m] or velocity [m/s] that is rounded to coarse steps, as a whole of its receiver;
+    0 if there is none. Of a velocity it may be the speed over ground that is rounded."""
+    if name not in COARSE:
+        return 0.0
+    return next((step for _, step in _coarse_values(c, name)), 0.0)
+
+
+def _coarse_values(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
+    """The values (n,) that are rounded to coarse steps, and the step: of the signal, or of the speed over ground."""
+    candidates = [c[name].value]
+    if name in ("vx", "vy") and {"vx", "vy"} <= set(c) and np.array_equal(c["vx"].t, c["vy"].t):
+        candidates.append(np.hypot(c["vx"].value, c["vy"].value))
+    least, most = COARSE[name]
+    for value in candidates:
+        if least <= (step := _grid_step(value)) <= most:
+            yield value, step
+
+
+def _grid_step(value: Array) -> float:
+    """Step of the grid that all values (n,) lie on; 0 if they lie on none, or are too few to show it."""
+    levels = np.unique(value)
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-6 * np.ptp(value)]
+    if not steps.size or value.size < LEAST_PER_LEVEL * (steps.size + 1):
+        return 0.0
+    whole = steps / steps.min()
+    return float(steps.min()) if np.all(np.abs(whole - np.round(whole)) < ON_GRID) else 0.0
+
+
+def _within_resolution(c: Channels, name: str, begin: float, end: float) -> bool:
+    """Whether a value that stays the same is one step of a coarse resolution: it came, and it goes, by single steps."""
+    value, step = next(_coarse_values(c, name), (c[name].value, 0.0)) if name in COARSE else (c[name].value, 0.0)
+    t = c[name].t
+    a, b = int(np.searchsorted(t, begin)), int(np.searchsorted(t, end, side="right"))
+    edges = [abs(float(value[k] - value[k - 1])) for k in (a, b) if 0 < k < t.size]
+    return bool(step and edges) and max(edges) < MOST_STEPS * step
 
 
 def _longest_hold(channel: Channel) -> tuple[float, float]:
