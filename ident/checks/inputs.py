@@ -23,6 +23,7 @@ MOST_RISES = 2  # with a constant thrust: the boat gathers speed, and turns in
 STUCK_S, STUCK_SAMPLES = 5.0, 10  # a shaft speed that stays the same for longer than both
 TURNING = 0.05  # of full speed, from which a shaft turns
 AGAINST, AGAINST_S = 0.5, 2.0  # command over speed, below which the shaft has to slow down, and s for which it is so
+COMMAND_CHANGE = 0.3  # of full command, that a measured force must show
 FOLLOWS, FOLLOWS_OTHER = 0.8, 0.9  # R2 below which a shaft hardly follows its command, and above which another's
 BETTER = 0.2  # of the error by its own command: what the other thruster's command leaves
 
@@ -142,6 +143,27 @@ def _longest_run(mask: Array) -> int:
     """The largest number of true values of a mask (n,) in a row."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+def check_frozen_force(c: Channels) -> Iterator[Finding]:
+    """A measured force that stays exactly the same while a thruster is told to change."""
+    commands = [c[n] for n in sorted(c) if n.startswith("n_")]
+    if "force" not in c or not commands:
+        return
+    force = c["force"]
+    first = np.flatnonzero(np.diff(force.value, prepend=np.nan) != 0)
+    last = np.append(first[1:], force.value.size) - 1
+    k = int(np.argmax(force.t[last] - force.t[first]))
+    begin, end = float(force.t[first[k]]), float(force.t[last[k]])
+    if last[k] - first[k] < STUCK_SAMPLES or end - begin < STUCK_S:
+        return
+    grid = np.arange(begin, end, STEP)
+    # A push of less than this moves no coarse scale.
+    if max(float(np.ptp(sample_and_hold(command, grid))) for command in commands) > COMMAND_CHANGE:
+        since = f"{end - begin:.1f} s, from {begin - force.t[0]:.1f} s on"
+        text = f"{force.value[first[k]]:.4g} N for {since}, and its command"
+        advice = "the load cell or its amplifier hangs, or this is another column"
+        yield Finding(FAULT, "channel-frozen", "stuck", "force", f"{text} changes", advice)
 
 
 def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:

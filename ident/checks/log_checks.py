@@ -19,7 +19,7 @@ from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
 from ident.checks.held import check_held, check_held_inputs
-from ident.checks.inputs import check_exchanged_telemetry, check_inputs
+from ident.checks.inputs import check_exchanged_telemetry, check_frozen_force, check_inputs
 from ident.checks.latency import check_latency
 from ident.checks.motion import (
     SURGE_LAGS,
@@ -285,7 +285,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     of_wraps = list(check_wrapped(c))
     # A wrapped speed is out of range, too; its unit is right.
     wraps = {f.where for f in of_wraps}
-    of_inputs = list(check_inputs(c))
+    of_inputs = [*check_inputs(c), *check_frozen_force(c)]
     ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
     ranges += [*check_alternating(c), *of_inputs]
     yield from ranges
