@@ -15,6 +15,18 @@ SLOW = 0.5  # of the rate of the fastest controller on the same bus
 FEWEST = 10  # samples of the fastest one
 
 
+def _without_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
+    """Thrusters whose controllers report a speed that is no part of full speed, as the rig has no rpm_max of them."""
+    for thruster in rig.thrusters:
+        if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):
+            continue
+        rpm = np.abs(log.table(Esc, thruster.device, thruster.node)["rpm"])
+        if np.nanmax(rpm, initial=0.0) > 0.0:
+            text = "its speed is in the log, and a fit takes its commands: the rig has no rpm_max of it"
+            advice = f"rpm_max of the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
+            yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
+
+
 def _numbering(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
     """What may be wrong about the numbers of the controllers of a bus."""
     offset = min(heard) - min(nodes)
@@ -32,6 +44,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
     rig = log.rig
     if rig is None:
         return
+    yield from _without_rpm_max(log, rig)
     for device in log.sources(Esc):
         names = {t.node: t.name for t in rig.thrusters if t.device == device and t.output is None}
         heard = log.nodes(Esc, device)

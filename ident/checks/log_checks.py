@@ -250,6 +250,7 @@ SPOILING = frozenset({
     "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided", "two-sensors",
     "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged",
 })  # fmt: skip
+OF_INPUTS = ("input-missing", "rpm-max-missing")  # warnings on devices that each fit repeats
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 
 
@@ -330,8 +331,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
 
 
 def device_faults(log: Log) -> list[Finding]:
-    """Faults of a log's devices, thrusters of which nothing was heard, and inputs that are unknown at times."""
-    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT or f.code == "input-missing"]
+    """Faults of a log's devices, thrusters of which nothing was heard, and warnings on the inputs of a fit."""
+    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT or f.code in OF_INPUTS]
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:

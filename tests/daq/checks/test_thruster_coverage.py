@@ -8,13 +8,15 @@ from pathlib import Path
 import pytest
 
 from daq.checks import Finding
-from daq.checks.thruster_coverage import check_thruster_coverage
+from daq.checks.thruster_coverage import _without_rpm_max, check_thruster_coverage
 from daq.config.rig_file import load_rig
 from daq.errors import SeatrialError
 from daq.importers.can_log import import_can
+from daq.importers.write_log import SignalRow, write_frames
 from daq.log import open_log
 from daq.protocol import dronecan
-from daq.samples import Esc
+from daq.samples import NAN, Esc, Frame
+from tests.daq.mavlink_ends import mav_rig
 
 RIG = """format = "seatrial-rig 1"
 name = "boat"
@@ -82,6 +84,22 @@ def test_a_silent_and_a_slow_controller(tmp_path: Path) -> None:
     (slow,) = [f for f in findings(tmp_path, {0: 1, 1: 5}) if f.level == "warning"]
     assert (slow.code, slow.where) == ("thruster-rate-low", "right")
     assert "2 Hz" in slow.text
+
+
+@pytest.mark.parametrize(("speed", "n_named"), [(1200.0, 1), (0.0, 0)])
+def test_a_speed_without_rpm_max_is_named(tmp_path: Path, speed: float, n_named: int) -> None:
+    """Behind an autopilot rpm_max may be left out; a fit then has no shaft speed."""
+    rig = mav_rig()
+    rows = [
+        SignalRow(1.7e9 + 0.1 * k, "autopilot", Frame(Esc(node, speed, 2.0, 0.0, 14.8, 30.0), 1.7e9 + 0.1 * k, NAN))
+        for k in range(20)
+        for node in (1, 3)
+    ]
+    write_frames(tmp_path / "run.mcap", rows, metadata={}, note="made for a test")
+    with open_log(tmp_path / "run.mcap") as log:
+        found = list(_without_rpm_max(log, rig))
+    assert codes(found) == [("rpm-max-missing", "right")] * n_named
+    assert all("1200 rev/min" in f.advice for f in found)
 
 
 @pytest.mark.parametrize("offset", [20, -20, "1.5"])
