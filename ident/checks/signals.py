@@ -18,6 +18,8 @@ GROUPS = (("psi",), ("r",), ("ax", "ay"), ("x", "y"), ("vx", "vy"), ("u", "v"))
 PLACES = (("x", "y"), ("vx", "vy"))
 BODY = (("ax", "ay"), ("u", "v"))  # one axis of which may be zero all the time
 LONGEST_INTERVAL, SHORTEST_INTERVAL = 10.0, 2e-4  # s between samples of a boat's sensors
+DAY, YEAR = 86400.0, 365.25 * 86400.0  # s
+LONGEST_PAUSE = DAY  # of a log that is one run
 MOST_N = 1.5  # of full speed: more is another unit
 MOST_YAW_RATE = 5.0  # rad/s
 TWICE = np.radians(2.0 * np.pi)  # rad, a turn of a heading in radians that was taken for degrees
@@ -48,7 +50,16 @@ FEWEST_STEADY, FINE_S = 4, 0.02  # samples of a velocity that bears an accelerat
 def check_intervals(c: Channels) -> Iterator[Finding]:
     """Whether time is in seconds, as far as the samples' distance shows it."""
     for name in (n for n in MOTION if n in c):
-        step = float(np.median(np.diff(c[name].t)))
+        pause = np.diff(c[name].t)
+        step = float(np.median(pause))
+        if pause.max() > LONGEST_PAUSE:
+            # The grids of the other checks would fill the memory.
+            k = int(np.argmax(pause))
+            far = f"{pause[k] / YEAR:.1f} years" if pause[k] > YEAR else f"{pause[k] / DAY:.1f} days"
+            text = f"its times jump by {far}, {c[name].t[k] - c[name].t[0]:.1f} s from its start"
+            advice = "a clock that was not set yet, or two runs: cut the log there, [[log]] t_from, t_to in the map"
+            yield Finding("fault", "times-jump", "time", name, text, advice)
+            return
         if step > LONGEST_INTERVAL or step < SHORTEST_INTERVAL:
             unit = "ms" if LONGEST_INTERVAL < step < 1e4 else "us" if step > 1.0 else "another unit than s"
             yield Finding(
