@@ -248,7 +248,7 @@ SPOILING = frozenset({
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
     "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided", "two-sensors",
-    "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged",
+    "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged", "gyro-wrapped", "times-jump",
 })  # fmt: skip
 OF_INPUTS = ("input-missing", "rpm-max-missing")  # warnings on devices that each fit repeats
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
@@ -286,6 +286,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     of_wraps = list(check_wrapped(c))
     # A wrapped speed is out of range, too; its unit is right.
     wraps = {f.where for f in of_wraps}
+    if "r" in wraps:
+        c = {name: channel for name, channel in c.items() if name != "r"}
     of_inputs = [*check_inputs(c), *check_frozen_force(c)]
     ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
     ranges += [*check_alternating(c), *of_inputs]
@@ -318,7 +320,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     wrong |= {f.where.removeprefix("n_") for f in of_inputs if f.code == "shaft-speed-stuck"}
     of_shafts = list(check_shafts({n: x for n, x in c.items() if n.removeprefix("n_cmd_") not in wrong}))
     yield from of_shafts
-    if any(f.level == "fault" and f.check in ("units", "stuck") for f in (*ranges, *of_sensors)):
+    wrong_inputs = [*of_wraps, *one_sided.values()]
+    if wrong_inputs or any(f.level == FAULT and f.check in ("units", "stuck", "alike") for f in (*ranges, *of_sensors)):
         return
     of_frames = list(check_frames(c, matches.heading, turning(c, sides)))
     yield from of_frames

@@ -147,3 +147,21 @@ def test_the_hold_of_an_input_is_guessed_by_its_values(
     (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"], force=True)
     (found,) = [f for f in findings(log) if f.code == "input-held"]
     assert "it comes 0.25 s late on average" in found.text
+
+
+@pytest.mark.parametrize(("scale", "is_wrapped"), [(1.0, True), (1.0 / 3000.0, True), (1.0, False)])
+def test_wrapped_speeds_are_no_percent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scale: float, is_wrapped: bool
+) -> None:
+    """Telemetry that sends -900 rev/min as 64636."""
+    monkeypatch.chdir(tmp_path)
+    rpm = np.trunc(3000.0 * propulsion("shaft", 1))
+    value = scale * (np.mod(rpm, 65536.0) if is_wrapped else rpm)
+    text = "\n".join(f"{t:.3f},{n:.5f},{0.1 * t:.4f}" for t, n in zip(T, value, strict=True))
+    (tmp_path / "run.csv").write_text(f"time,n_left,yaw_rad\n{text}\n")
+    guessed = guess_map(tmp_path / "run.csv").text
+    assert ("negative speeds that were wrapped (65536 - n)" in guessed) == is_wrapped
+    assert 'unit = "%"' not in guessed
+    (tmp_path / "map.toml").write_text(guessed)
+    (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
+    assert ("shaft-speed-wrapped" in [f.code for f in findings(log)]) == is_wrapped
