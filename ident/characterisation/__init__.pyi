@@ -1,4 +1,3 @@
-from .cell_zero import ZeroDrift as ZeroDrift
 from .cell_zero import zero_drift as zero_drift
 from .sensor_noise import NoiseFit as NoiseFit
 from .sensor_noise import band_spectrum as band_spectrum
