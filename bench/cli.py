@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -108,7 +109,20 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, comma
     metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
     result = run_mission(plan, rig, path, make_display(), metadata, arm, retry, commands)
     click.echo(f"done: {plan.name}, {plan.end:g} s in {time.monotonic() - start:.1f} s; log {path}")
+    click.echo(next_command(plan, rig, path))
     warn_of_armed(result.still_armed)
+
+
+def next_command(plan: Mission, rig: Rig, log: Path) -> str:
+    """Return the line that names the command for a finished log: which fit suits the rig."""
+    from bench.execution import LOAD_CELLS
+
+    name = shlex.quote(str(log))
+    if len(plan.thrusters) == 1 and any(device.protocol in LOAD_CELLS for device in rig.devices):
+        return f"next: seatrial ident thruster {name}"
+    by_autopilot = any(thruster.output is not None for thruster in rig.thrusters)
+    # An autopilot reports its outputs, and no shaft speed in time: a model without sideslip needs none.
+    return f"next: seatrial ident vehicle {name}{' --model nomoto' if by_autopilot else ''}"
 
 
 def warn_of_armed(names: Sequence[str]) -> None:

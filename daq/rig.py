@@ -127,6 +127,7 @@ class Device:
     signals: tuple[DbcSignal, ...] = ()
     query: str = ""  # request for each sample, of a device that sends only on request
     own_node: int = OWN_NODE  # ours on a DroneCAN bus
+    index_offset: int = 0  # index of a controller in its DroneCAN telemetry, less its place in the command
 
     @property
     def sends_many_kinds(self) -> bool:

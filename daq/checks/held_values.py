@@ -32,6 +32,10 @@ MOST_SINGLE_STEPS = 0.5  # share of the changes that may be one step of the reso
 TIMES_CHANCE = 4.0  # by which repeats exceed what the resolution explains
 SAME_ROWS = 0.8  # share of common rows of change, from which two signals come from one sensor
 WITHIN = 0.95  # share of the changes of a coarse signal that are at the changes of its sensor
+# A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
+# to a value: interpolation would make ramps of the steps of a command. Number of values, share of different ones,
+# longest time between two [s].
+FEWEST_LEVELS, LEAST_DIFFERENT, SLOWEST_INPUT_S = 50, 0.5, 1.05
 # Signals that one sensor measures at once: where one of them changes, the other one was measured, too.
 TOGETHER = (("x", "y"), ("vx", "vy"), ("u", "v"), ("ax", "ay"), ("speed_x", "speed_y"))
 
@@ -119,6 +123,21 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
             mean = _pace(sensor)
             found.update(dict.fromkeys(g, HeldValues(mean, _measurements(sensor, mean))))
     return found
+
+
+def is_measured(levels: FloatArray, interval: float) -> bool:
+    """Return whether the values (n,) of a held input are those of a sensor or a joystick, and not a command's steps.
+
+    Parameters
+    ----------
+    levels
+        The values without their repeats.
+    interval
+        Time between two of them [s].
+    """
+    levels = levels[np.append(True, levels[1:] != levels[:-1])]
+    different = len(np.unique(levels)) / max(len(levels), 1)
+    return len(levels) >= FEWEST_LEVELS and different > LEAST_DIFFERENT and interval <= SLOWEST_INPUT_S
 
 
 def held_together(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:

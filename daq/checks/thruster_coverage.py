@@ -8,11 +8,33 @@ import numpy as np
 
 from daq.checks.findings import FAULT, OK, WARNING, Finding
 from daq.log import Log
+from daq.rig import Rig
 from daq.samples import Command, Esc
 
 SLOW = 0.5  # of the rate of the fastest controller on the same bus
 LONGEST_PAUSE_S = 60.0  # s; a longer time between two speeds is a gap of the log and tells nothing of their rate
 FEWEST = 10  # samples of the fastest one
+
+
+def _without_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
+    """Thrusters whose controllers report a speed that is no part of full speed, as the rig has no rpm_max of them."""
+    for thruster in rig.thrusters:
+        if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):
+            continue
+        rpm = np.abs(log.table(Esc, thruster.device, thruster.node)["rpm"])
+        if np.nanmax(rpm, initial=0.0) > 0.0:
+            text = "its speed is in the log, and a fit takes its commands: the rig has no rpm_max of it"
+            advice = f"rpm_max of the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
+            yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
+
+
+def _numbering(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
+    """What may be wrong about the numbers of the controllers of a bus."""
+    offset = min(heard) - min(nodes)
+    of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
+    if of_dronecan and offset and {node + offset for node in nodes} == heard:
+        return f"index_offset = {offset} of the device, if telemetry and commands count from different numbers"
+    return "another number of a thruster in the rig?"
 
 
 def check_thruster_coverage(log: Log) -> Iterator[Finding]:
@@ -23,6 +45,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
     rig = log.rig
     if rig is None:
         return
+    yield from _without_rpm_max(log, rig)
     for device in log.sources(Esc):
         names = {t.node: t.name for t in rig.thrusters if t.device == device and t.output is None}
         heard = log.nodes(Esc, device)
@@ -39,7 +62,8 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             if node not in heard and node not in log.nodes(Command, device):
                 text = f"its controller, node {node} of {device}, is not in the log"
                 advice = "its power and cable"
-                advice += f"; node {listed} is unknown: does it count from one?" if unknown else ""
+                if unknown:
+                    advice += f"; node {listed} is unknown: {_numbering(rig, device, set(names), set(heard))}"
                 yield Finding(FAULT, "thruster-not-heard", "thrusters", name, text, advice)
         counts = {node: len(log.table(Esc, device, node)) for node in names if node in heard}
         most = max(counts.values(), default=0)

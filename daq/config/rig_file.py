@@ -220,6 +220,10 @@ def _own_node(table: TomlTable, folder: Path) -> dict[str, Any]:
     return {"own_node": table.integer("own_node", OWN_NODE, low=1, high=127)}
 
 
+def _index_offset(table: TomlTable, folder: Path) -> dict[str, Any]:
+    return {"index_offset": table.integer("index_offset", 0, low=-19, high=19)}
+
+
 def _pattern(table: TomlTable, folder: Path) -> dict[str, Any]:
     pattern = table.text("pattern", DEFAULT_PATTERN)
     try:
@@ -321,7 +325,7 @@ def _rates(table: TomlTable) -> dict[str, float]:
 
 
 _READ: dict[str, Callable[[TomlTable, Path], dict[str, Any]]] = {
-    "mavlink": _mavlink, "own_node": _own_node,
+    "mavlink": _mavlink, "own_node": _own_node, "index_offset": _index_offset,
     "bitrate": _bitrate, "pattern": _pattern, "saturation": _saturation, "calibration": _calibration,
     "declination_deg": _declination, "query": _query, "dbc": _dbc,
 }  # fmt: skip

@@ -18,6 +18,7 @@ from daq.errors import SeatrialError
 from daq.importers.bench_table import COMMAND, bench_candidates
 from daq.importers.clocks import DATES, Clock, clock_of, row_seconds
 from daq.importers.import_map import GEOGRAPHIC
+from daq.importers.input_hold import input_hold
 from daq.importers.recognise import (
     BEHIND,
     CAVEATS,
@@ -181,8 +182,8 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks:
     for candidate in candidates:
         t = row_seconds(candidate.table, clocks[id(candidate.table)])
         for signal in candidate.signals:
-            is_output = 'role = "input"' not in signal.extra
-            if t is None or not is_output or not any(signal is one for one in taken):
+            holds = 'role = "input"' in signal.extra and "hold = " not in signal.extra
+            if t is None or holds or not any(signal is one for one in taken):
                 continue
             values = np.sum([candidate.table.numbers(column) for column in signal.columns], axis=0)
             known = np.isfinite(values) & np.isfinite(t)
@@ -244,12 +245,23 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
             and (message != "JointState" or "velocity" in words)
         ):
             group, taken, caveat = found
+            taken, of_hold = _with_hold(taken, row_seconds(table, clocks[id(table)]), values, words)
+            caveat = "; ".join(one for one in (caveat, of_hold) if one)
             behind = (message == "JointState") + bool(words & SET_POINTS)
             signals = (taken._replace(columns=(column,)),)
             yield Candidate(group, behind, table, signals, caveat, quantity(words))
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
     yield from _motion(table, row_seconds(table, clocks[id(table)]), names, numbers)
+
+
+def _with_hold(taken: Taken, t: Column | None, values: Column, words: frozenset[str]) -> tuple[Taken, str]:
+    """An input with the hold that its values (n,) show, and a caveat about it."""
+    if t is None or "hold = " in taken.extra:
+        return taken, ""
+    known = np.isfinite(values) & np.isfinite(t)
+    found = input_hold(t[known], values[known], may_be_shaft="n" in words and not words & SET_POINTS)
+    return _also(taken, f'hold = "{found.hold}"') if found.hold else taken, found.caveat
 
 
 def _axis(letter: str, letters: Collection[str], stated: str) -> str:

@@ -32,7 +32,7 @@ def import_files(
 
     `out` names the log where it is a single one; otherwise they go to `out_dir` (default: here), named after the
     files (after the map, where files are merged) and the pieces. Raises SeatrialError, also after the logs are written
-    where more than one row in 20 of a source is out of order.
+    where more than one row in 20 of a source is out of order, or has a stamp that is wrong.
     """
     import_map = load_import_map(map_path)
     groups = _groups(import_map, files)
@@ -57,6 +57,8 @@ def import_files(
         advice = "sort the rows, or import the parts before and after a clock was set by themselves"
         if spoiled[0][1].why == "repeats":
             advice = f"its stamps are too coarse: {coarse_advice(spoiled[0][1].rate)}"
+        elif spoiled[0][1].why == "stamps":
+            advice = "mend the clock of the driver, or cut the log where it failed: [[log]] t_from, t_to of the map"
         rest = f" ({counted(len(spoiled) - 1, 'more source')})" if len(spoiled) > 1 else ""
         raise SeatrialError(
             f"{spoiled[0][0]}: {spoiled[0][1].text}{rest}: the log is written, but it lacks too much; {advice}"
@@ -65,8 +67,8 @@ def import_files(
 
 
 def _spoils(row: RowsLeftOut) -> bool:
-    """Whether so many rows are out of order that what is left is not the recording."""
-    return row.why != "stamps" and lacks_too_much(row.n, row.n_rows)
+    """Whether so many rows are out of order, or have wrong stamps, that what is left is not the recording."""
+    return lacks_too_much(row.n, row.n_rows)
 
 
 def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import struct
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from daq.clock import ClockMap
 from daq.drivers import ParameterMismatch, check_parameters
-from daq.errors import SeatrialError, counted
+from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.dataflash import firmware_type, read_dataflash
 from daq.importers.write_log import Timed, clock_steps, replacing, sha256_of
 from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
 from daq.rig import Device, Rig
-from daq.samples import Event
+from daq.samples import Ahrs, Event, Gnss
 
 STAMP = 8  # bytes before each frame of a tlog: us since 1970, big-endian
 DATAFLASH = b"\xa3\x95"
+# Samples whose boot time runs back by more than this [s], and their share, from which there are two clocks. One
+# autopilot rounds its times to ms in some messages and to us in others, and a radio may exchange frames.
+BACK_S, FEWEST_BACK, ALTERNATE = 0.05, 10, 0.2
 DEVICE = "autopilot"  # the name in the log where there is no rig
 
 
@@ -78,6 +84,11 @@ def read_tlog(
     component = 1
     if system is None:
         system, component = _who(path, data)
+        others = sorted({found.system for found, _ in _heartbeats(data)} - {system})
+        if others:
+            names = " and ".join(str(number) for number in others)
+            text = f"{path}: system {system} is read; system {names} is in it, too: --system or `system` of the map"
+            warnings.warn(text, SeatrialWarning, stacklevel=2)
     samples = make_samples(device, rig) if device is not None and rig is not None else Samples()
     decoder = MavlinkDecoder(samples, system, component)
     parameters: dict[str, float] = {}
@@ -101,9 +112,23 @@ def read_tlog(
             f"{path}: no samples of system {system} among {decoder.frames} frames; "
             f"is it a tlog or a BIN? {_others(decoder)}"
         )
+    _refuse_two_of_one_number(path, rows, system)
     delay = f"device times {1e3 * clock.bias:.1f} ms before their arrival, spread {1e3 * clock.spread:.1f} ms"
     read = f"{counted(decoder.frames, 'frame')}, {decoder.lost} lost, {counted(skipped, 'byte')} not understood"
     return rows, f"system {system}, {read}, {delay}", parameters
+
+
+def _refuse_two_of_one_number(path: Path, rows: Sequence[Timed], system: int) -> None:
+    """Raise SeatrialError if the samples are of two autopilots with one system number: their boot times alternate."""
+    for kind in (Ahrs, Gnss):
+        boot = np.array([row.frame.t_device for row in rows if isinstance(row.frame.sample, kind)])
+        known = boot[np.isfinite(boot)]
+        n_back = int(np.sum(np.diff(known) < -BACK_S))
+        if n_back >= FEWEST_BACK and n_back > ALTERNATE * known.size:
+            raise SeatrialError(
+                f"{path}: two autopilots send as system {system}, times of two clocks alternate "
+                f"({counted(n_back, 'time')}); give one another number (SYSID_THISMAV, MAV_SYSID) and record again"
+            )
 
 
 def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatch]:

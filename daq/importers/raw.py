@@ -5,13 +5,17 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from daq.config import default_decoder
-from daq.errors import SeatrialError, counted
+from daq.errors import SeatrialError, SeatrialWarning, counted
 from daq.importers.write_log import SignalRow, write_frames
 from daq.protocol import Decoder, nmea, ubx, vectornav
 from daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
@@ -19,6 +23,8 @@ from daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
 XDR = "xdr_"  # in front of the name of a transducer
 _CHUNK = 1 << 16
+# s: a jump of the date that no run has; a pause between two parts that may be of one run
+OTHER_CALENDAR_S, LONGEST_PAUSE_S = 300 * nmea.DAY, 600.0
 UNDATED = 2 * nmea.DAY  # s since 1970; a time of day without a date is given the day of the receipt, which is 0 here
 
 
@@ -42,6 +48,8 @@ def import_raw(
     if isinstance(decoder, vectornav.Decoder):
         frames, n_left_out = _without_doubles(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out beside the binary ones" * bool(n_left_out)
+    if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
+        frames = _one_calendar(path, frames)
     transducers = list(decoder.transducers or ()) if isinstance(decoder, nmea.Decoder) else []
     names = _names(frames, transducers)
     if all(name.startswith(XDR) for name in names):
@@ -132,6 +140,39 @@ def _dated(frames: list[Frame]) -> list[Frame]:
             times[k] = nmea.nearest_day(times[k], near)
         near = times[k] if math.isfinite(times[k]) else near
     return [_at(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
+
+
+def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
+    """Frames of one calendar: those of a receiver that does not know the date yet, or of another 1024 weeks, are moved.
+
+    A receiver counts from a date of its firmware until it knows the week, and its week runs over every 1024 weeks. Both
+    make its date too early by years, so the latest date is taken for right. Frames of another date are moved by whole
+    days next to it. They are left out where their time of the day is wrong, too.
+    """
+    t = np.array([frame.t_device for frame in frames])
+    known = np.flatnonzero(np.isfinite(t))
+    edges = [0, *(np.flatnonzero(np.abs(np.diff(t[known])) > OTHER_CALENDAR_S) + 1).tolist(), len(known)]
+    parts = [known[a:b] for a, b in pairwise(edges)]
+    if len(parts) < 2:
+        return frames
+    right = max(range(len(parts)), key=lambda k: float(np.median(t[parts[k]])))
+    moved, left_out = np.zeros(len(t)), np.zeros(len(t), bool)
+    for way, order in ((-1, range(right - 1, -1, -1)), (1, range(right + 1, len(parts)))):
+        near = float(t[parts[right][0 if way < 0 else -1]])
+        for k in order:
+            own = float(t[parts[k][-1 if way < 0 else 0]])
+            days = nmea.DAY * round((near - own) / nmea.DAY)
+            if not 0.0 <= way * (own + days - near) <= LONGEST_PAUSE_S:
+                left_out[parts[k]] = True
+                continue
+            moved[parts[k]] = days
+            near = float(t[parts[k][0 if way < 0 else -1]]) + days
+    counts = {"moved": int(np.count_nonzero(moved)), "left out": int(left_out.sum())}
+    places = [f"{counted(n, 'sample')} {what}" for what, n in counts.items() if n]
+    text = "dates of another calendar: the receiver did not know the date yet, or its week ran over (1024 weeks)"
+    warnings.warn(f"{path}: {text}; {' and '.join(places)}", SeatrialWarning, stacklevel=3)
+    rows = zip(frames, moved.tolist(), left_out.tolist(), strict=True)
+    return [_at(one, one.t_device + days) if days else one for one, days, out in rows if not out]
 
 
 def _at(frame: Frame, t: float) -> Frame:

@@ -191,6 +191,8 @@ _NOT_DRIVES |= {"efficiency"}
 _NOT_DRIVES |= {"effort", "torque", "std", "bias", "status", "min", "max", "temp", "sp", "sat", "sats", "satellites"}
 _LETTERS = {"n", "f"}  # of a thruster only where they stand alone, or beside a side
 SET_POINTS = {"setpoint", "desired", "target", "goal", "reference", "ref"}
+FEWEST_JUMPS, FEWEST_LEVELS = 3, 10  # between small and wrapped numbers, and different ones of either
+WRAPPED = "numbers up to {:.5g} are taken for negative speeds that were wrapped (65536 - n); mend the telemetry"
 _COMMANDS = SET_POINTS | {"cmd", "command", "pwm"}
 _SPEEDS = {"rpm", "speed", "velocity", "shaft"}
 _SPEED_UNITS = {"rev/min", "rev/s", "rad/s", "Hz"}
@@ -277,6 +279,30 @@ def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
     )
 
 
+def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
+    """Return which numbers (n,) are negative ones that a counter of 16 bits has wrapped; none if that is not clear.
+
+    Raw numbers lie below 65536, and scaled ones are far from all others. Both come from a small number, and go back to
+    one, without any between.
+    """
+    none = np.zeros(len(values), bool)
+    if len(values) < 2 or np.min(values) < 0.0 or (top := float(np.max(values))) <= 1.0:
+        return none
+    high = values > 0.7 * top
+    low = values < 0.3 * top
+    jumps = (low[1:] & high[:-1]) | (low[:-1] & high[1:])
+    levels = [len(np.unique(values[part])) for part in (low, high)]
+    apart = np.max(values[low], initial=0.0) < 0.5 * np.min(values[high], initial=top)
+    clear = np.mean(low | high) > 0.99 and np.count_nonzero(jumps) >= FEWEST_JUMPS and min(levels) >= FEWEST_LEVELS
+    return high if clear and apart and np.max(values[low]) < 0.3 * top and _is_of_16_bits(values, high) else none
+
+
+def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
+    """Whether the high numbers (n,) begin at the top, as small negative ones do, and end where the low ones do."""
+    top = float(np.max(values[high]))
+    return top - float(np.min(values[high])) < 3.0 * float(np.max(values[~high])) + 1e-9
+
+
 def quantity(words: frozenset[str]) -> frozenset[str]:
     """What the words about a thruster say beside its side and number: left and right of one quantity have the same."""
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
@@ -292,8 +318,9 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
     good = values[np.isfinite(values)]
     if unit not in _DRIVE_UNITS or not good.size:
         return None
+    wraps = wrapped_negative(good)
     side = "_left" if words & _LEFT and not words & _RIGHT else "_right" if words & _RIGHT and not words & _LEFT else ""
-    top = float(np.max(np.abs(good)))
+    top = float(np.max(np.abs(good[~wraps])))
     forces = words & {"force", "thrust", "f"}
     if unit in _FORCE_UNITS or (not unit and forces and top > 1.0):
         caveat = "" if unit else f"its numbers, up to {top:.3g}, are taken for newtons"
@@ -303,6 +330,9 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
     if speed and not words & _COMMANDS:
         role += ', hold = "linear"'
         caveat = 'taken for a measured shaft speed; a command has hold = "zero"'
+
+    if wraps.any():
+        caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, Taken, str]:
         return "drive", Taken(f"n{side}", (), unit, "", extra), "; ".join(one for one in (*caveats, caveat) if one)

@@ -189,12 +189,16 @@ class _Topic:
     def __init__(self, kind: str) -> None:
         self.kind, self.frame_id = kind, ""
         self.t_log, self.t_stamp = array("d"), array("d")
+        self._frames: dict[str, list[float]] = {}  # by frame_id: how many messages, and the first and the last receipt
         self.columns: dict[str, array[float]] = {}  # 8 bytes a number: a bag of an hour has tens of millions
 
     def add(self, t_log: float, message: Any) -> None:
         header = getattr(message, "header", None)
         stamp = message.clock if self.kind == CLOCK else getattr(header, "stamp", None)
-        self.frame_id = self.frame_id or str(getattr(header, "frame_id", ""))
+        frame_id = str(getattr(header, "frame_id", ""))
+        self.frame_id = self.frame_id or frame_id
+        of_frame = self._frames.setdefault(frame_id, [0, t_log, t_log])
+        of_frame[0], of_frame[2] = of_frame[0] + 1, t_log
         self.t_log.append(t_log)
         self.t_stamp.append(np.nan if stamp is None else stamp.sec + 1e-9 * stamp.nanosec)
         rows = len(self.t_log)
@@ -222,11 +226,18 @@ class _Topic:
             for name in ("latitude", "longitude"):
                 columns[name] = np.where(columns["status.status"] < 0, np.nan, columns[name])
         n_lost = len(t) - len(order)
-        remark = "; ".join(part for part in (times.remark, stopped_motors(self.kind, columns)) if part)
+        parts = (times.remark, stopped_motors(self.kind, columns), self._two_sensors())
+        remark = "; ".join(part for part in parts if part)
         clock = "" if times.mixed else ran_back(t[np.isfinite(t)])
-        return Table(
-            path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost
-        )
+        return Table(path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost)
+
+    def _two_sensors(self) -> str:
+        """A remark if messages of several frames alternate: each sensor of a craft has a frame of its own."""
+        frames = sorted(self._frames.items())
+        if len(frames) < 2 or max(first for _, (_, first, _) in frames) > min(last for _, (_, _, last) in frames):
+            return ""
+        listed = " and ".join(f"{n:.0f} of frame {name!r}" for name, (n, _, _) in frames)
+        return f"messages of several sensors in one topic ({listed}): give each a topic of its own"
 
     def _column(self, name: str) -> Column:
         found = np.full(len(self.t_log), np.nan)

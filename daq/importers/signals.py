@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import held_signals
+from daq.checks import held_signals, is_measured
 from daq.errors import SeatrialError, counted
 from daq.importers.import_map import Signal, Source, TimeColumn
 from daq.importers.missing_inputs import input_gaps
@@ -22,9 +22,6 @@ from daq.log import local_ned, schema
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 COARSE = 0.3  # share of the rows whose time repeats: the stamps are coarser than the rows
 _ATTITUDE = ("roll", "pitch", "yaw")
-# A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
-# to a value: interpolation would make ramps of the steps of a command.
-FEWEST_LEVELS, LEAST_DIFFERENT, SLOWEST_INPUT_S = 50, 0.5, 1.0
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,8 @@ class RowsLeftOut:
     def text(self) -> str:
         """What was left out, for people."""
         place = f"{self.topic}: " if self.topic else ""
-        return f"{place}{counted(self.n, 'row')} left out, where time repeats or runs back ({self.n_rows} in all)"
+        reason = "whose stamps are wrong" if self.why == "stamps" else "where time repeats or runs back"
+        return f"{place}{counted(self.n, 'row')} left out, {reason} ({self.n_rows} in all)"
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,8 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         if policy == "error" and len(bad):
             raise table.error(int(bad[0]), signal.columns[0], 'no number; nan = "drop" or "keep" would allow that')
         repeats = signal.repeats or source.options.style.repeats
-        if repeats == "" and not signal.timeout and signal.hold == "linear" and not np.isnan(raw[rows]).any():
+        holds = signal.hold == "zero" or signal.timeout
+        if repeats == "" and not holds and not np.isnan(raw[rows]).any():
             of_table.setdefault((clock, rows.tobytes()), []).append(len(signals))
         elif signal.repeats == "drop":
             rows[np.flatnonzero(rows)] &= _news([raw[rows]])
@@ -187,18 +186,11 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
         if (held := found.get(one.signal.name)) is None:
             continue
         interval = held.rows * float(np.median(np.diff(t)))
-        if one.signal.role == "input" and not _is_measured(one.values[held.new], interval):
+        if one.signal.role == "input" and not is_measured(one.values[held.new], interval):
             continue
         n_left_out = len(t) - int(held.new.sum())
         data = replace(one, t=t[held.new], values=one.values[held.new])
         yield k, data, Held(one.signal.name, len(t), n_left_out, interval)
-
-
-def _is_measured(levels: Column, interval: float) -> bool:
-    """Whether the values of an input that is held look like a sensor's, and not like the steps of a command."""
-    levels = levels[np.append(True, levels[1:] != levels[:-1])]
-    different = len(np.unique(levels)) / len(levels)
-    return len(levels) >= FEWEST_LEVELS and different > LEAST_DIFFERENT and interval <= SLOWEST_INPUT_S
 
 
 def _table(tables: Sequence[Table], signal: Signal) -> Table:

@@ -96,7 +96,7 @@ def _dronecan(device: Device, rig: Rig) -> Decoder:
     from daq.protocol import dronecan
 
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
-    return dronecan.Decoder(frozenset(thruster.node for thruster in here if thruster.reversed))
+    return dronecan.Decoder(frozenset(thruster.node for thruster in here if thruster.reversed), device.index_offset)
 
 
 def _nmea2000(device: Device, rig: Rig) -> Decoder:
@@ -125,7 +125,7 @@ DEVICES: dict[str, DeviceType] = {
     ),
     "vesc": DeviceType("VESC speed controllers", CAN, _vesc, ("bitrate",)),
     "dbc": DeviceType("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
-    "dronecan": DeviceType("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node")),
+    "dronecan": DeviceType("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node", "index_offset")),
     "nmea2000": DeviceType("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
     "mavlink": DeviceType(
         "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600)

@@ -48,16 +48,16 @@ NODE_STATUS = MessageType(341, 0x0F0868D0C1A7C6F1, 7)
 
 
 class Decoder(FrameDecoder):
-    """esc.Status -> `Esc`, the index of the controller as its node.
+    """esc.Status -> `Esc`, the index of the controller, less ``index_offset``, as its node.
 
     rpm is the shaft's (the controller accounts for the poles), with its sign changed for `reversed_nodes`; duty is not
     in the message. `t_rx` is that of the transfer's first frame. A transfer that lacks a frame counts as unparsed
     bytes, one whose checksum is wrong as a checksum error.
     """
 
-    def __init__(self, reversed_nodes: frozenset[int] = frozenset()) -> None:
+    def __init__(self, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> None:
         super().__init__()
-        self._reversed = reversed_nodes
+        self._reversed, self._offset = reversed_nodes, index_offset
         self._assembler = Assembler(STATUS)
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
@@ -69,7 +69,7 @@ class Decoder(FrameDecoder):
                 self.checksum_errors += 1
                 continue
             self.frames += 1
-            out.append(Frame(unpack(payload, self._reversed), t_first, NAN))
+            out.append(Frame(unpack(payload, self._reversed, self._offset), t_first, NAN))
         self._count()
         return out
 
@@ -84,10 +84,13 @@ class Decoder(FrameDecoder):
         self._count()
 
 
-def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset()) -> Esc:
-    """The 14 bytes of an esc.Status. rpm has 18 bits, the rating 7 and the index 5, in this order."""
+def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> Esc:
+    """The 14 bytes of an esc.Status. rpm has 18 bits, the rating 7 and the index 5, in this order.
+
+    The node is the index less ``index_offset``, modulo 32: an index below the offset becomes one that no command has.
+    """
     _, voltage, current, kelvin, low = _HEAD.unpack_from(payload)
-    node = payload[13] >> 2 & 0x1F
+    node = (payload[13] >> 2) - index_offset & 0x1F
     rpm = low | payload[12] >> 6 << 16
     rpm -= (rpm & 0x20000) << 1
     return Esc(node, float(-rpm if node in reversed_nodes else rpm), current, NAN, voltage, kelvin - KELVIN)

@@ -1,3 +1,4 @@
+from .cell_zero import zero_drift as zero_drift
 from .sensor_noise import NoiseFit as NoiseFit
 from .sensor_noise import band_spectrum as band_spectrum
 from .sensor_noise import estimate_noise as estimate_noise

@@ -6,10 +6,25 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.checks import WARNING, Finding, held_signals, held_together
+from daq.checks import WARNING, Finding, held_signals, held_together, is_measured
 from ident.checks.sensors import Channels
 
 SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi", "theta", "p", "q", "force")
+
+
+def check_held_inputs(c: Channels) -> Iterator[Finding]:
+    """Warn of inputs of thrusters that a table holds from one measurement to the next, as a slow shaft speed.
+
+    A fit takes each value for one of its row, and so for late by half of the time between the measurements.
+    """
+    for name in sorted(n for n in c if n.startswith(("n_", "f_")) and c[n].hold in ("zero", "linear")):
+        held = held_signals(c[name].t, {name: c[name].value}).get(name)
+        interval = 0.0 if held is None else held.rows * float(np.median(np.diff(c[name].t)))
+        if held is None or not is_measured(c[name].value[held.new], interval):
+            continue
+        text = f"held between measurements {interval:.3g} s apart: it comes {interval / 2.0:.2g} s late on average"
+        advice = 'hold = "linear" (a measured shaft speed) or "sampled" (a command) in the import\'s map, and no '
+        yield Finding(WARNING, "input-held", "repeats", name, text, f'{advice}`repeats = "keep"`')
 
 
 def check_held(c: Channels) -> Iterator[Finding]:

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import FAULT, OK, WARNING, Finding
+from daq.checks import OK, Finding
 from ident.checks.sensors import (
     DELAY_FAULT,
     DELAY_WARNING,
@@ -37,6 +37,8 @@ from ident.checks.sensors import (
     LagErrors,
     LagEstimate,
     cumulative,
+    delay_interval,
+    delay_level,
     grid,
 )
 from ident.data import Channel
@@ -108,13 +110,14 @@ def _sensors(attitude: LagEstimate | None, velocity: LagEstimate | None, turned:
     late, ahead, where = (ATTITUDE, VELOCITY, turned) if lag > 0.0 else (VELOCITY, ATTITUDE, moved)
     level = _level(abs(lag), half)
     if level == OK:
-        apart = f"{abs(lag):.2f} s apart, as both follow the thrust ({_interval(abs(lag), half)})"
+        apart = f"{abs(lag):.2f} s apart, as both follow the thrust ({delay_interval(abs(lag), half)})"
         text = f"{ATTITUDE} and {VELOCITY} are {apart}"
         yield Finding(OK, "sensors-in-time", "late", turned, text)
         return
     come = "comes" if late == VELOCITY else "come"
-    text = f"{late} {come} {abs(lag):.2f} s after {ahead}, as both follow the thrust ({_interval(abs(lag), half)})"
-    yield Finding(level, "sensor-late", "late", where, text, "its filters, output rate or time stamps")
+    text = f"{late} {come} {abs(lag):.2f} s after {ahead}, as both follow the thrust ({delay_interval(abs(lag), half)})"
+    its = "its" if late == VELOCITY else "their"
+    yield Finding(level, "sensor-late", "late", where, text, f"{its} filters, output rate or time stamps")
 
 
 def _thrust_times(attitude: LagEstimate | None, velocity: LagEstimate | None, push: ThrustSignals) -> Iterator[Finding]:
@@ -130,23 +133,24 @@ def _thrust_times(attitude: LagEstimate | None, velocity: LagEstimate | None, pu
     fault_from = DELAY_FAULT if push.measured else DELAY_FAULT - SHAFT_LAG
     level = _level(abs(lag), half, fault_from) if same else OK
     if level != OK and lag < 0.0:
-        text = f"the motion comes {-lag:.2f} s before the thrust ({_interval(-lag, half)}): the thrust is logged late"
+        before = f"{-lag:.2f} s before the thrust ({delay_interval(-lag, half)})"
+        text = f"the motion comes {before}: the thrust is logged late"
         advice = "time stamps and filters of shaft speeds or commands"
         yield Finding(level, "thrust-late", "late", push.where, text, advice)
     elif level != OK and push.measured:
-        text = f"the motion comes {lag:.2f} s after the measured thrust ({_interval(lag, half)})"
+        text = f"the motion comes {lag:.2f} s after the measured thrust ({delay_interval(lag, half)})"
         advice = "time stamps of the shaft speeds, or of all sensors"
         yield Finding(level, "motion-late", "late", push.where, text, advice)
     else:
         order = "before" if lag < 0.0 else "after"
-        text = f"the motion comes {abs(lag):.2f} s {order} the thrust ({_interval(abs(lag), half)})"
+        text = f"the motion comes {abs(lag):.2f} s {order} the thrust ({delay_interval(abs(lag), half)})"
         yield Finding(OK, "thrust-in-time", "late", push.where, text)
 
 
 def _level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
     if lag < DELAY_WARNING - STEP / 2 or lag - half < SURE:
         return OK
-    return FAULT if lag >= fault_from else WARNING
+    return delay_level(lag, half, fault_from)
 
 
 def _known(found: LagEstimate | None) -> bool:
@@ -156,10 +160,6 @@ def _known(found: LagEstimate | None) -> bool:
 def _half(*found: LagEstimate) -> float:
     """Half the width of a 95 % interval [s] of a delay, or of the difference of two."""
     return float(np.sqrt(sum(one.half**2 + SYSTEMATIC**2 * (1.0 - one.r2) for one in found)))
-
-
-def _interval(lag: float, half: float) -> str:
-    return f"95 %: {lag - half:.2f} to {lag + half:.2f} s"
 
 
 def _place(c: Channels, names: Sequence[str]) -> str:

@@ -18,7 +18,8 @@ from daq.errors import SeatrialError
 from daq.log import Log, open_log
 from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from ident.checks.frames import check_accelerometer, check_frames
-from ident.checks.held import check_held
+from ident.checks.held import check_held, check_held_inputs
+from ident.checks.inputs import check_exchanged_telemetry, check_frozen_force, check_inputs
 from ident.checks.latency import check_latency
 from ident.checks.motion import (
     SURGE_LAGS,
@@ -45,7 +46,14 @@ from ident.checks.sensors import (
 )
 from ident.checks.shaft_sign import check_wrapped, one_sided_shafts
 from ident.checks.shafts import check_shafts
-from ident.checks.signals import check_frozen, check_intervals, check_ranges, check_smoothing
+from ident.checks.signals import (
+    check_alternating,
+    check_frozen,
+    check_intervals,
+    check_quantised,
+    check_ranges,
+    check_smoothing,
+)
 from ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
 from ident.numerics import Array
 
@@ -252,8 +260,10 @@ SPOILING = frozenset({
     "heading-sense", "heading-offset", "heading-half-turn", "gyro-sign-reversed", "position-axes", "velocity-axes",
     "position-and-velocity-axes", "frames-mirrored", "velocity-earth-fixed", "body-velocity-axes", "acceleration-axes",
     "thruster-sides-swapped", "thruster-sign-reversed", "channel-frozen", "channel-constant", "sensor-stuck",
-    "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided",
+    "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided", "two-sensors",
+    "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged", "gyro-wrapped", "times-jump",
 })  # fmt: skip
+OF_INPUTS = ("input-missing", "rpm-max-missing")  # warnings on devices that each fit repeats
 COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
 
 
@@ -319,10 +329,16 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     of_wraps = list(check_wrapped(c))
     # A wrapped speed is out of range, too; its unit is right.
     wraps = {f.where for f in of_wraps}
+    if "r" in wraps:
+        c = {name: channel for name, channel in c.items() if name != "r"}
+    of_inputs = [*check_inputs(c), *check_frozen_force(c)]
     ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
+    ranges += [*check_alternating(c), *of_inputs]
     yield from ranges
     yield from check_smoothing(c)
+    yield from check_quantised(c)
     yield from check_held(c)
+    yield from check_held_inputs(c)
     matches = sensor_matches(c)
     clock = check_time_scale(matches)
     if clock is not None:
@@ -334,13 +350,21 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         *position_and_velocity(c, matches.position),
     ]
     yield from of_sensors
-    one_sided = one_sided_shafts({n: x for n, x in c.items() if n not in wraps})
+    unwrapped = {n: x for n, x in c.items() if n not in wraps}
+    # Neither a direction, nor a shaft, nor a side can be judged by the telemetry of another thruster.
+    exchanged = list(check_exchanged_telemetry(unwrapped))
+    yield from exchanged
+    if exchanged:
+        return
+    one_sided = one_sided_shafts(unwrapped)
     yield from one_sided.values()
     # Half of the directions would be taken for a dead band.
     wrong = {*one_sided, *(n.removeprefix("n_") for n in wraps)}
+    wrong |= {f.where.removeprefix("n_") for f in of_inputs if f.code == "shaft-speed-stuck"}
     of_shafts = list(check_shafts({n: x for n, x in c.items() if n.removeprefix("n_cmd_") not in wrong}))
     yield from of_shafts
-    if any(f.level == "fault" and f.check in ("units", "stuck") for f in (*ranges, *of_sensors)):
+    wrong_inputs = [*of_wraps, *one_sided.values()]
+    if wrong_inputs or any(f.level == FAULT and f.check in ("units", "stuck", "alike") for f in (*ranges, *of_sensors)):
         return
     of_frames = list(check_frames(c, matches.heading, turning(c, sides)))
     yield from of_frames
@@ -353,8 +377,8 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
 
 
 def device_faults(log: Log) -> list[Finding]:
-    """Faults of a log's devices, thrusters of which nothing was heard, and inputs that are unknown at times."""
-    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT or f.code == "input-missing"]
+    """Faults of a log's devices, thrusters of which nothing was heard, and warnings on the inputs of a fit."""
+    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT or f.code in OF_INPUTS]
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import Finding
+from daq.checks import FAULT, WARNING, Finding
 from ident.data import Channel
 from ident.numerics import Array
 
@@ -22,6 +22,7 @@ STEP = 0.05  # s, of the common grid
 WINDOW = 1.0  # s, over which signals are differenced
 LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s, that are tried
 DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s: worth a word; not to be fitted
+KNOWN_LATE = 0.2  # s, lower end of a delay's interval from which it is a fault: it biases masses and damping
 MIN_ERROR_REDUCTION = 0.3  # of the error, from which a lag is no chance
 MIN_R2 = 0.6  # R2 below which two sensors have too little in common to compare their times
 BLOCKS, STUDENT = 10, 2.26  # blocks of time of a jackknife, and the 97.5 % quantile of Student's t with 9 d.o.f.
@@ -241,7 +242,7 @@ def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Find
     if found is None or found.r2 < 0.3:
         return
     gnss, ahrs = _who(c["vx"], "GNSS"), _who(c["ax"], "ax")
-    yield from sensor_delay("velocity", gnss, "acceleration", ahrs, found)
+    yield from sensor_delay("velocity", gnss, "acceleration", ahrs, found, confounded=True)
 
 
 def position_match(c: Channels) -> Match | None:
@@ -284,12 +285,28 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
     yield from sensor_delay("position", _who(c["x"], "x"), "velocity", where, found)
 
 
-def sensor_delay(one: str, where: str, other: str, there: str, found: Match) -> Iterator[Finding]:
-    """What a lag of ``one`` behind ``other`` means, where it explains something."""
+def delay_level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
+    """Return the level of a delay ``lag`` [s] whose 95 % interval has half the width ``half`` [s]."""
+    return FAULT if lag >= fault_from or lag - half > KNOWN_LATE else WARNING
+
+
+def delay_interval(lag: float, half: float) -> str:
+    """Return a 95 % interval [s] in words, without a negative zero."""
+    low, high = (round(end, 2) + 0.0 for end in (lag - half, lag + half))
+    return f"95 %: {low:.2f} to {high:.2f} s"
+
+
+def sensor_delay(
+    one: str, where: str, other: str, there: str, found: Match, *, confounded: bool = False
+) -> Iterator[Finding]:
+    """What a lag of ``one`` behind ``other`` means, where it explains something.
+
+    ``confounded``: something else than a delay, such as a lever arm, explains a part of it: a small one is no fault.
+    """
     late, behind, at = (one, other, where) if found.lag > 0 else (other, one, there)
-    interval = f"95 %: {abs(found.lag) - found.half:.2f} to {abs(found.lag) + found.half:.2f} s"
+    interval = delay_interval(abs(found.lag), found.half)
     if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - STEP / 2:
-        level = "fault" if abs(found.lag) >= DELAY_FAULT else "warning"
+        level = delay_level(abs(found.lag), np.inf if confounded else found.half)
         text = f"{late} comes {abs(found.lag):.2f} s after {behind} ({interval})"
         yield Finding(level, "sensor-late", "late", at, text, "its filters, output rate or time stamps")
     elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - STEP / 2:

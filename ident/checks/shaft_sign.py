@@ -13,6 +13,7 @@ from ident.data import Channel, sample_and_hold
 from ident.numerics import Array
 
 SETTLED_S = 1.5  # s for which a command has had one sign and size before a shaft is compared with it
+FASTEST_TURN, CLEAR_TURN = 5.0, 0.02  # rad/s: the largest yaw rate, and one that differs from rest
 CLEAR = 0.12  # of full command, from which a shaft turns
 FEWEST = 10  # samples of each direction
 FASTEST, NEAR_TOP, BETWEEN = 1.5, 0.7, 0.1  # of full speed; of the largest value; part of the samples
@@ -27,22 +28,27 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
     return {n: finding for n, finding in found if finding is not None}
 
 
-def wrapped(value: Array) -> bool:
-    """Return whether a shaft speed (n,) has its negative values as 65536 - n, with any sign.
+def wrapped(value: Array, fastest: float = FASTEST, clear: float = CLEAR) -> bool:
+    """Return whether a shaft speed, or another rate, (n,) has its negative values as 65536 - n, with any sign.
+
+    ``fastest``: the largest size that it can have; ``clear``: from which size it differs from rest.
 
     Its sizes are either those of a shaft or some near one far larger value, and few lie between, of a shaft that was
     sampled on its way.
     """
     size = np.abs(value)
     top = float(size.max(initial=0.0))
-    high, low = size > NEAR_TOP * top, size <= FASTEST
-    if top < WRAPS or np.count_nonzero(high) < FEWEST or np.count_nonzero(low & (size > CLEAR)) < FEWEST:
+    high, low = size > NEAR_TOP * top, size <= fastest
+    if top < 2.0 * fastest or np.count_nonzero(high) < FEWEST or np.count_nonzero(low & (size > clear)) < FEWEST:
         return False
     return bool(np.mean(~(high | low)) < BETWEEN)
 
 
 def check_wrapped(c: Channels) -> Iterator[Finding]:
-    """Shaft speeds that wrap where they are negative."""
+    """Shaft speeds and yaw rates that wrap where they are negative."""
+    if "r" in c and wrapped(c["r"].value, FASTEST_TURN, CLEAR_TURN):
+        text = f"goes to {np.abs(c['r'].value).max():.4g} rad/s: negative rates are wrapped to 65536 - n"
+        yield Finding(FAULT, "gyro-wrapped", "sign", "r", text, "read it as a signed number of 16 bits")
     for name in sorted(n for n in c if n.startswith("n_") and not n.startswith("n_cmd_")):
         value = c[name].value
         if wrapped(value):

@@ -18,6 +18,8 @@ GROUPS = (("psi",), ("r",), ("ax", "ay"), ("x", "y"), ("vx", "vy"), ("u", "v"))
 PLACES = (("x", "y"), ("vx", "vy"))
 BODY = (("ax", "ay"), ("u", "v"))  # one axis of which may be zero all the time
 LONGEST_INTERVAL, SHORTEST_INTERVAL = 10.0, 2e-4  # s between samples of a boat's sensors
+DAY, YEAR = 86400.0, 365.25 * 86400.0  # s
+LONGEST_PAUSE = DAY  # of a log that is one run
 MOST_N = 1.5  # of full speed: more is another unit
 MOST_YAW_RATE = 5.0  # rad/s
 TWICE = np.radians(2.0 * np.pi)  # rad, a turn of a heading in radians that was taken for degrees
@@ -34,13 +36,30 @@ NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3
             "v": 1e-3}  # fmt: skip
 ESTIMATED = 0.03  # m: white noise of a position that is less than this is no receiver's but an estimator's
 FEWEST = 200  # samples
+# Least and largest step of a coarse resolution (m, m/s), as 0.001 and 0.01 minutes or 1 km/h and 1 m/s; samples per
+# level that show it; how near to a whole number of steps each difference is; steps at both ends of a value that stays
+# the same for the sake of the resolution.
+COARSE = {"x": (0.3, 20.0), "y": (0.3, 20.0), "vx": (0.2, 1.1), "vy": (0.2, 1.1)}
+LEAST_PER_LEVEL, ON_GRID, MOST_STEPS = 3, 0.02, 2.5
+# Samples that are judged together, share of their differences that alternates between two sensors (of white noise it is
+# 0.05), and share of repeats from which values are held.
+ALTERNATE_BLOCK, ALTERNATES, FEW_REPEATS = 20, 0.7, 0.2
 FEWEST_STEADY, FINE_S = 4, 0.02  # samples of a velocity that bears an acceleration out; s, step of its integral
 
 
 def check_intervals(c: Channels) -> Iterator[Finding]:
     """Whether time is in seconds, as far as the samples' distance shows it."""
     for name in (n for n in MOTION if n in c):
-        step = float(np.median(np.diff(c[name].t)))
+        pause = np.diff(c[name].t)
+        step = float(np.median(pause))
+        if pause.max() > LONGEST_PAUSE:
+            # The grids of the other checks would fill the memory.
+            k = int(np.argmax(pause))
+            far = f"{pause[k] / YEAR:.1f} years" if pause[k] > YEAR else f"{pause[k] / DAY:.1f} days"
+            text = f"its times jump by {far}, {c[name].t[k] - c[name].t[0]:.1f} s from its start"
+            advice = "a clock that was not set yet, or two runs: cut the log there, [[log]] t_from, t_to in the map"
+            yield Finding("fault", "times-jump", "time", name, text, advice)
+            return
         if step > LONGEST_INTERVAL or step < SHORTEST_INTERVAL:
             unit = "ms" if LONGEST_INTERVAL < step < 1e4 else "us" if step > 1.0 else "another unit than s"
             yield Finding(
@@ -109,6 +128,8 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
             noisy = group == ("ax", "ay") and not all(_noiseless(n, c[n]) for n in same)
             if not noisy and _steady(c, group, begin + SETTLED_S, end - SETTLED_S):
                 continue  # as in simulators, and of a coarse resolution: the same motion is the same value
+            if _within_resolution(c, name, begin, end):
+                continue
             start, duration = float(c[name].t[0]), float(np.ptp(c[name].t))
             value = float(c[name].value[np.searchsorted(c[name].t, begin)])
             if end - begin >= 0.99 * duration:
@@ -118,6 +139,57 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
                 text = f"{value:.6g} for {end - begin:.1f} s, from {begin - start:.1f} s on, and the boat moves"
             advice = "another column, or leave that time out: [[log]] t_from, t_to in the import's map"
             yield Finding("fault", code, "stuck", name, text, advice)
+
+
+def check_quantised(c: Channels) -> Iterator[Finding]:
+    """Positions and velocities that are known in coarse steps, as minutes with three decimals and whole knots are."""
+    for group in PLACES:
+        steps = {name: coarse_step(c, name) for name in group if name in c}
+        if any(steps.values()):
+            unit = "m" if group == ("x", "y") else "m/s"
+            text = f"known in steps of {max(steps.values()):.2g} {unit}: its rounding is a part of its noise"
+            advice = "more decimals of the receiver or of the export"
+            where = ", ".join(name for name, step in steps.items() if step)
+            yield Finding("warning", "channel-quantised", "resolution", where, text, advice)
+
+
+def coarse_step(c: Channels, name: str) -> float:
+    """Return the step of a position [m] or velocity [m/s] that is rounded to coarse steps, as a whole of its receiver;
+    0 if there is none. Of a velocity it may be the speed over ground that is rounded."""
+    if name not in COARSE:
+        return 0.0
+    return next((step for _, step in _coarse_values(c, name)), 0.0)
+
+
+def _coarse_values(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
+    """The values (n,) that are rounded to coarse steps, and the step: of the signal, or of the speed over ground."""
+    candidates = [c[name].value]
+    if name in ("vx", "vy") and {"vx", "vy"} <= set(c) and np.array_equal(c["vx"].t, c["vy"].t):
+        candidates.append(np.hypot(c["vx"].value, c["vy"].value))
+    least, most = COARSE[name]
+    for value in candidates:
+        if least <= (step := _grid_step(value)) <= most:
+            yield value, step
+
+
+def _grid_step(value: Array) -> float:
+    """Step of the grid that all values (n,) lie on; 0 if they lie on none, or are too few to show it."""
+    levels = np.unique(value)
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-6 * np.ptp(value)]
+    if not steps.size or value.size < LEAST_PER_LEVEL * (steps.size + 1):
+        return 0.0
+    whole = steps / steps.min()
+    return float(steps.min()) if np.all(np.abs(whole - np.round(whole)) < ON_GRID) else 0.0
+
+
+def _within_resolution(c: Channels, name: str, begin: float, end: float) -> bool:
+    """Whether a value that stays the same is one step of a coarse resolution: it came, and it goes, by single steps."""
+    value, step = next(_coarse_values(c, name), (c[name].value, 0.0)) if name in COARSE else (c[name].value, 0.0)
+    t = c[name].t
+    a, b = int(np.searchsorted(t, begin)), int(np.searchsorted(t, end, side="right"))
+    edges = [abs(float(value[k] - value[k - 1])) for k in (a, b) if 0 < k < t.size]
+    return bool(step and edges) and max(edges) < MOST_STEPS * step
 
 
 def _longest_hold(channel: Channel) -> tuple[float, float]:
@@ -202,6 +274,33 @@ def _turns(c: Channels, group: Sequence[str], begin: float, end: float) -> Itera
 def _part(channel: Channel, begin: float, end: float) -> tuple[Array, Array]:
     inside = (channel.t >= begin) & (channel.t <= end)
     return channel.t[inside], channel.value[inside]
+
+
+def check_alternating(c: Channels) -> Iterator[Finding]:
+    """Signals of two sensors that alternate: each value lies off the line between its neighbours, to one side and to
+    the other in turn."""
+    for group in GROUPS:
+        shares = {name: _alternating(c[name]) for name in group if name in c}
+        found = [name for name, share in shares.items() if share > ALTERNATES]
+        if found:
+            text = "its values jump to and fro from sample to sample: two sensors, or two receivers, in one signal"
+            advice = "give each sensor a topic, column or port of its own, and import one of them"
+            yield Finding("fault", "two-sensors", "alike", ", ".join(found), text, advice)
+
+
+def _alternating(channel: Channel) -> float:
+    """Share of the differences from the line between the neighbours that alternates in sign; 0 for few samples, and for
+    values that repeat, which alternate when each stands in two rows."""
+    value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
+    if value.size < FEWEST or np.mean(np.diff(value) == 0.0) > FEW_REPEATS:
+        return 0.0
+    dt = np.maximum(np.diff(channel.t), 1e-9)
+    off = value[1:-1] - (value[:-2] * dt[1:] + value[2:] * dt[:-1]) / (dt[1:] + dt[:-1])
+    signs = np.where(np.arange(off.size) % 2 == 0, 1.0, -1.0)
+    n = off.size // ALTERNATE_BLOCK
+    blocks = (off * signs)[: n * ALTERNATE_BLOCK].reshape(n, ALTERNATE_BLOCK)
+    whole = np.mean(blocks**2, axis=1)
+    return float(np.median(np.mean(blocks, axis=1) ** 2 / np.maximum(whole, 1e-300)))
 
 
 def check_smoothing(c: Channels) -> Iterator[Finding]:

@@ -28,7 +28,8 @@ from ident.data.record import Channel, LeftOut
 from ident.numerics import Array, wrap
 
 Mask = NDArray[np.bool_]
-LONGEST = 3  # samples of a burst
+LONGEST = 3  # samples of a burst that is searched at every sample; longer ones begin and end with a jump
+MOST_JUMPS = 0.02  # share of the samples that jump: more is noise, or another unit
 NEIGHBOURS = 6  # samples on each side
 FEWEST_STEPS = 4  # between regular neighbours, from which their size is known
 TIMES_STEP = 5.0  # the difference of an outlier over the largest step of its neighbours
@@ -40,6 +41,7 @@ LEAST: dict[str, tuple[float, float]] = {
     "speed": (3.0, 2.5), "psi": (0.6, 0.7), "phi": (0.6, 0.5), "theta": (0.6, 0.5), "p": (2.0, 0.5), "q": (2.0, 0.5),
     "r": (1.0, 0.5), "ax": (30.0, 0.3), "ay": (30.0, 0.3), "az": (30.0, 0.3),
 }  # fmt: skip
+HEADING_SPAN = 5.0  # s, of a burst of headings that a gyro contradicts
 SHAFT = (0.1, 0.35)  # of full speed, s
 # A force or another unnamed signal has no physical scale: so many times the range of its middle 98 %.
 TIMES_RANGE, OTHER_SPAN = 1.0, 0.35
@@ -91,7 +93,11 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
         impossible = none  # a wrong unit, and no single values
     kept = np.flatnonzero(~impossible)
     bad = impossible.copy()
-    bad[kept] = _bursts(name, c.t[kept], c.value[kept], least, span)
+    value = c.value
+    if name == "psi" and "r" in found and found["r"].t.size > 1:
+        # Beside the gyro a burst may last: the craft cannot have turned there and back.
+        value, span = np.unwrap(value) - _turned(found["r"], c.t), HEADING_SPAN
+    bad[kept] = _bursts(name, c.t[kept], value[kept], least, span)
     if name.startswith("n_") and f"n_cmd_{name[2:]}" in found:
         bad &= ~_commanded(c, bad, found[f"n_cmd_{name[2:]}"])
     elif name not in LEAST and bad.any() and is_stepped(c.value, least, int(bad.sum())):
@@ -125,24 +131,59 @@ def _limits(name: str, c: Channel) -> tuple[float, float]:
 
 
 def _bursts(name: str, t: Array, value: Array, least: float, span: float) -> Mask:
-    """Return the samples (n,) of bursts of up to `LONGEST` samples."""
+    """Return the samples (n,) of bursts."""
     bad = np.zeros(t.size, bool)
     candidates = [_candidates(name, t, value, length, least, span) for length in range(1, LONGEST + 1)]
+    long_bursts = _long_bursts(name, t, value, least, span)
     suspect = np.zeros(t.size, bool)
     for length, (starts, _) in enumerate(candidates, start=1):
         for k in range(length):
             suspect[starts + k] = True
+    for first, length, _ in long_bursts:
+        suspect[first : first + length] = True
     if suspect.mean() > 0.2:
         return bad  # noise and no single values
     steps = np.abs(_difference(name, value[1:], value[:-1]))
     regular = ~(suspect[1:] | suspect[:-1])
-    for length, (starts, sizes) in enumerate(candidates, start=1):
-        for first, size in zip(starts.tolist(), sizes.tolist(), strict=True):
-            around = slice(max(first - NEIGHBOURS, 0), first + length + NEIGHBOURS - 1)
-            near = steps[around][regular[around]]
-            if near.size >= FEWEST_STEPS and size > TIMES_STEP * float(near.max()):
-                bad[first : first + length] = True
+    short = [
+        (first, length, size)
+        for length, (starts, sizes) in enumerate(candidates, start=1)
+        for first, size in zip(starts.tolist(), sizes.tolist(), strict=True)
+    ]
+    for first, length, size in (*short, *long_bursts):
+        around = slice(max(first - NEIGHBOURS, 0), first + length + NEIGHBOURS - 1)
+        near = steps[around][regular[around]]
+        if near.size >= FEWEST_STEPS and size > TIMES_STEP * float(near.max()):
+            bad[first : first + length] = True
     return bad
+
+
+def _turned(rate: Channel, t: Array) -> Array:
+    """The integral of a yaw rate at times t (n,) [rad]."""
+    steps = 0.5 * (rate.value[1:] + rate.value[:-1]) * np.diff(rate.t)
+    return np.asarray(np.interp(t, rate.t, np.append(0.0, np.cumsum(steps))))
+
+
+def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -> list[tuple[int, int, float]]:
+    """First sample, length and least difference of bursts longer than `LONGEST`, from a jump to a jump back."""
+    jumps = np.flatnonzero(np.abs(_difference(name, value[1:], value[:-1])) > least) + 1
+    if jumps.size > MOST_JUMPS * t.size + 2:
+        return []
+    found, end = [], 0
+    for i, first in enumerate(jumps.tolist()):
+        if first < end:
+            continue
+        for after in reversed(jumps[i + 1 :].tolist()):
+            if after - first <= LONGEST or t[after] - t[first - 1] > span:
+                continue
+            sides = _difference(name, value[after : after + 1], value[first - 1 : first])
+            part = (t[first:after] - t[first - 1]) / (t[after] - t[first - 1])
+            size = float(np.min(np.abs(_difference(name, value[first:after], value[first - 1] + part * sides))))
+            if size > max(least, TIMES_SIDES * abs(float(sides[0]))):
+                found.append((first, after - first, size))
+                end = after
+                break
+    return found
 
 
 def _candidates(

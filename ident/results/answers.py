@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from daq.checks import FAULT
 from ident.characterisation import Levels, Quadratic, ThrustCurve, steady_thrust
 from ident.data import ORIGIN, Record
 from ident.estimation import (
@@ -50,6 +51,8 @@ NAMES = {
     "speed": "speed over ground",
     "n": "shaft speed",
 }
+LATE = frozenset({"sensor-late", "thrust-late", "motion-late"})  # codes of checks
+INERTIA_AND_DAMPING = frozenset({"m", "d", "T", "K"})  # first letters of the parameters that a delay biases
 MOST_NAMES = 4  # channels that a sentence lists
 FINE_SHIFT = 2.0  # %; a smaller change is told to a tenth of it
 TIMES = 3.0  # a ratio of errors above it is said as such
@@ -283,6 +286,20 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
         for f in log.findings:
             logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
     return [ResultWarning(code="log-check", text=f"{_listed(paths)}: {text}") for text, paths in logs.items()]
+
+
+def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
+    """One that names the parameters which a late sensor, or a thrust that is logged late, biases; none without one."""
+    logs = [log.path for log in made.logs if any(f.code in LATE and f.level == FAULT for f in log.findings)]
+    biased = [p.name for p in model.parameters if p.free and p.name.partition("_")[0] in INERTIA_AND_DAMPING]
+    if not logs or not biased:
+        return []
+    text = (
+        f"{_listed(logs)}: a signal comes late, and the fit takes it as in time: {', '.join(biased)} are biased, by "
+        "more than their standard errors. Correct its time stamps; for a late GNSS receiver, --effect gnss-latency "
+        "estimates its age."
+    )
+    return [ResultWarning(code="late-sensor-bias", text=text)]
 
 
 def frame_warnings(model: Model, unplaced: Sequence[str], *, unsaid: bool = False) -> list[ResultWarning]:

@@ -21,6 +21,7 @@ from ident.results.answers import (
     faults_first,
     frames_assumed,
     homogeneity_sentence,
+    late_sensor_warnings,
     not_converged,
     outlier_lines,
     smallest_command,
@@ -97,6 +98,7 @@ def vehicle_result(
         prediction=prediction,
         warnings=(
             *check_warnings(made),
+            *late_sensor_warnings(made, stage.fit.model),
             *frames_assumed(stage),
             *estimation_warnings(stage.fit, stage.records, posed.length),
             *failed_run_warnings(stage.failed),

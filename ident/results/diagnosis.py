@@ -30,6 +30,7 @@ from ident.results.answers import (
     failed_run_warnings,
     faults_first,
     frames_assumed,
+    late_sensor_warnings,
     not_converged,
     outlier_lines,
 )
@@ -81,6 +82,7 @@ def diagnosis_result(
         converged_before=diagnosis.before.fit.converged,
         warnings=(
             *check_warnings(made),
+            *late_sensor_warnings(made, diagnosis.after.fit.model),
             *frames_assumed(diagnosis.after),
             *warnings,
             *failed_run_warnings(diagnosis.failed_runs),

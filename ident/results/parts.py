@@ -102,6 +102,7 @@ WarningCode = Literal[
     "one-direction",
     "zero-unknown",
     "validation-run-failed",
+    "late-sensor-bias",
     "curve-not-drawn",
     "effect-untested",
     "rates-assumed",

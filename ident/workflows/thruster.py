@@ -5,8 +5,8 @@ The thruster's job where nobody measured the shaft: force and command in; a stat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -35,6 +35,7 @@ from ident.characterisation import (
     steady_thrust,
     thruster_channels,
     thruster_name,
+    zero_drift,
 )
 from ident.checks import device_faults
 from ident.data import Channel, LoadedLog, Record, build_record, load_runs
@@ -104,6 +105,7 @@ def characterise(
     name = name or thruster_name(loaded[0])
     for x in loaded:
         check_signs(x, name)
+    loaded, drifts = _without_zero_drift(loaded, lambda x: f"n_cmd_{name}", request.settle)
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster_model(force=has_force)
     check_names(model, profiles, len(loaded))
@@ -125,12 +127,28 @@ def characterise(
         provenance(loaded, command),
         [profile(fitted, records, p) for p in profiles],
         _static(fitted, records, loaded, name) if has_force else None,
-        Posed(model.values, stage.outlier_notes),
+        Posed(model.values, [*drifts, *stage.outlier_notes]),
         calibration,
     )
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(request.out, result, fitted, ranges, calibration=calibration)
     return result
+
+
+def _without_zero_drift(
+    loaded: Sequence[LoadedLog], command_of: Callable[[LoadedLog], str], settle: float
+) -> tuple[list[LoadedLog], list[str]]:
+    """The logs without the drift of their load cells' zeros between rests, and a line for each that drifts."""
+    found, lines = [], []
+    for x in loaded:
+        channels = x.run.channels
+        both = (channels[command_of(x)], channels["force"]) if {command_of(x), "force"} <= set(channels) else None
+        drift = zero_drift(*both, settle) if both is not None else None
+        if drift is not None and both is not None:
+            x = replace(x, run=replace(x.run, channels={**channels, "force": drift.taken_off(both[1])}))
+            lines.append(drift.text if len(loaded) == 1 else f"{x.about['path']}: {drift.text}")
+        found.append(x)
+    return found, lines
 
 
 def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
@@ -192,6 +210,8 @@ def static_curve(
     names, out = _commands(one, request.name), request.out
     if "force" not in channels:
         raise SeatrialError(f"{where}: no signal 'force'; it has {', '.join(sorted(channels))}")
+    (one,), drifts = _without_zero_drift([one], lambda x: names[0], request.settle)
+    channels = one.run.channels
     reporter.progress(f"steady force against {' and '.join(names)}")
     try:
         levels = find_levels(channels[names[0]], channels["force"], request.settle)
@@ -209,7 +229,7 @@ def static_curve(
         answer=curve_answer(levels, measured, quadratic),
         warnings=tuple(curve_warnings(levels)),
         static=_curve_points(levels, curve, quadratic),
-        notes=tuple(curve_notes(levels, measured, quadratic)),
+        notes=(*drifts, *curve_notes(levels, measured, quadratic)),
     )
     out.mkdir(parents=True, exist_ok=True)
     made = {

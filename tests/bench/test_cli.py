@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 import seatrial
-from bench.mission_generators import HOLD_S, make_mission
+from bench.cli import next_command
+from bench.mission_generators import HOLD_S, bench_plan, make_mission
 from daq.config.mission_file import Mission, load_mission
 from tests.bench.standin import RIG
+from tests.daq.mavlink_ends import mav_rig
+from tests.missions import rig_of
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -148,3 +151,19 @@ def test_a_larger_command_than_the_rig_allows_is_refused_before_anything_opens(
     assert status == 1
     assert "limits.n_max is 0.9" in err
     assert not log.exists()
+
+
+def test_a_run_ends_with_the_fit_that_suits_the_rig(tmp_path: Path) -> None:
+    log = tmp_path / "my run.mcap"
+    boat, bench, autopilot = rig_of("boat"), rig_of("bench"), mav_rig()
+    lines = [
+        next_command(make_mission("mixed", 60.0, 1), boat, log),
+        next_command(bench_plan("all", "thruster"), bench, log),
+        next_command(make_mission("mixed", 60.0, 1), autopilot, log),
+    ]
+    quoted = f"'{log}'"
+    assert lines == [
+        f"next: seatrial ident vehicle {quoted}",
+        f"next: seatrial ident thruster {quoted}",
+        f"next: seatrial ident vehicle {quoted} --model nomoto",
+    ]

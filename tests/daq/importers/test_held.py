@@ -98,6 +98,70 @@ def test_maps_of_the_first_format_keep_repeats(table: Path) -> None:
 
 def test_the_guess_says_which_are_held(table: Path) -> None:
     text = guess_map(table).text
-    (caveat,) = [line for line in text.splitlines() if "held between measurements" in line]
-    assert caveat.startswith("# caveat: x, y: ")
-    assert "1 s apart" in caveat
+    of_fixes, of_shaft = [line for line in text.splitlines() if "held between measurements" in line]
+    assert of_fixes.startswith("# caveat: x, y: ")
+    assert "1 s apart" in of_fixes
+    assert of_shaft.startswith("# caveat: n: ")
+    assert "0.2 s apart" in of_shaft
+
+
+def propulsion(what: str, every: int) -> np.ndarray:
+    """A command that holds for 3 to 9 s, or the shaft that follows it with 0.25 s, held for ``every`` rows."""
+    rng = np.random.default_rng(7)
+    command = np.concatenate([np.full(rng.integers(60, 180), rng.uniform(-0.6, 0.9)) for _ in range(40)])[: T.size]
+    value = command.copy()
+    if what != "command":
+        for k in range(1, T.size):
+            value[k] = value[k - 1] + (1.0 - np.exp(-1.0 / HZ / 0.25)) * (command[k] - value[k - 1])
+        value = value + 0.004 * rng.standard_normal(T.size)
+    return np.repeat(value[::every], every)[: T.size]
+
+
+@pytest.mark.parametrize(
+    ("name", "what", "every", "hold"),
+    [
+        ("n_left", "shaft", 1, "linear"), ("n_left", "shaft", 10, "linear"), ("motor_left", "shaft", 10, "sampled"),
+        ("n_left", "command", 1, ""), ("cmd_left", "command", 1, ""), ("cmd_left", "command", 20, ""),
+    ],
+)  # fmt: skip
+def test_the_hold_of_an_input_is_guessed_by_its_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, what: str, every: int, hold: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    value = propulsion(what, every)
+    text = "\n".join(f"{t:.3f},{n:.5f},{0.1 * t:.4f}" for t, n in zip(T, value, strict=True))
+    (tmp_path / "run.csv").write_text(f"time,{name},yaw_rad\n{text}\n")
+    guessed = guess_map(tmp_path / "run.csv").text
+    assert (f'role = "input", hold = "{hold}"' in guessed) == bool(hold)
+    assert ("it changes only every 1 s, at every row 20" in guessed) == (what == "command" and every == 20)
+    (tmp_path / "map.toml").write_text(guessed)
+    if not hold or every == 1:
+        (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
+        assert not [f for f in findings(log) if f.code == "input-held"]
+        return
+    with pytest.warns(SeatrialWarning, match=r"n_left: held between measurements 0\.50?3? s apart"):
+        (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
+    assert len(values(log, "n_left")[0]) == pytest.approx(T.size / every, abs=3)
+    # As by a map that takes the shaft speed for a command
+    (tmp_path / "map.toml").write_text(guessed.replace(f', hold = "{hold}"', ""))
+    (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"], force=True)
+    (found,) = [f for f in findings(log) if f.code == "input-held"]
+    assert "it comes 0.25 s late on average" in found.text
+
+
+@pytest.mark.parametrize(("scale", "is_wrapped"), [(1.0, True), (1.0 / 3000.0, True), (1.0, False)])
+def test_wrapped_speeds_are_no_percent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scale: float, is_wrapped: bool
+) -> None:
+    """Telemetry that sends -900 rev/min as 64636."""
+    monkeypatch.chdir(tmp_path)
+    rpm = np.trunc(3000.0 * propulsion("shaft", 1))
+    value = scale * (np.mod(rpm, 65536.0) if is_wrapped else rpm)
+    text = "\n".join(f"{t:.3f},{n:.5f},{0.1 * t:.4f}" for t, n in zip(T, value, strict=True))
+    (tmp_path / "run.csv").write_text(f"time,n_left,yaw_rad\n{text}\n")
+    guessed = guess_map(tmp_path / "run.csv").text
+    assert ("negative speeds that were wrapped (65536 - n)" in guessed) == is_wrapped
+    assert 'unit = "%"' not in guessed
+    (tmp_path / "map.toml").write_text(guessed)
+    (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
+    assert ("shaft-speed-wrapped" in [f.code for f in findings(log)]) == is_wrapped

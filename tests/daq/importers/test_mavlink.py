@@ -11,6 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from pymavlink import DFReader
+from pymavlink.dialects.v20.ardupilotmega import (
+    MAVLink,
+    MAVLink_attitude_message,
+    MAVLink_heartbeat_message,
+)
 
 from daq.config.rig_file import load_rig
 from daq.errors import SeatrialError, SeatrialWarning
@@ -95,6 +100,40 @@ def test_a_damaged_time_that_no_log_can_hold_is_one_line(tmp_path: Path, damaged
     with pytest.raises(SeatrialError, match="do not lie between 1970 and 2038"):
         import_mavlink(path, out=tmp_path / "run.mcap")
     assert not (tmp_path / "run.mcap").exists()
+
+
+def attitudes(*autopilots: tuple[int, float]) -> bytes:
+    """A tlog of autopilots that send attitudes in turn: (system number, seconds since its boot) each."""
+    links = [(MAVLink(None, system, 1), boot) for system, boot in autopilots]
+    data = b""
+    for k in range(60):
+        for j, (link, boot) in enumerate(links):
+            t = 0.05 * k + 0.01 * j
+            messages = [MAVLink_attitude_message(round(1e3 * (boot + t)), 0.0, 0.0, 0.1, 0.0, 0.0, 0.0)]
+            if k % 20 == 0:
+                messages.append(MAVLink_heartbeat_message(11, 3, 81, 0, 4, 3))
+            for message in messages:
+                data += struct.pack(">Q", round(1e6 * (T0 + t))) + message.pack(link)
+                link.seq = (link.seq + 1) % 256
+    return data
+
+
+def test_of_two_autopilots_one_is_read_and_the_other_one_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.tlog"
+    path.write_bytes(attitudes((1, 12.0), (2, 400.0)))
+    with pytest.warns(SeatrialWarning, match=r"system 1 is read; system 2 is in it, too: --system"):
+        out, _ = import_mavlink(path, out=tmp_path / "run.mcap")
+    with open_log(out) as log:
+        assert len(log.table(Ahrs, "autopilot")) == 60
+    import_mavlink(path, system=2, out=tmp_path / "second.mcap")
+
+
+@pytest.mark.parametrize("boot", [12.5, 400.0])
+def test_two_autopilots_of_one_number_are_one_line(tmp_path: Path, boot: float) -> None:
+    path = tmp_path / "run.tlog"
+    path.write_bytes(attitudes((1, 12.0), (1, boot)))
+    with pytest.raises(SeatrialError, match="two autopilots send as system 1"):
+        import_mavlink(path, out=tmp_path / "run.mcap")
 
 
 def test_what_is_no_tlog_is_one_line(tmp_path: Path) -> None:

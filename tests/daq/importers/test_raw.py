@@ -239,3 +239,41 @@ def test_a_clock_that_is_set_back_or_a_second_one_is_told(tmp_path: Path) -> Non
         with open_log(out) as log:
             assert [f.code for f in check_devices(log)].count("clock-ran-back") == 1
         assert "ran back" in CliRunner().invoke(cli.info, [str(out)], catch_exceptions=False).stdout
+
+
+WEEKS = 1024 * 7 * nmea.DAY  # s
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+@pytest.mark.parametrize("early", [WEEKS, 16204 * nmea.DAY])
+def test_dates_of_another_calendar_are_moved_next_to_the_others(tmp_path: Path, when: str, early: float) -> None:
+    """A receiver's first date is of its firmware, and its week runs over after 1024 weeks."""
+    true = [1.7e9 + 1.0 * k for k in range(40)]
+    wrong = range(10) if when == "before" else range(30, 40)
+    fixes = [Gnss(t - early * (k in wrong), 59.0 + 1e-6 * k, 10.0, fix=3) for k, t in enumerate(true)]
+    path = tmp_path / "run.nmea"
+    path.write_bytes(b"".join(map(nmea.encode, fixes)))
+    with pytest.warns(SeatrialWarning, match="dates of another calendar.*10 samples moved"):
+        out, _ = import_raw("nmea", path, out=tmp_path / "run.mcap")
+    with open_log(out) as log:
+        table = log.table(Gnss, log.sources(Gnss)[0])
+    assert table["t"].tolist() == pytest.approx(true, abs=0.02)
+
+
+def test_a_first_date_with_a_wrong_time_of_day_is_left_out(tmp_path: Path) -> None:
+    fixes = [Gnss(3.2e8 + 1.0 * k if k < 10 else 1.7e9 + 1.0 * k, 59.0, 10.0, fix=3) for k in range(40)]
+    path = tmp_path / "run.nmea"
+    path.write_bytes(b"".join(map(nmea.encode, fixes)))
+    with pytest.warns(SeatrialWarning, match="10 samples left out"):
+        out, _ = import_raw("nmea", path, out=tmp_path / "run.mcap")
+    with open_log(out) as log:
+        assert log.end - log.start < 40.0
+
+
+def test_two_days_in_one_capture_stay_two_days(tmp_path: Path) -> None:
+    fixes = [Gnss(1.7e9 + 1.0 * k + 2 * nmea.DAY * (k > 20), 59.0, 10.0, fix=3) for k in range(40)]
+    path = tmp_path / "run.nmea"
+    path.write_bytes(b"".join(map(nmea.encode, fixes)))
+    out, _ = import_raw("nmea", path, out=tmp_path / "run.mcap")
+    with open_log(out) as log:
+        assert log.end - log.start > 2 * nmea.DAY

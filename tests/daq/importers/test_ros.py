@@ -188,6 +188,45 @@ def test_joints_and_stamps_of_another_clock(tmp_path: Path) -> None:
         signals(path, tmp_path, line).close()
 
 
+@pytest.mark.parametrize(("frames", "n_named"), [(("gps_a", "gps_b"), 2), (("gps",), 0), (("",), 0)])
+def test_two_sensors_in_one_topic_are_named(tmp_path: Path, frames: tuple[str, ...], n_named: int) -> None:
+    path = tmp_path / "bag"
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/fix", "sensor_msgs/msg/NavSatFix", typestore=STORE)
+        for k in range(N):
+            message: Any = fix(k)
+            message.header.frame_id = frames[k % len(frames)]
+            data = STORE.serialize_cdr(message, "sensor_msgs/msg/NavSatFix")
+            writer.write(connection, round((T0 + 0.05 * k) * 1e9), data)
+    (table,) = read_bag(path, SourceOptions())
+    assert table.remark.count(f"{N // 2} of frame") == n_named
+    assert table.remark.startswith("messages of several sensors in one topic") == bool(n_named)
+
+
+@pytest.mark.parametrize(("every", "fails"), [(3, True), (30, False)])
+def test_wrong_stamps_of_many_rows_end_an_import_with_an_error(tmp_path: Path, every: int, fails: bool) -> None:
+    """A driver whose nanoseconds overflow: the stamp is 4.3 s ahead."""
+    path, n = tmp_path / "bag", 120
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/fix", "sensor_msgs/msg/NavSatFix", typestore=STORE)
+        for k in range(n):
+            message: Any = fix(0)
+            ahead = 4.3 if k % every == 1 else 0.0
+            message.header.stamp.sec, message.header.stamp.nanosec = int(T0 + k + ahead), round(1e9 * (ahead % 1.0))
+            data = STORE.serialize_cdr(message, "sensor_msgs/msg/NavSatFix")
+            writer.write(connection, round((T0 + k + 0.01) * 1e9), data)
+    lines = '{ name = "x", topic = "/fix", fields = ["latitude", "longitude"], make = "north" }'
+    if not fails:
+        with pytest.warns(SeatrialWarning, match="stamps are wrong"):
+            signals(path, tmp_path, lines).close()
+        return
+    with (
+        pytest.warns(SeatrialWarning, match="stamps are wrong"),
+        pytest.raises(SeatrialError, match=r"40 rows left out, whose stamps are wrong .* mend the clock of the driver"),
+    ):
+        signals(path, tmp_path, lines)
+
+
 def test_messages_in_a_message_and_fields_that_come_late(tmp_path: Path) -> None:
     """As telemetry of several controllers; the second one is switched on after the first message, and off again."""
     store = get_typestore(Stores.ROS2_HUMBLE)

@@ -74,7 +74,7 @@ def test_sensors_in_time_are_no_alarm(thrust: tuple[str, ...], seed: int) -> Non
 
 @pytest.mark.parametrize("thrust", [COMMANDS, SHAFTS])
 @pytest.mark.parametrize(("late", "words"), [(ATTITUDE, "heading and yaw rate come"), (VELOCITY, "velocity comes")])
-@pytest.mark.parametrize(("by", "level"), [(0.5, "warning"), (0.9, "fault")])
+@pytest.mark.parametrize(("by", "level"), [(0.5, "fault"), (0.9, "fault")])
 def test_a_group_that_is_late(
     thrust: tuple[str, ...], late: tuple[str, ...], words: str, by: float, level: str
 ) -> None:

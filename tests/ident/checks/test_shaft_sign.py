@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from ident.checks.log_checks import check_signals
 from ident.data import Channel
 from ident.numerics import Array
+from tests.ident.checks.test_latency import ATTITUDE, SHAFTS, SIDES, VELOCITY, sailed
 
 
 def shafts(reported: Callable[[Array], Array]) -> dict[str, Channel]:
@@ -47,3 +49,23 @@ def test_percent_is_no_wrap() -> None:
     codes = {f.code for f in check_signals(shafts(lambda n: 100.0 * n), {})}
     assert "n-out-of-range" in codes
     assert "shaft-speed-wrapped" not in codes
+
+
+def test_a_gyro_that_wraps_is_named_and_no_unit() -> None:
+    t = np.arange(0.0, 60.0, 0.05)
+    rate = 0.4 * np.sin(0.3 * t) + 0.004 * np.random.default_rng(2).standard_normal(t.size)
+    read = np.mod(np.trunc(1e3 * rate), 65536.0) / 1e3  # mrad/s, read as an unsigned number
+    c = {"psi": Channel(t, -(0.4 / 0.3) * np.cos(0.3 * t), "rad"), "r": Channel(t, read, "rad/s")}
+    faults = [f for f in check_signals(c, {}) if f.level == "fault"]
+    assert [f.code for f in faults] == ["gyro-wrapped"]
+    assert not [f for f in check_signals({**c, "r": Channel(t, rate, "rad/s")}, {}) if f.level == "fault"]
+
+
+def test_wrapped_inputs_are_no_reversed_thrusters() -> None:
+    own = sailed(1)
+    c = {name: own[name] for name in (*ATTITUDE, *VELOCITY, *SHAFTS)}
+    for name in SHAFTS:
+        value = np.where(c[name].value < -0.01, c[name].value + 65536.0 / 3000.0, c[name].value)
+        c[name] = replace(c[name], value=value)
+    faults = [f.code for f in check_signals(c, SIDES) if f.level == "fault"]
+    assert faults == ["shaft-speed-wrapped", "shaft-speed-wrapped"]

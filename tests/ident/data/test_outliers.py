@@ -114,3 +114,43 @@ def test_a_jump_without_a_return_is_a_fault_that_names_its_time() -> None:
     assert codes["position-jumps"].text.startswith("jumps by 30")
     assert "60.1 s" in codes["position-jumps"].text
     assert "position-and-velocity-axes" not in codes
+
+
+FINE = np.arange(0.0, 60.0, 0.01)  # s, of an inertial sensor at 100 Hz
+
+
+@pytest.mark.parametrize(
+    ("name", "n_bad", "value"), [("r", 4, 8.0), ("r", 40, -9.0), ("ax", 5, 60.0), ("ax", 25, -80.0), ("psi", 60, 4.0)]
+)
+def test_a_long_burst_of_a_fast_sensor_is_left_out(name: str, n_bad: int, value: float) -> None:
+    rng = np.random.default_rng(8)
+    signal = 0.1 * np.sin(0.5 * FINE) + 0.005 * rng.standard_normal(FINE.size)
+    rows = slice(3000, 3000 + n_bad)
+    signal[rows] += value + 0.1 * rng.standard_normal(n_bad)
+    cleaned = without_outliers({name: Channel(FINE, signal, "", "ahrs")})[name]
+    assert cleaned.left_out is not None
+    np.testing.assert_allclose(cleaned.left_out.t, FINE[rows])
+
+
+@pytest.mark.parametrize("with_gyro", [True, False])
+def test_a_burst_of_headings_of_seconds_needs_a_gyro(with_gyro: bool) -> None:
+    """A magnet beside the compass turns its heading by 80 degrees for 3 s."""
+    c = craft()
+    rows = list(range(500, 530))
+    psi = c["psi"].value.copy()
+    psi[rows] += 1.4
+    found = {"psi": Channel(T, psi, "rad", "ahrs")} | ({"r": c["r"]} if with_gyro else {})
+    left_out = without_outliers(found)["psi"].left_out
+    assert (left_out is not None) == with_gyro
+    if left_out is not None:
+        np.testing.assert_allclose(left_out.t, T[rows])
+        np.testing.assert_allclose(left_out.value, psi[rows])
+
+
+def test_a_quick_turn_is_no_burst() -> None:
+    """A craft that turns by 80 degrees and back has a gyro that says so."""
+    rate = np.where((T >= 50.0) & (T < 51.0), 1.4, np.where((T >= 53.0) & (T < 54.0), -1.4, 0.0))
+    psi = np.cumsum(rate) * 0.1
+    noise = RNG.standard_normal((2, T.size))
+    c = {"psi": Channel(T, psi + 0.01 * noise[0]), "r": Channel(T, rate + 0.005 * noise[1])}
+    assert all(channel.left_out is None for channel in without_outliers(c).values())

@@ -18,10 +18,12 @@ from ident.estimation.likelihood import Likelihood
 from ident.estimation.maximum_likelihood import fit
 from ident.estimation.stochastic_simulation import simulate_stochastic
 from ident.model.outlier_density import with_outlier_model
+from ident.models import horizontal_model
 from ident.results.answers import (
     NAMES,
     change_sentence,
     check_warnings,
+    late_sensor_warnings,
     not_converged,
     outlier_lines,
     smallest_command,
@@ -74,6 +76,23 @@ def test_a_finding_of_many_logs_is_said_once() -> None:
     assert said.code == "log-check"
     assert said.text.startswith("0.mcap, 1.mcap, 2.mcap")
     assert "more: psi: it is smooth [channel-smoothed]" in said.text
+
+
+@pytest.mark.parametrize(
+    ("level", "code", "n"), [("fault", "sensor-late", 1), ("warning", "sensor-late", 0), ("fault", "two-sensors", 0)]
+)
+def test_a_late_sensor_names_the_parameters_that_it_biases(level: str, code: str, n: int) -> None:
+    one = LogFinding(level=level, code=code, check="late", where="vx", text="velocity comes 0.88 s after heading")
+    log = LogSummary(path="a.mcap", sha256="", role="estimation", name="a", duration=1.0, findings=(one,))
+    made = Provenance(created="", seatrial="", command="", logs=(log,))
+    model = horizontal_model("shaft")
+    said = late_sensor_warnings(made, model.replace_parameters(model.parameter("d_u").fixed()))
+    assert len(said) == n
+    for warning in said:
+        assert warning.code == "late-sensor-bias"
+        assert "m_u, m_v, m_r" in warning.text
+        assert "d_u," not in warning.text
+        assert "c1" not in warning.text
 
 
 WHITE = "The residuals are white and know nothing of the inputs"

@@ -1,0 +1,190 @@
+"""Inputs that cannot be what drove the boat: constant ones, shaft speeds that are stuck, and telemetry of two thrusters
+that is exchanged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import permutations
+
+import numpy as np
+
+from daq.checks import FAULT, WARNING, Finding
+from ident.checks.sensors import STEP, Channels
+from ident.checks.shafts import Response, response
+from ident.data import Channel, sample_and_hold
+from ident.numerics import Array
+
+INPUTS = ("n_", "f_")  # prefixes of a thruster's inputs; X and N are forces of all thrusters together
+CONSTANT_PART = 0.005  # of the largest value, or of full speed: a smaller range is a pulse width that flickers by 1 us
+SMOOTHED_S, EVERY_S = 2.0, 0.5  # s, over which motion is averaged, and between two values
+SPEED_RISE, TURN_RISE = 0.5, 0.15  # m/s, rad/s: a rise of speed, or a change of the yaw rate, that no coasting boat has
+MOST_RISES = 2  # with a constant thrust: the boat gathers speed, and turns in
+STUCK_S, STUCK_SAMPLES = 5.0, 10  # a shaft speed that stays the same for longer than both
+TURNING = 0.05  # of full speed, from which a shaft turns
+AGAINST, AGAINST_S = 0.5, 2.0  # command over speed, below which the shaft has to slow down, and s for which it is so
+COMMAND_CHANGE = 0.3  # of full command, that a measured force must show
+FOLLOWS, FOLLOWS_OTHER = 0.8, 0.9  # R2 below which a shaft hardly follows its command, and above which another's
+BETTER = 0.2  # of the error by its own command: what the other thruster's command leaves
+
+
+def check_inputs(c: Channels) -> Iterator[Finding]:
+    """Inputs that never change while the boat moves, and shaft speeds that stay the same against their commands."""
+    names = sorted(n for n in c if n.startswith(INPUTS) or n in ("X", "N"))
+    if not names:
+        return
+    if all(_is_constant(n, c[n]) for n in names):
+        yield from _all_constant(c, names)
+        return
+    for name in (n for n in names if n.startswith("n_") and not n.startswith("n_cmd_")):
+        command = c.get(f"n_cmd_{name.removeprefix('n_')}")
+        held = _against_command(c[name], command) if command is not None and command.t is not c[name].t else None
+        advice = "its telemetry hangs: its cable, bus and firmware; else fit by the command"
+        if held is not None:
+            value, begin, end = held
+            text = f"{value:.3g} for {end - begin:.1f} s, from {begin - c[name].t[0]:.1f} s on, against its command"
+            yield Finding(FAULT, "shaft-speed-stuck", "stuck", name, text, advice)
+        elif command is None and c[name].hold == "linear" and _is_constant(name, c[name]):
+            value = float(np.median(c[name].value))
+            if abs(value) > TURNING and _n_rises(c) > MOST_RISES:
+                text = f"{value:.3g} all the time, and the boat moves"
+                yield Finding(FAULT, "shaft-speed-stuck", "stuck", name, text, advice)
+
+
+def _all_constant(c: Channels, names: list[str]) -> Iterator[Finding]:
+    """Findings on a log of which no input ever changes."""
+    n_rises = _n_rises(c)
+    values = ", ".join(dict.fromkeys(f"{np.median(c[n].value):.3g}" for n in names))
+    stands = all(abs(float(np.median(c[n].value))) < TURNING for n in names)
+    advice = "another column or topic of the map; an output that the autopilot did not drive; a cable"
+    if n_rises > (0 if stands else MOST_RISES):
+        text = f"{values} all the time, and the boat speeds up and turns: they are not what drove it"
+        yield Finding(FAULT, "inputs-constant", "stuck", ", ".join(names), text, advice)
+    elif n_rises and not stands:
+        text = f"{values} all the time: a fit cannot tell the thrust from the damping"
+        yield Finding(WARNING, "inputs-never-change", "stuck", ", ".join(names), text, "commands that change: steps")
+
+
+def _is_constant(name: str, channel: Channel) -> bool:
+    if channel.value.size == 0:
+        return False
+    top = 1.0 if name.startswith("n_") else float(np.max(np.abs(channel.value)))
+    return float(np.ptp(channel.value)) <= CONSTANT_PART * top
+
+
+def _n_rises(c: Channels) -> int:
+    """How often the boat gathers speed, or changes how it turns, as only a thrust makes it; waves are averaged out."""
+    curves: list[tuple[Array, float]] = []
+    if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c):
+        ahead, across = (c["vx"], c["vy"]) if "vx" in c else (c["u"], c["v"])
+        speed = Channel(ahead.t, np.hypot(ahead.value, np.interp(ahead.t, across.t, across.value)))
+        curves.append((_smoothed(speed), SPEED_RISE))
+    elif {"x", "y"} <= set(c):
+        t = np.arange(c["x"].t[0], c["x"].t[-1], SMOOTHED_S)
+        x, y = (np.interp(t, c[n].t, c[n].value) for n in ("x", "y"))
+        speed = Channel(t[1:], np.hypot(np.diff(x), np.diff(y)) / SMOOTHED_S)
+        curves.append((_smoothed(speed), SPEED_RISE))
+    elif "speed" in c:
+        curves.append((_smoothed(c["speed"]), SPEED_RISE))
+    if "r" in c:
+        curves.append((np.abs(_smoothed(c["r"])), TURN_RISE))
+    elif "psi" in c:
+        t = np.arange(c["psi"].t[0], c["psi"].t[-1], 0.5 * SMOOTHED_S)
+        psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
+        curves.append((np.abs(_smoothed(Channel(t[1:], np.diff(psi) / (0.5 * SMOOTHED_S)))), TURN_RISE))
+    return sum(_rises(curve, least) for curve, least in curves)
+
+
+def _smoothed(channel: Channel) -> Array:
+    """Moving average (n,) of a signal over `SMOOTHED_S`, every `EVERY_S`."""
+    if channel.t.size < 2:
+        return np.empty(0)
+    t = np.arange(channel.t[0], channel.t[-1], STEP)
+    width = round(SMOOTHED_S / STEP)
+    if t.size <= width:
+        return np.empty(0)
+    whole = np.append(0.0, np.cumsum(np.interp(t, channel.t, channel.value)))
+    return np.asarray((whole[width:] - whole[:-width])[:: round(EVERY_S / STEP)] / width)
+
+
+def _rises(curve: Array, least: float) -> int:
+    """Number of rises by at least ``least`` of a curve (n,), each from the lowest value since the last rise ended."""
+    n, low, high, rising = 0, np.inf, -np.inf, False
+    for value in curve.tolist():
+        if rising:
+            high = max(high, value)
+            if value < high - least:
+                rising, low = False, value
+            continue
+        low = min(low, value)
+        if value > low + least:
+            n, rising, high = n + 1, True, value
+    return n
+
+
+def _against_command(shaft: Channel, command: Channel) -> tuple[float, float, float] | None:
+    """Value, begin and end [s] of the longest time for which a shaft speed stays exactly the same while its command
+    would slow the shaft down; None if there is none."""
+    first = np.flatnonzero(np.diff(shaft.value, prepend=np.nan) != 0)
+    last = np.append(first[1:], shaft.value.size) - 1
+    found = None
+    for a, b in zip(first.tolist(), last.tolist(), strict=True):
+        value, begin, end = float(shaft.value[a]), float(shaft.t[a]), float(shaft.t[b])
+        if abs(value) < TURNING or b - a < STUCK_SAMPLES or end - begin < STUCK_S:
+            continue
+        grid = np.arange(begin, end, STEP)
+        against = np.sign(value) * sample_and_hold(command, grid) < AGAINST * abs(value)
+        if _longest_run(against) * STEP >= AGAINST_S and (found is None or end - begin > found[2] - found[1]):
+            found = value, begin, end
+    return found
+
+
+def _longest_run(mask: Array) -> int:
+    """The largest number of true values of a mask (n,) in a row."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))
+
+
+def check_frozen_force(c: Channels) -> Iterator[Finding]:
+    """A measured force that stays exactly the same while a thruster is told to change."""
+    commands = [c[n] for n in sorted(c) if n.startswith("n_")]
+    if "force" not in c or not commands:
+        return
+    force = c["force"]
+    first = np.flatnonzero(np.diff(force.value, prepend=np.nan) != 0)
+    last = np.append(first[1:], force.value.size) - 1
+    k = int(np.argmax(force.t[last] - force.t[first]))
+    begin, end = float(force.t[first[k]]), float(force.t[last[k]])
+    if last[k] - first[k] < STUCK_SAMPLES or end - begin < STUCK_S:
+        return
+    grid = np.arange(begin, end, STEP)
+    # A push of less than this moves no coarse scale.
+    if max(float(np.ptp(sample_and_hold(command, grid))) for command in commands) > COMMAND_CHANGE:
+        since = f"{end - begin:.1f} s, from {begin - force.t[0]:.1f} s on"
+        text = f"{force.value[first[k]]:.4g} N for {since}, and its command"
+        advice = "the load cell or its amplifier hangs, or this is another column"
+        yield Finding(FAULT, "channel-frozen", "stuck", "force", f"{text} changes", advice)
+
+
+def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
+    """Two thrusters whose shaft speeds follow each the command of the other one, and not their own."""
+    names = sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_"))
+    names = [n for n in names if f"n_{n}" in c and c[f"n_{n}"].t is not c[f"n_cmd_{n}"].t]
+    if len(names) < 2:
+        return
+    own = {n: _r2(c, n, n) for n in names}
+    lost = [n for n in names if own[n] < FOLLOWS]
+    cross = {(a, b): _r2(c, a, b) for a, b in permutations(lost, 2)}
+    for a, b in cross:
+        both = ((a, b), (b, a))
+        clear = all(cross[p] > FOLLOWS_OTHER and 1.0 - cross[p] < BETTER * (1.0 - own[p[1]]) for p in both)
+        if a < b and clear:
+            text = f"their telemetry is exchanged: the speed of {a} follows the command of {b}, and that of {b} of {a}"
+            advice = "exchange their nodes or columns of telemetry, in the rig or in the import's map"
+            yield Finding(FAULT, "telemetry-exchanged", "thrusters", f"{a} and {b}", text, advice)
+
+
+def _r2(c: Channels, command: str, shaft: str) -> float:
+    """Share of a shaft's speed that the command of a thruster explains, with its sign; 0 if that is not known."""
+    found = response(c[f"n_cmd_{command}"], c[f"n_{shaft}"])
+    return found.r2 if isinstance(found, Response) and found.scale > 0.0 else 0.0

@@ -1,0 +1,90 @@
+"""Inputs that are not what drove the boat: constant, stuck, or of another thruster."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ident.checks import spoils_a_fit
+from ident.checks.inputs import check_inputs
+from ident.checks.log_checks import check_signals
+from ident.data import Channel
+from tests.ident.checks.test_latency import ATTITUDE, COMMANDS, SHAFTS, SIDES, VELOCITY, sailed
+
+
+def log(*groups: tuple[str, ...]) -> dict[str, Channel]:
+    own = sailed(1)
+    return {name: own[name] for group in groups for name in group}
+
+
+def faults(c: dict[str, Channel]) -> list[str]:
+    found = [f for f in check_signals(c, SIDES) if f.level == "fault"]
+    assert all(spoils_a_fit(f) for f in found)
+    return [f.code for f in found]
+
+
+def constant(c: dict[str, Channel], names: tuple[str, ...], value: float) -> dict[str, Channel]:
+    return c | {n: replace(c[n], value=np.full(c[n].t.size, value)) for n in names}
+
+
+@pytest.mark.parametrize("inputs", [COMMANDS, SHAFTS])
+@pytest.mark.parametrize("value", [0.0, 0.0025, 0.6])
+@pytest.mark.parametrize("sensors", [(ATTITUDE, VELOCITY), (("psi", "x", "y"),)])
+def test_inputs_that_never_change_are_a_fault(
+    inputs: tuple[str, ...], value: float, sensors: tuple[tuple[str, ...], ...]
+) -> None:
+    (found,) = check_inputs(constant(log(*sensors, inputs), inputs, value))
+    assert (found.code, found.level) == ("inputs-constant", "fault")
+    assert spoils_a_fit(found)
+
+
+@pytest.mark.parametrize("inputs", [COMMANDS, SHAFTS])
+def test_inputs_that_change_are_clean(inputs: tuple[str, ...]) -> None:
+    assert not list(check_inputs(log(ATTITUDE, VELOCITY, inputs)))
+
+
+def test_constant_inputs_are_a_fault_of_the_whole_check() -> None:
+    assert faults(constant(log(ATTITUDE, VELOCITY, COMMANDS), COMMANDS, 0.0)) == ["inputs-constant"]
+
+
+def test_a_boat_that_coasts_is_clean() -> None:
+    """Without thrust a boat loses speed, and waves turn it to and fro."""
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 60.0, 0.1)
+    speed, r = 1.5 / (1.0 + 0.2 * t), 0.3 * np.exp(-t / 4.0) + 0.1 * np.sin(2.5 * t)
+    c = {
+        "psi": Channel(t, np.cumsum(r) * 0.1 + rng.normal(0.0, 0.005, t.size)),
+        "r": Channel(t, r + rng.normal(0.0, 0.004, t.size)),
+        "vx": Channel(t, speed + rng.normal(0.0, 0.03, t.size)),
+        "vy": Channel(t, rng.normal(0.0, 0.03, t.size)),
+        "n_left": Channel(t, np.zeros(t.size), hold="zero"),
+        "n_right": Channel(t, np.zeros(t.size), hold="zero"),
+    }
+    assert not list(check_inputs(c))
+
+
+def test_one_idle_thruster_is_clean() -> None:
+    assert not list(check_inputs(constant(log(ATTITUDE, VELOCITY, COMMANDS), ("n_cmd_left",), 0.0)))
+
+
+def test_a_shaft_speed_that_is_stuck_against_its_command() -> None:
+    c = log(ATTITUDE, VELOCITY, COMMANDS, SHAFTS)
+    shaft = c["n_left"]
+    value = shaft.value.copy()
+    begin = int(np.argmax(np.abs(value) > 0.3))
+    inside = (shaft.t > shaft.t[begin]) & (shaft.t < shaft.t[begin] + 40.0)
+    value[inside] = value[begin]
+    (found,) = check_inputs(c | {"n_left": replace(shaft, value=value)})
+    assert (found.code, found.where) == ("shaft-speed-stuck", "n_left")
+    assert "against its command" in found.text
+
+
+def test_exchanged_telemetry_is_named_and_no_side() -> None:
+    c = log(ATTITUDE, VELOCITY, COMMANDS, SHAFTS)
+    assert not faults(c)
+    c["n_left"], c["n_right"] = c["n_right"], c["n_left"]
+    (found,) = [f for f in check_signals(c, SIDES) if f.level != "ok"]
+    assert found.code == "telemetry-exchanged"
+    assert "the speed of left follows the command of right" in found.text

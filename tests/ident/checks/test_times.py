@@ -1,0 +1,30 @@
+"""Times that jump by years are named before any grid of times is made."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.checks import spoils_a_fit
+from ident.checks.log_checks import check_signals
+from ident.data import Channel
+
+
+@pytest.mark.parametrize(
+    ("jump", "words"), [(44.4 * 365.25 * 86400.0, "44.4 years, 9.8 s"), (2.5e5, "2.9 days, 9.8 s")]
+)
+def test_a_clock_that_was_not_set_yet(jump: float, words: str) -> None:
+    t = 0.2 * np.arange(400)
+    t[50:] += jump
+    c = {name: Channel(t, np.random.default_rng(1).standard_normal(t.size)) for name in ("x", "y", "psi", "r")}
+    (found,) = check_signals(c, {})
+    assert (found.code, found.level) == ("times-jump", "fault")
+    assert words in found.text
+    assert spoils_a_fit(found)
+
+
+def test_a_pause_of_an_hour_is_none() -> None:
+    t = 0.2 * np.arange(400)
+    t[50:] += 3600.0
+    c = {name: Channel(t, np.random.default_rng(1).standard_normal(t.size)) for name in ("psi", "r")}
+    assert "times-jump" not in [f.code for f in check_signals(c, {})]
