@@ -201,7 +201,8 @@ def import_() -> None:
     """Turn foreign logs into MCAP.
 
     `seatrial import MAP.toml SOURCE...` takes signals by a map from CSV and other text, bags of ROS 1 and 2, PX4
-    (.ulg), ArduPilot (tlog, BIN), MATLAB (.mat), Parquet and CAN logs; `seatrial import --guess SOURCE` writes the map.
+    (.ulg), ArduPilot (tlog, BIN), MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet and CAN logs; `seatrial import
+    --guess SOURCE` writes the map.
     The sub-commands decode what a device of ours has sent, as if it had been recorded.
 
     \b

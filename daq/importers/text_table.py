@@ -35,6 +35,8 @@ MOST_LINES = 4  # of a cell of a header in quotes
 LEAST_SAME = 0.8  # share of the rows with as many cells as most: less is no table
 _THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*"), ",": re.compile(r"[+-]?\d{1,3}([. ]\d{3})+,\d*")}
 _WHOLE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+_POINT = re.compile(r"[+-]?\d+\.\d+")
+LOOKED_AT = 100  # rows
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*([^\d\s.,+-]\S*)", re.IGNORECASE)
 _DATE_OR_CLOCK = re.compile(r"(\d{1,4}[-/.:]\w{1,9}[-/.:]\d|\d{1,2}:\d{1,2})[\w :.,+-]{,30}")
 ASCII = 0.8  # of the characters of a table at least
@@ -163,7 +165,8 @@ class TextTable(Table):
     def _as_numbers(self, column: str) -> Column:
         cells = self._without_units(column, [cell.strip() for cell in self.text(column)])
         decimal = self._style.decimal
-        has_thousands = decimal == "." and self._style.delimiter == ","  # in quotes: the comma is no decimal mark
+        # In quotes, or beside numbers with a point, a comma is no decimal mark.
+        has_thousands = decimal == "." and (self._style.delimiter == "," or self._has_points())
         found, wrong = np.full(len(cells), math.nan), list[int]()
         try:
             found[:] = _plain_numbers(cells, decimal)
@@ -185,6 +188,10 @@ class TextTable(Table):
         found[np.isinf(found)] = math.nan
         self._note(f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such cell')} left out")
         return found
+
+    def _has_points(self) -> bool:
+        """Whether the first rows have numbers with a decimal point."""
+        return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
         """The cells without a unit that stands in each of them (1.25 m), which becomes the unit of the column."""
@@ -406,6 +413,8 @@ def _share(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> f
     for cell in cells:
         text = cell.strip()
         with_unit = _WITH_UNIT.fullmatch(text)
+        if style.decimal == "," and _POINT.fullmatch(text):
+            continue  # speaks for the other mark, though it can be read with this one
         try:
             to_number(with_unit[1] if with_unit and unit_of(with_unit[2]) else text, style.decimal)
             n += 1

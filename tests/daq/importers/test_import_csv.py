@@ -268,6 +268,8 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is: needs missing"),
         ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' becomes a topic"),
         ('column = "t"', 'column = "t"\nformat = "weeks"', r"time\.format: must be s, ms, us, ns, min, h, day, iso"),
+        ('column = "t"', 'column = "t"\nformat = "gps"', r"time\.format: gps needs date: the column of the GPS week"),
+        ('column = "t"', 'column = "t"\ndate = "day"', r"time\.date: goes with text or GPS weeks: .*, not s"),
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
         ("[time]", "[tims]", r"tims: unknown key"),
         ('column = "t"', 'colum = "t"', r"rate_hz; 'colum' is there: is it meant\?"),

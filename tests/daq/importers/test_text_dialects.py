@@ -244,6 +244,7 @@ DIALECTS: dict[str, tuple[str, float, int]] = {
     "decimal commas in quotes": (quoted(table("time", lambda t: elapsed(t).replace(".", ","), ";", ",")), 0.0, 0),
     "minus signs of typesetters": (PLAIN.replace("-", "\u2212"), 0.0, 0),
     "thousands": (table("time", lambda t: f'"{(t - START).total_seconds() + 3000.0:,.1f}"'), 3000.0, 0),
+    "thousands of whole numbers": (table("time [ms]", lambda t: f"{1e3 * float(elapsed(t)):,.0f}", ";"), 0.0, 0),
     "thousands with points": (
         table("time", lambda t: f"3.{(t - START).total_seconds():05.1f}".replace(".", "#").replace("#", ".", 1)
               .replace("#", ","), ";", ","), 3000.0, 0,
