@@ -9,6 +9,7 @@ import numpy as np
 from daq.checks import WARNING, Finding, held_signals, held_together, is_measured
 from ident.checks.sensors import Channels
 
+LEAST_LATE_S = 0.1  # s, by which an input that is held comes late on average: less is worth no word
 SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi", "theta", "p", "q", "force")
 
 
@@ -20,7 +21,7 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
     for name in sorted(n for n in c if n.startswith(("n_", "f_")) and c[n].hold in ("zero", "linear")):
         held = held_signals(c[name].t, {name: c[name].value}).get(name)
         interval = 0.0 if held is None else held.rows * float(np.median(np.diff(c[name].t)))
-        if held is None or not is_measured(c[name].value[held.new], interval):
+        if held is None or interval < 2.0 * LEAST_LATE_S or not is_measured(c[name].value[held.new], interval):
             continue
         text = f"held between measurements {interval:.3g} s apart: it comes {interval / 2.0:.2g} s late on average"
         advice = 'hold = "linear" (a measured shaft speed) or "sampled" (a command) in the import\'s map, and no '

@@ -331,7 +331,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     wraps = {f.where for f in of_wraps}
     if "r" in wraps:
         c = {name: channel for name, channel in c.items() if name != "r"}
-    of_inputs = [*check_inputs(c), *check_frozen_force(c)]
+    of_inputs = [*check_inputs({n: x for n, x in c.items() if n not in wraps}), *check_frozen_force(c)]
     ranges = [*of_wraps, *(f for f in check_ranges(c) if f.where not in wraps), *check_frozen(c)]
     ranges += [*check_alternating(c), *of_inputs]
     yield from ranges

@@ -172,7 +172,16 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
     if not any(told):
         return "thrust from the measured shaft speeds"
     where = "" if all(told) else f" in {', '.join(x.run.name for x, only in zip(loaded, told, strict=True) if only)}"
-    return f"thrust from the commands, or an autopilot's outputs, followed at once: no shaft speed is measured{where}"
+    hint = ""
+    if any(_held_speed(x) for x, only in zip(loaded, told, strict=True) if only):
+        hint = ' (n_left and n_right have hold = "zero"; hold = "linear" of the map makes them measured shaft speeds)'
+    text = "thrust from the commands, or an autopilot's outputs, followed at once: no shaft speed is measured"
+    return f"{text}{where}{hint}"
+
+
+def _held_speed(one: LoadedLog) -> bool:
+    """Whether a map calls its signals n_left and n_right, and lets them hold as commands do."""
+    return all(n in one.run.channels and one.run.channels[n].source == n and one.holds.get(n) == "zero" for n in SHAFTS)
 
 
 def _told_only(one: LoadedLog) -> bool:

@@ -81,6 +81,15 @@ def test_a_shaft_speed_that_is_stuck_against_its_command() -> None:
     assert "against its command" in found.text
 
 
+def test_a_slow_shaft_at_its_limit_is_not_stuck() -> None:
+    """It stays at its limit for seconds, and follows its command 3 s late."""
+    t = np.arange(0.0, 90.0, 0.1)
+    command = np.where(t % 18.0 < 9.0, 0.9, 0.1)
+    shaft = np.minimum(np.where((t - 3.0) % 18.0 < 9.0, 0.9, 0.1), 0.75)
+    c = {"n_cmd_pod": Channel(t, command, hold="zero"), "n_pod": Channel(t + 1e-3, shaft)}
+    assert not list(check_inputs(c))
+
+
 def test_exchanged_telemetry_is_named_and_no_side() -> None:
     c = log(ATTITUDE, VELOCITY, COMMANDS, SHAFTS)
     assert not faults(c)

@@ -14,11 +14,11 @@ from ident.numerics import Array
 from tests.ident.checks.test_latency import ATTITUDE, SHAFTS, SIDES, VELOCITY, sailed
 
 
-def shafts(reported: Callable[[Array], Array]) -> dict[str, Channel]:
+def shafts(reported: Callable[[Array], Array], hold: float = 4.0) -> dict[str, Channel]:
     """A shaft that follows steps ahead and astern with a lag of 0.2 s, as ``reported`` by its controller."""
     t = np.arange(0.0, 120.0, 0.05)
     levels = np.random.default_rng(3).uniform(-0.8, 0.8, 30)
-    command = levels[(t // 4.0).astype(int)]
+    command = levels[(t // hold).astype(int)]
     n = np.zeros(t.size)
     for k in range(1, t.size):
         n[k] = n[k - 1] + 0.22 * (command[k] - n[k - 1])
@@ -39,6 +39,12 @@ def test_a_speed_of_one_direction_is_named(reported: Callable[[Array], Array], c
     findings = list(check_signals(shafts(reported), {}))
     assert [f.code for f in findings if f.level == "fault"] == [code]
     assert not {f.code for f in findings} & {"dead-band-wide", "dead-band-narrow", "n-out-of-range"}
+
+
+def test_an_integer_speed_that_wraps_is_not_stuck() -> None:
+    """Near its top, in whole rev/min, it stays the same for seconds while the command is astern."""
+    c = shafts(lambda n: np.mod(np.trunc(3000.0 * n), 65536.0) / 3000.0, hold=8.0)
+    assert [f.code for f in check_signals(c, {}) if f.level == "fault"] == ["shaft-speed-wrapped"]
 
 
 def test_a_speed_of_both_directions_is_clean() -> None:

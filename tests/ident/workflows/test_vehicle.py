@@ -88,6 +88,21 @@ def test_commands_are_not_called_measured_speeds(names: tuple[str, ...], way: Pr
     assert thrust_from(horizontal_model("force"), [log]) == ""
 
 
+@pytest.mark.parametrize(
+    ("source", "hold", "hinted"), [("n_", "zero", True), ("n_", "sampled", False), ("n_cmd_", "zero", False)]
+)
+def test_shaft_speeds_that_a_map_lets_hold_are_named(source: str, hold: str, hinted: bool) -> None:
+    """As where rpm of a table is an input and the map has no hold."""
+    log = replace(loaded("n_left", "n_right", *AHRS, *GNSS), propulsion=PropulsionInput.COMMAND)
+    found = {
+        n: replace(c, source=source + n.removeprefix("n_")) if n.startswith("n_") else c
+        for n, c in log.run.channels.items()
+    }
+    log = replace(log, run=replace(log.run, channels=found), holds={**log.holds, "n_left": hold, "n_right": hold})
+    said = thrust_from(make_model("nomoto"), [completed(log, "nomoto", None)])
+    assert ('hold = "linear" of the map' in said) == hinted
+
+
 def test_inputs_that_only_some_logs_have_are_none() -> None:
     with pytest.raises(SeatrialError, match=r"run\.mcap: no inputs for the horizontal model .*; the log has psi, r"):
         choose_model("auto", [loaded("n_left", "n_right", "psi", "r"), loaded("psi", "r")])
