@@ -40,9 +40,9 @@ class Configuration:
     speed: float  # run seconds per wall second
     origin: Sequence[float]  # of the run clock: `RunClock.origin`
     role: str  # LinkRole, to the autopilots
-    terminal: int = -1  # inherited descriptor of the parent's standard error; -1 if it has none
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
+    terminal: int = -1  # inherited descriptor of the parent's standard error; -1 if it has none
 
 
 @dataclass(frozen=True)

@@ -370,8 +370,7 @@ def test_neither_fixes_nor_attitudes_of_one_port_hide_the_other(tmp_path: Path) 
         rig = load_rig(boat.rig_path)
         for name, protocol in (("gnss", "nmea"), ("gnss", "ubx"), ("ahrs", "mip"), ("ahrs", "vectornav")):
             device = replace(rig.device(name), protocol=protocol)
-            loop = DeviceLoop(device, make_port(device), make_decoder(device, rig), RunClock(), LogSink())
-            sources = [loop._source(sample) for sample in (Gnss(0.0, 41.0, -8.0), Ahrs(0.0, 0.0, 0.0))]
+            sources = [source_of(device, sample) for sample in (Gnss(0.0, 41.0, -8.0), Ahrs(0.0, 0.0, 0.0))]
             assert sources == [("gnss", None), ("gnss/ahrs", None)] or sources == [("ahrs/gnss", None), ("ahrs", None)]
 
 
