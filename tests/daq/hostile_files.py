@@ -55,6 +55,7 @@ from tests.missions import boat_log, boat_with
 
 MEMORY, SECONDS = 4 << 30, 20  # of address space, of which the libraries that fit reserve a part that they never use
 RESIDENT = 2_000_000_000  # bytes
+OWN_LIBRARIES = 400_000_000  # bytes of address space, of a command that reads a foreign file
 LARGE = f"more than {RESIDENT / 1e9:.0f} GB of memory"
 SLOW = f"{SECONDS} s of processor time"
 FITTING, SHARE = ("vehicle", "diagnose"), 0.2  # of the logs go through each of these, which take most of the time
@@ -630,8 +631,9 @@ def _child(command: Command, box: Path, cache: Path) -> None:
                 os.write(report, text.encode(errors="replace") + b"\n")
 
         sys.addaudithook(watch)
-        # The libraries that this process has loaded for all commands are no part of the command's own memory.
-        bounds.MEMORY_BYTES += resource.getpagesize() * int(Path("/proc/self/statm").read_bytes().split()[0])
+        # This process has loaded the libraries of all commands. Those of the command itself count, with a usual size.
+        loaded = resource.getpagesize() * int(Path("/proc/self/statm").read_bytes().split()[0])
+        bounds.MEMORY_BYTES += max(loaded - OWN_LIBRARIES, 0)
         bounds.enable()
         status = _main(command.words)
         sys.stdout.flush()
