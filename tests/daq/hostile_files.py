@@ -55,7 +55,7 @@ from tests.missions import boat_log, boat_with
 
 MEMORY, SECONDS = 4 << 30, 20  # of address space, of which the libraries that fit reserve a part that they never use
 RESIDENT = 2_000_000_000  # bytes
-OWN_LIBRARIES = 400_000_000  # bytes of address space, of a command that reads a foreign file
+OWN_LIBRARIES = 600_000_000  # bytes of address space, of a command that reads a foreign file
 LARGE = f"more than {RESIDENT / 1e9:.0f} GB of memory"
 SLOW = f"{SECONDS} s of processor time"
 FITTING, SHARE = ("vehicle", "diagnose"), 0.2  # of the logs go through each of these, which take most of the time
