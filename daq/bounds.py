@@ -36,6 +36,8 @@ from daq.errors import SeatrialError, printable
 from daq.files import report_scratch_to, require_file
 
 # What a command may take without a file, and in addition for each byte of the files.
+# A table of 110 MB took 12 bytes of memory and 0.6 us of processor time for each of its bytes.
+# The import of one of 21 MB took 10 to 11 s with the limits and without them.
 MEMORY_BYTES, MEMORY_RATIO = 1_900_000_000, 64
 CPU_S, CPU_S_PER_BYTE = 15.0, 20e-6
 DISK_BYTES, DISK_RATIO = 256 << 20, 64

@@ -145,11 +145,11 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
     assert not any(alive(pid) for pid in running)
 
 
-# The demo as it is installed, but with missions of 140 and 100 s: `make study` runs it at full length.
+# The demo as it is installed, but with missions of 70 and 50 s: `make study` runs it at full length.
 SHORT_DEMO = """
 import sys, seatrial
 from bench import demo
-demo.ESTIMATION_S, demo.VALIDATION_S = 140.0, 100.0
+demo.ESTIMATION_S, demo.VALIDATION_S = 70.0, 50.0
 seatrial.main(sys.argv[1:])
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 from pathlib import Path
 
@@ -18,6 +19,9 @@ HEADER = 16  # bytes of the file header
 RECORD = struct.Struct("<HB")  # size of the data, type
 TYPES = frozenset(b"BFIMPQALCDSOR")
 MOST_RECORD = 65538  # bytes of a record
+MOST_COLUMNS = 200_000  # of all topics; PX4 has some thousands
+DEEPEST_FORMAT = 30  # of formats in formats; PX4 has two
+FIELD = re.compile(r"\s*([^\[\s]+)(?:\[(\d{1,9})\])?")  # type and length of an array
 FIX_2D = 2  # sensor_gps.fix_type
 
 
@@ -31,7 +35,9 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
     except ModuleNotFoundError as error:
         raise SeatrialError(_PYULOG) from error
     try:
-        raw, n_torn = whole_records(path.read_bytes())
+        whole = path.read_bytes()
+        raw, n_torn = whole_records(whole)
+        _require_few_columns(whole if raw is None else raw)
         with _Bounded(path) if raw is None else io.BytesIO(raw) as file:  # pyulog does not close what it cannot read
             data = ULog(file).data_list
     except Exception as error:  # pyulog has errors of many kinds for a file that is none, or damaged
@@ -59,6 +65,40 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         table.vehicle = vehicle
         table.t = table.t + offset
     return tables
+
+
+def _require_few_columns(raw: bytes) -> None:
+    """Raise SeatrialError where the formats of a log make more columns than any log has.
+
+    A format may contain others, and a subscription makes columns of all that its format contains. Some kilobytes can
+    make columns that take gigabytes and hours.
+    """
+    formats: dict[str, list[tuple[str, int]]] = {}  # type and number of each field
+    columns: dict[str, float] = {}
+    total, place = 0.0, HEADER
+
+    def columns_of(name: str, depth: int = 0) -> float:
+        if name not in formats:
+            return 1.0  # a number
+        if depth > DEEPEST_FORMAT:
+            return float("inf")  # it contains itself
+        if name not in columns:
+            columns[name] = sum(count * columns_of(kind, depth + 1) for kind, count in formats[name])
+        return columns[name]
+
+    while place + RECORD.size <= len(raw):
+        size, kind = RECORD.unpack_from(raw, place)
+        data = raw[place + RECORD.size : place + RECORD.size + size]
+        if kind == ord("F"):
+            name, _, text = data.decode("utf-8", "replace").partition(":")
+            fields = (FIELD.match(field) for field in text.split(";"))
+            formats[name] = [(field[1], int(field[2] or 1)) for field in fields if field]
+            columns.clear()
+        elif kind == ord("A"):
+            total += columns_of(data[3:].decode("utf-8", "replace"))
+        if total > MOST_COLUMNS:
+            raise SeatrialError(f"its formats make more than {MOST_COLUMNS} columns")
+        place += RECORD.size + size
 
 
 def whole_records(raw: bytes) -> tuple[bytes | None, int]:

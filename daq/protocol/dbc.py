@@ -9,9 +9,11 @@ three (canboat). One PGN ships with seatrial: nmea2000.dbc, 127488, engine param
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from daq.errors import SeatrialError, printable
+from daq.files import require_file
 from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from daq.rig import SOURCE, DbcSignal
 from daq.samples import NAN, Esc, Frame
@@ -36,6 +38,7 @@ def load_dbc(path: str) -> Any:
     """The database in a DBC file. Raises SeatrialError where it is none."""
     import cantools  # takes a while to import, and only CAN needs it
 
+    require_file(Path(path))  # a rig or a map of somebody else may name a pipe or a device
     try:
         found: Any = cantools.database.load_file(path, database_format="dbc")
     except OSError as error:

@@ -1,9 +1,10 @@
-"""Files of others over the commands that read them: `python -m tests.daq.hostile_files --n 2000 --seed 1`.
+"""Files of others over the commands that read them: `python -m tests.daq.hostile_files --n 2500 --seed 1`.
 
 Logs, captures, bags, tables, rigs, missions and models, damaged (bits, pieces, lengths), hostile (names that are paths,
-code, bombs) and huge go through info, recover, export, check, replay, import, vehicle and diagnose. Each runs in a
-process of its own with 4 GB of address space and 20 s of processor time. It has to answer, or to fail in one line:
-nothing is written but the output that was named, nothing is executed, no traceback, nothing for the terminal to obey.
+code, bombs) and huge go through info, recover, export, check, replay, import, vehicle and diagnose. Each runs as a user
+would run it, with the limits of `daq.bounds` where the command has them. It has to answer, or to fail in one line, in
+20 s of processor time and 2 GB of memory: nothing is written but the output that was named, nothing is executed, no
+traceback, nothing for the terminal to obey. Foreign formats and their attacks are made by `tests.daq.hostile_sources`.
 File number K of a seed is always the same: `--first K --n 1 --keep` makes it again and leaves it there.
 """
 
@@ -40,9 +41,11 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
 import seatrial
+from daq import bounds
 from daq.protocol import nmea, vectornav
 from daq.samples import Ahrs, Gnss
 from tests.daq.csv_files import MAP, ROWS
+from tests.daq.hostile_sources import ATTACKS, Step, damaged_bag, damaged_source, planted, ulog_bomb, write_sources
 from tests.daq.importers.test_mavlink import dataflash, tlog
 from tests.daq.importers.test_ros import STORE, N, fix, imu
 from tests.daq.importers.test_ulog import flight
@@ -50,7 +53,10 @@ from tests.daq.logs import write_everything
 from tests.ident.workflows.test_information import write_model
 from tests.missions import boat_log, boat_with
 
-MEMORY, SECONDS = 4 << 30, 20
+MEMORY, SECONDS = 4 << 30, 20  # of address space, of which the libraries that fit reserve a part that they never use
+RESIDENT = 2_000_000_000  # bytes
+OWN_LIBRARIES = 600_000_000  # bytes of address space, of a command that reads a foreign file
+LARGE = f"more than {RESIDENT / 1e9:.0f} GB of memory"
 SLOW = f"{SECONDS} s of processor time"
 FITTING, SHARE = ("vehicle", "diagnose"), 0.2  # of the logs go through each of these, which take most of the time
 WALL_S = 600.0  # on a busy machine
@@ -151,6 +157,7 @@ class Outcome(NamedTuple):
     answered: bool
     seconds: float  # of the processor
     memory: int  # bytes
+    limited: bool  # whether a limit of `daq.bounds` has ended it
 
 
 @dataclass
@@ -172,6 +179,7 @@ class Summary:
     answers: Counter[str] = field(default_factory=Counter)  # of them, those that ended well: exit status 0
     seconds: float = 0.0  # of the slowest
     memory: int = 0  # bytes of the largest
+    limited: Counter[str] = field(default_factory=Counter)  # kinds of files that only a limit of the command has ended
     failures: list[Failure] = field(default_factory=list)
 
 
@@ -221,6 +229,8 @@ class Bases:
         (folder / "ahrs.bin").write_bytes(b"".join(attitudes))
         (folder / "run.csv").write_text(ROWS * 50, encoding="utf-8")
         (folder / "map.toml").write_text(MAP.format(csv="", time="", signal=""), encoding="utf-8")
+        (folder / "sources").mkdir()
+        self.sources = write_sources(folder / "sources")
 
     def read(self, name: str) -> bytes:
         """The bytes of one of them."""
@@ -385,6 +395,9 @@ class Maker:
             (6, "raw", self._raw),
             (6, "model", self._model),
             (5, "rig or mission", self._rig),
+            (16, "foreign, damaged", self._source),
+            (22, "foreign, hostile", self._attack),
+            (4, "output, planted", self._planted),
         ]
 
     def make(self, number: int, box: Path) -> tuple[str, tuple[Command, ...]]:
@@ -545,6 +558,19 @@ class Maker:
         export = Command(("ident", "export", "model/model.toml", "--to", "python", "-o", "out/m.py"), "out/m.py")
         return (*_of(FITS[-1:], "run.mcap"), export)
 
+    def _source(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
+        if rng.random() < 0.2:
+            return _commands(damaged_bag(box, rng, wounded))
+        return _commands(damaged_source(self._bases.folder / "sources", self._bases.sources, box, rng, wounded))
+
+    def _attack(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
+        if rng.random() < 0.08:
+            return _commands(ulog_bomb(box, rng, self._bases.read("run.ulg")))
+        return _commands(rng.choice(ATTACKS)(box, rng))
+
+    def _planted(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
+        return _commands(planted(box, rng, self._bases.read("boat.mcap")))
+
     def _rig(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
         texts = [text.encode(errors="replace") for text in (*TOML, RIG, RIG)]
         for name in ("rig.toml", "mission.toml"):
@@ -553,6 +579,10 @@ class Maker:
             Command(("check", "rig.toml", "--seconds", "0.5", "--mission", "mission.toml")),
             Command(("mission", "show", "mission.toml")),
         )
+
+
+def _commands(steps: Sequence[Step]) -> tuple[Command, ...]:
+    return tuple(Command(*step) for step in steps)
 
 
 def _of(commands: Sequence[Command], name: str) -> tuple[Command, ...]:
@@ -591,6 +621,8 @@ def _child(command: Command, box: Path, cache: Path) -> None:
             text = ""
             if event == "open" and isinstance(args[0], str) and isinstance(args[2], int) and args[2] & WRITING:
                 text = "" if os.path.realpath(args[0]).startswith(allowed) else f"wrote {args[0]}"
+            elif event == "os.fork" and sys._getframe(1).f_code.co_filename == bounds.__file__:
+                text = ""
             elif event.startswith(RUNNING):
                 text = f"{event} {args!r}"[:200]
             elif event == "exec" and not (name := getattr(args[0], "co_filename", "<")).startswith("<"):
@@ -599,6 +631,10 @@ def _child(command: Command, box: Path, cache: Path) -> None:
                 os.write(report, text.encode(errors="replace") + b"\n")
 
         sys.addaudithook(watch)
+        # This process has loaded the libraries of all commands. Those of the command itself count, with a usual size.
+        loaded = resource.getpagesize() * int(Path("/proc/self/statm").read_bytes().split()[0])
+        bounds.MEMORY_BYTES += max(loaded - OWN_LIBRARIES, 0)
+        bounds.enable()
         status = _main(command.words)
         sys.stdout.flush()
         sys.stderr.flush()
@@ -650,7 +686,11 @@ def run(command: Command, box: Path, cache: Path) -> Outcome:
     stray = [name for name in touched if not command.writes or not name.startswith(command.writes)]
     if not why and stray:
         why = f"wrote or removed {', '.join(stray[:3])}"
-    return Outcome(why, status == 0, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
+    memory = usage.ru_maxrss * 1024
+    if not why and memory > RESIDENT:
+        why = LARGE
+    limited = bounds.ADVICE in errors.decode(errors="replace")
+    return Outcome(why, status == 0, usage.ru_utime + usage.ru_stime, memory, limited)
 
 
 def _why(status: int, said: str, errors: str, audit: str) -> str:
@@ -705,6 +745,10 @@ def study(
             name = command.words[command.words[0] == "ident"]
             summary.runs[name] += 1
             summary.answers[name] += found.answered
+            summary.limited[kind] += found.limited
+            if found.limited:
+                words = " ".join(command.words)
+                print(f"{number} {kind}: {words}: ended by a limit after {found.seconds:.1f} s", flush=True)
             summary.seconds = max(summary.seconds, found.seconds)
             summary.memory = max(summary.memory, found.memory)
             if found.why:
@@ -718,13 +762,15 @@ def study(
 def _lines(summary: Summary) -> Iterator[str]:
     runs = ", ".join(f"{name} {summary.answers[name]} of {count}" for name, count in summary.runs.items())
     yield f"{summary.files} files, {summary.runs.total()} runs; with an answer: {runs}"
-    yield f"{len(summary.failures)} failures; at most {summary.seconds:.1f} s and {summary.memory / 2**30:.2f} GB"
+    limited = ", ".join(f"{kind} {count}" for kind, count in summary.limited.items() if count)
+    yield f"ended by a limit of the command: {limited or 'none'}"
+    yield f"{len(summary.failures)} failures; at most {summary.seconds:.1f} s and {summary.memory / 1e9:.2f} GB"
 
 
 def main() -> int:
     """The study; exit status 1 where a command failed to keep what the page on threats promises."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--n", type=int, default=2000)
+    parser.add_argument("--n", type=int, default=2500)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--keep", action="store_true", help="leave the files in build/hostile")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from io import BytesIO
 from pathlib import Path
 
@@ -73,6 +74,16 @@ def test_a_factor_of_a_dbc_gives_numbers(tmp_path: Path, factor: str) -> None:
     with pytest.raises(SeatrialError, match=r"x\.dbc: signal 'rpm' of M has the factor") as caught:
         load_dbc(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_a_dbc_that_a_map_names_is_a_file(tmp_path: Path) -> None:
+    """A pipe would wait for its writer, and a device never ends."""
+    os.mkfifo(tmp_path / "pipe.dbc")
+    for path in (tmp_path / "pipe.dbc", Path("/dev/zero"), tmp_path):
+        with pytest.raises(SeatrialError, match="is not a file"):
+            load_dbc(str(path))
+    with pytest.raises(SeatrialError, match="cannot be read: No such file"):
+        load_dbc(str(tmp_path / "nothing.dbc"))
 
 
 def test_more_topics_than_a_file_can_number_are_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import sys
 from collections.abc import Callable
@@ -12,6 +13,8 @@ import pytest
 
 from tests.daq import hostile_files
 from tests.daq.hostile_files import MEMORY, Command, run, study
+from tests.daq.hostile_sources import ATTACKS, Step
+from tests.daq.logs import write_everything
 
 
 def test_hostile_files_are_answered_or_refused_in_one_line(tmp_path: Path) -> None:
@@ -32,6 +35,7 @@ def too_much() -> None:
         os._exit(9)
 
 
+QUICK = {"tiny_bag", "pipes", "absurd_values", "names", "foreign_hdf5", "database_beside"}
 MISDEEDS: dict[str, Callable[[Path], object]] = {
     "traceback: seatrial: internal error (x)": lambda box: crash(),
     "prints '\\x1b'": lambda box: print("\x1b[2J"),
@@ -62,3 +66,28 @@ def test_what_a_command_may_not_do_is_seen(tmp_path: Path, monkeypatch: pytest.M
     found = run(Command(("info",), "out/x"), box, tmp_path / "cache")
     assert found.why.startswith(why)
     assert bool(found.why) == bool(why)
+
+
+def test_too_much_memory_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    box = tmp_path / "box"
+    (box / "home").mkdir(parents=True)
+    (box / "run.mcap").write_bytes(b"nothing")
+    found = run(Command(("info", "run.mcap")), box, tmp_path / "cache")
+    assert (found.why, found.answered, found.limited) == ("", False, False)
+    monkeypatch.setattr(hostile_files, "RESIDENT", 1_000_000)
+    assert run(Command(("info", "run.mcap")), box, tmp_path / "cache").why == hostile_files.LARGE
+
+
+@pytest.mark.filterwarnings("default")  # of the command: a line for the user
+@pytest.mark.parametrize("attack", [one for one in dict.fromkeys(ATTACKS) if one.__name__ in QUICK])
+def test_quick_attacks_are_refused(
+    tmp_path: Path, attack: Callable[[Path, random.Random], tuple[Step, ...]]
+) -> None:
+    box = tmp_path / "box"
+    for name in ("out", "outside", "home"):
+        (box / name).mkdir(parents=True)
+    (box / "outside/trap.py").write_text("")
+    write_everything(tmp_path / "any.mcap", 1)  # this process asks once for the version of the code
+    for step in attack(box, random.Random(5)):
+        found = run(Command(*step), box, tmp_path / "cache")
+        assert (found.why, found.limited) == ("", False)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.acquisition.device_loop import STUCK_S, DeviceLoop
+from daq.acquisition.device_loop import STUCK_S, DeviceLoop, source_of
 from daq.acquisition.log_thread import LogSink
 from daq.acquisition.session import Acquisition
 from daq.clock import RunClock, SuspendDetector

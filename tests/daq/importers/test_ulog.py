@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from daq.importers.table import SourceOptions
 from daq.importers.ulog import read_ulog, whole_records
 from daq.log.reader import open_log
 from daq.samples import Scalar
-from tests.daq.ulog_files import Topic, needs_pyulog, write_ulog
+from tests.daq.ulog_files import Topic, message, needs_pyulog, write_ulog
 
 UTC = 1_700_000_000.0
 BOOT = 5.0  # s on the autopilot's clock at its first message
@@ -125,3 +126,20 @@ def test_a_torn_log_says_so(tmp_path: Path) -> None:
     tables = read_ulog(tmp_path / "torn.ulg", SourceOptions())
     assert tables
     assert {table.remark for table in tables} == {"1 damaged place: the records there are left out"}
+
+
+@needs_pyulog
+@pytest.mark.parametrize("kind", ["nested", "wide", "in itself"])
+def test_formats_that_multiply_are_refused_at_once(tmp_path: Path, kind: str) -> None:
+    """Some kilobytes of formats took gigabytes and minutes."""
+    formats = {
+        "nested": [*(f"a{k}:a{k + 1}[250] x;" for k in range(9)), "a9:float[250] x;"],
+        "wide": ["a0:uint64_t timestamp;" + "".join(f"float[99] f{k};" for k in range(3000))],
+        "in itself": ["a0:uint64_t timestamp;a0 x;"],
+    }[kind]
+    out = b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(message(b"F", text.encode()) for text in formats)
+    (tmp_path / "run.ulg").write_bytes(out + message(b"A", struct.pack("<BH", 0, 0) + b"a0"))
+    before = time.process_time()
+    with pytest.raises(SeatrialError, match="its formats make more than 200000 columns"):
+        read_ulog(tmp_path / "run.ulg", SourceOptions())
+    assert time.process_time() - before < 2.0
