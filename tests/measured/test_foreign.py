@@ -228,7 +228,8 @@ def test_a_slow_receiver_in_the_rows_of_a_fast_table(tmp_path: Path) -> None:
 # The Kingfisher: two clocks, commands of -1..1
 
 
-@pytest.mark.parametrize("form", ["bag", "ulg", pytest.param("mat", marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("form", ["bag", "ulg", "mat"])
 def test_kingfisher(tmp_path: Path, form: str) -> None:
     files = sorted(measured("kingfisher").glob("surge_*.csv"))
     reference = (EXAMPLES / "kingfisher/surge.toml").read_text()

@@ -20,7 +20,7 @@ QUIET = HiddenEffect("quiet", "sensors with a tenth of the noise", {}, noise=Noi
 SIDES = ((1, "left"), (2, "right"))
 
 
-@pytest.mark.parametrize(("ahrs", "esc"), [(100.0, 200.0), (50.0, 25.0)])
+@pytest.mark.parametrize(("ahrs", "esc"), [pytest.param(100.0, 200.0, marks=pytest.mark.study), (50.0, 25.0)])
 def test_a_quiet_boat_is_not_found_heavier_than_it_is(ahrs: float, esc: float) -> None:
     """With shaft speeds at the rows and accelerations over blocks of 0.1 s it was, by 0.45 and 0.24 %."""
     boat = draw_boat(1004, [QUIET])

@@ -30,8 +30,15 @@ from tests.ident.exported import ALONE, MODELS, compare, moved, points, run_c, r
 from tests.test_docs import ROOT, blocks
 
 
-@pytest.mark.parametrize("nuisance", [False, True])
-@pytest.mark.parametrize("name", MODELS)
+# Each model with one of the two contents; `make study` runs the other one, too.
+@pytest.mark.parametrize(
+    ("name", "nuisance"),
+    [
+        pytest.param(name, nuisance, marks=[pytest.mark.study] * (nuisance == (k % 2 == 0)))
+        for k, name in enumerate(MODELS)
+        for nuisance in (False, True)
+    ],
+)
 def test_python_and_casadi_equal_the_model(name: str, nuisance: bool, tmp_path: Path) -> None:
     model = moved(MODELS[name], 1)
     for target, run in (("python", run_python), ("casadi", run_casadi)):

@@ -109,6 +109,7 @@ def test_commands_alone_give_the_boat_and_its_shafts(hertz: float, T: float, tau
         assert fit.estimate(name)[0] == pytest.approx(true, abs=0.01)
 
 
+@pytest.mark.study
 def test_a_dead_zone_ends_where_its_parameter_says() -> None:
     """Motors that stand below it and turn as told above; from the usual start, 0.03, no command tells the way there."""
     end = 0.2
