@@ -97,7 +97,7 @@ LIVELY = {
 }
 
 
-@pytest.mark.parametrize("kind", ["chirp", *(pytest.param(kind, marks=pytest.mark.study) for kind in ("white", "long holds"))])
+@pytest.mark.parametrize("kind", ["chirp", *(pytest.param(k, marks=pytest.mark.study) for k in ("white", "long holds"))])
 def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str) -> None:
     """Whether 31 lags are 31 looks or three hangs on the input: no bolder than by a quarter, no more than four times
     too careful, and chance on top of either."""
