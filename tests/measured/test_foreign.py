@@ -317,6 +317,7 @@ def test_an_imu_with_unknown_covariances_keeps_what_it_measured(tmp_path: Path) 
     assert len(found["x"][0]) == 89
 
 
+@pytest.mark.study
 def test_an_autopilots_log_goes_to_its_signals(tmp_path: Path) -> None:
     source = measured("ardurover/steps_boat.tlog")
     assert guess_map(source).problem == ""

@@ -12,7 +12,11 @@ from ident.data.loading import load_run
 from ident.data.record import sample_and_hold
 from tests.measured.data import measured, run
 
-pytestmark = [pytest.mark.measured, pytest.mark.slow]
+pytestmark = [
+    pytest.mark.measured,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore:.*the log is cut there"),  # its drop-outs of more than a minute
+]
 
 HERE = Path(__file__).resolve().parents[2] / "docs/examples/milliampere"
 

@@ -71,7 +71,7 @@ def placed(tmp_path: Path, *places: tuple[float, float]) -> list[Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", [pytest.param("tether", marks=pytest.mark.study), "mooring"])
+@pytest.mark.parametrize("effect", [pytest.param(name, marks=pytest.mark.study) for name in ("tether", "mooring")])
 def test_a_fixed_point_is_where_it_is_in_two_logs_from_one_pier(effect: str, tmp_path: Path) -> None:
     stiff = 0.9
 

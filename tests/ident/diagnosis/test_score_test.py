@@ -233,6 +233,7 @@ def test_a_long_record_is_tested_in_parts_of_whole_blocks(monkeypatch: pytest.Mo
     np.testing.assert_allclose(statistics(), wanted, rtol=1e-9)
 
 
+@pytest.mark.study
 def test_the_block_version_holds_where_the_innovations_are_coloured() -> None:
     """A model that takes the sea for calmer than it is: its innovations remember, and the plain test alarms far too
     often; the one from blocks does not."""

@@ -533,6 +533,7 @@ def test_many_short_runs_work_as_two(n: int) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_a_validation_log_that_cannot_be_used_is_named_and_the_search_goes_on() -> None:
     good, other = segments(boat_with("mismatch", 1), boat_with("mismatch", 1))
     lacking = LogSegment("odd", {n: c for n, c in other.channels.items() if n != "n_left"})

@@ -50,7 +50,7 @@ def test_a_sensor_that_only_a_validation_run_has_is_no_judge(model: Model, estim
     assert stage.fit.converged
 
 
-@pytest.mark.parametrize("lost", ["fails", "ends too early", "never converges"])
+@pytest.mark.parametrize("lost", [pytest.param("fails", marks=pytest.mark.study), "ends too early", "never converges"])
 def test_a_refit_for_another_size_that_loses_its_way_begins_where_the_first_fit_ended(
     lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -166,6 +166,7 @@ def test_tangents_agree_with_the_adjoint_for_any_subset() -> None:
         np.testing.assert_allclose(scores.by_row.sum(axis=0), scores.gradient, rtol=1e-12)
 
 
+@pytest.mark.study
 def test_information_is_the_variance_of_the_score() -> None:
     """On a linear model, over 400 simulated records."""
     model, v, rng = linear(), values_of(linear()), np.random.default_rng(0)

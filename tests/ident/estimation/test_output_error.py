@@ -91,6 +91,7 @@ def test_errors_are_the_spread_of_the_estimates() -> None:
     np.testing.assert_allclose(np.std(z, axis=0), 1.0, atol=0.45)
 
 
+@pytest.mark.study
 def test_the_sandwich_sees_coloured_residuals() -> None:
     """With process noise in the data, output error's own errors are too small; the robust ones are not."""
     model = yaw_model().with_values({"e_r": 0.005})

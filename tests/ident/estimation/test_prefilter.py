@@ -76,6 +76,7 @@ def pushed(seconds: float, seed: int) -> dict[str, Channel]:
     return found | {f"f_{side}": Channel(begins, told[: begins.size, k]) for k, side in enumerate(("left", "right"))}
 
 
+@pytest.mark.study
 def test_thrusts_that_jump_are_averaged_as_well() -> None:
     """Blocks with a jump in them made the mass 8 % too large, 6 standard errors."""
     fit = fit_nominal_model(horizontal_model("force", hold="zero"), [LogSegment("mission", pushed(200.0, 1))], []).fit

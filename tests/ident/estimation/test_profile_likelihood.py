@@ -199,7 +199,7 @@ def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: floa
     assert same.notes == ()
 
 
-@pytest.mark.parametrize("name", ["c2", "c1", "d"])
+@pytest.mark.parametrize("name", ["c2", *(pytest.param(name, marks=pytest.mark.study) for name in ("c1", "d"))])
 def test_beside_and_along_a_plateau(name: str) -> None:
     """The end of the dead zone stands between two set-points; nothing tells where, so nothing may follow it."""
     found, record = steps(0.07), stepped_record(0.07)

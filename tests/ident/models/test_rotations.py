@@ -178,6 +178,7 @@ def test_every_effect_of_a_model_can_be_added_and_those_at_zero_start_off_it() -
                 assert all(p.value != 0.0 for p in added.parameters if p.free)
 
 
+@pytest.mark.study
 def test_the_command_frees_an_effect_and_the_file_keeps_it(tmp_path: Path) -> None:
     boat = boat_with("lever-arm", 3)
     log = boat_log(tmp_path / "a.mcap", boat, 120.0, 7, 1)

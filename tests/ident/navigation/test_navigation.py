@@ -107,6 +107,7 @@ def test_the_smoother_is_better_than_the_filter() -> None:
     assert np.sqrt(np.mean(by_smoother**2)) < 0.6 * np.sqrt(np.mean(by_filter**2))
 
 
+@pytest.mark.study
 def test_an_outage_of_the_log_itself_is_found_and_judged_by_the_fix_after_it() -> None:
     rows, _ = mission(1, 2)
     gnss = [rows.outputs.index(n) for n in ("x", "y", "vx", "vy")]
@@ -153,6 +154,7 @@ def test_before_the_first_fix_the_place_is_as_uncertain_as_is_claimed() -> None:
     assert "Before the first fix" in both
 
 
+@pytest.mark.study
 def test_the_current_is_learnt_on_the_way() -> None:
     rows, _ = mission(2, 2)
     done = navigate(fitted(2).fit.model, rows, smoothed=False)

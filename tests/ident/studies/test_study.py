@@ -222,6 +222,7 @@ def test_the_least_variance_near_a_bound_is_that_of_a_truncated_normal() -> None
     ).all()
 
 
+@pytest.mark.study
 def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case, out = make_case("surge", seconds=60.0), tmp_path / "surge.jsonl"
     first = study.run_study(case, 4, 2, out, jobs=1)

@@ -15,7 +15,9 @@ CLOSE = 1e-3  # of the log-likelihood
 LONG = [pytest.param(*case, marks=pytest.mark.study) for case in (("yaw", 300), ("horizontal", 200))]
 
 
-@pytest.mark.parametrize(("name", "seconds"), [("surge", 300), ("thruster", 50), *LONG])
+@pytest.mark.parametrize(
+    ("name", "seconds"), [("surge", 300), pytest.param("thruster", 50, marks=pytest.mark.study), *LONG]
+)
 def test_any_start_within_a_factor_of_two_reaches_the_same_optimum(name: str, seconds: float) -> None:
     case = make_case(name, seconds=seconds)
     model = case.model

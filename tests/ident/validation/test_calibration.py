@@ -68,6 +68,7 @@ def test_the_bands_are_right_where_the_model_is() -> None:
     assert calibration_notes(calibration_tables(judged), 10.0) == []
 
 
+@pytest.mark.study
 def test_too_little_noise_is_overconfident_at_once() -> None:
     judged = evaluate(with_values(stage(), {"e_xy": 0.5, "e_psi": 0.5}))
     found = validated(judged).one_step

@@ -97,7 +97,10 @@ LIVELY = {
 }
 
 
-@pytest.mark.parametrize("kind", ["chirp", *(pytest.param(k, marks=pytest.mark.study) for k in ("white", "long holds"))])
+KINDS = ["chirp", *(pytest.param(k, marks=pytest.mark.study) for k in ("white", "long holds"))]
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str) -> None:
     """Whether 31 lags are 31 looks or three hangs on the input: no bolder than by a quarter, no more than four times
     too careful, and chance on top of either."""
@@ -111,6 +114,7 @@ def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str) -> None
 
 
 @pytest.mark.parametrize("n", [60, *(pytest.param(n, marks=pytest.mark.study) for n in (80, 200, 1000))])
+@pytest.mark.study
 def test_short_channels_are_not_found_coloured_more_often(n: int) -> None:
     rng, trials = np.random.default_rng(n), 2000
     found = [whiteness_test("x", T[:n], rng.normal(size=n)) for _ in range(trials)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,34 +30,34 @@ COLUMNS = {"x": "m", "y": "m", "psi": "rad", "r": "rad/s", "vx": "m/s", "vy": "m
 
 @cache
 def sailed(seconds: float, seed: int) -> np.ndarray:
-    """Rows of time and COLUMNS, at 10 Hz: Euler steps of 2 ms, gusts as white accelerations, white noise on sensors."""
-    rng, p, h = np.random.default_rng(seed), TRUE, 0.002
-    gusts = rng.normal(size=(round(seconds / h), 3)) * np.sqrt(h) * [0.02, 0.02, 0.04]
-    x = y = psi = u = v = r = 0.0
-    n, rows = np.zeros(2), []
-    for k in range(round(seconds / h)):
+    """Rows of time and COLUMNS, at 10 Hz: Euler steps of 5 ms, gusts as white accelerations, white noise on sensors."""
+    rng, p, h = np.random.default_rng(seed), TRUE, 0.005
+    gusts = (rng.normal(size=(round(seconds / h), 3)) * np.sqrt(h) * [0.02, 0.02, 0.04]).tolist()
+    x = y = psi = u = v = r = left = right = told_left = told_right = 0.0
+    rows = []
+    for k, (du, dv, dr) in enumerate(gusts):
         if k % round(4.0 / h) == 0:
             told = rng.uniform(-0.4, 1.0) + rng.uniform(-0.5, 0.5) * np.array([1.0, -1.0])
-            told = np.clip(told, -1.0, 1.0)
-        n = n + h / 0.25 * (told - n)
+            told_left, told_right = np.clip(told, -1.0, 1.0).tolist()
+        left, right = left + h / 0.25 * (told_left - left), right + h / 0.25 * (told_right - right)
+        cos, sin = math.cos(psi), math.sin(psi)
         if k % round(0.1 / h) == 0:
-            cos, sin = np.cos(psi), np.sin(psi)
             clean = np.array([x, y, psi, r, cos * u - sin * v, sin * u + cos * v])
-            rows.append([k * h, *(clean + rng.normal(size=6) * [0.02, 0.02, 0.005, 0.003, 0.02, 0.02]), *n])
-        f = THRUST * n * np.abs(n)
-        du = (f.sum() + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"]
-        dv = (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"]
-        moment = ARM * (f[0] - f[1]) + (p["m_u"] - p["m_v"]) * u * v
-        dr = (moment - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"]
-        x, y = x + h * (np.cos(psi) * u - np.sin(psi) * v), y + h * (np.sin(psi) * u + np.cos(psi) * v)
-        du, dv, dr = gusts[k] + h * np.array([du, dv, dr])
-        psi, u, v, r = psi + h * r, u + du, v + dv, r + dr
+            noisy = clean + rng.normal(size=6) * [0.02, 0.02, 0.005, 0.003, 0.02, 0.02]
+            rows.append([k * h, *noisy, left, right])
+        f_left, f_right = THRUST * left * abs(left), THRUST * right * abs(right)
+        surge = (f_left + f_right + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"]
+        sway = (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"]
+        moment = ARM * (f_left - f_right) + (p["m_u"] - p["m_v"]) * u * v
+        turn = (moment - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"]
+        x, y, psi = x + h * (cos * u - sin * v), y + h * (sin * u + cos * v), psi + h * r
+        u, v, r = u + du + h * surge, v + dv + h * sway, r + dr + h * turn
     return np.array(rows)
 
 
 def imported(folder: Path, name: str, tables: str, extra: str = "") -> Path:
     """The boat's run as a log, by a map with these further tables and columns."""
-    rows = sailed(180.0, 1)
+    rows = sailed(120.0, 1)
     header = ["t", *COLUMNS, *extra.split()]
     rows = np.column_stack([rows, *(rows[:, 1] for _ in extra.split())])
     csv, text = folder / f"{name}.csv", MAP + tables

@@ -57,6 +57,7 @@ def test_outliers_are_counted_and_a_profile_is_drawn(log: Path) -> None:
     assert '<section id="profiles"' in (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.study
 def test_the_cells_calibration_is_in_the_errors_of_what_stands_on_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

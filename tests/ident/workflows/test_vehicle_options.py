@@ -80,6 +80,7 @@ def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, l
     assert "fitting" not in done.output
 
 
+@pytest.mark.study
 def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs: tuple[Path, Path]) -> None:
     """A dozen parameters of the dynamics took a part of what disturbs the boat with them."""
     fits = []
@@ -98,6 +99,7 @@ def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs
         assert 1.005 < larger / error < 1.1
 
 
+@pytest.mark.study
 def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_without(logs: tuple[Path, Path]) -> None:
     folder = logs[0].parent / "bent"
     CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--out", str(folder)], catch_exceptions=False)
