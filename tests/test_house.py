@@ -44,11 +44,15 @@ PRODUCT = {module_of(path): path for path in files() if path.relative_to(ROOT).p
 WINGS = {module for module, path in PRODUCT.items() if path.name == "__init__.py" and module.count(".") == 1}
 
 
-def imports(path: Path) -> Iterator[tuple[str, str]]:
+@cache
+def imports(path: Path) -> list[tuple[str, str]]:
     """(module, name) of every import of our own, inside functions too."""
-    for node in ast.walk(tree_of(path)):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PARTS:
-            yield from ((node.module, alias.name) for alias in node.names)
+    return [
+        (node.module, alias.name)
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PARTS
+        for alias in node.names
+    ]
 
 
 def faces() -> dict[str, dict[str, str]]:

@@ -413,6 +413,7 @@ def at_the_end(tmp_path: Path, before: list[Sample], zeroed: float | None = 9.0)
         ([Esc(1, 2700.0, duty=0.0), Esc(1, 2000.0, duty=0.0)], True),
         ([Esc(1, 2700.0, 20.0), Esc(1, 2700.0, 0.2)], True),
         ([Esc(1, 2700.0, 20.0), Esc(1, 2700.0, 2.0)], False),
+        ([Esc(1, 2700.0, 0.0)] * 5, False),  # a controller without a current sensor
         ([Esc(1)], None),
     ],
 )
@@ -927,6 +928,7 @@ def test_each_jump_needs_a_second_fix_of_its_own(tmp_path: Path) -> None:
     """A jump inside the fence that was confirmed does not confirm a later one beyond it."""
     rig = rig_of(tmp_path, radius_m=100.0)
     assert fixes(rig, [0.0, 0.1, 60.0, 60.1, 60.2, 1000.0, 60.3, 60.4]) == (8, None)
+    assert fixes(rig, [0.0, 0.1, 60.0, 60.1, 1000.0, 60.2, 60.3]) == (7, None)
     assert fixes(rig, [0.0, 0.1, 60.0, 60.1, 60.2, 1000.0, 1000.1])[0] == 6
 
 
