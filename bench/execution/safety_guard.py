@@ -532,7 +532,7 @@ class SafetyGuard:
         self._speed = speed
         self._thrusters = [rig.thruster(name) for name in thrusters]
         self._fence = None if rig.limits.radius_m is None else Fence(rig.limits.radius_m, rig.vehicle)
-        self._size = -1
+        self._size: float = math.nan  # bytes of the log at the last status
         self._grown_at = math.nan
         self._saturated_at: dict[str, float] = {}  # by load cell
         self._rest_force: dict[str, float] = {}  # N, by load cell, before thrust was commanded

@@ -938,3 +938,35 @@ def test_a_fix_without_latitude_or_longitude_watches_no_fence(
 ) -> None:
     guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
     assert (guard.unwatched(status(1.0, 0.0, {FIX: Gnss(T, lat, lon, fix=3)})) == []) is watched
+
+
+def test_a_thruster_that_turns_before_its_first_command_ends_the_run(tmp_path: Path) -> None:
+    guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
+    guard.start()
+    for k in range(1, 100):
+        t = 0.05 * k
+        now = replace(status(t, 0.0, {ESC: Esc(1, 900.0 + math.sin(t), 3.0, 0.5)}), commanded={})
+        if stop := guard.step(now.t, now).stop:
+            assert "puts out duty +0.50, commanded +0.00" in stop.reason
+            return
+    raise AssertionError("the guard lets it turn")
+
+
+@pytest.mark.parametrize(
+    ("put_out", "commanded", "why"),
+    [
+        (0.0, 0.4, "it was disarmed or blocks commands"),
+        (-0.05, 0.4, "it was disarmed or blocks commands"),
+        (0.3, 0.4, "a parameter bends commands, or its link is late"),
+        (-0.3, 0.0, "a parameter bends commands, or its link is late"),
+    ],
+)
+def test_a_wrong_output_says_what_may_be_wrong(put_out: float, commanded: float, why: str) -> None:
+    thruster = mav_rig().thrusters[0]
+    check = guard_module.OutputCheck(thruster, 1.0)
+    said = ""
+    for k in range(40):
+        t = 0.05 * k
+        latest = {("autopilot", thruster.node): Latest(Servo(thruster.node, 1500.0, put_out), T + t)}
+        said = check.reason(Status(T + t, {}, latest, {"left": commanded}, 0, "", 1, 1, t, "", ()))
+    assert said.endswith(f"commanded {commanded:+.2f}: {why}")
