@@ -655,7 +655,7 @@ class SafetyGuard:
 
     def _limit_patience(self, limit: LimitSource) -> float:
         if not limit.source:
-            return 0.0
+            return -math.inf
         device = self._rig.device(limit.source)
         nodes = sum(thruster.device == device.name for thruster in self._rig.thrusters)
         factor = SLOW if limit.is_slow else QUICK

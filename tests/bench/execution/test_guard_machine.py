@@ -634,8 +634,13 @@ def test_a_value_is_frozen_from_the_fifth_sample_and_the_second_second_after_a_c
     watch = guard_module.MovementWatch()
     for _ in range(20):
         watch.update(0.0, (8.5,), {"left": 0.0})  # the same sample, seen in many statuses
-    watch.update(0.5, (8.5,), {})
-    assert not watch.is_frozen
+    for k in range(1, 12):
+        watch.update(0.045 * k, (8.5,), {})
+        assert not watch.is_frozen
+    silent = guard_module.MovementWatch()
+    for k in range(20):
+        silent.update(float(k), (8.5,), {})  # without a thruster no value has to change
+        assert not silent.is_frozen
     watch.update(0.6, (8.5,), {"new": 0.3})  # a thruster that was not commanded before
     for k in range(5):
         watch.update(3.0 + k, (8.5,), {})
@@ -899,6 +904,12 @@ def test_linear_and_quadratic_damping_of_the_same_size_both_brake() -> None:
     """The closed form of 10 u' = -2 u - 2 u^2 from 1 m/s to 0.05 m/s."""
     way = guard_module.stopping_distance(1.0, {"m_u": 10.0, "d_u": 2.0, "d_uu": 2.0})
     assert way == pytest.approx(5.0 * math.log(2.0 / 1.05))
+    linear = {"m_u": 10.0, "d_u": 0.5}
+    assert guard_module.stopping_distance(1.0, linear) == pytest.approx(10.0 * 0.95 / 0.5)
+    assert guard_module.stopping_distance(1.0, {**linear, "d_uu": -2.0}) == pytest.approx(10.0 * 0.95 / 0.5)
+    quadratic = {"m_u": 10.0, "d_uu": 0.5}
+    assert guard_module.stopping_distance(1.0, quadratic) == pytest.approx(20.0 * math.log(20.0))
+    assert guard_module.stopping_distance(1.0, {"d_u": 0.5}) == 0.0
 
 
 @pytest.mark.parametrize(("lat", "lon"), [(NAN, -8.7), (41.18, NAN), (math.inf, -8.7), (41.18, -math.inf)])
