@@ -91,7 +91,7 @@ class DeviceLoop(threading.Thread):
         self._unforgiven = self._forgiven = 0  # unparsed bytes: when the port was opened, and those not counted
         self._joining = False
         self._open = False
-        self._stepped = time.monotonic()
+        self._stepped = self._checked = time.monotonic()
         self._zeroed = math.nan
         self._problem = ""
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
@@ -138,6 +138,7 @@ class DeviceLoop(threading.Thread):
     def _start(self) -> None:
         self._opened += 1
         self._open, self._problem = True, ""
+        self._checked = time.monotonic()
         self._mute_bytes = 0
         self._decoder.reset()
         self._joining, self._unforgiven = True, self._unparsed()
@@ -162,7 +163,7 @@ class DeviceLoop(threading.Thread):
             wait = min(wait, self._driver.wait(time.monotonic()))
         has_bytes = self._wait(self._port.fileno(), wait)
         if self._setpoints is not None:
-            self._check_pause(self._setpoints, time.monotonic() - self._stepped - wait)
+            self._check_pause(self._setpoints, wait)
         if has_bytes:
             data = self._port.read()
             t_rx = self._clock.now()
@@ -170,14 +171,21 @@ class DeviceLoop(threading.Thread):
                 self._received(data, t_rx)
         if self._setpoints is not None:
             self._check_suspend(self._setpoints)
+            self._check_pause(self._setpoints)
             self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
         if self._driver is not None:
             self._poll_driver(self._driver)
 
-    def _check_pause(self, setpoints: Setpoints, paused: float) -> None:
-        """Zero after this thread was stopped for a while: the command that would be repeated is an old one."""
-        if paused > STUCK_S and not setpoints.is_settled(time.monotonic()):
-            setpoints.zero(time.monotonic())
+    def _check_pause(self, setpoints: Setpoints, waited: float = 0.0) -> None:
+        """Command zero if this thread was stopped for a while: the command that would be repeated is an old one.
+
+        The time counts from the last check, of which it was to wait for `waited` seconds. A pause may come at any place
+        of the loop.
+        """
+        now = time.monotonic()
+        paused, self._checked = now - self._checked - waited, now
+        if paused > STUCK_S and not setpoints.is_settled(now):
+            setpoints.zero(now)
             self._on_lost(f"the acquisition process stood still for {paused:.1f} s")
 
     def _check_suspend(self, setpoints: Setpoints) -> None:

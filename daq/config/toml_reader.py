@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
+import stat
 import tomllib
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -27,9 +29,13 @@ def parse_toml(text: str, source: Path | str) -> TomlTable:
 
 
 def read_text(path: Path) -> str:
-    """The UTF-8 text of a file. Raises SeatrialError in one line where it cannot be read."""
+    """Return the UTF-8 text of a file. Raises SeatrialError in one line if it cannot be read, as a pipe or a device."""
     try:
-        return path.read_text(encoding="utf-8")
+        # Opening a named pipe in the usual way would wait for its writer.
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), encoding="utf-8") as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise SeatrialError(f"{path}: is not a file")
+            return file.read()
     except UnicodeDecodeError as error:
         if b"\0" in error.object:
             raise SeatrialError(f"{path}: not a text file; a TOML file is expected") from error

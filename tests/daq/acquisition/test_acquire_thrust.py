@@ -365,6 +365,34 @@ def test_after_a_suspend_a_command_of_before_is_zero(tmp_path: Path, monkeypatch
     assert said == ["the computer was suspended for 7.0 s"]
 
 
+@pytest.mark.parametrize("place", ["_received", "_check_suspend", "_log"])
+def test_a_pause_at_any_place_of_the_loop_ends_thrust(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    setpoints, said, paused = Setpoints(), list[str](), [0.0]
+    with TestBoat(tmp_path) as boat:
+        loop = driving_loop(boat, setpoints, said)
+        through = getattr(loop, place)
+
+        def pausing(*words: object) -> object:
+            pause, paused[0] = paused[0], 0.0
+            time.sleep(pause)
+            return through(*words)
+
+        monkeypatch.setattr(loop, place, pausing)
+        loop.start()
+        setpoints.append([(0.0, {1: 0.5}), (time.time() + 60.0, {1: 0.6})])
+        loop.wake()
+        wait_for(lambda: (1, 0.5) in boat.ports["can"].commands())
+        paused[0] = 1.5 * STUCK_S
+        boat.ports["can"].write(b"\r")  # something to receive
+        wait_for(lambda: bool(said))
+        loop.end()
+        loop.join()
+        wait_for(lambda: boat.ports["can"].commands()[-1] == (1, 0.0))
+    assert said[0].startswith("the acquisition process stood still for 0.")
+
+
 def test_neither_fixes_nor_attitudes_of_one_port_hide_the_other(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -129,3 +130,12 @@ def test_what_is_too_deep_or_too_long_is_one_line(example: str, more: str) -> No
     with pytest.raises(SeatrialError) as caught:
         parse_rig(f"{text}\n{more}" if more[0] == "[" else f"{more}\n{text}", "rig.toml")
     assert len(str(caught.value)) < 300
+
+
+@pytest.mark.timeout(10)
+def test_a_named_pipe_in_the_place_of_a_rig_holds_up_no_command(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "rig.toml")
+    with pytest.raises(SeatrialError, match=r"rig\.toml: is not a file"):
+        load_rig(tmp_path / "rig.toml")
+    with pytest.raises(SeatrialError, match="Is a directory"):
+        load_rig(tmp_path)
