@@ -647,9 +647,15 @@ class SafetyGuard:
     def unwatched(self, status: Status) -> list[LimitSource]:
         """Return the limits without a source at this status; nothing may move before there are none."""
         commands = {thruster.name: status.commanded.get(thruster.name, 0.0) for thruster in self._thrusters}
-        for source, latest in status.latest.items():
-            if not _is_dead(source, latest.sample, status):  # it watches nothing, whatever its value
-                for limit in self.limits:
+        # A dead source watches nothing, whatever its value.
+        alive = [one for one in status.latest.items() if not _is_dead(one[0], one[1].sample, status)]
+        for source, latest in alive:
+            for limit in self.limits:
+                limit.observe(source, latest.sample, latest.t, commands)
+        # A second receiver stands in for one that was found frozen after it.
+        for source, latest in alive:
+            for limit in self.limits:
+                if limit.frozen:
                     limit.observe(source, latest.sample, latest.t, commands)
         return [limit for limit in self.limits if not status.t - limit.t <= self._limit_patience(limit)]
 

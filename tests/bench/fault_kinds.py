@@ -166,7 +166,8 @@ def _of(rig: str) -> Iterator[Kind]:
         yield Kind("telemetry frozen", frozen, "repeats the same", fault="stuck/esc@usr1:24", alternates=True)
         yield Kind("frames refused", ESC_S, "refused 10 frames", fault="refuse/esc@usr1:16", cut_off=True)
     yield Kind("load cell frozen", frozen, "loadcell repeats", fault="stuck/loadcell@usr1:24", alternates=True)
-    yield Kind("position held", 10.0 / SPEED + GUARD_S, "gnss repeats", fault="hold/gnss@usr1:48")
+    # That of every receiver: an autopilot has one of its own, which would stand in for the other one.
+    yield Kind("position held", 10.0 / SPEED + GUARD_S, "repeats the same value", fault="hold@usr1:48")
     yield Kind("all stopped for 0.4 s", 0.0, "stood still|no sign of life|no heartbeat", strike=_paused)
     yield Kind("AHRS lost", GUARD_S, "ahrs .*lost", fault="pull/ahrs@usr1:8")
     yield Kind("GNSS lost", STALE_S + 5 * SLOW_S + GUARD_S, "gnss .*silent", fault="silence/gnss@usr1:8")

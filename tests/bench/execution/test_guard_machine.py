@@ -981,3 +981,26 @@ def test_a_wrong_output_says_what_may_be_wrong(put_out: float, commanded: float,
         latest = {("autopilot", thruster.node): Latest(Servo(thruster.node, 1500.0, put_out), T + t)}
         said = check.reason(Status(T + t, {}, latest, {"left": commanded}, 0, "", 1, 1, t, "", ()))
     assert said.endswith(f"commanded {commanded:+.2f}: {why}")
+
+
+@pytest.mark.parametrize("first", ["gnss", "ahrs"])
+@pytest.mark.parametrize("age", [0.0, 0.08])
+def test_a_second_receiver_stands_in_for_one_that_repeats_its_position(
+    tmp_path: Path, first: str, age: float
+) -> None:
+    """In whatever order they report; where both repeat themselves nothing watches the fence."""
+    for n_frozen in (1, 2):
+        guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
+        guard.start()
+        stop = None
+        for k in range(1, 400):
+            t = 0.05 * k
+            held = Gnss(T + t, 41.18, -8.70, vel_n=0.1, vel_e=0.0, fix=3)
+            moves = held if n_frozen == 2 else replace(held, lat=41.18 + 0.1 * t * METRE)
+            two = {"gnss": Latest(held, T + t), "ahrs": Latest(moves, T + t - age)}
+            found = {(name, None): two[name] for name in sorted(two, key=lambda name: name != first)}
+            now = status(t + 0.01, 0.8, {ESC: shaken(t, 0.8)})
+            now = replace(now, latest={**found, **now.latest})
+            if stop := guard.step(now.t, now).stop:
+                break
+        assert (stop is not None) == (n_frozen == 2), stop
