@@ -228,7 +228,8 @@ def test_what_an_estimator_makes_of_sensors_does_not_pass_for_motion(tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rig", ["mavlink-unsigned", pytest.param("commands-10hz", marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("rig", ["mavlink-unsigned", "commands-10hz"])
 def test_a_clean_boat_of_another_rig_lacks_nothing_and_its_parameters_are_true(rig: str) -> None:
     """Of four such boats behind an autopilot all were told that something is missing, up to 5.7 standard errors off."""
     done = rigs.run_case(RigCase(rig, "none", 2))

@@ -500,6 +500,7 @@ def test_a_validation_run_with_more_on_board_is_said() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.study
 def test_one_log_is_cross_validated_and_the_answer_says_so() -> None:
     found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=240.0), [], effects=FEW)
     assert [(j.effect, j.attribution) for j in found.judgements] == [("mismatch", "identified")]

@@ -40,6 +40,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_log(tmp_path_factory.mktemp("bench") / "bench.mcap", "bench", readings, mission)
 
 
+@pytest.mark.study
 def test_outliers_are_counted_and_a_profile_is_drawn(log: Path) -> None:
     folder = log.parent / "robust"
     words = ["thruster", str(log), "--robust", "--profile", "c1", "--out", str(folder)]
