@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 import json
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -27,6 +28,8 @@ def example() -> tuple[ModuleType, ModuleType]:
     """The example's own leave_one_out.py and boat.py."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(HERE))
+        for name in ("leave_one_out", "boat"):  # another test may have a module of its own by that name
+            patch.delitem(sys.modules, name, raising=False)
         return importlib.import_module("leave_one_out"), importlib.import_module("boat")
 
 
