@@ -52,6 +52,7 @@ KINDS = {
     "degrees": Kind(math.inf, "body rates in degrees a second"),
     "noisy": Kind(math.inf, "ten times the noise of an AHRS"),
 }
+_Source = tuple[str, type, int]  # device, kind of sample, node
 _FORM = re.compile(r"(?P<kind>[a-z-]+)(?:/(?P<target>\w+))?@(?P<t>usr1|\d+(?:\.\d*)?)(?::(?P<seconds>\d+(?:\.\d*)?))?")
 
 
@@ -99,10 +100,10 @@ class Faults:
         self._faults = list(faults)
         self._on_signal = [index for index, fault in enumerate(faults) if fault.start is None]
         self._rng = rng
-        self._last: dict[tuple[str, int], Sample] = {}
+        self._last: dict[_Source, Sample] = {}
         self._spikes: dict[tuple[int, str], int] = {}  # (fault, device) -> spikes so far
-        self._count: dict[tuple[str, int], int] = {}
-        self._past: dict[tuple[str, int], deque[tuple[float, Sample]]] = {}
+        self._count: dict[_Source, int] = {}
+        self._past: dict[_Source, deque[tuple[float, Sample]]] = {}
 
     def trigger(self, t: float) -> None:
         """The signal came at ``t`` (s): what waits for it starts, or starts again when it is over."""
@@ -121,7 +122,7 @@ class Faults:
             return sample
         if self.active("silence", device, t):
             return None
-        key = (device, getattr(sample, "node", 0))
+        key = (device, type(sample), getattr(sample, "node", 0))  # a device may send several kinds
         if self.active("stuck", device, t):
             return self._last.setdefault(key, sample)
         if isinstance(sample, Gnss) and self.active("hold", device, t):

@@ -230,6 +230,19 @@ def test_faults_do_what_they_say_when_they_say() -> None:
     assert through("silence@usr1:2", trigger=7.0) == [*whole[:7], None, None, *whole[9:]]
 
 
+@pytest.mark.parametrize("kind", ["hold", "stuck"])
+def test_a_fault_of_a_device_with_several_kinds_of_samples_repeats_each_kind(kind: str) -> None:
+    """An autopilot sends attitudes and fixes in turns."""
+    faults = Faults([parse_fault(f"{kind}@5:10")], RNG)
+    for k in range(12):
+        ahrs = faults.reading("autopilot", AHRS[k], float(k))
+        fix = faults.reading("autopilot", Gnss(float(k), 41.0 + k, -8.0, fix=3), float(k))
+        assert isinstance(ahrs, Ahrs)
+        assert isinstance(fix, Gnss)
+        assert fix.lat == 41.0 + min(k, 4)
+        assert ahrs.yaw == AHRS[min(k, 4) if kind == "stuck" else k].yaw
+
+
 def test_the_clock_of_a_device_that_is_set_back_is_followed() -> None:
     """The map of each device's clock onto run time, through a step and beside a skew."""
     rig = packaged("boat")
