@@ -278,7 +278,7 @@ class LimitSource:
         return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_since(now - self.t)}"
 
     def refusal(self, now: float) -> str:
-        """Describe why nothing may move, and what to do about it."""
+        """Return the sentence that refuses a start: the limit without a source, and the remedy."""
         remedy = f'{_QUANTITIES[self.key].remedy}, or write unwatched = ["{self.key}"] in [limits]'
         return f"limits.{self.key} = {self.limit:g} is not watched: {self.silence(now)}; {remedy}"
 

@@ -161,7 +161,7 @@ def _is_text(table: Table, name: str) -> bool:
 
 
 def row_seconds(table: Table, clock: Clock) -> Column | None:
-    """Times of the rows [s], (n,); None where they cannot be told."""
+    """Return the times of the rows [s], shape (n,); None if the table has no readable time column."""
     if not clock.column:
         return table.t
     try:

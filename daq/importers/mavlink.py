@@ -132,7 +132,7 @@ def _refuse_two_of_one_number(path: Path, rows: Sequence[Timed], system: int) ->
 
 
 def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatch]:
-    """What the autopilot's outputs are scaled by, where its parameters `p` say so and the rig says otherwise."""
+    """Return the output parameters in `p` whose pulse widths or directions differ from the rig's."""
     device = _device(rig)
     here = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
     outputs = tuple(f"SERVO{thruster.node}_" for thruster in here)

@@ -256,7 +256,7 @@ class RawLog:
         return found
 
     def _believe_summary(self) -> bool:
-        """Take from the summary what is where. False, and nothing is taken, where there is none that holds."""
+        """Read the index of the file from its summary. Return False, and change nothing, if no summary is valid."""
         size = self._size
         try:
             opcode, length, start, _, checksum, magic = _END.unpack(self._read(max(0, size - _END.size), size))

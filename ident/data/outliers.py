@@ -170,10 +170,12 @@ def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -
     if jumps.size > MOST_JUMPS * t.size + 2:
         return []
     found, end = [], 0
+    # Jumps beyond the span need no look: a long log has thousands. The slack leaves equality to the test below.
+    lasts = np.searchsorted(t[jumps], t[jumps - 1] + span + 1e-6, side="right")
     for i, first in enumerate(jumps.tolist()):
         if first < end:
             continue
-        for after in reversed(jumps[i + 1 :].tolist()):
+        for after in reversed(jumps[i + 1 : int(lasts[i])].tolist()):
             if after - first <= LONGEST or t[after] - t[first - 1] > span:
                 continue
             sides = _difference(name, value[after : after + 1], value[first - 1 : first])

@@ -191,7 +191,10 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 
 
 def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | None = None) -> list[ResultWarning]:
-    """What the scale rests on first, then of the fit; none where all is well. ``length``: of the hull [m], or None."""
+    """Return the warnings of a fit, those about its scale first.
+
+    ``length``: length of the hull [m]; None if it is not known.
+    """
     said = scale_warnings(scale_of(fit.model))
     for p, value, widths in against_priors(fit):
         mean, sd = p.prior or (math.nan, math.nan)
@@ -240,7 +243,7 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
 
 
 def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
-    """What nobody gave of thrust and arms, and what follows."""
+    """Warn of a thrust or of thruster arms that were not given: masses and inertias are ratios then."""
     said = []
     if scale.relative:
         text = (
@@ -325,7 +328,7 @@ def frames_assumed(stage: FittedModel) -> list[ResultWarning]:
 
 
 def not_converged(fit: Fit) -> str | None:
-    """What is said in place of an answer where the fit did not converge; None where it did."""
+    """Return the sentence that replaces the answer of a fit that did not converge; None if it converged."""
     if fit.converged:
         return None
     return (

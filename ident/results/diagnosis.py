@@ -210,7 +210,7 @@ def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> Param
 
 
 def mismatch_sentence(m: ValidationMismatch) -> str:
-    """That a validation run is predicted worse than the model says, and what would explain it."""
+    """Return the sentence on a validation run whose errors exceed the model's, and the shift that explains it."""
     name = NAMES.get(m.channel, m.channel)
     said = (
         f"The model does not hold in {m.record}: its errors one step ahead are {m.scale:.2g} times what the model says "

@@ -75,11 +75,11 @@ def _sample(kind: type[Any], node: int | None, row: np.void) -> Sample:
     return made
 
 
-def _port(rig: Rig, name: str, received: list[float], now: float) -> PortStatus:
+def _port(rig: Rig, name: str, n: int, last: float, now: float) -> PortStatus:
+    """Return the state of a port after `n` samples, the last one at `last`."""
     device = rig.device(name)
-    age = now - received[-1] if received else math.inf
     return PortStatus(
-        name, device.protocol, device.port, device.rate_hz, device.rate_hz, age, len(received), len(received),
+        name, device.protocol, device.port, device.rate_hz, device.rate_hz, now - last, n, n,
         0, 0, 0, 0, 0, 0.0, 0.0, "",
     )  # fmt: skip
 
@@ -115,16 +115,17 @@ def replay(path: Path, rig: Rig | None = None) -> Replay:
     guard = SafetyGuard(rig, rig.speed, tuple(commands))
     guard.start()
     latest: dict[Source, Latest] = {}
-    received: dict[str, list[float]] = {device.name: [] for device in rig.devices}
+    received = {device.name: (0, -math.inf) for device in rig.devices}  # samples, and the time of the last one
     k = 0
     times = np.arange(start, end, STATUS_S * rig.speed).tolist()
     for number, now in enumerate(times, start=1):
         while k < len(arrivals) and arrivals[k].t_rx <= now:
             arrival, k = arrivals[k], k + 1
             latest[arrival.source] = arrival.latest
-            received[arrival.source[0].partition("/")[0]].append(arrival.t_rx)
+            name = arrival.source[0].partition("/")[0]
+            received[name] = received[name][0] + 1, arrival.t_rx
         commanded = {name: _held(rows, now) for name, rows in commands.items()}
-        ports = {name: _port(rig, name, times_, now) for name, times_ in received.items()}
+        ports = {name: _port(rig, name, n, last, now) for name, (n, last) in received.items()}
         status = Status(
             now, ports, dict(latest), commanded, 0, str(path), number, number, now - start, "", (),
             links=_links(latest),
