@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bench import mission_generators
-from bench.mission_text import describe_mission
-from daq.config import Mission, load_mission, load_rig, save_mission
-from daq.errors import SeatrialError, counted
-from daq.options import FiniteRange
-from daq.rig import Rig
+from seatrial.bench import mission_generators
+from seatrial.bench.mission_text import describe_mission
+from seatrial.daq.config import Mission, load_mission, load_rig, save_mission
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.options import FiniteRange
+from seatrial.daq.rig import Rig
 
 if TYPE_CHECKING:
-    from daq.tools import Ros2Node
+    from seatrial.daq.tools import Ros2Node
 
 FILE = click.Path(path_type=Path)
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -101,7 +101,7 @@ def _one_thruster(rig: Rig, name: str | None) -> str:
 def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None) -> None:
     """Run a plan and say where its log is."""
     # Imported late: --help needs none of it.
-    from bench.execution import make_display, run_mission
+    from seatrial.bench.execution import make_display, run_mission
 
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
     path = rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{stem}.mcap" if out is None else out
@@ -115,7 +115,7 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, comma
 
 def next_command(plan: Mission, rig: Rig, log: Path) -> str:
     """Return the line that names the command for a finished log: which fit suits the rig."""
-    from bench.execution import LOAD_CELLS
+    from seatrial.bench.execution import LOAD_CELLS
 
     name = shlex.quote(str(log))
     if len(plan.thrusters) == 1 and any(device.protocol in LOAD_CELLS for device in rig.devices):
@@ -162,8 +162,8 @@ def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out
 
     RIG has to allow it by `commands = true` in [ros2]. THRUSTERS TURN AS OTHERS COMMAND.
     """
-    from bench.execution import follow_plan
-    from daq.tools import Ros2Node
+    from seatrial.bench.execution import follow_plan
+    from seatrial.daq.tools import Ros2Node
 
     rig = load_rig(rig_path)
     plan = follow_plan(rig, seconds, n_max, slew)

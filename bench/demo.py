@@ -25,11 +25,11 @@ from typing import Any
 
 import click
 
-from daq.child_process import module_command, module_environment
-from daq.errors import SeatrialError
-from daq.files import write_output
-from daq.log import open_log
-from daq.options import FiniteRange
+from seatrial.daq.child_process import module_command, module_environment
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
+from seatrial.daq.log import open_log
+from seatrial.daq.options import FiniteRange
 
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
 LATE_MS, SLOWEST = 45.0, 8.0  # wall ms that samples may leave late; at this speed or slower nothing is repeated
@@ -95,7 +95,7 @@ def fresh_folder(out: Path | None, seed: int) -> Path:
 
 def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     """Copy the mocks' rig file into the folder, with the demo's clock speed in it."""
-    text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (files("seatrial.mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     text, n_found = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
     if n_found != 1:
         raise SeatrialError(f"demo: the packaged rig {name}.toml has no clock speed; install seatrial again")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.config import RAMP_DT, STATIC, FloatArray, Mission, Segment
+from seatrial.daq.config import RAMP_DT, STATIC, FloatArray, Mission, Segment
 
 STATIC_S = 10.0  # s at rest before and after, for the tare
 HOLD_S = 1.8  # s that each step is held: enough for the shaft's dynamics

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.config import Mission
-from daq.errors import SeatrialError
-from daq.rig import Rig
+from seatrial.daq.config import Mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import Rig
 
 
 def dry_run(mission: Mission, rig: Rig) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from daq.config import FloatArray, Mission, Prediction
+from seatrial.daq.config import FloatArray, Mission, Prediction
 
 
 def describe_mission(mission: Mission) -> str:

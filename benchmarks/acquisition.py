@@ -24,15 +24,15 @@ import numpy as np
 
 from benchmarks.logging import SPEED, mock_boat
 from benchmarks.measure import Figure, table
-from daq.acquisition.session import Acquisition
-from daq.clock import ClockMap, RunClock
-from daq.config.rig_file import parse_rig
-from daq.log.mcap_reader import RawLog
-from daq.log.reader import open_log
-from daq.log.schema import DEVICE_TIME, TYPES
-from daq.log.segments import segments as later_segments
-from daq.rig import Rig
-from daq.samples import Ahrs
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import ClockMap, RunClock
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.log.mcap_reader import RawLog
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.schema import DEVICE_TIME, TYPES
+from seatrial.daq.log.segments import segments as later_segments
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Ahrs
 
 ROOT = Path(__file__).parents[1]
 JITTER_S, LOSS_S, SOAK_S = 10.0, 20.0, 240.0
@@ -41,9 +41,9 @@ NUMBERED = {DEVICE_TIME, *TYPES.values()}  # types of the first message of a sam
 RECORD = """
 import os, struct, sys, time
 from pathlib import Path
-from daq.clock import RunClock
-from daq.log.recorder import Recorder
-from daq.samples import Ahrs, Frame
+from seatrial.daq.clock import RunClock
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.samples import Ahrs, Frame
 from tests.daq.logs import rig
 clock, period = RunClock(), 1.0 / float(sys.argv[2])
 log = Recorder(Path(sys.argv[1]), rig=rig(), clock=clock, attachments={"mission.toml": b"n = 1"})

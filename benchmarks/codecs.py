@@ -25,13 +25,13 @@ from pyubx2 import UBXReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.measure import Figure, best_ms
-from daq.log.cdr import NANO, cdr_layout, definition
-from daq.log.mcap_writer import CHUNK_BYTES, RecordWriter
-from daq.log.schema import TYPES, messages
-from daq.protocol import dronecan, mip, nmea, nmea2000, slcan, ubx, vectornav, vesc
-from daq.protocol.canframe import pack_can
-from daq.protocol.decoder import Decoder
-from daq.samples import Ahrs, Esc, Frame, Gnss
+from seatrial.daq.log.cdr import NANO, cdr_layout, definition
+from seatrial.daq.log.mcap_writer import CHUNK_BYTES, RecordWriter
+from seatrial.daq.log.schema import TYPES, messages
+from seatrial.daq.protocol import dronecan, mip, nmea, nmea2000, slcan, ubx, vectornav, vesc
+from seatrial.daq.protocol.canframe import pack_can
+from seatrial.daq.protocol.decoder import Decoder
+from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss
 
 N = 2000  # messages of each kind
 READ_BYTES = 4096  # so many are given to a decoder at once

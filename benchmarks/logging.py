@@ -15,18 +15,18 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.demo import write_demo_rig
 from benchmarks.measure import Figure, child, peak_mb
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
-from daq.config.rig_file import load_rig
-from daq.log.cdr import NANO, cdr_layout
-from daq.log.mcap_writer import LogWriter
-from daq.log.reader import open_log
-from daq.log.recorder import Recorder
-from daq.log.schema import TYPES, topic
-from daq.rig import Rig
-from daq.samples import NAN, Ahrs, Esc, Frame, Gnss, LoadCell, Sample, Scalar
+from seatrial.bench.demo import write_demo_rig
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.log.cdr import NANO, cdr_layout
+from seatrial.daq.log.mcap_writer import LogWriter
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.log.schema import TYPES, topic
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import NAN, Ahrs, Esc, Frame, Gnss, LoadCell, Sample, Scalar
 from tests.missions import T0, StandingClock, rig_of
 
 N_ROUNDS = 20_000

@@ -58,7 +58,7 @@ def log(seed: int, run: int, seconds: float) -> Path:
 
 def main() -> None:
     """The work of a child: one command on the logs given, then its peak memory."""
-    from seatrial import main as seatrial
+    from seatrial.command_line import main as seatrial
 
     what, folder, *logs = sys.argv[1:]
     n = max(1, len(logs) // 4)

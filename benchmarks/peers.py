@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data.record import Record
-from ident.engine.ekf_graph import EkfGraphs
-from ident.model.structure import Model
+from seatrial.ident.data.record import Record
+from seatrial.ident.engine.ekf_graph import EkfGraphs
+from seatrial.ident.model.structure import Model
 
 Array = NDArray[np.float64]
 SD0 = 0.01  # of all states at the start, as in benchmarks.sde

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.measure import Figure, best_ms
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import Fit, fit
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
 
 Array = NDArray[np.float64]
 N_ROWS, H, SUBSTEPS = 12_000, 0.05, 20

@@ -17,9 +17,9 @@ import time
 import tty
 from pathlib import Path
 
-from daq.clock import RunClock
-from daq.protocol import vectornav
-from daq.samples import Ahrs
+from seatrial.daq.clock import RunClock
+from seatrial.daq.protocol import vectornav
+from seatrial.daq.samples import Ahrs
 
 TICK_S = 1e-3
 HELD_BYTES = 65536

@@ -15,12 +15,12 @@ import numpy as np
 
 from benchmarks.measure import Figure, child, peak_mb
 from benchmarks.sde import N_ROWS, NOISE, PEER, START, measured, model, simulated
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.model.structure import Model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import fit
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
 
 ROOT = Path(__file__).parents[1]
 

@@ -32,8 +32,8 @@ from typing import Any, NamedTuple, NoReturn
 
 import click
 
-from daq.errors import SeatrialError, printable
-from daq.files import report_scratch_to, require_file
+from seatrial.daq.errors import SeatrialError, printable
+from seatrial.daq.files import report_scratch_to, require_file
 
 # What a command may take without a file, and in addition for each byte of the files.
 # A table of 110 MB took 12 bytes of memory and 0.6 us of processor time for each of its bytes.

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, final
 
 import click
 
-from daq.bounds import bounded
-from daq.errors import SeatrialError, counted, printable
-from daq.options import FiniteRange
-from daq.protocol import SERIAL_PROTOCOLS
+from seatrial.daq.bounds import bounded
+from seatrial.daq.errors import SeatrialError, counted, printable
+from seatrial.daq.options import FiniteRange
+from seatrial.daq.protocol import SERIAL_PROTOCOLS
 
 if TYPE_CHECKING:
-    from daq.tools import DiscoveredDevice
+    from seatrial.daq.tools import DiscoveredDevice
 
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 _SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a bag
@@ -43,7 +43,7 @@ class LogPath(click.Path):
         path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
         if not path.is_dir():
             return path
-        from daq.log import first_segments  # takes numpy along, which --help can do without
+        from seatrial.daq.log import first_segments  # takes numpy along, which --help can do without
 
         found = first_segments(path)
         if not found:
@@ -99,10 +99,10 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     """
     from rich.console import Console
 
-    from daq.acquisition import Acquisition
-    from daq.clock import RunClock
-    from daq.config import load_rig
-    from daq.tools import default_log_path, log_summary, watch
+    from seatrial.daq.acquisition import Acquisition
+    from seatrial.daq.clock import RunClock
+    from seatrial.daq.config import load_rig
+    from seatrial.daq.tools import default_log_path, log_summary, watch
 
     loaded = load_rig(rig)
     path = output or default_log_path(loaded)
@@ -117,12 +117,12 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
         contextlib.ExitStack() as stack,
     ):
         if serve:
-            from daq.tools import LiveServer
+            from seatrial.daq.tools import LiveServer
 
             server = stack.enter_context(LiveServer(loaded, acquisition.status))
             console.print(f"live at {server.address}", markup=False)
         if ros2:
-            from daq.tools import Ros2Node
+            from seatrial.daq.tools import Ros2Node
 
             node = outer.enter_context(Ros2Node(loaded))
             console.print(node.await_router(ROUTER_S), markup=False)
@@ -150,8 +150,8 @@ def info(log: Path) -> None:
     """
     from rich.console import Console
 
-    from daq.log import open_log
-    from daq.tools import show_log
+    from seatrial.daq.log import open_log
+    from seatrial.daq.tools import show_log
 
     console = Console(highlight=False)
     if not console.is_terminal:
@@ -174,7 +174,7 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     Example:
       seatrial recover logs/run.mcap -o logs/run-whole.mcap
     """
-    from daq.log import recover_log as run
+    from seatrial.daq.log import recover_log as run
 
     target = out or log.with_name(f"{log.stem}-recovered.mcap")
     done = run(log, target, force)
@@ -238,7 +238,7 @@ def import_map(
         return
     if dbc is not None:
         raise click.UsageError("--dbc goes with --guess; a map has it as [can] dbc")
-    from daq.importers.import_files import import_files as run
+    from seatrial.daq.importers.import_files import import_files as run
 
     if out is not None and out_dir is not None:
         raise click.UsageError("give -o or --out-dir, not both")
@@ -249,9 +249,9 @@ def import_map(
 
 
 def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
-    from daq.files import write_output
-    from daq.importers.guess import guess_map
-    from daq.importers.write_log import replacing
+    from seatrial.daq.files import write_output
+    from seatrial.daq.importers.guess import guess_map
+    from seatrial.daq.importers.write_log import replacing
 
     if len(sources) != 1:
         raise click.UsageError("--guess takes one source")
@@ -281,7 +281,7 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
     Example:
       seatrial import can boat.toml candump.log -o run.mcap
     """
-    from daq.importers.can_log import import_can as run
+    from seatrial.daq.importers.can_log import import_can as run
 
     path, said = run(file, rig, out=out, force=force)
     click.echo(f"{path}: {said}")
@@ -303,8 +303,8 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
     Example:
       seatrial import mavlink steps.tlog --rig boat.toml -o steps.mcap
     """
-    from daq.config import load_rig
-    from daq.importers.mavlink import import_mavlink as run
+    from seatrial.daq.config import load_rig
+    from seatrial.daq.importers.mavlink import import_mavlink as run
 
     rig = None if rig_path is None else load_rig(rig_path)
     path, said = run(file, rig=rig, system=system, out=out, force=force)
@@ -328,14 +328,14 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     Example:
       seatrial import raw vectornav standing_still.txt --rate 40 -o still.mcap
     """
-    from daq.importers.raw import import_raw as run
+    from seatrial.daq.importers.raw import import_raw as run
 
     path, said = run(protocol, file, rate=rate, out=out, force=force)
     click.echo(f"{path}: {said}")
 
 
 def _addresses(_context: click.Context, _parameter: click.Parameter, ports: tuple[str, ...]) -> tuple[str, ...]:
-    from daq.rig import NET_KINDS, parse_address
+    from seatrial.daq.rig import NET_KINDS, parse_address
 
     for port in ports:
         if port.partition(":")[0] in NET_KINDS:
@@ -372,9 +372,9 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
       seatrial devices /dev/ttyUSB0 --toml
       seatrial devices udp:127.0.0.1:14550 --toml > autopilot.toml
     """
-    from daq.rig import NET_KINDS
-    from daq.tools import find, identify_autopilot, identify_protocol
-    from daq.transport import UDEV_RULE
+    from seatrial.daq.rig import NET_KINDS
+    from seatrial.daq.tools import find, identify_autopilot, identify_protocol
+    from seatrial.daq.transport import UDEV_RULE
 
     def say(text: str) -> None:
         click.echo(text, err=True)
@@ -425,7 +425,7 @@ _LIMITS = """\
 
 
 def _rig_protocols() -> tuple[str, ...]:
-    from daq.protocol import DEVICES
+    from seatrial.daq.protocol import DEVICES
 
     return tuple(DEVICES)
 
@@ -448,8 +448,8 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
     Example:
       seatrial replay logs/run.mcap --dir ports --speed 2
     """
-    from daq.log import open_log
-    from daq.tools import replay_log as run
+    from seatrial.daq.log import open_log
+    from seatrial.daq.tools import replay_log as run
 
     with _stop_signal() as stop, open_log(log) as opened:
         n = run(opened, names, folder, speed=speed, said=click.echo, stopped=stop.is_set)
@@ -479,8 +479,8 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
       seatrial export mat logs/run.mcap --rate 20 --from 600 --to 1200 --out run-mat
       seatrial export ros logs/run.mcap --out run-ros
     """
-    from daq.log import open_log
-    from daq.tools import export_log, export_resampled, export_ros
+    from seatrial.daq.log import open_log
+    from seatrial.daq.tools import export_log, export_resampled, export_ros
 
     if form == "ros" and rate is not None:
         raise click.UsageError("--rate is not for ros, whose messages are as they were logged")

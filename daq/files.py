@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError
 
 _reports = -1  # a pipe to the parent process of a bounded command, which removes scratch files of a killed child
 
@@ -114,7 +114,7 @@ def append_to(path: Path) -> IO[str]:
 
 
 def report_scratch_to(pipe: int) -> None:
-    """Name scratch files on this pipe from now on (see `daq.bounds`)."""
+    """Name scratch files on this pipe from now on (see `seatrial.daq.bounds`)."""
     global _reports
     _reports = pipe
 

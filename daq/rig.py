@@ -1,6 +1,6 @@
 """The rig as dataclasses: devices, thrusters, limits and calibrations of a boat or a test bench.
 
-daq.config reads them from rig.toml; the keys are described in docs/formats/rig.md.
+seatrial.daq.config reads them from rig.toml; the keys are described in docs/formats/rig.md.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from daq.errors import SeatrialError
-from daq.samples import Ahrs, Gnss
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.samples import Ahrs, Gnss
 
 if TYPE_CHECKING:
     import numpy as np

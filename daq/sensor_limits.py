@@ -1,16 +1,17 @@
 """Limits beyond which a sensor's values are implausible, shared by the live warning and the check of a log.
 
 A sensor is stuck when its values stay exactly the same for more samples and longer than its noise allows. The live
-warning (daq.acquisition.sensor_health) waits longer than the check of a log (daq.checks.device_checks): a false alarm
-during a run distracts, a section of a log that is found in vain costs a glance. Which samples can be stuck at all is
-one rule for both, ``can_be_stuck``, but for load cells, of which a log tells more.
+warning (seatrial.daq.acquisition.sensor_health) waits longer than the check of a log
+(seatrial.daq.checks.device_checks): a false alarm during a run distracts, a section of a log that is found in vain
+costs a glance. Which samples can be stuck at all is one rule for both, ``can_be_stuck``, but for load cells, of which a
+log tells more.
 """
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from daq.samples import Ahrs, Gnss, LoadCell
+from seatrial.daq.samples import Ahrs, Gnss, LoadCell
 
 
 class StuckLimit(NamedTuple):

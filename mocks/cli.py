@@ -14,19 +14,19 @@ from typing import Any
 
 import click
 
-from daq.config import load_rig
-from daq.errors import SeatrialError
-from daq.rig import LoadCellCalibration, Rig, Thruster
-from mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
-from mocks.hidden_effects import catalogue
-from mocks.plant import Bench, Boat, draw_bench, draw_boat, draw_thruster
-from mocks.plant import bench as bench_plant
-from mocks.ports import NetPort, PtyPort
-from mocks.random_streams import FAULT, random_stream
-from mocks.sensors import CellSpec
-from mocks.server import Server
-from mocks.truth_file import ground_truth, write_truth
-from mocks.world import DeviceSpecs, EscSpec, World, bench_world, boat_world
+from seatrial.daq.config import load_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import LoadCellCalibration, Rig, Thruster
+from seatrial.mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
+from seatrial.mocks.hidden_effects import catalogue
+from seatrial.mocks.plant import Bench, Boat, draw_bench, draw_boat, draw_thruster
+from seatrial.mocks.plant import bench as bench_plant
+from seatrial.mocks.ports import NetPort, PtyPort
+from seatrial.mocks.random_streams import FAULT, random_stream
+from seatrial.mocks.sensors import CellSpec
+from seatrial.mocks.server import Server
+from seatrial.mocks.truth_file import ground_truth, write_truth
+from seatrial.mocks.world import DeviceSpecs, EscSpec, World, bench_world, boat_world
 
 GPS_HZ, ESC_HZ = 5.0, 10.0  # of an autopilot
 RPM_MAX = 4500.0  # of a thruster whose rig does not say

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from daq.samples import Command, Esc
-from mocks.devices import Faults
-from mocks.plant import Bench, BenchPlant, Boat, BoatPlant
-from mocks.sensors import CellSpec
-from mocks.world import DeviceSpecs, EscSpec, Reading, World, bench_world, boat_world
+from seatrial.daq.samples import Command, Esc
+from seatrial.mocks.devices import Faults
+from seatrial.mocks.plant import Bench, BenchPlant, Boat, BoatPlant
+from seatrial.mocks.sensors import CellSpec
+from seatrial.mocks.world import DeviceSpecs, EscSpec, Reading, World, bench_world, boat_world
 
 BOAT = DeviceSpecs(
     {"ahrs": 50.0},

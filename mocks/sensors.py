@@ -9,9 +9,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from mocks.plant import GRAVITY, HiddenEffect, RigidBodyState
-from mocks.random_streams import (
+from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
+from seatrial.mocks.plant import GRAVITY, HiddenEffect, RigidBodyState
+from seatrial.mocks.random_streams import (
     AHRS,
     COLOUR,
     ESC,

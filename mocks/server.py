@@ -11,9 +11,9 @@ import time
 from collections.abc import Mapping
 from typing import IO
 
-from mocks.devices import DeviceEmulator, Faults
-from mocks.ports import NetPort, PtyPort
-from mocks.world import World
+from seatrial.mocks.devices import DeviceEmulator, Faults
+from seatrial.mocks.ports import NetPort, PtyPort
+from seatrial.mocks.world import World
 
 BELL = b"\a"  # of a CAN adapter that refuses a frame
 PRIORITY, REAL_TIME = -10, 2  # niceness, and of 99: where the system lets us

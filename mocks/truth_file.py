@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mocks.plant import NONE, Bench, Boat
+from seatrial.mocks.plant import NONE, Bench, Boat
 
 FORMAT = "seatrial-truth 1"
 

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell
-from mocks.plant import Bench, BenchPlant, BenchShaft, Boat, BoatPlant, RigidBodyState, Shaft
-from mocks.sensors import AhrsSensor, CellSpec, EscSensor, GnssSensor, LoadCellSensor
+from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell
+from seatrial.mocks.plant import Bench, BenchPlant, BenchShaft, Boat, BoatPlant, RigidBodyState, Shaft
+from seatrial.mocks.sensors import AhrsSensor, CellSpec, EscSensor, GnssSensor, LoadCellSensor
 
 Sample = Ahrs | Gnss | Esc | LoadCell | Command
 

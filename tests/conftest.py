@@ -32,7 +32,7 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# What tests run is not remembered as the user's own (ident.models.user_code).
+# What tests run is not remembered as the user's own (seatrial.ident.models.user_code).
 os.environ["SEATRIAL_KNOWN_CODE"] = str(Path(tempfile.mkdtemp(prefix="seatrial-tests-")) / "known-code")
 
 # Whoever starts the tests in the background of a script has them ignore Ctrl-C, and every process that they start.

@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.mission_generators import bench_plan, make_mission
-from daq.config.mission_file import Mission, dump_mission
-from daq.config.rig_file import parse_rig
-from daq.log.recorder import Recorder
-from daq.log.schema import local_ned
-from daq.rig import Rig
-from daq.samples import NAN, Ahrs, Frame, LoadCell
-from ident.data.record import Channel
-from mocks.hidden_effects.catalogue import make_effect
-from mocks.offline_simulation import Recording, simulate, simulate_bench, tables
-from mocks.plant.bench import Bench
-from mocks.plant.boat import Boat, draw_boat
-from mocks.world import Reading
+from seatrial.bench.mission_generators import bench_plan, make_mission
+from seatrial.daq.config.mission_file import Mission, dump_mission
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.log.schema import local_ned
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import NAN, Ahrs, Frame, LoadCell
+from seatrial.ident.data.record import Channel
+from seatrial.mocks.hidden_effects.catalogue import make_effect
+from seatrial.mocks.offline_simulation import Recording, simulate, simulate_bench, tables
+from seatrial.mocks.plant.bench import Bench
+from seatrial.mocks.plant.boat import Boat, draw_boat
+from seatrial.mocks.world import Reading
 
 T0 = 1_750_000_000.0  # run time (s since 1970) at which these logs begin
 RPM_MAX = 4500.0
@@ -43,7 +43,7 @@ class StandingClock:
 @cache
 def rig_of(kind: str) -> Rig:
     """The packaged rig of the mocks: ``boat`` or ``bench``."""
-    text = files("mocks").joinpath("rigs", f"{kind}.toml").read_text(encoding="utf-8")
+    text = files("seatrial.mocks").joinpath("rigs", f"{kind}.toml").read_text(encoding="utf-8")
     return parse_rig(text, Path(f"{kind}.toml"))
 
 
@@ -67,7 +67,7 @@ def push(bench: Bench, run: int = 0, kind: str = "all") -> tuple[Recording, Miss
 
 
 def channels_of(recording: Recording) -> dict[str, Channel]:
-    """The channels that ``ident.data.loading`` would find in the boat's log."""
+    """The channels that ``seatrial.ident.data.loading`` would find in the boat's log."""
     table, found = tables(recording.readings), {}
     for name, column in (("psi", "yaw"), ("r", "r"), ("ax", "ax"), ("ay", "ay")):
         found[name] = _channel(table["ahrs"], column)

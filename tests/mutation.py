@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-COPIED = ("bench", "daq", "mocks", "ident", "tests", "seatrial.py", "pyproject.toml")
+COPIED = ("bench", "daq", "mocks", "ident", "seatrial", "tests", "pyproject.toml")
 WANTED = 0.95
 ANYWHERE = 0  # in place of the line of a function
 PATIENCE_S = 60.0  # of one test
@@ -65,7 +65,7 @@ TARGETS = (
     Target(
         "bench/execution/safety_guard.py",
         tuple(f"tests/bench/execution/test_{name}.py" for name in ("safety_guard", "autopilots", "guard_machine")),
-        (*LIBRARIES, "daq.acquisition", "daq.acquisition.session", "daq.config", "daq.drivers", "daq.log.reader"),
+        (*LIBRARIES, *(f"seatrial.daq.{m}" for m in ("acquisition.session", "config", "drivers", "log.reader"))),
         selects=True,
     ),
     Target(
@@ -231,7 +231,7 @@ def survives(mutant: Mutant) -> bool:
             source = ROOT / part
             if source.is_dir():
                 ignored = shutil.ignore_patterns("__pycache__", "*.jsonl")
-                shutil.copytree(source, tree / part, ignore=ignored, copy_function=os.link)
+                shutil.copytree(source, tree / part, ignore=ignored, copy_function=os.link, symlinks=True)
             else:
                 shutil.copy(source, tree / part)
         changed = tree / mutant.target.path

@@ -12,9 +12,9 @@ from pathlib import Path
 import click
 import pytest
 
-import seatrial
+from seatrial import command_line
 
-PARTS = ("numpy", "rich", "bench.", "ident.", "mocks.", "daq.log.reader")
+PARTS = ("numpy", "rich", "seatrial.bench.", "seatrial.ident.", "seatrial.mocks.", "seatrial.daq.log.reader")
 
 
 def commands(command: click.Command, context: click.Context) -> Iterator[tuple[str, click.Command]]:
@@ -28,7 +28,7 @@ def commands(command: click.Command, context: click.Context) -> Iterator[tuple[s
         yield from commands(found, click.Context(found, parent=context, info_name=name))
 
 
-EVERY = dict(commands(seatrial.cli, click.Context(seatrial.cli, info_name="seatrial")))
+EVERY = dict(commands(command_line.cli, click.Context(command_line.cli, info_name="seatrial")))
 
 
 @pytest.mark.parametrize("words", EVERY)
@@ -67,7 +67,7 @@ def complete(words: str) -> subprocess.CompletedProcess[str]:
         "COMP_CWORD": str(len(words.split(" ")) - 1),
     }
     report = "import atexit, sys\natexit.register(lambda: print(*sys.modules, file=sys.stderr))\n"
-    code = f"{report}import seatrial\nseatrial.main()"
+    code = f"{report}from seatrial import command_line\ncommand_line.main()"
     return subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60, check=False
     )
@@ -79,7 +79,7 @@ def offered(words: str) -> list[str]:
 
 def test_the_shell_completes_commands_without_importing_a_part() -> None:
     done = complete("seatrial ")
-    assert [line.partition(",")[2] for line in done.stdout.splitlines()] == list(seatrial.COMMANDS)
+    assert [line.partition(",")[2] for line in done.stdout.splitlines()] == list(command_line.COMMANDS)
     assert not [name for name in done.stderr.split() if name.startswith(PARTS)]
 
 
@@ -94,7 +94,7 @@ def test_the_shell_completes_what_is_below(tmp_path: Path) -> None:
 def test_the_scripts_of_the_docs_are_there(shell: str) -> None:
     page = (Path(__file__).parents[1] / "docs/how-to/install.md").read_text(encoding="utf-8")
     assert f"_SEATRIAL_COMPLETE={shell}_source seatrial" in page
-    code = "import seatrial; seatrial.main()"
+    code = "from seatrial import command_line; command_line.main()"
     # click asks bash for its version; where there is no such shell, it only warns.
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from bench import demo
-from bench.demo import DemoSteps, StepFailed
-from bench.execution.sequencer import said_of_losses
-from daq.config.rig_file import load_rig
-from daq.errors import SeatrialError
+from seatrial.bench import demo
+from seatrial.bench.demo import DemoSteps, StepFailed
+from seatrial.bench.execution.sequencer import said_of_losses
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.errors import SeatrialError
 from tests.bench.guard_replay import replay
 from tests.daq.logs import T0, recorder
 
@@ -148,9 +148,9 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
 # The demo as it is installed, but with missions of 70 and 50 s: `make study` runs it at full length.
 SHORT_DEMO = """
 import sys, seatrial
-from bench import demo
+from seatrial.bench import demo
 demo.ESTIMATION_S, demo.VALIDATION_S = 70.0, 50.0
-seatrial.main(sys.argv[1:])
+command_line.main(sys.argv[1:])
 """
 
 

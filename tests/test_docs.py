@@ -10,14 +10,14 @@ from pathlib import Path
 import click
 import pytest
 
-import seatrial
-from daq.config.mission_file import parse_mission
-from daq.config.rig_file import parse_rig
-from daq.importers.import_map import load_import_map
-from daq.log.reader import Log
-from ident.estimation.model_file import load_model
-from ident.models.catalogue import KNOWN_SIGNALS, make_model
-from ident.models.horizontal import SENSORS
+from seatrial import command_line
+from seatrial.daq.config.mission_file import parse_mission
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.importers.import_map import load_import_map
+from seatrial.daq.log.reader import Log
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.models.catalogue import KNOWN_SIGNALS, make_model
+from seatrial.ident.models.horizontal import SENSORS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
@@ -91,7 +91,7 @@ def test_command_lines_parse(where: str, line: str, no_files: None) -> None:
 
 def resolve(words: list[str]) -> tuple[click.Command, list[str]]:
     """The command that the words lead to, and the words behind its name."""
-    command: click.Command = seatrial.cli
+    command: click.Command = command_line.cli
     context = click.Context(command)
     while isinstance(command, click.Group) and words:
         if (default := getattr(command, "default", "")) and words[0] not in command.commands:
@@ -185,7 +185,7 @@ def test_the_model_of_the_docs_is_a_model(tmp_path: Path) -> None:
 
 def test_what_the_docs_say_of_a_log_is_there() -> None:
     (text,) = blocks(ROOT / "docs/formats/log.md", "python")
-    words = set(re.findall(r"\blog\.(\w+)", text.replace("daq.log.reader.open_log", "")))
+    words = set(re.findall(r"\blog\.(\w+)", text.replace("seatrial.daq.log.reader.open_log", "")))
     assert {"table", "sources", "rig"} <= words
     known = set(dir(Log)) | set(Log.__init__.__code__.co_names) | set(getattr(Log, "__annotations__", ()))
     assert not words - known

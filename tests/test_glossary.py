@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
-import seatrial
+from seatrial import command_line
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
@@ -101,4 +101,4 @@ def test_docstrings_use_the_words_of_the_glossary(module: Path) -> None:
 
 
 def test_helps_use_the_words_of_the_glossary() -> None:
-    assert not [line for words, text in helps(seatrial.cli, "seatrial") for line in found(words, text)]
+    assert not [line for words, text in helps(command_line.cli, "seatrial") for line in found(words, text)]

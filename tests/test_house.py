@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -13,9 +14,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
-CODE = ("seatrial.py", *PARTS, "benchmarks", "docs", "tests")
+CODE = (*PARTS, "benchmarks", "docs", "tests")
+OWN = tuple(f"seatrial.{part}" for part in PARTS)
 # wings of one job a file: their modules are named, not their faces
-MODULES_NAMED = ("ident.workflows", "daq.importers")
+MODULES_NAMED = ("seatrial.ident.workflows", "seatrial.daq.importers")
 
 
 @cache
@@ -26,22 +28,23 @@ def tree_of(path: Path) -> ast.Module:
 
 def files() -> list[Path]:
     """Every Python file of the project."""
-    found = [ROOT / name for name in CODE]
-    return sorted(path for top in found for path in ([top] if top.suffix else top.rglob("*.py")))
+    # Not through the links in seatrial/: each file once.
+    return sorted([*(ROOT / "seatrial").glob("*.py"), *(path for top in CODE for path in (ROOT / top).rglob("*.py"))])
 
 
 def module_of(path: Path) -> str:
-    """The dotted name of a file."""
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    """The dotted name by which a file is imported."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(("seatrial", *parts) if parts[0] in PARTS else parts).removesuffix(".__init__")
 
 
 def wing_of(module: str) -> str:
-    """``ident.estimation`` of ``ident.estimation.likelihood``."""
-    return ".".join(module.split(".")[:2])
+    """``seatrial.ident.estimation`` of ``seatrial.ident.estimation.likelihood``."""
+    return ".".join(module.split(".")[:3])
 
 
 PRODUCT = {module_of(path): path for path in files() if path.relative_to(ROOT).parts[0] in PARTS}
-WINGS = {module for module, path in PRODUCT.items() if path.name == "__init__.py" and module.count(".") == 1}
+WINGS = {module for module, path in PRODUCT.items() if path.name == "__init__.py" and module.count(".") == 2}
 
 
 @cache
@@ -50,7 +53,7 @@ def imports(path: Path) -> list[tuple[str, str]]:
     return [
         (node.module, alias.name)
         for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PARTS
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(OWN)
         for alias in node.names
     ]
 
@@ -126,6 +129,28 @@ def test_no_import_circle() -> None:
         visit(module, ())
 
 
+BARE = re.compile(rf"(?:-m |from |import )(?:{'|'.join(PARTS)})(?:\.\w+| import )")  # in a program that a test runs
+
+
+def test_no_file_imports_a_part_by_a_name_that_is_not_installed() -> None:
+    """Only `seatrial` is installed. In the project's folder `import daq` works, too, and would load a module twice."""
+    bare = []
+    for path in files():
+        for node in ast.walk(tree_of(path)):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names = [node.module or ""]
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                module = node.value.partition(":")[0]
+                names = [module] if "." in module and f"seatrial.{module}" in PRODUCT else []
+                names += ["daq"] if BARE.search(node.value) else []
+            else:
+                continue
+            bare += [f"{path.relative_to(ROOT)}:{node.lineno}" for name in names if name.split(".")[0] in PARTS]
+    assert not [place for place in bare if place.partition(":")[0] != "tests/test_house.py"]
+
+
 def test_no_function_has_more_than_eight_parameters() -> None:
     """Outside the commands, whose parameters are their options."""
     wide = []
@@ -153,8 +178,8 @@ def test_a_workflow_enters_no_file_twice(command: str) -> None:
     sys.modules[spec.name] = architecture
     spec.loader.exec_module(architecture)
     entered = [step.module for step in architecture.call_path(*architecture.WORKFLOWS[command])]
-    assert entered[0] == "ident.data.loading"
-    assert entered[-1] == "ident.workflows.output"
+    assert entered[0] == "seatrial.ident.data.loading"
+    assert entered[-1] == "seatrial.ident.workflows.output"
     once = [module for k, module in enumerate(entered) if k == 0 or entered[k - 1] != module]
     assert [module for module in set(once) if once.count(module) > 1] == []
 
@@ -176,7 +201,7 @@ def test_every_module_is_used_by_another() -> None:
     behind = {source for names in faces().values() for source in names.values()}
     dead = []
     for module, path in PRODUCT.items():
-        catalogue = module.startswith("ident.effects.")  # all of the folder is loaded
+        catalogue = module.startswith("seatrial.ident.effects.")  # all of the folder is loaded
         if catalogue or path.stem in ("__init__", "__main__"):
             continue
         own_test = f"test_{path.stem}"
@@ -185,17 +210,22 @@ def test_every_module_is_used_by_another() -> None:
     assert not dead
 
 
-# What writes by itself beside `daq.files`, and why it may.
+# What writes by itself beside `seatrial.daq.files`, and why it may.
 WRITERS = {
-    "daq.tools.export": "a scratch file of the writer", "daq.tools.ros_export": "into a folder that it has just made",
-    "ident.engine.jit": "a cache of our own", "daq.transport.ftdi_latency": "a setting of the kernel",
-    "daq.config.mission_file": "a new file", "daq.log.recovery": "a scratch file of the writer",
-    "daq.importers.dataflash": "/dev/null", "mocks.ports.pty": "a lock", "mocks.cli": "follows no link",
-}  # fmt: skip
+    "seatrial.daq.config.mission_file": "a new file",
+    "seatrial.daq.importers.dataflash": "/dev/null",
+    "seatrial.daq.log.recovery": "a scratch file of the writer",
+    "seatrial.daq.tools.export": "a scratch file of the writer",
+    "seatrial.daq.tools.ros_export": "into a folder that it has just made",
+    "seatrial.daq.transport.ftdi_latency": "a setting of the kernel",
+    "seatrial.ident.engine.jit": "a cache of our own",
+    "seatrial.mocks.cli": "follows no link",
+    "seatrial.mocks.ports.pty": "a lock",
+}
 
 
 def test_outputs_are_written_by_the_one_writer() -> None:
-    """`daq.files` follows no link and leaves nothing half done; a plain `write_text` does both."""
+    """`seatrial.daq.files` follows no link and leaves nothing half done; a plain `write_text` does both."""
     writes = {
         module
         for module, path in PRODUCT.items()

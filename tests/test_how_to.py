@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import daq.protocol
-import ident.effects.hull
-import seatrial
-from daq.protocol import catalogue as device_table
-from ident.data.record import Channel, LogSegment, Record
-from ident.diagnosis.search import diagnose
-from ident.effects.registry import catalogue
-from ident.estimation.model_file import load_model
-from ident.estimation.output_error import simulate
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
+import seatrial.daq.protocol
+import seatrial.ident.effects.hull
+from seatrial import command_line
+from seatrial.daq.protocol import catalogue as device_table
+from seatrial.ident.data.record import Channel, LogSegment, Record
+from seatrial.ident.diagnosis.search import diagnose
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -60,10 +60,10 @@ def run_tests(text: str) -> int:
 @pytest.fixture
 def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The effect of the how-to, in the catalogue."""
-    module_from(blocks("add-an-effect", "python")[0], "weed", tmp_path, ident.effects.hull, monkeypatch)
+    module_from(blocks("add-an-effect", "python")[0], "weed", tmp_path, seatrial.ident.effects.hull, monkeypatch)
     catalogue.cache_clear()
     yield
-    sys.modules.pop("ident.effects.hull.weed", None)
+    sys.modules.pop("seatrial.ident.effects.hull.weed", None)
     catalogue.cache_clear()
 
 
@@ -110,11 +110,11 @@ def test_the_effect_of_the_how_to_is_found_if_and_only_if_it_is_there(weed: None
 
 def test_the_sensor_of_the_how_to_passes_its_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     protocol, tests = blocks("add-a-sensor", "python")
-    module_from(protocol, "os5000", tmp_path, daq.protocol, monkeypatch)
+    module_from(protocol, "os5000", tmp_path, seatrial.daq.protocol, monkeypatch)
     try:
         assert run_tests(tests) == 3
     finally:
-        sys.modules.pop("daq.protocol.os5000", None)
+        sys.modules.pop("seatrial.daq.protocol.os5000", None)
     (capture,) = blocks("add-a-sensor", "text")
     for line in [line for line in capture.splitlines() if not line.startswith("# ")]:
         assert line in tests
@@ -180,7 +180,7 @@ def test_a_model_of_ones_own_goes_through_the_commands(tmp_path: Path) -> None:
 
     def call(*words: str) -> None:
         with pytest.raises(SystemExit) as left:
-            seatrial.main(words)
+            command_line.main(words)
         assert left.value.code == 0, words
 
     files = [str(tmp_path / f"run{k}.csv") for k in (1, 2)]

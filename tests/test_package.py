@@ -22,7 +22,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
 BESIDE = ("docs", "tests", "benchmarks")
-SINGLE = ("seatrial.py", "pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "Makefile")
+SINGLE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "Makefile")
 LOCKED = ("constraints.txt", "mkdocs.yml")
 DATA = {".typed", ".dbc", ".msg", ".toml", ".css", ".js", ".j2"}
 BUILD = """
@@ -54,8 +54,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
     folder = tmp_path_factory.mktemp("dist")
     tree = folder / "tree"
     leave_out = shutil.ignore_patterns("__pycache__", "*.pyc")
-    for name in (*PARTS, *BESIDE):
-        shutil.copytree(ROOT / name, tree / name, ignore=leave_out)
+    for name in (*PARTS, *BESIDE, "seatrial"):
+        shutil.copytree(ROOT / name, tree / name, ignore=leave_out, symlinks=True)
     for name in (*SINGLE, *LOCKED):
         shutil.copy(ROOT / name, tree / name)
     python(["-W", "error::DeprecationWarning:setuptools", "-c", BUILD, "sdist", str(folder)], tree)
@@ -71,13 +71,13 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
 
 
 def wanted() -> set[str]:
-    """Every file of the four parts that has to travel."""
-    files = {path for part in PARTS for path in (ROOT / part).rglob("*") if path.is_file()}
+    """Every file that has to travel, by its place in the one package."""
+    parts = {path.relative_to(ROOT) for part in PARTS for path in (ROOT / part).rglob("*") if path.is_file()}
     return {
-        path.relative_to(ROOT).as_posix()
-        for path in files
+        f"seatrial/{path.as_posix()}"
+        for path in parts
         if "__pycache__" not in path.parts and (path.suffix in DATA | {".py", ".pyi"} or path.name == "py.typed")
-    } | {"seatrial.py"}
+    } | {path.relative_to(ROOT).as_posix() for path in (ROOT / "seatrial").glob("*.py")}
 
 
 def test_the_wheel_holds_the_parts_and_nothing_else(built: Built) -> None:
@@ -88,6 +88,7 @@ def test_the_wheel_holds_the_parts_and_nothing_else(built: Built) -> None:
         assert archive.read(licence) == (ROOT / "LICENSE").read_bytes()
     assert wanted() - names == set()
     assert names - wanted() == set()
+    assert {name.partition("/")[0] for name in names} == {"seatrial"}
 
 
 def test_the_sdist_can_be_tested_and_its_pages_built(built: Built) -> None:
@@ -107,12 +108,12 @@ def installed(built: Built) -> Path:
 
 
 def test_the_wheel_runs_from_any_folder(installed: Path, tmp_path: Path) -> None:
-    code = "import seatrial, sys; print(seatrial.__file__); seatrial.main(sys.argv[1:])"
+    code = "import sys; from seatrial import command_line; print(command_line.__file__); command_line.main(sys.argv[1:])"
 
     def run(*words: str) -> str:
         return python(["-P", "-c", code, *words], tmp_path, PYTHONPATH=str(installed)).stdout
 
-    assert run("--version").splitlines() == [str(installed / "seatrial.py"), "seatrial 0.2.0"]
+    assert run("--version").splitlines() == [str(installed / "seatrial/command_line.py"), "seatrial 0.2.0"]
     run("mission", "generate", "--seed", "1", "-o", "mission.toml")
     assert "surge steps" in run("mission", "show", "mission.toml")
     assert "--seed" in run("demo", "--help")
@@ -154,15 +155,15 @@ class Missing:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Missing())
-import seatrial
+from seatrial import command_line
 
 for part in ("daq", "bench", "mocks"):
-    for module in pkgutil.walk_packages(importlib.import_module(part).__path__, f"{part}."):
+    for module in pkgutil.walk_packages(importlib.import_module(f"seatrial.{part}").__path__, f"seatrial.{part}."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
 for line in json.loads(sys.argv[2]):
     try:
-        seatrial.main(line)
+        command_line.main(line)
     except SystemExit as left:
         print("status", left.code, flush=True)
 """

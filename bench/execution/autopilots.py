@@ -9,15 +9,15 @@ import math
 import time
 from collections.abc import Callable
 
-from bench.execution.link_test import require_link_test
-from bench.execution.safety_guard import LINK_AGE_S, MANUAL, RIVAL
-from daq.acquisition import Acquisition
-from daq.clock import RunClock
-from daq.drivers import DISARMED, LinkStatus, check_parameters
-from daq.errors import SeatrialError
-from daq.log import read_note
-from daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
-from daq.rig import Device, Rig
+from seatrial.bench.execution.link_test import require_link_test
+from seatrial.bench.execution.safety_guard import LINK_AGE_S, MANUAL, RIVAL
+from seatrial.daq.acquisition import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.drivers import DISARMED, LinkStatus, check_parameters
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import read_note
+from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
+from seatrial.daq.rig import Device, Rig
 
 # Wall seconds.
 AWAIT_S = 10.0  # for heartbeats, parameters and answers

@@ -8,10 +8,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 
-from bench.execution.safety_guard import SafetyGuard
-from daq.acquisition import Acquisition, Status
-from daq.errors import SeatrialError
-from daq.rig import Rig
+from seatrial.bench.execution.safety_guard import SafetyGuard
+from seatrial.daq.acquisition import Acquisition, Status
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import Rig
 
 AWAIT_S = 10.0  # wall seconds for the first sample of every device, and then for that of every limit
 POLL_S = 0.02

@@ -16,13 +16,13 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from daq.config import STATIC, Mission, Segment
-from daq.drivers import LinkStatus, link_loss_hash
-from daq.errors import SeatrialError
-from daq.files import write_output
-from daq.log import Log
-from daq.rig import Device, Rig
-from daq.samples import Servo
+from seatrial.daq.config import STATIC, Mission, Segment
+from seatrial.daq.drivers import LinkStatus, link_loss_hash
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
+from seatrial.daq.log import Log
+from seatrial.daq.rig import Device, Rig
+from seatrial.daq.samples import Servo
 
 N_TEST = 0.1  # of full command
 # Wall seconds.
@@ -41,7 +41,7 @@ class LinkTest(msgspec.Struct, frozen=True):
     seconds: float  # from our last frame to the last output at neutral
     n: float  # commanded before
     date: str  # ISO 8601, UTC
-    parameters: str  # SHA-256 of those that decide (daq.drivers.link_loss_hash)
+    parameters: str  # SHA-256 of those that decide (seatrial.daq.drivers.link_loss_hash)
     receiver: bool | None = None  # whether one was heard; None: not known
 
     @property

@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.execution.autopilots import Autopilots
-from bench.execution.device_startup import await_devices, await_limits
-from bench.execution.link_test import (
+from seatrial.bench.execution.autopilots import Autopilots
+from seatrial.bench.execution.device_startup import await_devices, await_limits
+from seatrial.bench.execution.link_test import (
     HOLD_S,
     MUTED,
     NEUTRAL,
@@ -27,19 +27,19 @@ from bench.execution.link_test import (
     measure_link_loss,
     save_link_tests,
 )
-from bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
-from bench.execution.safety_guard import Rest, Row, SafetyGuard
-from bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
-from bench.execution.tare import Tare, describe_tares, measure_tares
-from bench.mission_limits import dry_run
-from daq.acquisition import Acquisition, Source, Status
-from daq.clock import RunClock, SuspendDetector
-from daq.config import Mission, dump_mission
-from daq.errors import SafetyStop, SeatrialError
-from daq.log import open_log
-from daq.realtime_priority import realtime_priority
-from daq.rig import Rig
-from daq.samples import Esc, Gnss, LoadCell, Servo
+from seatrial.bench.execution.operator_interface import HELP, WORDS, Display, Keys, MissionStatus, StopSignals
+from seatrial.bench.execution.safety_guard import Rest, Row, SafetyGuard
+from seatrial.bench.execution.sequencer import CommandFollower, CommandSource, MissionSequencer, Schedule
+from seatrial.bench.execution.tare import Tare, describe_tares, measure_tares
+from seatrial.bench.mission_limits import dry_run
+from seatrial.daq.acquisition import Acquisition, Source, Status
+from seatrial.daq.clock import RunClock, SuspendDetector
+from seatrial.daq.config import Mission, dump_mission
+from seatrial.daq.errors import SafetyStop, SeatrialError
+from seatrial.daq.log import open_log
+from seatrial.daq.realtime_priority import realtime_priority
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Esc, Gnss, LoadCell, Servo
 
 POLL_S = 0.02  # wall seconds between two looks at the status
 AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most
@@ -75,12 +75,11 @@ def run_mission(
     With `commands` these are followed, within the mission's limits, in the place of its set-points.
 
     An autopilot between us and the thrusters is armed only with `arm`, and then disarmed again. Steps in which
-    set-points or samples were lost are run again, `retries` times in all. Keys (bench.execution.operator_interface)
-    pause, repeat and mark.
-    Raises SafetyStop when the guard ends it, Interrupted on Ctrl-C, SIGTERM or SIGHUP, and SeatrialError when a
-    device or the acquisition fails; in every case zero is commanded and the log is closed first. The error's line
-    reports zero thrust only if it was measured; otherwise the exit status is 3. Call it from the main thread: it takes
-    the signals while it runs.
+    set-points or samples were lost are run again, `retries` times in all. Keys
+    (seatrial.bench.execution.operator_interface) pause, repeat and mark. Raises SafetyStop when the guard ends it,
+    Interrupted on Ctrl-C, SIGTERM or SIGHUP, and SeatrialError when a device or the acquisition fails; in every case
+    zero is commanded and the log is closed first. The error's line reports zero thrust only if it was measured;
+    otherwise the exit status is 3. Call it from the main thread: it takes the signals while it runs.
     """
     keys = Keys()
     with _prepared(mission, rig, path, display, metadata or {}, keys, commands) as runner:

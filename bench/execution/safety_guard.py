@@ -32,12 +32,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from bench.execution.link_test import NEUTRAL
-from daq.acquisition import NO_STATUS_S, Source, Status, senders
-from daq.drivers import LinkStatus
-from daq.errors import SafetyStop, counted
-from daq.rig import Rig, Thruster
-from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
+from seatrial.bench.execution.link_test import NEUTRAL
+from seatrial.daq.acquisition import NO_STATUS_S, Source, Status, senders
+from seatrial.daq.drivers import LinkStatus
+from seatrial.daq.errors import SafetyStop, counted
+from seatrial.daq.rig import Rig, Thruster
+from seatrial.daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample, Servo
 
 Row = tuple[float, Mapping[str, float]]  # run time, n_cmd by thruster
 LOAD_CELLS = ("loadcell", "openscale", "mantracourt")  # protocols

@@ -13,14 +13,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from bench.execution.link_test import NEUTRAL
-from bench.execution.safety_guard import Row
-from bench.execution.tare import windows_of
-from daq.acquisition import Status, StreamedSample
-from daq.config import Mission, Segment
-from daq.errors import SafetyStop, SeatrialError, counted
-from daq.rig import Rig
-from daq.tools import FLOOD, ReceivedCommand
+from seatrial.bench.execution.link_test import NEUTRAL
+from seatrial.bench.execution.safety_guard import Row
+from seatrial.bench.execution.tare import windows_of
+from seatrial.daq.acquisition import Status, StreamedSample
+from seatrial.daq.config import Mission, Segment
+from seatrial.daq.errors import SafetyStop, SeatrialError, counted
+from seatrial.daq.rig import Rig
+from seatrial.daq.tools import FLOOD, ReceivedCommand
 
 GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
 
@@ -190,7 +190,7 @@ def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> M
 
 
 class CommandSource(Protocol):
-    """Whose commands are followed, and who is told the samples (daq.tools.Ros2Node)."""
+    """Whose commands are followed, and who is told the samples (seatrial.daq.tools.Ros2Node)."""
 
     def put(self, samples: Sequence[StreamedSample], dropped: int) -> None:
         """Samples that were logged; never waits."""

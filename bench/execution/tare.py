@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.config import STATIC, Mission
-from daq.log import open_log
-from daq.rig import Rig
-from daq.samples import LoadCell
+from seatrial.daq.config import STATIC, Mission
+from seatrial.daq.log import open_log
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import LoadCell
 
 SETTLE_S = 3.0  # run seconds after the thrust has gone until the water and the rod are at rest
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from bench.mission_generators import SegmentBuilder
-from daq.config import STATIC, Mission
-from daq.errors import SeatrialError
-from daq.rig import Rig
+from seatrial.bench.mission_generators import SegmentBuilder
+from seatrial.daq.config import STATIC, Mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import Rig
 
 N_TEST = 0.3  # of full command: above every usual dead band, and a boat hardly leaves its place
 STATIC_S, HOLD_S, REST_S = 4.0, 3.0, 1.5  # s

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from daq.bounds import bounded
-from daq.checks import (
+from seatrial.daq.bounds import bounded
+from seatrial.daq.checks import (
     FAULT,
     OK,
     WARNING,
@@ -25,14 +25,14 @@ from daq.checks import (
     findings_summary,
     worst_first,
 )
-from daq.cli import LOG
-from daq.config import load_rig
-from daq.errors import SeatrialError
-from daq.options import FiniteRange
-from daq.rig import Rig
+from seatrial.daq.cli import LOG
+from seatrial.daq.config import load_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.options import FiniteRange
+from seatrial.daq.rig import Rig
 
 if TYPE_CHECKING:
-    from bench.preflight.report import MotionChecks
+    from seatrial.bench.preflight.report import MotionChecks
 
 FILE = click.Path(path_type=Path)
 # Colours of a terminal; click leaves them out elsewhere. The words say the same.
@@ -95,8 +95,8 @@ def check(
     _consistent(paths, mission_path, actuators, bool(arm or out or thrust or link_test), link_test, thrust)
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
         if _is_rig(paths[0]):
-            from bench.preflight.report import dry_run_of
-            from daq.config import load_mission
+            from seatrial.bench.preflight.report import dry_run_of
+            from seatrial.daq.config import load_mission
 
             rig = load_rig(paths[0])
             mission = None if mission_path is None else load_mission(mission_path)
@@ -112,7 +112,7 @@ def check(
             report.parent.mkdir(parents=True, exist_ok=True)
             motion.write_check_page(done, report)
             click.echo(f"report: {report}", err=as_json)
-    from bench.preflight.rig_checks import ARMED
+    from seatrial.bench.preflight.rig_checks import ARMED
 
     armed = [finding.where for finding in found if finding.code == ARMED]
     loud = f"{', '.join(dict.fromkeys(armed))} IS ARMED: keep clear of the propellers, or disarm it" if armed else ""
@@ -163,7 +163,7 @@ def _show(found: Sequence[Finding], as_json: bool) -> None:
     """Print the findings, worst first; a line each, and wrapped in a terminal."""
     found = worst_first(found)
     if as_json:
-        from bench.preflight.report import as_json as written
+        from seatrial.bench.preflight.report import as_json as written
 
         click.echo(written(found))
         return
@@ -200,11 +200,11 @@ def _rig(
 
 def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
     """Listen, recording at ``path``; nothing moves."""
-    from bench.execution import SafetyGuard
-    from bench.preflight.mission_checks import check_mission
-    from bench.preflight.rig_checks import check_computer, check_limits, check_ports, listen
-    from daq.checks import check_devices
-    from daq.log import open_log
+    from seatrial.bench.execution import SafetyGuard
+    from seatrial.bench.preflight.mission_checks import check_mission
+    from seatrial.bench.preflight.rig_checks import check_computer, check_limits, check_ports, listen
+    from seatrial.daq.checks import check_devices
+    from seatrial.daq.log import open_log
 
     guard = SafetyGuard(rig, rig.speed, tuple(thruster.name for thruster in rig.thrusters))
     status = listen(rig, seconds, path, guard)
@@ -218,8 +218,8 @@ def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Findin
 
 def _agreed(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
     """The plan of the actuator test, after somebody has said that nobody is in its way."""
-    from bench.execution import link_test_plan
-    from bench.preflight.actuator_test import N_TEST, actuator_plan, warning
+    from seatrial.bench.execution import link_test_plan
+    from seatrial.bench.preflight.actuator_test import N_TEST, actuator_plan, warning
 
     plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_TEST)
     if not yes:
@@ -244,8 +244,8 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
                 f"first {', '.join(dict.fromkeys(faults))}",
             )
         ]
-    from bench.execution import PlainDisplay, make_display, run_link_test, run_mission
-    from bench.preflight.rig_checks import armed_finding
+    from seatrial.bench.execution import PlainDisplay, make_display, run_link_test, run_mission
+    from seatrial.bench.preflight.rig_checks import armed_finding
 
     assert test.out is not None
     if not as_json:
@@ -263,7 +263,7 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
 
 def _of_link(name: str, seconds: float, passed: bool) -> Finding:
     """What a link test has found."""
-    from bench.execution import ALLOWED_S
+    from seatrial.bench.execution import ALLOWED_S
 
     text = f"thrust ended {seconds:.2f} s after our last frame, allowed {ALLOWED_S:g}"
     if passed:
@@ -273,9 +273,9 @@ def _of_link(name: str, seconds: float, passed: bool) -> Finding:
 
 def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
     """Findings of each log: of its devices here, of the motion by ident where that is installed."""
-    from daq.checks import check_devices
-    from daq.log import open_log
-    from daq.samples import MEASURED
+    from seatrial.daq.checks import check_devices
+    from seatrial.daq.log import open_log
+    from seatrial.daq.samples import MEASURED
 
     found = []
     for path in paths:

@@ -8,11 +8,11 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from bench.mission_limits import dry_run
-from daq.checks import FAULT, OK, WARNING, Finding
-from daq.config import Mission
-from daq.errors import SeatrialError
-from daq.rig import Rig
+from seatrial.bench.mission_limits import dry_run
+from seatrial.daq.checks import FAULT, OK, WARNING, Finding
+from seatrial.daq.config import Mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import Rig
 
 FloatArray = npt.NDArray[np.float64]
 STEP = 0.05  # s

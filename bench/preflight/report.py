@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from daq.checks import CheckReport, DryRun, Finding, PredictedTrack
-from daq.config import Mission
-from daq.rig import Rig
+from seatrial.daq.checks import CheckReport, DryRun, Finding, PredictedTrack
+from seatrial.daq.config import Mission
+from seatrial.daq.rig import Rig
 
 FORMAT = "seatrial-check 1"
 
 
 class MotionChecks(Protocol):
-    """What the check asks of the explaining part, which may not be installed: seatrial.py puts it into the command's
+    """What the check asks of the explaining part, which may not be installed: seatrial.command_line puts it into the command's
     context, for bench imports nothing of it. Both raise SeatrialError where it is not installed."""
 
     def check_log(self, path: Path) -> list[Finding]:
@@ -43,7 +43,7 @@ def _track(mission: Mission, rig: Rig) -> PredictedTrack | None:
     if mission.prediction is not None:
         p = mission.prediction
         return PredictedTrack(p.x, p.y, f"the design, by model {p.model}", p.radius)
-    from bench.preflight.mission_checks import NEEDED, track
+    from seatrial.bench.preflight.mission_checks import NEEDED, track
 
     if all(name in rig.vehicle for name in NEEDED) and all(name in _names(rig) for name in mission.thrusters):
         _, x, y = track(mission, rig)

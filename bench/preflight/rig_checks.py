@@ -7,13 +7,13 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from bench.execution import LOAD_CELLS, SafetyGuard, silent_devices
-from daq.acquisition import Acquisition, PortStatus, Status
-from daq.checks import FAULT, OK, WARNING, Finding
-from daq.clock import RunClock
-from daq.drivers import LinkStatus, check_parameters
-from daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
-from daq.rig import Device, Rig
+from seatrial.bench.execution import LOAD_CELLS, SafetyGuard, silent_devices
+from seatrial.daq.acquisition import Acquisition, PortStatus, Status
+from seatrial.daq.checks import FAULT, OK, WARNING, Finding
+from seatrial.daq.clock import RunClock
+from seatrial.daq.drivers import LinkStatus, check_parameters
+from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
+from seatrial.daq.rig import Device, Rig
 
 ARMED = "autopilot-armed"  # code of a finding, whose line comes last
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself

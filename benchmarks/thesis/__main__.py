@@ -12,7 +12,7 @@ for _library in ("OPENBLAS", "OMP", "MKL"):  # matrices are small; before numpy
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 from benchmarks.thesis.page import write  # noqa: E402
-from daq.errors import SeatrialError  # noqa: E402
+from seatrial.daq.errors import SeatrialError  # noqa: E402
 
 
 def main(words: Sequence[str] | None = None) -> int:

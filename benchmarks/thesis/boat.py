@@ -1,7 +1,7 @@
 """The boat of table 5 here: it rolls in turns, pitches with thrust and moves in waves, as three degrees cannot.
 
-Surge, sway and yaw as in ``ident.models.kinematic``, but with heading, roll and pitch as states: each a lightly damped
-second-order motion about what turning and thrust make of it, driven by white noise.
+Surge, sway and yaw as in ``seatrial.ident.models.kinematic``, but with heading, roll and pitch as states: each a
+lightly damped second-order motion about what turning and thrust make of it, driven by white noise.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.data.record import Channel
-from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.experiment_design.excitation import SHAFT_POLE
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, Signals, State
-from ident.models.horizontal import ARMS, CURRENT, HULL, NOISE, SIDES, THRUST, shaft, thrust
-from ident.models.kinematic import output as kinematic_output
-from ident.models.kinematic import rate as kinematic_rate
-from ident.models.kinematic import turning
-from ident.models.rotations import oriented, rotation
-from ident.numerics.linear_algebra import Array
-from ident.numerics.signal_processing import first_order_lag
-from ident.studies.cases import random_levels
+from seatrial.ident.data.record import Channel
+from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from seatrial.ident.experiment_design.excitation import SHAFT_POLE
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, Signals, State
+from seatrial.ident.models.horizontal import ARMS, CURRENT, HULL, NOISE, SIDES, THRUST, shaft, thrust
+from seatrial.ident.models.kinematic import output as kinematic_output
+from seatrial.ident.models.kinematic import rate as kinematic_rate
+from seatrial.ident.models.kinematic import turning
+from seatrial.ident.models.rotations import oriented, rotation
+from seatrial.ident.numerics.linear_algebra import Array
+from seatrial.ident.numerics.signal_processing import first_order_lag
+from seatrial.ident.studies.cases import random_levels
 
 STEP = 0.05  # s between AHRS samples
 FIX = 4  # AHRS samples to a fix

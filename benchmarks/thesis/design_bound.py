@@ -17,10 +17,10 @@ from functools import partial
 
 import numpy as np
 
-from ident.experiment_design.excitation import StepInput
-from ident.experiment_design.optimal_design import Design, search_design
-from ident.experiment_design.task import DesignProblem
-from ident.numerics.linear_algebra import Array
+from seatrial.ident.experiment_design.excitation import StepInput
+from seatrial.ident.experiment_design.optimal_design import Design, search_design
+from seatrial.ident.experiment_design.task import DesignProblem
+from seatrial.ident.numerics.linear_algebra import Array
 
 FINEST = 2.0  # s per step: where every change of the command acts on the shaft at once
 MIXES = np.linspace(0.0, 1.0, 101)

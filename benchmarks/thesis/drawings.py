@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part
 from benchmarks.thesis.fits import Both, Plane, Rest, predicted
-from ident.characterisation.sensor_noise import welch
-from ident.numerics.linear_algebra import Array
+from seatrial.ident.characterisation.sensor_noise import welch
+from seatrial.ident.numerics.linear_algebra import Array
 
 Z95 = 1.96
 START = 5.0  # s until the filter knows where it is

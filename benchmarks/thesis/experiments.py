@@ -11,8 +11,8 @@ import numpy as np
 
 from benchmarks.thesis.design_bound import Bound, upper_bound
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part
-from ident.experiment_design.excitation import StepInput
-from ident.experiment_design.optimal_design import (
+from seatrial.ident.experiment_design.excitation import StepInput
+from seatrial.ident.experiment_design.optimal_design import (
     BaselineSignal,
     Design,
     Robustness,
@@ -22,10 +22,10 @@ from ident.experiment_design.optimal_design import (
     predicted_errors,
     predicted_track,
 )
-from ident.experiment_design.task import DesignProblem
-from ident.models.horizontal import horizontal_model
-from ident.numerics.linear_algebra import Array
-from ident.studies.cases import Delivered, repeats
+from seatrial.ident.experiment_design.task import DesignProblem
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.numerics.linear_algebra import Array
+from seatrial.ident.studies.cases import Delivered, repeats
 
 Say = Callable[[str], None]
 SECONDS, GRID = 600.0, 0.2

@@ -8,9 +8,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from ident.numerics.linear_algebra import Array
-from ident.report.blocks import Canvas, Grid, Prose, Section
-from ident.report.drawing import (
+from seatrial.ident.numerics.linear_algebra import Array
+from seatrial.ident.report.blocks import Canvas, Grid, Prose, Section
+from seatrial.ident.report.drawing import (
     BEFORE,
     GREEN,
     LINES,
@@ -23,7 +23,7 @@ from ident.report.drawing import (
     line_trace,
     stacked,
 )
-from ident.report.page import compose
+from seatrial.ident.report.page import compose
 
 COLORS = {"measured": MEASURED, "model": MODEL, "other": BEFORE, "truth": GREEN}
 POINTS = 60_000  # on the page

@@ -11,27 +11,27 @@ import numpy as np
 
 from benchmarks.thesis import printed
 from benchmarks.thesis.boat import Sailed, sail
-from daq.errors import SeatrialError
-from ident.characterisation.sensor_noise import NoiseFit, estimate_noise
-from ident.data.record import Channel, LogSegment, Record, build_record
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
-from ident.estimation.output_error import Simulation, simulate
-from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.model.structure import Model
-from ident.models.disturbances import sensor_bias
-from ident.models.horizontal import SENSORS, horizontal_model
-from ident.models.kinematic import kinematic_model
-from ident.models.surge import surge_model
-from ident.models.thruster import DELAY_STEP, thruster_model
-from ident.models.yaw import yaw_model
-from ident.numerics.linear_algebra import Array
-from ident.reporter import QUIET
-from ident.results.parts import ThrusterResult
-from ident.studies.cases import N_DELAYS, random_levels
-from ident.studies.monte_carlo import Case, make_record
-from ident.validation.prediction_errors import simulation_run
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation.sensor_noise import NoiseFit, estimate_noise
+from seatrial.ident.data.record import Channel, LogSegment, Record, build_record
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
+from seatrial.ident.estimation.output_error import Simulation, simulate
+from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.disturbances import sensor_bias
+from seatrial.ident.models.horizontal import SENSORS, horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
+from seatrial.ident.models.surge import surge_model
+from seatrial.ident.models.thruster import DELAY_STEP, thruster_model
+from seatrial.ident.models.yaw import yaw_model
+from seatrial.ident.numerics.linear_algebra import Array
+from seatrial.ident.reporter import QUIET
+from seatrial.ident.results.parts import ThrusterResult
+from seatrial.ident.studies.cases import N_DELAYS, random_levels
+from seatrial.ident.studies.monte_carlo import Case, make_record
+from seatrial.ident.validation.prediction_errors import simulation_run
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def bench_experiment(seed: int) -> Both:
 
 def bench_log(path: Path) -> tuple[dict[str, tuple[float, float]], str]:
     """Estimates and standard errors from a log of `seatrial bench`, and the name of the log."""
-    from ident.workflows.thruster import ThrusterRequest, characterise
+    from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
 
     with tempfile.TemporaryDirectory() as folder:
         result = characterise(ThrusterRequest([path], Path(folder)), "", QUIET)

@@ -19,8 +19,8 @@ from benchmarks.thesis.fits import (
     with_forces,
     yaw_experiment,
 )
-from ident.estimation.maximum_likelihood import Fit
-from ident.estimation.standard_errors import TOO_LONG
+from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.estimation.standard_errors import TOO_LONG
 
 Say = Callable[[str], None]
 INTRODUCTION = """\

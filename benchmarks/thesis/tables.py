@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.thesis import printed
 from benchmarks.thesis.fits import Both, Plane
-from ident.estimation.maximum_likelihood import Fit
-from ident.validation.whiteness import whiteness_test
+from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.validation.whiteness import whiteness_test
 
 Lines = list[str]
 Estimates = Mapping[str, tuple[float, float]]

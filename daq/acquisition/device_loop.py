@@ -10,15 +10,15 @@ import threading
 import time
 from collections.abc import Callable
 
-from daq.acquisition.log_thread import LogItem, LogSink
-from daq.acquisition.sensor_health import SensorHealth
-from daq.acquisition.status import Latest, PortStatus, Source
-from daq.clock import ClockMap, RunClock, SuspendDetector
-from daq.drivers import DeviceDriver, Due, LinkStatus, Setpoints
-from daq.protocol import Decoder
-from daq.rig import Device
-from daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
-from daq.transport import Port, PortError, decode_read
+from seatrial.daq.acquisition.log_thread import LogItem, LogSink
+from seatrial.daq.acquisition.sensor_health import SensorHealth
+from seatrial.daq.acquisition.status import Latest, PortStatus, Source
+from seatrial.daq.clock import ClockMap, RunClock, SuspendDetector
+from seatrial.daq.drivers import DeviceDriver, Due, LinkStatus, Setpoints
+from seatrial.daq.protocol import Decoder
+from seatrial.daq.rig import Device
+from seatrial.daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
+from seatrial.daq.transport import Port, PortError, decode_read
 
 IDLE_S = 0.5  # wall; longest wait for bytes
 RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0)  # wall; waits between attempts to open

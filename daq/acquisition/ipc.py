@@ -23,8 +23,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq import samples
-from daq.acquisition.status import Status, StreamedSample, fields_of, from_json, to_json
+from seatrial.daq import samples
+from seatrial.daq.acquisition.status import Status, StreamedSample, fields_of, from_json, to_json
 
 ACTIVE, IDLE, FINISHED = b"1", b"0", b"q"  # heartbeats: thrust is commanded; it is not; nothing is left to watch
 ANSWER = b"a"  # of the watchdog

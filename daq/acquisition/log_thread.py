@@ -9,12 +9,12 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from daq.acquisition.status import StreamedSample
-from daq.clock import RunClock
-from daq.errors import SeatrialError
-from daq.log import Recorder
-from daq.realtime_priority import set_realtime_priority
-from daq.samples import Event, Frame, PortHealth
+from seatrial.daq.acquisition.status import StreamedSample
+from seatrial.daq.clock import RunClock
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import Recorder
+from seatrial.daq.realtime_priority import set_realtime_priority
+from seatrial.daq.samples import Event, Frame, PortHealth
 
 QUEUE_ITEMS = 20_000
 WRITE_S = 0.01  # wall

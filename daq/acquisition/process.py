@@ -1,8 +1,8 @@
 """The acquisition process: owns every port and the log, and brings thrust to zero when its parent stops responding.
 
-Started by `daq.acquisition.session.Acquisition` as `python -m daq.acquisition.process FD`. No user code runs here, so
-that only the operating system can delay it. One thread per port and one that writes the log; the main thread receives
-the messages of the parent (daq.acquisition.ipc).
+Started by `seatrial.daq.acquisition.session.Acquisition` as `python -m seatrial.daq.acquisition.process FD`. No user
+code runs here, so that only the operating system can delay it. One thread per port and one that writes the log; the
+main thread receives the messages of the parent (seatrial.daq.acquisition.ipc).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import time
 from pathlib import Path
 from types import FrameType
 
-from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.ipc import (
+from seatrial.daq.acquisition.device_loop import DeviceLoop
+from seatrial.daq.acquisition.ipc import (
     AcquisitionChannel,
     Closed,
     Configuration,
@@ -35,19 +35,19 @@ from daq.acquisition.ipc import (
     StreamSamples,
     ZeroThrust,
 )
-from daq.acquisition.log_thread import WRITE_S, LogItem, LogSink, LogThread, SampleStream
-from daq.acquisition.status_reporter import StatusReporter
-from daq.acquisition.watchdog import Heartbeat
-from daq.clock import RunClock
-from daq.config import parse_rig
-from daq.drivers import LinkRole, Setpoints, check_keys, make_driver
-from daq.errors import SeatrialError, printable
-from daq.log import Recorder, check_room
-from daq.protocol import make_decoder
-from daq.realtime_priority import set_realtime_priority
-from daq.rig import DRIVES, Rig
-from daq.samples import NAN, Event, Frame, PortHealth
-from daq.transport import make_port
+from seatrial.daq.acquisition.log_thread import WRITE_S, LogItem, LogSink, LogThread, SampleStream
+from seatrial.daq.acquisition.status_reporter import StatusReporter
+from seatrial.daq.acquisition.watchdog import Heartbeat
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config import parse_rig
+from seatrial.daq.drivers import LinkRole, Setpoints, check_keys, make_driver
+from seatrial.daq.errors import SeatrialError, printable
+from seatrial.daq.log import Recorder, check_room
+from seatrial.daq.protocol import make_decoder
+from seatrial.daq.realtime_priority import set_realtime_priority
+from seatrial.daq.rig import DRIVES, Rig
+from seatrial.daq.samples import NAN, Event, Frame, PortHealth
+from seatrial.daq.transport import make_port
 
 STATUS_S = 0.05  # wall, as all of these
 SILENCE_S = 0.25  # the parent, while thrust is commanded

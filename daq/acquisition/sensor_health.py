@@ -13,9 +13,9 @@ from collections.abc import Callable
 from operator import attrgetter
 from typing import Any, NamedTuple
 
-from daq.protocol import SATURATED, SPIKE
-from daq.samples import Frame, Gnss, LoadCell
-from daq.sensor_limits import FLAGGED_SHARE, STUCK_LIVE, can_be_stuck
+from seatrial.daq.protocol import SATURATED, SPIKE
+from seatrial.daq.samples import Frame, Gnss, LoadCell
+from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_LIVE, can_be_stuck
 
 SPIKES_S = 10.0
 FLOOD_S = 5.0

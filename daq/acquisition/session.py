@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO
 
-from daq.acquisition.ipc import (
+from seatrial.daq.acquisition.ipc import (
     AcquisitionChannel,
     Closed,
     Configuration,
@@ -31,14 +31,14 @@ from daq.acquisition.ipc import (
     StreamSamples,
     ZeroThrust,
 )
-from daq.acquisition.status import Status, StreamedSample
-from daq.child_process import module_command, module_environment
-from daq.clock import RunClock
-from daq.drivers import LinkRole
-from daq.errors import SeatrialError
-from daq.log import read_note
-from daq.realtime_priority import set_realtime_priority
-from daq.rig import Rig
+from seatrial.daq.acquisition.status import Status, StreamedSample
+from seatrial.daq.child_process import module_command, module_environment
+from seatrial.daq.clock import RunClock
+from seatrial.daq.drivers import LinkRole
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import read_note
+from seatrial.daq.realtime_priority import set_realtime_priority
+from seatrial.daq.rig import Rig
 
 STDERR = 2
 HEARTBEAT_S = 0.05  # wall, as all of these
@@ -60,9 +60,9 @@ class Acquisition:
 
     The process is safe against any failure here: when this process dies or stops answering, or when thrust is
     commanded and `alive` is not called for 0.25 s (wall), it commands zero, records one second more and closes the
-    log. With `drive` a watchdog process monitors it (daq.acquisition.watchdog); no thrust may be commanded without.
-    Autopilots are only listened to, but for `drive`, and with `ask` for their parameters and the rates of the rig.
-    All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
+    log. With `drive` a watchdog process monitors it (seatrial.daq.acquisition.watchdog); no thrust may be commanded
+    without. Autopilots are only listened to, but for `drive`, and with `ask` for their parameters and the rates of the
+    rig. All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
     """
 
     def __init__(
@@ -99,13 +99,13 @@ class Acquisition:
             ends: list[int] = [theirs.fileno()]
             if self._drive:
                 watched, watching = (stack.enter_context(sock) for sock in socket.socketpair())
-                self._watchdog = self._start("daq.acquisition.watchdog", [watching.fileno()])
+                self._watchdog = self._start("seatrial.daq.acquisition.watchdog", [watching.fileno()])
                 ends.append(watched.fileno())
             terminal = _copy_of_stderr()
             if terminal is not None:
                 stack.callback(os.close, terminal)
             inherited = [] if terminal is None else [terminal]
-            self._process = self._start("daq.acquisition.process", ends, inherited)
+            self._process = self._start("seatrial.daq.acquisition.process", ends, inherited)
         self._link = AcquisitionChannel(ours)
         self._threads = [
             threading.Thread(target=self._listen, name="acquisition status", daemon=True),

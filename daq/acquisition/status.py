@@ -6,9 +6,9 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from daq import samples
-from daq.drivers import LinkStatus
-from daq.samples import Sample
+from seatrial.daq import samples
+from seatrial.daq.drivers import LinkStatus
+from seatrial.daq.samples import Sample
 
 NO_STATUS_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
 Source = tuple[str, int | None]  # device and node; `DEVICE/KIND` for the further kinds of a device that has several

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.ipc import AcquisitionChannel, StatusReport
-from daq.acquisition.log_thread import LogThread
-from daq.acquisition.status import Status
-from daq.clock import RunClock
-from daq.drivers import Setpoints
-from daq.errors import counted
-from daq.rig import Rig
+from seatrial.daq.acquisition.device_loop import DeviceLoop
+from seatrial.daq.acquisition.ipc import AcquisitionChannel, StatusReport
+from seatrial.daq.acquisition.log_thread import LogThread
+from seatrial.daq.acquisition.status import Status
+from seatrial.daq.clock import RunClock
+from seatrial.daq.drivers import Setpoints
+from seatrial.daq.errors import counted
+from seatrial.daq.rig import Rig
 
 
 class StatusReporter:

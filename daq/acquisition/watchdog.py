@@ -2,8 +2,9 @@
 
 The acquisition process sends it a heartbeat every 50 ms: thrust is commanded, or not. When the heartbeats stop while
 thrust is commanded, the watchdog kills the process, opens the thrusters' ports itself and sends zero; it writes what it
-did and why to `LOG.stop`, since no process writes the log any more. Started by `daq.acquisition.session.Acquisition` as
-`python -m daq.acquisition.watchdog FD`. See docs/decisions/0013-a-watchdog-behind-the-deadman.md.
+did and why to `LOG.stop`, since no process writes the log any more. Started by
+`seatrial.daq.acquisition.session.Acquisition` as `python -m seatrial.daq.acquisition.watchdog FD`. See
+docs/decisions/0013-a-watchdog-behind-the-deadman.md.
 """
 
 from __future__ import annotations
@@ -19,16 +20,24 @@ import threading
 import time
 from pathlib import Path
 
-from daq.acquisition.hardware_watchdog import HardwareWatchdog
-from daq.acquisition.ipc import ACTIVE, ANSWER, FINISHED, IDLE, AcquisitionChannel, WatchdogConfiguration, WatchdogReady
-from daq.config import parse_rig
-from daq.drivers import DeviceDriver
-from daq.errors import SeatrialError
-from daq.log import write_note
-from daq.protocol import Decoder, pack_can, vesc
-from daq.realtime_priority import set_realtime_priority
-from daq.rig import DRIVES, Device, Rig
-from daq.transport import Port, PortError, decode_read, make_port
+from seatrial.daq.acquisition.hardware_watchdog import HardwareWatchdog
+from seatrial.daq.acquisition.ipc import (
+    ACTIVE,
+    ANSWER,
+    FINISHED,
+    IDLE,
+    AcquisitionChannel,
+    WatchdogConfiguration,
+    WatchdogReady,
+)
+from seatrial.daq.config import parse_rig
+from seatrial.daq.drivers import DeviceDriver
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import write_note
+from seatrial.daq.protocol import Decoder, pack_can, vesc
+from seatrial.daq.realtime_priority import set_realtime_priority
+from seatrial.daq.rig import DRIVES, Device, Rig
+from seatrial.daq.transport import Port, PortError, decode_read, make_port
 
 # Wall seconds.
 HANG_S = 0.6  # without a heartbeat: more than a busy machine pauses, less than the second of most ESCs
@@ -135,8 +144,8 @@ class FailsafeSender(threading.Thread):
 
     def _prepare(self) -> None:
         """A decoder and a driver that begin now: a signature of long ago is refused."""
-        from daq.drivers import LinkRole, make_driver
-        from daq.protocol import make_decoder
+        from seatrial.daq.drivers import LinkRole, make_driver
+        from seatrial.daq.protocol import make_decoder
 
         self._decoder = make_decoder(self._device, self._rig)
         self._driver = make_driver(self._device, self._rig, self._decoder, LinkRole.RESCUE)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks.findings import Finding
+from seatrial.daq.checks.findings import Finding
 
 FloatArray = NDArray[np.float64]
 

@@ -1,6 +1,7 @@
 """Checks of a log device by device: rate, time stamps, clock, noise, plausible values, stuck sensors, port counters.
 
-Whether devices agree with each other is a question of motion (ident.checks.sensors, ident.checks.shafts).
+Whether devices agree with each other is a question of motion (seatrial.ident.checks.sensors,
+seatrial.ident.checks.shafts).
 """
 
 from __future__ import annotations
@@ -12,15 +13,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daq.checks.findings import FAULT, OK, WARNING, Finding
-from daq.checks.import_checks import check_missing_inputs, check_rows_left_out
-from daq.checks.thruster_coverage import check_thruster_coverage
-from daq.clock import ClockMap
-from daq.errors import counted
-from daq.log import Log
-from daq.rig import Device, Rig
-from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
-from daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
+from seatrial.daq.checks.findings import FAULT, OK, WARNING, Finding
+from seatrial.daq.checks.import_checks import check_missing_inputs, check_rows_left_out
+from seatrial.daq.checks.thruster_coverage import check_thruster_coverage
+from seatrial.daq.clock import ClockMap
+from seatrial.daq.errors import counted
+from seatrial.daq.log import Log
+from seatrial.daq.rig import Device, Rig
+from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
+from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
 
 Tables = list[tuple[type, str, Any]]  # kind of sample, name for people, table
 FloatArray = npt.NDArray[np.float64]

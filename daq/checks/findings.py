@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from daq.errors import counted
+from seatrial.daq.errors import counted
 
 OK, WARNING, FAULT = "ok", "warning", "fault"
 LEVEL = 8  # columns of the level

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from daq.checks.findings import FAULT, WARNING, Finding
-from daq.errors import counted
-from daq.log import Log
-from daq.samples import Scalar
+from seatrial.daq.checks.findings import FAULT, WARNING, Finding
+from seatrial.daq.errors import counted
+from seatrial.daq.log import Log
+from seatrial.daq.samples import Scalar
 
 MOST_LEFT_OUT, FEWEST_LEFT_OUT = 0.05, 5  # share of a source's rows, and rows: more are a fault
 SHORTEST_GAP_S = 0.5  # s without a value of an input: the last one holds through shorter ones

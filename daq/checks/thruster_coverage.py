@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.checks.findings import FAULT, OK, WARNING, Finding
-from daq.log import Log
-from daq.rig import Rig
-from daq.samples import Command, Esc
+from seatrial.daq.checks.findings import FAULT, OK, WARNING, Finding
+from seatrial.daq.log import Log
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Command, Esc
 
 SLOW = 0.5  # of the rate of the fastest controller on the same bus
 LONGEST_PAUSE_S = 60.0  # s; a longer time between two speeds is a gap of the log and tells nothing of their rate
@@ -58,7 +58,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             advice = "`node` of the rig's thrusters, or another controller on the bus"
             yield Finding(WARNING, "node-unknown", "thrusters", device, text, advice)
         for node, name in names.items():
-            # One that was commanded is a fault of its own (ident.checks.log_checks).
+            # One that was commanded is a fault of its own (seatrial.ident.checks.log_checks).
             if node not in heard and node not in log.nodes(Command, device):
                 text = f"its controller, node {node} of {device}, is not in the log"
                 advice = "its power and cable"

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import tomlkit
 
-from daq.config.toml_reader import TomlTable, parse_toml, read_text
-from daq.errors import SeatrialError, counted
-from daq.files import write_output
+from seatrial.daq.config.toml_reader import TomlTable, parse_toml, read_text
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.files import write_output
 
 FORMAT = "seatrial-mission 1"
 KINDS = ("mission", "static", "steps", "chirp")

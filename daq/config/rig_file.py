@@ -1,4 +1,4 @@
-"""rig.toml to `daq.rig.Rig`: reads and checks every key (docs/formats/rig.md)."""
+"""rig.toml to `seatrial.daq.rig.Rig`: reads and checks every key (docs/formats/rig.md)."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from daq.config.toml_reader import TomlTable, parse_toml, read_text
-from daq.protocol import CAN, DEVICES, Decoder, loadcell, make_decoder
-from daq.rig import (
+from seatrial.daq.config.toml_reader import TomlTable, parse_toml, read_text
+from seatrial.daq.protocol import CAN, DEVICES, Decoder, loadcell, make_decoder
+from seatrial.daq.rig import (
     DEFAULT_PATTERN,
     DEFAULT_QUERY,
     DRIVES,
@@ -204,7 +204,7 @@ def _address(table: TomlTable, port: str) -> str:
 
 
 def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
-    """The fields of `daq.rig.Device` that these keys of a device's table give. Raises SeatrialError."""
+    """The fields of `seatrial.daq.rig.Device` that these keys of a device's table give. Raises SeatrialError."""
     found: dict[str, Any] = {}
     for name in names:
         found |= _READ[name](table, folder)

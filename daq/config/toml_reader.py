@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from daq.errors import SeatrialError, counted
+from seatrial.daq.errors import SeatrialError, counted
 
 _MISSING = object()
 NEAR = 0.75  # likeness of two keys, by difflib, of which one is a slip of the other

@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from daq.rig import Thruster
+from seatrial.daq.rig import Thruster
 
 TWO_PADDLES = 1
 LEFT, RIGHT = 73.0, 74.0  # SERVOn_FUNCTION: throttle left, throttle right; of 70, throttle, both paddles have a half

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
-from daq.drivers.setpoints import Due
-from daq.samples import Event
+from seatrial.daq.drivers.setpoints import Due
+from seatrial.daq.samples import Event
 
 DISARMED = ", and it has disarmed"  # confirmation of a zero
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 
-from daq.drivers.base import DeviceDriver, LinkRole, PollingDriver
-from daq.drivers.vesc import VescDriver
-from daq.protocol import Decoder, mantracourt
-from daq.rig import Device, Rig
+from seatrial.daq.drivers.base import DeviceDriver, LinkRole, PollingDriver
+from seatrial.daq.drivers.vesc import VescDriver
+from seatrial.daq.protocol import Decoder, mantracourt
+from seatrial.daq.rig import Device, Rig
 
 SPARE_IDS = (254, 253, 252)  # system ids for who only asks: no autopilot takes it for its ground station
 
@@ -20,7 +20,7 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     if device.protocol == "dronecan":
         if not here:
             return None
-        from daq.drivers.dronecan import DronecanDriver
+        from seatrial.daq.drivers.dronecan import DronecanDriver
 
         reversed_nodes = frozenset(thruster.node for thruster in here if thruster.reversed)
         return DronecanDriver(frozenset(thruster.node for thruster in here), reversed_nodes, device.own_node)
@@ -28,8 +28,8 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
         return PollingDriver(decoder.request, 1.0 / (device.rate_hz * rig.speed))
     if device.mavlink is None:
         return None
-    from daq.drivers.mavlink import MavlinkDriver  # brings pymavlink with it
-    from daq.protocol import mavlink, mavlink_wire
+    from seatrial.daq.drivers.mavlink import MavlinkDriver  # brings pymavlink with it
+    from seatrial.daq.protocol import mavlink, mavlink_wire
 
     assert isinstance(decoder, mavlink.MavlinkDecoder)
     settings = device.mavlink
@@ -46,6 +46,6 @@ def check_keys(rig: Rig) -> None:
     """Raises SeatrialError where a signing key of the rig cannot be read: before there is a log or a watchdog."""
     for device in rig.devices:
         if device.mavlink is not None and device.mavlink.key_file is not None:
-            from daq.protocol import mavlink_wire
+            from seatrial.daq.protocol import mavlink_wire
 
             mavlink_wire.read_key(device.mavlink.key_file)

@@ -14,11 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, OF_LINK_LOSS, YOUNG, parameter_names
-from daq.drivers.base import DISARMED, DeviceDriver, LinkRole, LinkStatus
-from daq.drivers.setpoints import Due
-from daq.errors import printable
-from daq.protocol import (
+from seatrial.daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, OF_LINK_LOSS, YOUNG, parameter_names
+from seatrial.daq.drivers.base import DISARMED, DeviceDriver, LinkRole, LinkStatus
+from seatrial.daq.drivers.setpoints import Due
+from seatrial.daq.errors import printable
+from seatrial.daq.protocol import (
     ARMED,
     ESC_STATUS,
     INVALID,
@@ -29,8 +29,8 @@ from daq.protocol import (
     mode_name,
     vehicle_name,
 )
-from daq.rig import Device, Thruster
-from daq.samples import Event
+from seatrial.daq.rig import Device, Thruster
+from seatrial.daq.samples import Event
 
 # All wall seconds.
 HEARTBEAT_S = 1.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import final
 
-from daq.drivers.base import DeviceDriver
-from daq.drivers.setpoints import Due
-from daq.protocol import pack_can, vesc
+from seatrial.daq.drivers.base import DeviceDriver
+from seatrial.daq.drivers.setpoints import Due
+from seatrial.daq.protocol import pack_can, vesc
 
 
 @final

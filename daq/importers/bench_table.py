@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.importers.recognise import SIDES, Candidate, Taken, read_name
-from daq.importers.table import Column, Table
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.recognise import SIDES, Candidate, Taken, read_name
+from seatrial.daq.importers.table import Column, Table
 
 COMMAND, SHAFT = "n_cmd_thruster", "n_thruster"
 _FORCE = {"N": "N", "kgf": "kgf", "kg": "kgf", "gf": "gf", "g": "gf", "lbf": "lbf", "lb": "lbf", "": "N"}

@@ -12,17 +12,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.config import load_rig
-from daq.errors import SeatrialError, counted
-from daq.importers.can_text import BusFrame, dialect_of, read_text_frames
-from daq.importers.import_map import CAN_PROTOCOLS
-from daq.importers.samples import sample_tables
-from daq.importers.table import SourceOptions, Table
-from daq.importers.write_log import replacing
-from daq.log import Recorder
-from daq.protocol import CAN, CAN_FRAME, DEVICES, EXTENDED, Decoder, dbc, dronecan, make_decoder, nmea2000, vesc
-from daq.rig import Device, Rig
-from daq.samples import Frame
+from seatrial.daq.config import load_rig
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.importers.can_text import BusFrame, dialect_of, read_text_frames
+from seatrial.daq.importers.import_map import CAN_PROTOCOLS
+from seatrial.daq.importers.samples import sample_tables
+from seatrial.daq.importers.table import SourceOptions, Table
+from seatrial.daq.importers.write_log import replacing
+from seatrial.daq.log import Recorder
+from seatrial.daq.protocol import (
+    CAN,
+    CAN_FRAME,
+    DEVICES,
+    EXTENDED,
+    Decoder,
+    dbc,
+    dronecan,
+    make_decoder,
+    nmea2000,
+    vesc,
+)
+from seatrial.daq.rig import Device, Rig
+from seatrial.daq.samples import Frame
 
 ENDINGS = (".log", ".asc", ".blf", ".trc", ".db", ".mf4", ".csv")  # of python-can
 BLF = b"LOGG"

@@ -21,8 +21,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.protocol import EXTENDED
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.protocol import EXTENDED
 
 DAY = 86400.0  # s
 LONGEST_FRAME = 8  # bytes

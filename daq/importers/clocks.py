@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.importers.import_map import TIME_UNITS, TimeColumn
-from daq.importers.recognise import DRIVES, Name, read_name
-from daq.importers.row_times import LABVIEW_EPOCH, dated, read_date, row_times
-from daq.importers.table import Column, Table
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_map import TIME_UNITS, TimeColumn
+from seatrial.daq.importers.recognise import DRIVES, Name, read_name
+from seatrial.daq.importers.row_times import LABVIEW_EPOCH, dated, read_date, row_times
+from seatrial.daq.importers.table import Column, Table
 
 _TIME = re.compile(
     r"(^|_)(t|time|stamp|timestamp|datetime|date|utc|seconds|secs|epoch|tow|zeit|datum|uhrzeit|zeitstempel|heure|hora|"

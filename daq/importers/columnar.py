@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.importers.matlab_values import Hdf5Variables, MatlabObject, Vector, scipy_value, vectors
-from daq.importers.own_hdf5 import refuse_data_of_other_files
-from daq.importers.table import Column, SourceOptions, Table
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.matlab_values import Hdf5Variables, MatlabObject, Vector, scipy_value, vectors
+from seatrial.daq.importers.own_hdf5 import refuse_data_of_other_files
+from seatrial.daq.importers.table import Column, SourceOptions, Table
 
 _H5PY = "MATLAB files of version 7.3 need the package h5py: pip install 'seatrial[matlab]'"
 _PYARROW = "Parquet needs the package pyarrow: pip install 'seatrial[parquet]'"

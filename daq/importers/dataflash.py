@@ -23,12 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.importers.damage import is_chain
-from daq.importers.write_log import Timed
-from daq.protocol import FIXES, HALF_MS, mode_name
-from daq.rig import Device, Rig
-from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.importers.damage import is_chain
+from seatrial.daq.importers.write_log import Timed
+from seatrial.daq.protocol import FIXES, HALF_MS, mode_name
+from seatrial.daq.rig import Device, Rig
+from seatrial.daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
 
 Found = list[Sample]
 OLDEST_FIX_S = 1.0  # between a fix and its message: more is no age

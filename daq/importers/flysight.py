@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from daq.importers.row_times import gps_seconds
-from daq.importers.table import Column, SourceOptions, Table
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.importers.row_times import gps_seconds
+from seatrial.daq.importers.table import Column, SourceOptions, Table
 
 _TIME, _CLOCK = "time", "TIME"  # column of the time; sensor that has it with GPS time
 _UTC = 1e9  # s: a time that is greater is one since 1970

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.checks import held_signals, held_together
-from daq.errors import SeatrialError
-from daq.importers.bench_table import COMMAND, bench_candidates
-from daq.importers.clocks import DATES, Clock, clock_of, row_seconds
-from daq.importers.import_map import GEOGRAPHIC
-from daq.importers.input_hold import input_hold
-from daq.importers.recognise import (
+from seatrial.daq.checks import held_signals, held_together
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
+from seatrial.daq.importers.clocks import DATES, Clock, clock_of, row_seconds
+from seatrial.daq.importers.import_map import GEOGRAPHIC
+from seatrial.daq.importers.input_hold import input_hold
+from seatrial.daq.importers.recognise import (
     BEHIND,
     CAVEATS,
     DRIVES,
@@ -36,11 +36,11 @@ from daq.importers.recognise import (
     read_name,
     without_unit,
 )
-from daq.importers.sources import source_kind, text_head
-from daq.importers.table import Column, SourceOptions, Table
-from daq.importers.text_table import has_decimal_commas, sniff_style
-from daq.importers.units import UNITS
-from daq.log import LOG_FORMAT, open_log
+from seatrial.daq.importers.sources import source_kind, text_head
+from seatrial.daq.importers.table import Column, SourceOptions, Table
+from seatrial.daq.importers.text_table import has_decimal_commas, sniff_style
+from seatrial.daq.importers.units import UNITS
+from seatrial.daq.log import LOG_FORMAT, open_log
 
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
 FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature

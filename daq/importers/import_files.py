@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.checks import lacks_too_much, unknown_times
-from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.importers.import_map import ImportMap, Piece, Source, load_import_map
-from daq.importers.missing_inputs import said_gaps
-from daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
-from daq.importers.sources import source_kind
-from daq.importers.table import Table
-from daq.importers.write_log import sha256_of, write_signals
-from daq.samples import Event
+from seatrial.daq.checks import lacks_too_much, unknown_times
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.importers.import_map import ImportMap, Piece, Source, load_import_map
+from seatrial.daq.importers.missing_inputs import said_gaps
+from seatrial.daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
+from seatrial.daq.importers.sources import source_kind
+from seatrial.daq.importers.table import Table
+from seatrial.daq.importers.write_log import sha256_of, write_signals
+from seatrial.daq.samples import Event
 
 _WHOLE = Piece("", -1e18, 1e18)
 

@@ -10,10 +10,10 @@ from datetime import UTC, datetime
 from itertools import zip_longest
 from pathlib import Path
 
-from daq.config import TomlTable, parse_toml, read_text
-from daq.importers.table import SourceOptions, TextStyle
-from daq.importers.units import UNITS
-from daq.rig import NAME
+from seatrial.daq.config import TomlTable, parse_toml, read_text
+from seatrial.daq.importers.table import SourceOptions, TextStyle
+from seatrial.daq.importers.units import UNITS
+from seatrial.daq.rig import NAME
 
 # Every map of the second kind is one of the first, but keeps repeats unless it says otherwise.
 FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")

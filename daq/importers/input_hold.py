@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.checks import held_signals, is_measured
-from daq.importers.table import Column
+from seatrial.daq.checks import held_signals, is_measured
+from seatrial.daq.importers.table import Column
 
 ONSET, QUIET = 0.05, 0.05  # part of the largest value: a change; part of a change: what lies before it is quiet
 TAIL = (0.05, 0.95)  # share of a change by which a shaft goes on in the next row

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from daq.importers.row_times import LABVIEW_EPOCH, read_date
-from daq.importers.table import Column, SourceOptions, Table
-from daq.importers.text_table import to_number
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.importers.row_times import LABVIEW_EPOCH, read_date
+from seatrial.daq.importers.table import Column, SourceOptions, Table
+from seatrial.daq.importers.text_table import to_number
 
 _END = "***End_of_Header***"
 _SEPARATORS = {"tab": "\t", "comma": ",", "semicolon": ";"}

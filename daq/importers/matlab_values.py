@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError
 
 OBJECT = 0xDD000000  # first word of a reference to an object
 DEEPEST = 30  # structs, cells and objects in each other

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from daq.clock import ClockMap
-from daq.drivers import ParameterMismatch, check_parameters
-from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.importers.dataflash import firmware_type, read_dataflash
-from daq.importers.write_log import Timed, clock_steps, replacing, sha256_of
-from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
-from daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
-from daq.rig import Device, Rig
-from daq.samples import Ahrs, Event, Gnss
+from seatrial.daq.clock import ClockMap
+from seatrial.daq.drivers import ParameterMismatch, check_parameters
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.importers.dataflash import firmware_type, read_dataflash
+from seatrial.daq.importers.write_log import Timed, clock_steps, replacing, sha256_of
+from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
+from seatrial.daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
+from seatrial.daq.rig import Device, Rig
+from seatrial.daq.samples import Ahrs, Event, Gnss
 
 STAMP = 8  # bytes before each frame of a tlog: us since 1970, big-endian
 DATAFLASH = b"\xa3\x95"

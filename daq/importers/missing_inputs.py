@@ -12,8 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from daq.errors import counted
-from daq.importers.table import Column
+from seatrial.daq.errors import counted
+from seatrial.daq.importers.table import Column
 
 Mask = npt.NDArray[np.bool_]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from daq.errors import SeatrialError, printable
+from seatrial.daq.errors import SeatrialError, printable
 
 
 def refuse_data_of_other_files(path: Path, file: Any) -> None:

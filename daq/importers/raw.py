@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.config import default_decoder
-from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.importers.write_log import SignalRow, write_frames
-from daq.protocol import Decoder, nmea, ubx, vectornav
-from daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
+from seatrial.daq.config import default_decoder
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.importers.write_log import SignalRow, write_frames
+from seatrial.daq.protocol import Decoder, nmea, ubx, vectornav
+from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
 
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
 XDR = "xdr_"  # in front of the name of a transducer

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.importers.table import Column, Table
-from daq.importers.units import UNITS
+from seatrial.daq.importers.table import Column, Table
+from seatrial.daq.importers.units import UNITS
 
 BEHIND = 5  # added to the rank of what is a set-point or the truth of a simulator: not taken
 

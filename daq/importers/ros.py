@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from daq.files import require_file
-from daq.importers.missing_inputs import stopped_motors
-from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
-from daq.importers.table import Column, SourceOptions, Table, ran_back
-from daq.log import recover_log
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.files import require_file
+from seatrial.daq.importers.missing_inputs import stopped_motors
+from seatrial.daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
+from seatrial.daq.importers.table import Column, SourceOptions, Table, ran_back
+from seatrial.daq.log import recover_log
 
 BAG_ENDINGS = {".mcap", ".db3"}
 SQLITE_LOGS = ("-wal", "-journal")  # appended to the name of a database
@@ -44,7 +44,8 @@ IMU_PARTS = {
 def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     """The topics with numbers. Raises SeatrialError where the bag, or a topic that the map names, is not there.
 
-    The time of a message is its header's stamp, or else when the bag got it (`daq.importers.stamps`). Each pair of
+    The time of a message is its header's stamp, or else when the bag got it (`seatrial.daq.importers.stamps`). Each
+    pair of
     frames in a TFMessage is a topic of its own: /tf:odom:base_link.
     """
     try:

@@ -9,11 +9,11 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import lacks_too_much
-from daq.errors import SeatrialError, counted
-from daq.importers.import_map import DAY_COUNTS, GPS_UNITS, TIME_UNITS, TimeColumn
-from daq.importers.table import Column, Table
-from daq.protocol import ubx
+from seatrial.daq.checks import lacks_too_much
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.importers.import_map import DAY_COUNTS, GPS_UNITS, TIME_UNITS, TimeColumn
+from seatrial.daq.importers.table import Column, Table
+from seatrial.daq.protocol import ubx
 
 DAY = 86400.0  # s
 HOUR = 3600.0  # s

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.config import load_rig
-from daq.errors import SeatrialError
-from daq.importers.mavlink import mismatches, read_autopilot, vehicle_type
-from daq.importers.table import SourceOptions, Table, ran_back
-from daq.samples import MEASURED, Event, Frame, Gnss
+from seatrial.daq.config import load_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.mavlink import mismatches, read_autopilot, vehicle_type
+from seatrial.daq.importers.table import SourceOptions, Table, ran_back
+from seatrial.daq.samples import MEASURED, Event, Frame, Gnss
 
 FIX_2D = 2
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import held_signals, is_measured
-from daq.errors import SeatrialError, counted
-from daq.importers.import_map import Signal, Source, TimeColumn
-from daq.importers.missing_inputs import input_gaps
-from daq.importers.row_times import row_times
-from daq.importers.table import Column, Table
-from daq.importers.units import UNITS
-from daq.log import local_ned, schema
+from seatrial.daq.checks import held_signals, is_measured
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.importers.import_map import Signal, Source, TimeColumn
+from seatrial.daq.importers.missing_inputs import input_gaps
+from seatrial.daq.importers.row_times import row_times
+from seatrial.daq.importers.table import Column, Table
+from seatrial.daq.importers.units import UNITS
+from seatrial.daq.log import local_ned, schema
 
 # Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.errors import SeatrialError
-from daq.importers.table import SourceOptions, Table
-from daq.importers.text_table import TextTable, wide_encoding
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.table import SourceOptions, Table
+from seatrial.daq.importers.text_table import TextTable, wide_encoding
 
 _HEAD = 65536
 _UNWRITTEN = re.compile(rb"\0{64,}")  # of a card after a power cut, in text too
@@ -31,33 +31,33 @@ def source_kind(path: Path) -> SourceKind:
     if head.startswith((b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0")):
         return _bag()
     if head.startswith(b"ULog\x01\x12\x35"):
-        from daq.importers.ulog import read_ulog
+        from seatrial.daq.importers.ulog import read_ulog
 
         return SourceKind("ulog", read_ulog)
     if head.startswith((b"MATLAB 5.0", b"MATLAB 7.3", b"\x89HDF\r\n\x1a\n")):
-        from daq.importers.columnar import read_matlab
+        from seatrial.daq.importers.columnar import read_matlab
 
         return SourceKind("matlab", read_matlab)
     if head.startswith(b"PAR1"):
-        from daq.importers.columnar import read_parquet
+        from seatrial.daq.importers.columnar import read_parquet
 
         return SourceKind("parquet", read_parquet)
-    from daq.importers.mavlink import DATAFLASH, is_tlog
+    from seatrial.daq.importers.mavlink import DATAFLASH, is_tlog
 
     if head.startswith(DATAFLASH) or is_tlog(head):
-        from daq.importers.samples import read_autopilot_log
+        from seatrial.daq.importers.samples import read_autopilot_log
 
         return SourceKind("mavlink", read_autopilot_log)
-    from daq.importers.can_log import is_can_log, read_can
+    from seatrial.daq.importers.can_log import is_can_log, read_can
 
     if is_can_log(head):
         return SourceKind("can", read_can)
     if head.removeprefix(b"\xef\xbb\xbf").startswith(LABVIEW):
-        from daq.importers.labview import read_lvm
+        from seatrial.daq.importers.labview import read_lvm
 
         return SourceKind("labview", read_lvm)
     if head.removeprefix(b"\xef\xbb\xbf").startswith(FLYSIGHT):
-        from daq.importers.flysight import read_flysight
+        from seatrial.daq.importers.flysight import read_flysight
 
         return SourceKind("flysight", read_flysight)
     if head.startswith(b"FMT,"):
@@ -72,7 +72,7 @@ def source_kind(path: Path) -> SourceKind:
 
 
 def _bag() -> SourceKind:
-    from daq.importers.ros import read_bag
+    from seatrial.daq.importers.ros import read_bag
 
     return SourceKind("ros", read_bag)
 

@@ -26,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from daq.errors import counted
-from daq.importers.table import Column
+from seatrial.daq.errors import counted
+from seatrial.daq.importers.table import Column
 
 Mask = npt.NDArray[np.bool_]
 

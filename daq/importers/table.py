@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.clock import CLOCK_STEP_S
-from daq.errors import SeatrialError, counted
-from daq.samples import Event
+from seatrial.daq.clock import CLOCK_STEP_S
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.samples import Event
 
 Column = NDArray[np.float64]
 

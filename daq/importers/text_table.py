@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from daq.importers.recognise import unit_of
-from daq.importers.table import Column, Table, TextStyle
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.importers.recognise import unit_of
+from seatrial.daq.importers.table import Column, Table, TextStyle
 
 _EMPTY = {"", "nan", "na", "null", "none", "n/a", "#n/a", "-", "--", "---", "nil"}
 BLANK = "blank"

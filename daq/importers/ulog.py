@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from daq.importers.damage import is_chain
-from daq.importers.missing_inputs import stopped_motors
-from daq.importers.table import Column, SourceOptions, Table
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.importers.damage import is_chain
+from seatrial.daq.importers.missing_inputs import stopped_motors
+from seatrial.daq.importers.table import Column, SourceOptions, Table
 
 _PYULOG = "PX4 logs need the package pyulog: pip install 'seatrial[ulog]'"
 HEADER = 16  # bytes of the file header

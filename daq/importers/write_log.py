@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.clock import CLOCK_STEP_S
-from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.files import new_file
-from daq.importers.signals import SignalData
-from daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
-from daq.samples import Event, Frame, Scalar
+from seatrial.daq.clock import CLOCK_STEP_S
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.files import new_file
+from seatrial.daq.importers.signals import SignalData
+from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
+from seatrial.daq.samples import Event, Frame, Scalar
 
 
 class SignalRow(NamedTuple):

@@ -49,7 +49,7 @@ class Field(NamedTuple):
 def definition(type_name: str) -> str:
     """The text of a `package/msg/Name` from daq/msg."""
     package, _, name = type_name.split("/")
-    return resources.files("daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
+    return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 
 
 def _fields(type_name: str) -> list[tuple[str, str]]:

@@ -28,8 +28,8 @@ from mcap.records import Attachment, AttachmentIndex, Channel, Header, Metadata,
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError, counted, printable
-from daq.log.mcap_chunk import (
+from seatrial.daq.errors import SeatrialError, counted, printable
+from seatrial.daq.log.mcap_chunk import (
     CHUNK_HEAD,
     CHUNK_NAME,
     DAMAGE,

@@ -43,10 +43,10 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
-from daq.log.cdr import full_definition
-from daq.log.mcap_chunk import HEAD_BYTES, MESSAGE_HEAD, rows_at
-from daq.log.record_stream import BALLAST_BYTES, FileSyncer, WholeRecordStream
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.cdr import full_definition
+from seatrial.daq.log.mcap_chunk import HEAD_BYTES, MESSAGE_HEAD, rows_at
+from seatrial.daq.log.record_stream import BALLAST_BYTES, FileSyncer, WholeRecordStream
 
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_CODE = int(Opcode.MESSAGE)

@@ -1,6 +1,6 @@
 """MCAP -> numpy: tables of samples, events and raw bytes of a log (docs/formats/log.md).
 
-    log = daq.log.reader.open_log("run.mcap")
+    log = seatrial.daq.log.reader.open_log("run.mcap")
     ahrs = log.table(Ahrs, "ahrs")
     ahrs["t"], ahrs["yaw"]
 
@@ -22,19 +22,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.clock import CLOCK_STEP_S
-from daq.config import parse_rig, parse_toml
-from daq.errors import SeatrialError, printable
-from daq.log import schema
-from daq.log.cdr import ENCAPSULATION, HEAD, NANO, CdrLayout, cdr_layout, stamps
-from daq.log.mcap_chunk import Messages
-from daq.log.mcap_reader import LAST_NS
-from daq.log.schema import Measured
-from daq.log.segments import open_raw
-from daq.log.tables import resample
-from daq.log.watchdog_note import read_note
-from daq.rig import Rig
-from daq.samples import MEASURED, Ahrs, Command, Esc, PortHealth, Scalar, Servo
+from seatrial.daq.clock import CLOCK_STEP_S
+from seatrial.daq.config import parse_rig, parse_toml
+from seatrial.daq.errors import SeatrialError, printable
+from seatrial.daq.log import schema
+from seatrial.daq.log.cdr import ENCAPSULATION, HEAD, NANO, CdrLayout, cdr_layout, stamps
+from seatrial.daq.log.mcap_chunk import Messages
+from seatrial.daq.log.mcap_reader import LAST_NS
+from seatrial.daq.log.schema import Measured
+from seatrial.daq.log.segments import open_raw
+from seatrial.daq.log.tables import resample
+from seatrial.daq.log.watchdog_note import read_note
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import MEASURED, Ahrs, Command, Esc, PortHealth, Scalar, Servo
 
 _COUNTERS = ("bytes_in", "frames", "checksum_errors", "unparsed_bytes", "dropped", "reconnects")
 _DIRECTIONS = ("rx", "tx")

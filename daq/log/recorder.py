@@ -11,15 +11,15 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
-from daq.errors import SeatrialError, counted
-from daq.log import schema
-from daq.log.cdr import NANO, cdr_layout
-from daq.log.mcap_writer import DiskFull, LogWriter
-from daq.log.provenance import collect
-from daq.log.segments import segment_path
-from daq.log.watchdog_note import discard_note
-from daq.rig import Rig
-from daq.samples import Event, Frame, PortHealth
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.log import schema
+from seatrial.daq.log.cdr import NANO, cdr_layout
+from seatrial.daq.log.mcap_writer import DiskFull, LogWriter
+from seatrial.daq.log.provenance import collect
+from seatrial.daq.log.segments import segment_path
+from seatrial.daq.log.watchdog_note import discard_note
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Event, Frame, PortHealth
 
 LOG_FORMAT = "seatrial-log 1"
 RETRY_S = 0.25  # wall; how often a full disk is looked at
@@ -28,7 +28,7 @@ _DIRECTIONS = {"rx": 0, "tx": 1}
 
 
 class Clock(Protocol):
-    """What the recorder needs of `daq.clock.RunClock`."""
+    """What the recorder needs of `seatrial.daq.clock.RunClock`."""
 
     @property
     def speed(self) -> float:

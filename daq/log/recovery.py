@@ -6,12 +6,12 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.errors import SeatrialError
-from daq.files import new_file
-from daq.log.mcap_reader import RawLog
-from daq.log.mcap_writer import RecordWriter
-from daq.log.segments import SegmentedLog, open_raw
-from daq.log.watchdog_note import discard_note
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import new_file
+from seatrial.daq.log.mcap_reader import RawLog
+from seatrial.daq.log.mcap_writer import RecordWriter
+from seatrial.daq.log.segments import SegmentedLog, open_raw
+from seatrial.daq.log.watchdog_note import discard_note
 
 CHUNK_BYTES = 1024 * 1024
 

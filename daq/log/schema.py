@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.log.cdr import cdr_layout, doubles
-from daq.samples import (
+from seatrial.daq.log.cdr import cdr_layout, doubles
+from seatrial.daq.samples import (
     WGS84_ECCENTRICITY_2,
     WGS84_SEMI_MAJOR_AXIS,
     Ahrs,

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from daq.errors import SeatrialError
-from daq.log.mcap_chunk import Messages
-from daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.mcap_chunk import Messages
+from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
 SAME = ("origin", "rig", "host")  # what segments of one log have in common
 

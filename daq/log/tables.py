@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
-from daq.log.schema import NODE_TOPICS
-from daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.schema import NODE_TOPICS
+from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, Scalar, Servo
 
 UNITS = {  # of daq/samples.py, where they are explained
     "t": "s", "t_rx": "s", "t_device": "s", "utc": "s",
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 class Log(Protocol):
-    """What is needed of `daq.log.Log`."""
+    """What is needed of `seatrial.daq.log.Log`."""
 
     path: Path
 

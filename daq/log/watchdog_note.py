@@ -10,7 +10,7 @@ import os
 import re
 from pathlib import Path
 
-from daq.errors import printable
+from seatrial.daq.errors import printable
 
 LONGEST = 500  # characters
 NOTE = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # how it begins

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from abc import ABC, abstractmethod
 
-from daq.samples import Frame
+from seatrial.daq.samples import Frame
 
 EXTENDED = 0x8000_0000  # CAN_EFF_FLAG
 REMOTE = 0x4000_0000  # CAN_RTR_FLAG

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from daq.protocol.decoder import Decoder
-from daq.rig import Device, Rig
+from seatrial.daq.protocol.decoder import Decoder
+from seatrial.daq.rig import Device, Rig
 
 SERIAL, CAN, NET = "serial", "can", "net"  # NET: a serial device or a socket
 GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
@@ -21,57 +21,57 @@ class DeviceType(NamedTuple):
     says: str
     bus: str  # SERIAL, CAN or NET: what its port may be
     make: Callable[[Device, Rig], Decoder]
-    options: tuple[str, ...] = ()  # keys of [[device]], read by daq.config.rig_file
+    options: tuple[str, ...] = ()  # keys of [[device]], read by seatrial.daq.config.rig_file
     bauds: tuple[int, ...] = ()  # what `seatrial devices` tries, the commonest first; none: it cannot be recognised
 
 
 def _vectornav(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import vectornav
+    from seatrial.daq.protocol import vectornav
 
     return vectornav.Decoder()
 
 
 def _mip(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import mip
+    from seatrial.daq.protocol import mip
 
     return mip.Decoder()
 
 
 def _nmea(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import nmea
+    from seatrial.daq.protocol import nmea
 
     return nmea.Decoder(device.declination)
 
 
 def _ubx(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import ubx
+    from seatrial.daq.protocol import ubx
 
     return ubx.Decoder(device.declination)
 
 
 def _loadcell(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import loadcell
+    from seatrial.daq.protocol import loadcell
 
     force = device.calibration.force if device.calibration else None
     return loadcell.Decoder(device.pattern, device.saturation, force, skip_first=True)
 
 
 def _openscale(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import openscale
+    from seatrial.daq.protocol import openscale
 
     force = device.calibration.force if device.calibration else None
     return openscale.Decoder(device.saturation, force, skip_first=True)
 
 
 def _mantracourt(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import mantracourt
+    from seatrial.daq.protocol import mantracourt
 
     force = device.calibration.force if device.calibration else None
     return mantracourt.Decoder(device.saturation, force, query=device.query)
 
 
 def _vesc(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import vesc
+    from seatrial.daq.protocol import vesc
 
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     return vesc.Decoder(
@@ -81,26 +81,26 @@ def _vesc(device: Device, rig: Rig) -> Decoder:
 
 
 def _mavlink(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import mavlink
+    from seatrial.daq.protocol import mavlink
 
     return mavlink.make_decoder(device, rig)
 
 
 def _dbc(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import dbc
+    from seatrial.daq.protocol import dbc
 
     return dbc.Decoder(dbc.load_dbc(device.dbc), device.signals)
 
 
 def _dronecan(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import dronecan
+    from seatrial.daq.protocol import dronecan
 
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     return dronecan.Decoder(frozenset(thruster.node for thruster in here if thruster.reversed), device.index_offset)
 
 
 def _nmea2000(device: Device, rig: Rig) -> Decoder:
-    from daq.protocol import nmea2000
+    from seatrial.daq.protocol import nmea2000
 
     return nmea2000.Decoder(device.declination)
 

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from daq.errors import SeatrialError, printable
-from daq.files import require_file
-from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
-from daq.rig import SOURCE, DbcSignal
-from daq.samples import NAN, Esc, Frame
+from seatrial.daq.errors import SeatrialError, printable
+from seatrial.daq.files import require_file
+from seatrial.daq.protocol.canframe import FRAME_BYTES, FrameDecoder
+from seatrial.daq.rig import SOURCE, DbcSignal
+from seatrial.daq.samples import NAN, Esc, Frame
 
 STALE = 2.0  # s; values of other messages are not repeated for longer than this
 _PDU_1 = 0x03FF_0000  # PGN below 0xF000: its low byte is an address

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from daq.samples import Frame
+from seatrial.daq.samples import Frame
 
 
 class Decoder(Protocol):

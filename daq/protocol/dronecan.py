@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
-from daq.protocol.framing import crc16_ccitt
-from daq.samples import NAN, Esc, Frame
+from seatrial.daq.protocol.canframe import FRAME_BYTES, FrameDecoder
+from seatrial.daq.protocol.framing import crc16_ccitt
+from seatrial.daq.samples import NAN, Esc, Frame
 
 KELVIN = 273.15
 FULL = 8191  # full forward in 14 bits; full reverse is its negative, so that zero is the middle

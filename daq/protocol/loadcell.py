@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from daq.protocol.text_lines import LINE_MAX, SATURATED, SPIKE, Flags, LineDecoder, is_spike
-from daq.samples import NAN, Frame, LoadCell
+from seatrial.daq.protocol.text_lines import LINE_MAX, SATURATED, SPIKE, Flags, LineDecoder, is_spike
+from seatrial.daq.samples import NAN, Frame, LoadCell
 
 __all__ = ["DEFAULT_PATTERN", "LINE_MAX", "SATURATED", "SPIKE", "Decoder", "encode", "is_spike"]
 

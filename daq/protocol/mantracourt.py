@@ -9,8 +9,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from daq.protocol.text_lines import Flags, LineDecoder
-from daq.samples import NAN, Frame, LoadCell
+from seatrial.daq.protocol.text_lines import Flags, LineDecoder
+from seatrial.daq.samples import NAN, Frame, LoadCell
 
 DEFAULT_QUERY = "!001:SYS?"
 _NUMBER = re.compile(rb"[+-]?\d{1,12}(\.\d{0,9})?\Z")

@@ -8,11 +8,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
-from daq.errors import printable
-from daq.protocol.framing import StreamDecoder
-from daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known, is_whole
-from daq.rig import AutopilotOutput, Device, Rig
-from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo
+from seatrial.daq.errors import printable
+from seatrial.daq.protocol.framing import StreamDecoder
+from seatrial.daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known, is_whole
+from seatrial.daq.rig import AutopilotOutput, Device, Rig
+from seatrial.daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo
 
 # Besides messages that become samples: those that the driver of the link needs.
 SERVICE = (

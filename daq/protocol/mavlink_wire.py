@@ -11,7 +11,7 @@ import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError
 
 MARKER_1, MARKER_2 = 0xFE, 0xFD
 HEADER_1, HEADER_2, CHECKSUM, SIGNATURE = 6, 10, 2, 13

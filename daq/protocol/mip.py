@@ -12,9 +12,9 @@ import math
 import re
 import struct
 
-from daq.protocol.framing import StreamDecoder
-from daq.protocol.ubx import GPS_EPOCH, WEEK, gps_to_utc
-from daq.samples import NAN, Ahrs, Frame, Gnss
+from seatrial.daq.protocol.framing import StreamDecoder
+from seatrial.daq.protocol.ubx import GPS_EPOCH, WEEK, gps_to_utc
+from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss
 
 SYNC = b"\x75\x65"
 G = 9.80665  # m/s2, by which the sensor divides

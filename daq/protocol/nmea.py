@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 from pynmeagps import NMEAReader
 
-from daq.protocol.framing import StreamDecoder, sentence, take_sentence
-from daq.samples import NAN, Ahrs, Frame, Gnss, Scalar, wrap_angle
+from seatrial.daq.protocol.framing import StreamDecoder, sentence, take_sentence
+from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss, Scalar, wrap_angle
 
 _FIX_TO_QUALITY = {0: 0, 1: 6, 2: 1, 3: 1, 4: 2, 5: 4, 6: 5}
 KNOT = 1852.0 / 3600.0  # m/s

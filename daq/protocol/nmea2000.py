@@ -12,8 +12,8 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from daq.protocol.canframe import FRAME_BYTES, FrameDecoder
-from daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
+from seatrial.daq.protocol.canframe import FRAME_BYTES, FrameDecoder
+from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
 
 HEADING, TURN, ATTITUDE, VARIATION, COURSE, FIX, DOPS = 127250, 127251, 127257, 127258, 129026, 129029, 129539
 STALE_S = 2.0  # attitude and course are added to a heading or fix for no longer; a silent sender loses its lead

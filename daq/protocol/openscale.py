@@ -10,8 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from daq.protocol.text_lines import Flags, LineDecoder
-from daq.samples import NAN, Frame, LoadCell
+from seatrial.daq.protocol.text_lines import Flags, LineDecoder
+from seatrial.daq.samples import NAN, Frame, LoadCell
 
 NEWTON = {b"kg": 9.80665, b"lbs": 4.4482216152605}  # standard gravity (CGPM 1901); pound-force
 MILLIS = 2**32  # the counter of milliseconds begins again

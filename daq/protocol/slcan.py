@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import re
 
-from daq.protocol.canframe import CAN_FRAME, EXTENDED
-from daq.protocol.framing import StreamDecoder
+from seatrial.daq.protocol.canframe import CAN_FRAME, EXTENDED
+from seatrial.daq.protocol.framing import StreamDecoder
 
 BITRATES = {
     10_000: "S0", 20_000: "S1", 50_000: "S2", 100_000: "S3", 125_000: "S4",

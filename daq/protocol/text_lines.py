@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from daq.samples import NAN, Frame
+from seatrial.daq.samples import NAN, Frame
 
 SATURATED, SPIKE = 1, 2
 LINE_MAX = 256

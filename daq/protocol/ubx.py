@@ -20,8 +20,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from daq.protocol import nmea
-from daq.samples import NAN, WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS, Ahrs, Frame, Gnss, wrap_angle
+from seatrial.daq.protocol import nmea
+from seatrial.daq.samples import NAN, WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS, Ahrs, Frame, Gnss, wrap_angle
 
 SYNC = b"\xb5\x62"
 HEAD = 6  # sync, class, id, length

@@ -13,8 +13,8 @@ import re
 import struct
 from typing import NamedTuple
 
-from daq.protocol.framing import StreamDecoder, crc16, sentence, take_sentence
-from daq.samples import NAN, Ahrs, Frame
+from seatrial.daq.protocol.framing import StreamDecoder, crc16, sentence, take_sentence
+from seatrial.daq.samples import NAN, Ahrs, Frame
 
 SYNC = 0xFA
 GAUSS = 1e-4  # T

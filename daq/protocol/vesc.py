@@ -11,8 +11,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from daq.protocol.canframe import CAN_FRAME, EXTENDED, FRAME_BYTES, FrameDecoder, pack_can, unpack_can
-from daq.samples import NAN, Esc, Frame
+from seatrial.daq.protocol.canframe import CAN_FRAME, EXTENDED, FRAME_BYTES, FrameDecoder, pack_can, unpack_can
+from seatrial.daq.samples import NAN, Esc, Frame
 
 __all__ = ["CAN_FRAME", "EXTENDED", "FRAME_BYTES", "Decoder", "pack_can", "unpack_can"]
 

@@ -12,11 +12,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from daq.drivers import LEFT, PADDLES, RIGHT, check_parameters, parameter_names
-from daq.protocol import INVALID, ROVER, Codec, MavlinkDecoder, Samples, vehicle_name
-from daq.rig import AutopilotOutput, Device, MavlinkSettings, Thruster
-from daq.tools.discovery import DiscoveredDevice
-from daq.transport import Port, PortError, make_port
+from seatrial.daq.drivers import LEFT, PADDLES, RIGHT, check_parameters, parameter_names
+from seatrial.daq.protocol import INVALID, ROVER, Codec, MavlinkDecoder, Samples, vehicle_name
+from seatrial.daq.rig import AutopilotOutput, Device, MavlinkSettings, Thruster
+from seatrial.daq.tools.discovery import DiscoveredDevice
+from seatrial.daq.transport import Port, PortError, make_port
 
 LISTEN_S, ANSWERS_S, AGAIN_S = 4.0, 6.0, 0.7  # wall: for a heartbeat, for all answers, between two requests
 ASK_AS = 253  # our system id: no autopilot's ground station

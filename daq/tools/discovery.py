@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.config import default_decoder
-from daq.protocol import DEVICES, Decoder, nmea, slcan, ubx
-from daq.samples import Frame, Gnss
-from daq.transport import PortError, SerialPort, list_serial_ports
+from seatrial.daq.config import default_decoder
+from seatrial.daq.protocol import DEVICES, Decoder, nmea, slcan, ubx
+from seatrial.daq.samples import Frame, Gnss
+from seatrial.daq.transport import PortError, SerialPort, list_serial_ports
 
 LISTEN_S = 1.3  # wall, at each baud rate; a GNSS receiver sends once a second
 SILENT_S = 2.0  # with nothing at all for so long, no baud rate will help

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.files import new_file, require_new
-from daq.log import Log, LogTable, Resampled, log_tables, resample
-from daq.samples import Scalar
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import new_file, require_new
+from seatrial.daq.log import Log, LogTable, Resampled, log_tables, resample
+from seatrial.daq.samples import Scalar
 
 ROWS = 65536  # written at a time
 RATE = 10.0  # Hz, of forms that hold one table only

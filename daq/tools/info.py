@@ -10,9 +10,9 @@ from rich import markup
 from rich.console import Console
 from rich.table import Table
 
-from daq.errors import SeatrialError, counted
-from daq.log import Log, first_of, schema
-from daq.samples import PortHealth, Scalar
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.log import Log, first_of, schema
+from seatrial.daq.samples import PortHealth, Scalar
 
 FIRST_EVENTS, LAST_EVENTS = 25, 15  # shown of many: the end of a run is last
 _ABOUT = {

@@ -18,11 +18,11 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
-from daq.acquisition import Source, Status
-from daq.errors import SeatrialError
-from daq.log import NANO, full_definition, schema
-from daq.rig import Rig
-from daq.samples import NAN, Frame
+from seatrial.daq.acquisition import Source, Status
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import NANO, full_definition, schema
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import NAN, Frame
 
 PERIOD_S = 0.05  # wall; the status is no newer
 HEAD_S, HEAD_BYTES = 5.0, 16_384  # of a request's head

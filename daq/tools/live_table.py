@@ -13,11 +13,11 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from daq.acquisition import NO_STATUS_S, Acquisition, PortStatus, Source, Status, senders
-from daq.clock import RunClock
-from daq.errors import counted
-from daq.rig import Rig
-from daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, LoadCell, Sample, Servo
+from seatrial.daq.acquisition import NO_STATUS_S, Acquisition, PortStatus, Source, Status, senders
+from seatrial.daq.clock import RunClock
+from seatrial.daq.errors import counted
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, LoadCell, Sample, Servo
 
 TABLE_S = 0.2  # wall
 LINE_S = 5.0  # wall, where there is no terminal

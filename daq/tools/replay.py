@@ -18,12 +18,12 @@ from pathlib import Path
 
 import tomlkit
 
-from daq.config import parse_rig
-from daq.errors import SeatrialError
-from daq.log import Log
-from daq.protocol import CAN_FRAME, EXTENDED, FRAME_BYTES
-from daq.rig import NAME
-from daq.samples import PortHealth
+from seatrial.daq.config import parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import Log
+from seatrial.daq.protocol import CAN_FRAME, EXTENDED, FRAME_BYTES
+from seatrial.daq.rig import NAME
+from seatrial.daq.samples import PortHealth
 
 SETTLE_S = 0.1  # a host configures the port after it has opened it
 WAIT_S = 0.05

@@ -29,10 +29,10 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
-from daq.files import write_output
-from daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion, schema
-from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
+from seatrial.daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion, schema
+from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 
 PACKAGE = "seatrial_msgs"
 BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER = "bag", PACKAGE, "foxglove.json", "plotjuggler.xml"
@@ -231,7 +231,7 @@ def ros_types() -> Any:
 
 def _definitions() -> list[Path]:
     """The definitions of our own messages."""
-    with resources.as_file(resources.files("daq").joinpath("msg", PACKAGE)) as folder:
+    with resources.as_file(resources.files("seatrial.daq").joinpath("msg", PACKAGE)) as folder:
         return sorted(folder.glob("*.msg"))
 
 

@@ -21,17 +21,17 @@ from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Any, NamedTuple
 
-from daq.acquisition import StreamedSample
-from daq.errors import SeatrialError, counted
-from daq.log import NANO, schema
-from daq.rig import Rig
-from daq.samples import NAN, Ahrs, Frame
-from daq.tools.ros_export import rep_103_imu, ros_topic, ros_types
+from seatrial.daq.acquisition import StreamedSample
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.log import NANO, schema
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import NAN, Ahrs, Frame
+from seatrial.daq.tools.ros_export import rep_103_imu, ros_topic, ros_types
 
 NODE = "seatrial"
 COMMAND = "std_msgs/msg/Float64"
 QOS = "::,10:,:,:,,"  # rmw_zenoh's defaults (reliable, volatile) with ROS 2's depth of 10
-THREAD = "ROS 2"  # seatrial.main does not wait for a thread of this name
+THREAD = "ROS 2"  # command_line.main does not wait for a thread of this name
 QUEUE = 5_000  # samples that wait to be published
 FLOOD = 512  # commands of a thruster between two looks, one of which comes every 20 ms
 LARGEST = 65_536  # bytes of a message that is taken

@@ -10,8 +10,8 @@ import errno
 import re
 from abc import ABC, abstractmethod
 
-from daq.protocol import DatagramDecoder, Decoder
-from daq.samples import Frame
+from seatrial.daq.protocol import DatagramDecoder, Decoder
+from seatrial.daq.samples import Frame
 
 READ_BYTES = 65536
 WRITE_S = 0.05  # wall; a port that takes no bytes for longer is as good as gone

@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 from typing import Any
 
-from daq.protocol import CAN_FRAME, EXTENDED, slcan
-from daq.transport.base import WRITE_S, Port, PortError, os_error_text
-from daq.transport.serial_port import SerialPort
+from seatrial.daq.protocol import CAN_FRAME, EXTENDED, slcan
+from seatrial.daq.transport.base import WRITE_S, Port, PortError, os_error_text
+from seatrial.daq.transport.serial_port import SerialPort
 
 CR, BELL = b"\r"[0], b"\a"[0]  # an adapter's yes and no
 MOST = 256  # frames a read: a flood must not keep the thread from its set-points

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from daq.rig import NET_KINDS, Device, parse_address
-from daq.transport.base import Port
-from daq.transport.can_port import SlcanPort, SocketCanPort
-from daq.transport.network_port import TcpPort, UdpPort
-from daq.transport.serial_port import SerialPort
+from seatrial.daq.rig import NET_KINDS, Device, parse_address
+from seatrial.daq.transport.base import Port
+from seatrial.daq.transport.can_port import SlcanPort, SocketCanPort
+from seatrial.daq.transport.network_port import TcpPort, UdpPort
+from seatrial.daq.transport.serial_port import SerialPort
 
 
 def make_port(device: Device) -> Port:

@@ -14,7 +14,7 @@ import socket
 import time
 from typing import Any
 
-from daq.transport.base import WRITE_S, Port, PortError, os_error_text
+from seatrial.daq.transport.base import WRITE_S, Port, PortError, os_error_text
 
 READ_BYTES = 65536
 MOST = 256  # datagrams a read: a flood must not keep the thread from its set-points

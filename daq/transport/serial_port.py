@@ -12,8 +12,8 @@ from typing import Any
 
 import serial
 
-from daq.transport.base import READ_BYTES, WRITE_S, Port, PortError, os_error_text
-from daq.transport.ftdi_latency import set_latency_timer
+from seatrial.daq.transport.base import READ_BYTES, WRITE_S, Port, PortError, os_error_text
+from seatrial.daq.transport.ftdi_latency import set_latency_timer
 
 
 class SerialPort(Port):

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.model import Input, Model, Parameter, Signals
-from ident.models import horizontal_model
+from seatrial.ident.model import Input, Model, Parameter, Signals
+from seatrial.ident.models import horizontal_model
 
 
 def rudder_boat() -> Model:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ident.estimation import SampledInputs
-from ident.models import surge_model
-from ident.studies import Case
+from seatrial.ident.estimation import SampledInputs
+from seatrial.ident.models import surge_model
+from seatrial.ident.studies import Case
 
 t = np.arange(0.0, 200.0, 0.1)
 thrust = 40.0 * np.sign(np.sin(2 * np.pi * t / 25))[:, None]  # N, forward and reverse

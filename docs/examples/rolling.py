@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import INF, Output, Parameter, Sensor, State, plain_model
+from seatrial.ident.model import INF, Output, Parameter, Sensor, State, plain_model
 
 rolling = plain_model(
     "rolling",

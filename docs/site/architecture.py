@@ -48,9 +48,24 @@ class Kept(NamedTuple):
 
 
 def contracts() -> list[dict[str, Any]]:
-    """The contracts as they stand in pyproject.toml."""
+    """Read the contracts of pyproject.toml; modules are named without `seatrial.`, as the folders are."""
     table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    return list(table["tool"]["importlinter"]["contracts"])
+    rules = table["tool"]["importlinter"]["contracts"]
+    return [{key: _short(value) if key != "name" else value for key, value in rule.items()} for rule in rules]
+
+
+def _short(value: Any) -> Any:
+    """Return a value of a contract with the names of folders for those of modules."""
+    if isinstance(value, list):
+        return [_short(one) for one in value]
+    if isinstance(value, str):
+        return value.replace("seatrial.command_line", "seatrial").replace("seatrial.", "")
+    return value
+
+
+def file_of(module: str) -> Path:
+    """Return the path of a module, without its suffix, relative to the project."""
+    return Path(*module.removeprefix("seatrial.").split("."))
 
 
 def forbidding(rules: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -109,8 +124,8 @@ def tables() -> str:
 
 
 WORKFLOWS = {
-    "seatrial ident vehicle": ("ident.workflows.vehicle", "vehicle"),
-    "seatrial ident diagnose": ("ident.workflows.diagnose", "diagnosis"),
+    "seatrial ident vehicle": ("seatrial.ident.workflows.vehicle", "vehicle"),
+    "seatrial ident diagnose": ("seatrial.ident.workflows.diagnose", "diagnosis"),
 }
 
 
@@ -126,11 +141,11 @@ def call_path(module: str, function: str) -> list[Step]:
 
     Its own helpers count as a part of it; a name from a face counts as of the module that defines it.
     """
-    tree = ast.parse(ROOT.joinpath(*module.split(".")).with_suffix(".py").read_text(encoding="utf-8"))
+    tree = ast.parse((ROOT / file_of(module)).with_suffix(".py").read_text(encoding="utf-8"))
     where: dict[str, str] = {}
     for node in tree.body:
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("ident."):
-            stub = ROOT.joinpath(*(node.module or "").split("."), "__init__.pyi")
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("seatrial.ident."):
+            stub = ROOT / file_of(node.module or "") / "__init__.pyi"
             face = ast.parse(stub.read_text(encoding="utf-8")).body if stub.exists() else []
             home = {a.name: f"{node.module}.{n.module}" for n in face if isinstance(n, ast.ImportFrom) for a in n.names}
             where |= {a.asname or a.name: home.get(a.name, node.module or "") for a in node.names}
@@ -163,7 +178,7 @@ def paths() -> list[str]:
         steps = call_path(module, function)
         for home in dict.fromkeys(step.module for step in steps):
             names = dict.fromkeys(f"`{step.name}`" for step in steps if step.module == home)
-            lines.append(f"| `{home.replace('.', '/')}.py` | {', '.join(names)} |")
+            lines.append(f"| `{file_of(home).as_posix()}.py` | {', '.join(names)} |")
     return lines
 
 
@@ -206,7 +221,7 @@ def svg() -> str:
 def _box(part: str) -> str:
     x, y, width = BOXES[part]
     middle = x + width / 2
-    title = "seatrial.py" if part == "seatrial" else f"{part}/"
+    title = f"{part}/"
     return (
         f'<rect x="{x}" y="{y}" width="{width}" height="{HEIGHT}" rx="8" fill="#eef3f7" stroke="{INK}"/>'
         f'<text x="{middle:g}" y="{y + 24}" text-anchor="middle" font-size="17" fill="{INK}">{title}</text>'

@@ -13,7 +13,7 @@ from typing import Any
 
 from msgspec import inspect as types
 
-from ident.results import AnyResult, FitResult, Part, Result
+from seatrial.ident.results import AnyResult, FitResult, Part, Result
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/formats/result.md"

@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import counted
-from ident.data import Channel
-from ident.numerics import Array, mean_error, steady_segments
+from seatrial.daq.errors import counted
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import Array, mean_error, steady_segments
 
 REST = 1e-3  # of full command, below which a thruster is at rest
 FEWEST_READINGS, SHORTEST_REST_S = 10, 1.0  # of a rest behind the time that it needs to settle

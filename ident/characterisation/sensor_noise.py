@@ -2,9 +2,10 @@
 
     y_k = b(t_k) + w_k,   db = q dW,   var w = r^2,   b(0) unknown
 
-In innovation form ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of ``ident.estimation.likelihood``, so
-that gaps in time do not matter. Where the innovations are not white under this model (``ident.validation.whiteness``),
-as of the filtered output of a single-point GPS receiver, the sensor has other noise, and ``NoiseFit.rejected`` says so.
+In innovation form ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of
+``seatrial.ident.estimation.likelihood``, so that gaps in time do not matter. Where the innovations are not white under
+this model (``seatrial.ident.validation.whiteness``), as of the filtered output of a single-point GPS receiver, the
+sensor has other noise, and ``NoiseFit.rejected`` says so.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from functools import cache
 import numpy as np
 from scipy import signal, special
 
-from ident.data import Channel, Record
-from ident.estimation import Likelihood, fit
-from ident.model import INF, Model, ModelKind, Output, Parameter, Sensor, State, plain_model
-from ident.numerics import Array
-from ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
+from seatrial.ident.data import Channel, Record
+from seatrial.ident.estimation import Likelihood, fit
+from seatrial.ident.model import INF, Model, ModelKind, Output, Parameter, Sensor, State, plain_model
+from seatrial.ident.numerics import Array
+from seatrial.ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
 
 NOISE_FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is zero
 N_LAGS = 20  # of the Ljung-Box test of the innovations

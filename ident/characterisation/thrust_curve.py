@@ -20,11 +20,11 @@ import tomlkit
 from numpy.typing import NDArray
 from scipy import interpolate, optimize, stats
 
-from daq.config import parse_toml, read_text
-from daq.errors import SeatrialError
-from daq.files import write_output
-from ident.data import Channel, sample_and_hold
-from ident.numerics import Array, mean_error, steady_segments
+from seatrial.daq.config import parse_toml, read_text
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
+from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.numerics import Array, mean_error, steady_segments
 
 LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
 MIN_SAMPLES = 20  # of the force at one level

@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from ident.characterisation.thrust_curve import FALLS, MIN_SAMPLES, falls
-from ident.checks import check_shafts, spoils_a_fit
-from ident.data import Channel, LoadedLog, LogSegment, Record
-from ident.estimation import EstimationOptions, Fit, Likelihood, fit
-from ident.model import Model
-from ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
-from ident.numerics import Array, LagData, fit_first_order_lag
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation.thrust_curve import FALLS, MIN_SAMPLES, falls
+from seatrial.ident.checks import check_shafts, spoils_a_fit
+from seatrial.ident.data import Channel, LoadedLog, LogSegment, Record
+from seatrial.ident.estimation import EstimationOptions, Fit, Likelihood, fit
+from seatrial.ident.model import Model
+from seatrial.ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
+from seatrial.ident.numerics import Array, LagData, fit_first_order_lag
 
 THRUSTER_RATE = 50.0  # Hz, rows of a record with load cell and shaft speed
 GRID_STEP = 0.05  # s, of the delays that are tried for initial values, and of the command meanwhile

@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import Finding
-from ident.checks.sensors import Channels, Match, cumulative, grid
-from ident.numerics import Array
+from seatrial.daq.checks import Finding
+from seatrial.ident.checks.sensors import Channels, Match, cumulative, grid
+from seatrial.ident.numerics import Array
 
 Complex = NDArray[np.complex128]
 BLOCK = 10.0  # s, at least

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.checks import WARNING, Finding, held_signals, held_together, is_measured
-from ident.checks.sensors import Channels
+from seatrial.daq.checks import WARNING, Finding, held_signals, held_together, is_measured
+from seatrial.ident.checks.sensors import Channels
 
 LEAST_LATE_S = 0.1  # s, by which an input that is held comes late on average: less is worth no word
 SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi", "theta", "p", "q", "force")

@@ -9,11 +9,11 @@ from itertools import permutations
 
 import numpy as np
 
-from daq.checks import FAULT, WARNING, Finding
-from ident.checks.sensors import STEP, Channels
-from ident.checks.shafts import Response, response
-from ident.data import Channel, sample_and_hold
-from ident.numerics import Array
+from seatrial.daq.checks import FAULT, WARNING, Finding
+from seatrial.ident.checks.sensors import STEP, Channels
+from seatrial.ident.checks.shafts import Response, response
+from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.numerics import Array
 
 INPUTS = ("n_", "f_")  # prefixes of a thruster's inputs; X and N are forces of all thrusters together
 CONSTANT_PART = 0.005  # of the largest value, or of full speed: a smaller range is a pulse width that flickers by 1 us

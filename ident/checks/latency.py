@@ -2,7 +2,8 @@
 
 Theory of operation. Three groups of signals have a clock each: thrust (commands or shaft speeds), attitude (heading and
 yaw rate), and position (position and velocity over ground). Within a group a signal is compared with the integral of
-another one (`ident.checks.sensors`). That comparison is blind to a group that is late as a whole. Between the groups:
+another one (`seatrial.ident.checks.sensors`). That comparison is blind to a group that is late as a whole. Between the
+groups:
 
 - Yaw rate follows the thrust: its change is a moment by each thruster, less damping, without any delay.
 - Speed ahead follows the sum of thrusts in the same way.
@@ -28,8 +29,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import OK, Finding
-from ident.checks.sensors import (
+from seatrial.daq.checks import OK, Finding
+from seatrial.ident.checks.sensors import (
     DELAY_FAULT,
     DELAY_WARNING,
     STEP,
@@ -41,8 +42,8 @@ from ident.checks.sensors import (
     delay_level,
     grid,
 )
-from ident.data import Channel
-from ident.numerics import Array
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import Array
 
 YAW_WINDOW, SURGE_WINDOW = 0.5, 2.0  # s, of the increments of yaw rate and of speed
 LONGEST = 2.5  # s, lag that is tried either way: more than is found, so that no estimate lies at the end
@@ -78,7 +79,7 @@ def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log (`ident.data.channels`).
+        Channels of a log (`seatrial.ident.data.channels`).
     sides
         Position of each thruster to starboard [m].
 

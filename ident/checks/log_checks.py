@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import FAULT, OK, Finding, check_devices, worst_first
-from daq.errors import SeatrialError
-from daq.log import Log, open_log
-from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
-from ident.checks.frames import check_accelerometer, check_frames
-from ident.checks.held import check_held, check_held_inputs
-from ident.checks.inputs import check_exchanged_telemetry, check_frozen_force, check_inputs
-from ident.checks.latency import check_latency
-from ident.checks.motion import (
+from seatrial.daq.checks import FAULT, OK, Finding, check_devices, worst_first
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import Log, open_log
+from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
+from seatrial.ident.checks.frames import check_accelerometer, check_frames
+from seatrial.ident.checks.held import check_held, check_held_inputs
+from seatrial.ident.checks.inputs import check_exchanged_telemetry, check_frozen_force, check_inputs
+from seatrial.ident.checks.latency import check_latency
+from seatrial.ident.checks.motion import (
     SURGE_LAGS,
     YAW_LAGS,
     ThrusterForces,
@@ -33,8 +33,8 @@ from ident.checks.motion import (
     thruster_forces,
     turning,
 )
-from ident.checks.outliers import check_outliers
-from ident.checks.sensors import (
+from seatrial.ident.checks.outliers import check_outliers
+from seatrial.ident.checks.sensors import (
     STEP,
     WINDOW,
     Channels,
@@ -44,9 +44,9 @@ from ident.checks.sensors import (
     sensor_matches,
     velocity_and_acceleration,
 )
-from ident.checks.shaft_sign import check_wrapped, one_sided_shafts
-from ident.checks.shafts import check_shafts
-from ident.checks.signals import (
+from seatrial.ident.checks.shaft_sign import check_wrapped, one_sided_shafts
+from seatrial.ident.checks.shafts import check_shafts
+from seatrial.ident.checks.signals import (
     check_alternating,
     check_frozen,
     check_intervals,
@@ -54,8 +54,8 @@ from ident.checks.signals import (
     check_ranges,
     check_smoothing,
 )
-from ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
-from ident.numerics import Array
+from seatrial.ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
+from seatrial.ident.numerics import Array
 
 POSITION_WINDOW = 5.0  # s, over which positions are differenced, as the check does
 # Signals of a log in the order of showing; whatever else an imported one holds comes after them.
@@ -313,7 +313,7 @@ def _duration(c: Channels) -> float:
 
 
 def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
-    """Findings of channels (ident.data.loading); ``sides``: thruster -> position to starboard [m].
+    """Findings of channels (seatrial.ident.data.loading); ``sides``: thruster -> position to starboard [m].
 
     What needs another signal to be right is not asked where that one is wrong: time, units, frames, thrusters.
     """

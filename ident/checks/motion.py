@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import Finding
-from ident.checks.frames import half_turn
-from ident.checks.sensors import Channels
-from ident.data import Channel, block_mean
-from ident.numerics import Array, first_order_lag
+from seatrial.daq.checks import Finding
+from seatrial.ident.checks.frames import half_turn
+from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.data import Channel, block_mean
+from seatrial.ident.numerics import Array, first_order_lag
 
 RATE = 10.0  # Hz, of the regressions
 YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s, time constants that are tried

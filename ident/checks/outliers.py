@@ -6,10 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from daq.checks import FAULT, WARNING, Finding
-from daq.errors import counted
-from ident.checks.sensors import Channels
-from ident.data import position_jumps
+from seatrial.daq.checks import FAULT, WARNING, Finding
+from seatrial.daq.errors import counted
+from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.data import position_jumps
 
 SHOWN = 3  # outliers that a line names one by one
 MANY = 0.05  # part of a signal's samples: more outliers are a fault of the sensor

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import FAULT, WARNING, Finding
-from ident.data import Channel
-from ident.numerics import Array
+from seatrial.daq.checks import FAULT, WARNING, Finding
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import Array
 
 Channels = Mapping[str, Channel]
 STEP = 0.05  # s, of the common grid

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import FAULT, Finding
-from ident.checks.sensors import Channels
-from ident.data import Channel, sample_and_hold
-from ident.numerics import Array
+from seatrial.daq.checks import FAULT, Finding
+from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.numerics import Array
 
 SETTLED_S = 1.5  # s for which a command has had one sign and size before a shaft is compared with it
 FASTEST_TURN, CLEAR_TURN = 5.0, 0.02  # rad/s: the largest yaw rate, and one that differs from rest

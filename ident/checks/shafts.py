@@ -1,6 +1,6 @@
 """Response of each shaft to its command: delay, dead band, limit, drop-outs, sign, unit, and whether it turns at all.
 
-The boat's response to its thrusters is checked by `ident.checks.motion`.
+The boat's response to its thrusters is checked by `seatrial.ident.checks.motion`.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import Finding
-from ident.checks.sensors import Channels
-from ident.data import Channel, sample_and_hold
-from ident.numerics import Array, LagData, LagFit, first_order_lag, fit_first_order_lag, steady_segments
+from seatrial.daq.checks import Finding
+from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.numerics import Array, LagData, LagFit, first_order_lag, fit_first_order_lag, steady_segments
 
 STEP = 0.05  # s, of the common grid of command and shaft, and of delays
 DELAYS = tuple(np.arange(0.0, 3.0 + STEP / 2, STEP).tolist())  # s, that are tried

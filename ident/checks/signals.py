@@ -7,10 +7,10 @@ from math import comb
 
 import numpy as np
 
-from daq.checks import Finding
-from ident.checks.sensors import Channels
-from ident.data import Channel
-from ident.numerics import NORMAL_MAD, Array
+from seatrial.daq.checks import Finding
+from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import NORMAL_MAD, Array
 
 MOTION = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v")
 # Those that one sensor gives: none of them proves that another one moves.

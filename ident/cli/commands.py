@@ -1,4 +1,4 @@
-"""Commands of ``seatrial ident``, and ``seatrial mission design``, which seatrial.py adds to the group of bench."""
+"""Commands of ``seatrial ident``, and ``seatrial mission design``, which seatrial.command_line adds to the group of bench."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 
 import click
 
-from daq.errors import SeatrialError
-from daq.options import FiniteRange
-from ident.cli.options import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.options import FiniteRange
+from seatrial.ident.cli.options import (
     FILE,
     FOLDER,
     LOG,
@@ -72,7 +72,7 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     Example:
       seatrial ident thruster bench.mcap --out thruster
     """
-    from ident.workflows.thruster import ThrusterRequest, characterise
+    from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
 
     request = ThrusterRequest(logs, out, **estimation_of(how))
     run_workflow(lambda reporter: characterise(request, command_line(), reporter), out)
@@ -115,7 +115,7 @@ def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None
     Example:
       seatrial ident navigate vehicle/model.toml validation.mcap --gnss-outage 60:90 --out navigation
     """
-    from ident.workflows.navigate import NavigationRequest, navigate_logs
+    from seatrial.ident.workflows.navigate import NavigationRequest, navigate_logs
 
     request = NavigationRequest(model, logs, out, **how)
     run_workflow(lambda reporter: navigate_logs(request, command_line(), reporter), out)
@@ -157,10 +157,10 @@ def export(model: Path, target: str, output: Path | None, name: str | None, with
     Example:
       seatrial ident export diagnosis/model.toml --to c -o boat.h
     """
-    from daq.errors import printable
-    from daq.files import write_output
-    from ident.estimation import load_model
-    from ident.export import export as written
+    from seatrial.daq.errors import printable
+    from seatrial.daq.files import write_output
+    from seatrial.ident.estimation import load_model
+    from seatrial.ident.export import export as written
 
     try:
         text = written(load_model(model), target, name=name, nuisance=with_nuisance)
@@ -195,7 +195,7 @@ def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> N
     Example:
       seatrial ident information vehicle/model.toml estimation.mcap --seconds 20 --out information
     """
-    from ident.workflows import information
+    from seatrial.ident.workflows import information
 
     request = information.InformationRequest(model, logs, out, **how)
     run_workflow(lambda reporter: information.information(request, command_line(), reporter), out)
@@ -215,7 +215,7 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     Example:
       seatrial ident noise standing_still.mcap --signal psi --signal r --out noise
     """
-    from ident.workflows import noise
+    from seatrial.ident.workflows import noise
 
     run_workflow(
         lambda reporter: noise.noise(logs, out, signals=signals, command=command_line(), reporter=reporter), out
@@ -286,8 +286,8 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     Example:
       seatrial ident vehicle estimation.mcap --thruster thruster/model.toml --validate validation.mcap --out vehicle
     """
-    from ident.workflows.vehicle import vehicle
-    from ident.workflows.vehicle_model import VehicleRequest
+    from seatrial.ident.workflows.vehicle import vehicle
+    from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
     request = VehicleRequest(logs, validate, out, **estimation_of(how))
     run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out)
@@ -333,7 +333,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
       seatrial ident diagnose vehicle/model.toml one.mcap --thruster curve/model.toml --validate two.mcap
       seatrial ident diagnose thruster/model.toml bench1.mcap --validate bench2.mcap --out diagnosis
     """
-    from ident.workflows.diagnose import DiagnosisRequest, diagnosis
+    from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 
     request = DiagnosisRequest(model, logs, validate, out, **estimation_of(how))
     run_workflow(lambda reporter: diagnosis(request, command_line(), reporter), out)
@@ -381,9 +381,9 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
     Example:
       seatrial ident study surge yaw --replicates 500 --out study
     """
-    from ident.report import as_text, write_study_docs, write_study_page
-    from ident.results import AIMS
-    from ident.workflows.study import StudyRequest, run_studies
+    from seatrial.ident.report import as_text, write_study_docs, write_study_page
+    from seatrial.ident.results import AIMS
+    from seatrial.ident.workflows.study import StudyRequest, run_studies
 
     estimator: Any = {"pe": "prediction-error", "oe": "output-error"}[method]
     request = StudyRequest(models, out=out, method=estimator, bounded=not unbounded, **how)
@@ -537,8 +537,8 @@ def design(
         raise click.BadParameter("a discrimination is not averaged over samples", param_hint="--average-over")
     if rest["criterion"] == "Ds" and not rest["chosen"]:
         raise click.BadParameter("Ds needs --parameters: which parameters?", param_hint="--criterion")
-    from ident.experiment_design import DesignLimits
-    from ident.workflows.design import DesignRequest, design_summary, make_design
+    from seatrial.ident.experiment_design import DesignLimits
+    from seatrial.ident.workflows.design import DesignRequest, design_summary, make_design
 
     wish = DesignRequest(
         shortest=min_step,

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
-from daq.errors import SeatrialError
-from daq.options import FiniteRange
-from ident.reporter import Reporter
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.options import FiniteRange
+from seatrial.ident.reporter import Reporter
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.status import Status
 
-    from ident.results import Result
+    from seatrial.ident.results import Result
 
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
 MODEL = click.Path(exists=True, path_type=Path)  # a folder gets its line where the model is read
@@ -96,7 +96,7 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(f)
     def command(*args: Any, t_from: float, t_to: float | None, **rest: Any) -> Any:
-        from ident.data import TimeWindow
+        from seatrial.ident.data import TimeWindow
 
         t_to = math.inf if t_to is None else t_to
         if not t_from < t_to:
@@ -139,7 +139,7 @@ def out_option(default: str) -> Callable[..., Any]:
 
 def _trust(context: click.Context, _parameter: click.Parameter, given: bool) -> None:
     if given:
-        from ident.models import trusting_code
+        from seatrial.ident.models import trusting_code
 
         context.with_resource(trusting_code())
 
@@ -215,7 +215,7 @@ ESTIMATION = ("outlier_model", "reml", "mean_order", "method", "horizon")  # opt
 
 def estimation_of(options: dict[str, Any]) -> dict[str, Any]:
     """The options of a command with those of the estimate as one, ``estimation``."""
-    from ident.estimation import EstimationOptions
+    from seatrial.ident.estimation import EstimationOptions
 
     shared = {n: v for n, v in options.items() if n in ESTIMATION}
     return {n: v for n, v in options.items() if n not in ESTIMATION} | {"estimation": EstimationOptions(**shared)}
@@ -260,8 +260,8 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
             result = work(Lines())
     except (ValueError, KeyError) as problem:
         raise SeatrialError(str(problem).strip("'\"")) from problem
-    from ident.report import print_result
-    from ident.results import FitResult
+    from seatrial.ident.report import print_result
+    from seatrial.ident.results import FitResult
 
     print_result(result, console)
     click.echo(f"report: {out / 'report.html'}")

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.data.record import ON_CHANGE, Channel, LeftOut
-from ident.numerics import Array
+from seatrial.ident.data.record import ON_CHANGE, Channel, LeftOut
+from seatrial.ident.numerics import Array
 
 LONGEST_GAP_S = 60.0  # s without a sample of any sensor; a longer time cuts the log
 USUAL_INTERVALS = 10.0  # a log of slow sensors is cut where the gap is longer than so many of its intervals

@@ -33,16 +33,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.checks import Finding, unknown_times
-from daq.config import parse_toml
-from daq.errors import SeatrialError, SeatrialWarning, counted
-from daq.log import Log, local_ned, open_log
-from daq.rig import Rig, Thruster
-from daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
-from ident.data.gaps import SHORTEST_PIECE_S, clock_of, gap_line, part_of, parts_between, seconds, silent_times
-from ident.data.outliers import sections_elsewhere, without_outliers
-from ident.data.record import Channel, LogSegment
-from ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
+from seatrial.daq.checks import Finding, unknown_times
+from seatrial.daq.config import parse_toml
+from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
+from seatrial.daq.log import Log, local_ned, open_log
+from seatrial.daq.rig import Rig, Thruster
+from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
+from seatrial.ident.data.gaps import SHORTEST_PIECE_S, clock_of, gap_line, part_of, parts_between, seconds, silent_times
+from seatrial.ident.data.outliers import sections_elsewhere, without_outliers
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
 TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is averaged

@@ -24,8 +24,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data.record import Channel, LeftOut
-from ident.numerics import Array, wrap
+from seatrial.ident.data.record import Channel, LeftOut
+from seatrial.ident.numerics import Array, wrap
 
 Mask = NDArray[np.bool_]
 LONGEST = 3  # samples of a burst that is searched at every sample; longer ones begin and end with a jump

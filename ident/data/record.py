@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.model import Input, Model, Sensor
-from ident.numerics import NORMAL_MAD, SECOND_DIFFERENCE, Array, noise_from_differences, wrap
+from seatrial.ident.model import Input, Model, Sensor
+from seatrial.ident.numerics import NORMAL_MAD, SECOND_DIFFERENCE, Array, noise_from_differences, wrap
 
 ON_CHANGE = 1.0  # s between two samples of a command that is not written all the time
 SHARE_LOST = 0.1  # of the data, that one signal's early end may cost without a word
@@ -41,8 +41,8 @@ class LeftOut:
 @dataclass(frozen=True)
 class Channel:
     """One signal on its own clock: ``t`` (n,) seconds, never decreasing; ``value`` (n,). ``hold``: what is known of it
-    between the samples (``ident.model.Input``), empty: nothing. ``sampled``: s between the samples that it was made of,
-    where it is on a finer clock; else zero."""
+    between the samples (``seatrial.ident.model.Input``), empty: nothing. ``sampled``: s between the samples that it was
+    made of, where it is on a finer clock; else zero."""
 
     t: Array
     value: Array
@@ -50,7 +50,7 @@ class Channel:
     source: str = ""
     hold: str = ""
     sampled: float = 0.0
-    left_out: LeftOut | None = None  # outliers (ident.data.outliers); None: nothing was left out
+    left_out: LeftOut | None = None  # outliers (seatrial.ident.data.outliers); None: nothing was left out
 
 
 def sample_and_hold(channel: Channel, t: Array) -> Array:

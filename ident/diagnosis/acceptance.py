@@ -18,12 +18,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ident.diagnosis.results import ValidationMismatch
-from ident.estimation import FittedModel, RecordEvaluation, parameter_shift, validated_in_blocks
-from ident.model import Effect, Model
-from ident.models import residuals_of
-from ident.numerics import Array
-from ident.validation import (
+from seatrial.ident.diagnosis.results import ValidationMismatch
+from seatrial.ident.estimation import FittedModel, RecordEvaluation, parameter_shift, validated_in_blocks
+from seatrial.ident.model import Effect, Model
+from seatrial.ident.models import residuals_of
+from seatrial.ident.numerics import Array
+from seatrial.ident.validation import (
     PredictionChange,
     PredictionErrors,
     horizon_errors,

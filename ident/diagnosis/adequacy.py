@@ -17,12 +17,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
-from ident.diagnosis.score_test import Score
-from ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
-from ident.experiment_design import not_commanded
-from ident.model import Effect, EffectKind, Parameter
-from ident.models import READINGS, THRUST_LOSSES
+from seatrial.ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.score_test import Score
+from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
+from seatrial.ident.experiment_design import not_commanded
+from seatrial.ident.model import Effect, EffectKind, Parameter
+from seatrial.ident.models import READINGS, THRUST_LOSSES
 
 # Largest criterion (2 ln L less the penalty of the parameters) that a score test may still find beside an identified
 # effect, whose true form is not exactly that of the catalogue: absolute, and as a share of what the effects explain

@@ -18,8 +18,8 @@ from scipy import stats
 from scipy.interpolate import BSpline
 from scipy.linalg import solve_banded
 
-from ident.data import TIME_INPUT, Record
-from ident.diagnosis.score_test import (
+from seatrial.ident.data import TIME_INPUT, Record
+from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
     Score,
@@ -30,13 +30,13 @@ from ident.diagnosis.score_test import (
     propagate_sensitivities,
     whole_blocks,
 )
-from ident.effects import EFFECT, FORCES, harmonics, input_response_effects
-from ident.engine import VectorisedModel
-from ident.estimation import FittedModel, RecordEvaluation
-from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, Residual, curve_name
-from ident.models import products_of, readings_of, residuals_of, size_of, thrust_losses_of, variables_of
-from ident.numerics import Array, wrap
-from ident.validation import SpectralPeak, spectral_peak
+from seatrial.ident.effects import EFFECT, FORCES, harmonics, input_response_effects
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.estimation import FittedModel, RecordEvaluation
+from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, Residual, curve_name
+from seatrial.ident.models import products_of, readings_of, residuals_of, size_of, thrust_losses_of, variables_of
+from seatrial.ident.numerics import Array, wrap
+from seatrial.ident.validation import SpectralPeak, spectral_peak
 
 MAX_PEAK_P = 1e-6  # p value that coloured innovations do not reach (tests/ident/diagnosis/test_spectral_peak.py)
 MAX_SAMPLE_INTERVAL = 0.25  # s; a slower channel does not resolve waves

@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ident.data import Record
-from ident.diagnosis.acceptance import comparison
-from ident.diagnosis.results import EffectImportance, Refit, Round
-from ident.engine import quickly
-from ident.estimation import FIT_ERRORS, ROUGH, FittedModel, Unseen, fit_and_evaluate
-from ident.model import Effect, Model
+from seatrial.ident.data import Record
+from seatrial.ident.diagnosis.acceptance import comparison
+from seatrial.ident.diagnosis.results import EffectImportance, Refit, Round
+from seatrial.ident.engine import quickly
+from seatrial.ident.estimation import FIT_ERRORS, ROUGH, FittedModel, Unseen, fit_and_evaluate
+from seatrial.ident.model import Effect, Model
 
 
 def effect_importance(

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-from ident.diagnosis.score_test import Score
-from ident.effects import NonparametricForce
-from ident.estimation import FailedRun, FittedModel, ParameterShift
-from ident.model import Effect
-from ident.validation import PredictionChange
+from seatrial.ident.diagnosis.score_test import Score
+from seatrial.ident.effects import NonparametricForce
+from seatrial.ident.estimation import FailedRun, FittedModel, ParameterShift
+from seatrial.ident.model import Effect
+from seatrial.ident.validation import PredictionChange
 
 T_VALIDATION = 2.0
 T_PREDICTING = 1.0  # of a selected effect with which the prediction is better
@@ -177,8 +177,8 @@ class EffectImportance:
         effect: its name.
         gain: 2 d ln L on the estimation data, when it is added last.
         error: ratio of the prediction error three seconds ahead without it to that with it
-            (``ident.diagnosis.importance``); geometric mean over the channels of the validation data, else of the
-            estimation data.
+            (``seatrial.ident.diagnosis.importance``); geometric mean over the channels of the validation data, else of
+            the estimation data.
         validation_gain, t: d ln L on the validation data of having it beside the others, and its statistic over blocks.
         prediction: change of the prediction errors over the horizon by having it.
         untested: why the model without it could not be fitted: then nothing is known of its importance.

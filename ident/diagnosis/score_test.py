@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ident.data import Record
-from ident.engine import NOWHERE, apply_rows, padded
-from ident.estimation import FilterResult
-from ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
-from ident.numerics import Array, scaled_eigen
+from seatrial.ident.data import Record
+from seatrial.ident.engine import NOWHERE, apply_rows, padded
+from seatrial.ident.estimation import FilterResult
+from seatrial.ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
+from seatrial.ident.numerics import Array, scaled_eigen
 
 BLOCK = 5.0  # s, of the block-robust version
 N_COLUMNS = 96  # propagated through the filter at a time: a size that fits the cache of the processor

@@ -1,9 +1,10 @@
 """Diagnosis: forward selection of missing effects by score tests, refits and validation.
 
 1. Fit the model with disturbance forces and sensor biases as states.
-2. Score tests of all candidates, parametric and nonparametric (``ident.diagnosis.score_test``).
+2. Score tests of all candidates, parametric and nonparametric (``seatrial.ident.diagnosis.score_test``).
 3. Refit with the best few, all parameters free; compare by ``2 d ln L - df ln n`` (Delta BIC).
-4. Validation (``ident.diagnosis.acceptance``): the gain in log-likelihood on all validation data has to be positive and
+4. Validation (``seatrial.ident.diagnosis.acceptance``): the gain in log-likelihood on all validation data has to be
+   positive and
    significant, and the prediction of all channels not worse than without it, nor than that of the nominal model; of a
    nonparametric effect it has to be better. The best refit of which that holds is added. Without validation runs,
    blocks in time of the estimation runs are predicted by the fit to the others.
@@ -22,13 +23,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.errors import counted
-from ident.data import ORIGIN, LogSegment, Record, far_apart, make_record
-from ident.diagnosis.acceptance import Comparison, comparison, validation_mismatches
-from ident.diagnosis.adequacy import assess_alternatives
-from ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
-from ident.diagnosis.importance import effect_importance, fit_without
-from ident.diagnosis.results import (
+from seatrial.daq.errors import counted
+from seatrial.ident.data import ORIGIN, LogSegment, Record, far_apart, make_record
+from seatrial.ident.diagnosis.acceptance import Comparison, comparison, validation_mismatches
+from seatrial.ident.diagnosis.adequacy import assess_alternatives
+from seatrial.ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
+from seatrial.ident.diagnosis.importance import effect_importance, fit_without
+from seatrial.ident.diagnosis.results import (
     T_VALIDATION,
     Diagnosis,
     EffectAttribution,
@@ -41,7 +42,7 @@ from ident.diagnosis.results import (
     UntestedCandidate,
     helps,
 )
-from ident.diagnosis.score_test import (
+from seatrial.ident.diagnosis.score_test import (
     Score,
     fitted_parameters,
     prior_terms,
@@ -49,9 +50,9 @@ from ident.diagnosis.score_test import (
     score_tests,
     score_threshold,
 )
-from ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
-from ident.engine import quickly
-from ident.estimation import (
+from seatrial.ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
+from seatrial.ident.engine import quickly
+from seatrial.ident.estimation import (
     AT_BOUND,
     FIT_ERRORS,
     ROUGH,
@@ -71,10 +72,10 @@ from ident.estimation import (
     without_absent_sensors,
     without_untold_sensors,
 )
-from ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
-from ident.models import residuals_of, scale_priors, size_of, variables_of
-from ident.reporter import QUIET, Reporter
-from ident.validation import (
+from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
+from seatrial.ident.models import residuals_of, scale_priors, size_of, variables_of
+from seatrial.ident.reporter import QUIET, Reporter
+from seatrial.ident.validation import (
     PredictionChange,
     PredictionEvaluation,
     SmoothedForce,
@@ -100,7 +101,7 @@ class DiagnosisEvaluation:
 
 
 def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> DiagnosisEvaluation:
-    """``horizon`` [s]: of ``ident.validation.evaluate``."""
+    """``horizon`` [s]: of ``seatrial.ident.validation.evaluate``."""
     one, other = diagnosis.before, diagnosis.after
     own = tuple(r.effect for r in diagnosis.effects if any(p.per_record for p in r.effect.parameters))
     own = () if one.cross_validated or not one.validation else own

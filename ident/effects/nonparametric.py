@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import (
+from seatrial.ident.model import (
     Effect,
     EffectKind,
     ForceCurve,
@@ -28,8 +28,8 @@ from ident.model import (
     Variable,
     curve_name,
 )
-from ident.models import TIME, readings_of, residuals_of, thrust_losses_of, unit_over, variables_of
-from ident.numerics import Array
+from seatrial.ident.models import TIME, readings_of, residuals_of, thrust_losses_of, unit_over, variables_of
+from seatrial.ident.numerics import Array
 
 N_KNOTS, N_HARMONICS = 9, 3
 ROUNDING = 0.25  # of the spacing of the knots, to either side of a corner

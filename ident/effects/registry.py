@@ -1,7 +1,7 @@
 """Registry of the effect catalogue: one file each, in folders by physical origin, found by import of the folders.
 
-Each module defines ``EFFECT`` (an ``ident.model.structure.Effect``) or ``EFFECTS`` (several). ``catalogue()`` imports
-them all, so a new effect is one new file and its test.
+Each module defines ``EFFECT`` (a ``seatrial.ident.model.structure.Effect``) or ``EFFECTS`` (several). ``catalogue()``
+imports them all, so a new effect is one new file and its test.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from collections.abc import Mapping
 from functools import cache
 from types import MappingProxyType, ModuleType
 
-import ident.effects
-from ident.model import Effect
+import seatrial.ident.effects
+from seatrial.ident.model import Effect
 
 
 @cache
 def catalogue() -> Mapping[str, Effect]:
     """All effects by name, in alphabetical order; the same for all who ask, so that nobody can change it."""
     found: dict[str, Effect] = {}
-    for folder in pkgutil.iter_modules(ident.effects.__path__, "ident.effects."):
+    for folder in pkgutil.iter_modules(seatrial.ident.effects.__path__, "seatrial.ident.effects."):
         if folder.ispkg:
             for file in pkgutil.iter_modules(importlib.import_module(folder.name).__path__, f"{folder.name}."):
                 _register(importlib.import_module(file.name), found)

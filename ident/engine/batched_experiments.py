@@ -19,10 +19,10 @@ from typing import Any
 
 import casadi as ca
 
-from ident.engine.ekf_graph import EkfGraphs, pack
-from ident.engine.kernel import Kernel
-from ident.engine.loop_plan import LoopSegment, Plan, stage
-from ident.model import Model, Sensor
+from seatrial.ident.engine.ekf_graph import EkfGraphs, pack
+from seatrial.ident.engine.kernel import Kernel
+from seatrial.ident.engine.loop_plan import LoopSegment, Plan, stage
+from seatrial.ident.model import Model, Sensor
 
 _batches: dict[tuple[Any, ...], ExperimentBatch] = {}
 _contests: dict[tuple[Any, ...], DiscriminationBatch] = {}

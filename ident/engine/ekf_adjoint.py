@@ -22,10 +22,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ident.engine import jit
-from ident.engine.ekf_graph import EkfGraphs, Update, pack, unpack
-from ident.engine.expressions import reverse_mode
-from ident.engine.loop_plan import Factor, LoopSegment, Product, stage, without_slow
+from seatrial.ident.engine import jit
+from seatrial.ident.engine.ekf_graph import EkfGraphs, Update, pack, unpack
+from seatrial.ident.engine.expressions import reverse_mode
+from seatrial.ident.engine.loop_plan import Factor, LoopSegment, Product, stage, without_slow
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ident.engine.expressions import simplified
-from ident.engine.kernel import MAX_BITS
-from ident.model import Model, Output, Sensor, outlier_density
+from seatrial.ident.engine.expressions import simplified
+from seatrial.ident.engine.kernel import MAX_BITS
+from seatrial.ident.model import Model, Output, Sensor, outlier_density
 
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 

@@ -8,15 +8,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 from weakref import WeakValueDictionary, ref
 
-from ident.engine import jit, kernel_cache
-from ident.engine.array_layout import ROWS
-from ident.engine.kernel import MAX_BITS, Kernel
-from ident.model import Model
+from seatrial.ident.engine import jit, kernel_cache
+from seatrial.ident.engine.array_layout import ROWS
+from seatrial.ident.engine.kernel import MAX_BITS, Kernel
+from seatrial.ident.model import Model
 
 if TYPE_CHECKING:
-    from ident.engine.ekf_graph import EkfGraphs
-    from ident.engine.filter_plans import Plans
-    from ident.engine.loop_plan import Plan
+    from seatrial.ident.engine.ekf_graph import EkfGraphs
+    from seatrial.ident.engine.filter_plans import Plans
+    from seatrial.ident.engine.loop_plan import Plan
 
 _known: WeakValueDictionary[str, Programs] = WeakValueDictionary()
 _met: dict[tuple[int, bool, bool], tuple[ref[Model], ref[Programs]]] = {}  # by the model's id
@@ -51,13 +51,13 @@ class Programs:
 
     @cached_property
     def graphs(self) -> EkfGraphs:
-        from ident.engine.ekf_graph import EkfGraphs
+        from seatrial.ident.engine.ekf_graph import EkfGraphs
 
         return EkfGraphs(self._model, covariance=self._covariance, joseph=self._joseph)
 
     @cached_property
     def _plans(self) -> Plans:
-        from ident.engine.filter_plans import Plans
+        from seatrial.ident.engine.filter_plans import Plans
 
         return Plans(self.graphs)
 

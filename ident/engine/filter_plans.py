@@ -8,10 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ident.engine.array_layout import ROWS
-from ident.engine.ekf_adjoint import Adjoint, of_prediction, of_update
-from ident.engine.ekf_graph import EkfGraphs, Update
-from ident.engine.loop_plan import Gram, LoopSegment, Plan, Product, split, stage
+from seatrial.ident.engine.array_layout import ROWS
+from seatrial.ident.engine.ekf_adjoint import Adjoint, of_prediction, of_update
+from seatrial.ident.engine.ekf_graph import EkfGraphs, Update
+from seatrial.ident.engine.loop_plan import Gram, LoopSegment, Plan, Product, split, stage
 
 
 class Plans:

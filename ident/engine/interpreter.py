@@ -8,8 +8,8 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
-from ident.numerics import Array
+from seatrial.ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
+from seatrial.ident.numerics import Array
 
 Mask = NDArray[np.uint32]
 

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialWarning
-from ident.engine import jit
-from ident.engine.array_layout import Layout
-from ident.numerics import Array
+from seatrial.daq.errors import SeatrialWarning
+from seatrial.ident.engine import jit
+from seatrial.ident.engine.array_layout import Layout
+from seatrial.ident.numerics import Array
 
 if TYPE_CHECKING:
-    from ident.engine.loop_plan import Plan
+    from seatrial.ident.engine.loop_plan import Plan
 
 Mask = NDArray[np.uint32]
 LINE = 8  # doubles in a cache line
@@ -189,7 +189,7 @@ class Kernel:
         return max(1, -(-n_lanes // self.layout.width))
 
     def _compile(self) -> Loop:
-        from ident.engine.llvm_emitter import LlvmEmitter
+        from seatrial.ident.engine.llvm_emitter import LlvmEmitter
 
         ir = LlvmEmitter(self.plan).ir()
         self.code = jit.machine_code_key(ir)
@@ -209,7 +209,7 @@ class Kernel:
         return run
 
     def _interpret(self) -> Loop:
-        from ident.engine.interpreter import interpret
+        from seatrial.ident.engine.interpreter import interpret
 
         plan = self.plan
         return lambda n_rows, groups, mask, arrays, per_row: interpret(plan, n_rows, groups, mask, arrays, per_row)

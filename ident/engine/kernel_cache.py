@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.engine import jit
-from ident.engine.array_layout import Layout
-from ident.model import Model
+from seatrial.ident.engine import jit
+from seatrial.ident.engine.array_layout import Layout
+from seatrial.ident.model import Model
 
 
 class CachedKernel:

@@ -16,9 +16,17 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from ident.engine.expressions import instructions
-from ident.engine.llvm_operations import COMPARISONS, FAST, FLUSH_TO_ZERO, LIBRARY, STRICT, TEMPLATES, rewritten
-from ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
+from seatrial.ident.engine.expressions import instructions
+from seatrial.ident.engine.llvm_operations import (
+    COMPARISONS,
+    FAST,
+    FLUSH_TO_ZERO,
+    LIBRARY,
+    STRICT,
+    TEMPLATES,
+    rewritten,
+)
+from seatrial.ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
 
 FRAME = '"frame-pointer"="all"'  # so that LLVM can align the stack for the vectors it keeps there
 

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from ident.engine import jit
-from ident.engine.array_layout import Layout
-from ident.engine.expressions import instructions, operation
-from ident.engine.llvm_operations import SLOW
+from seatrial.ident.engine import jit
+from seatrial.ident.engine.array_layout import Layout
+from seatrial.ident.engine.expressions import instructions, operation
+from seatrial.ident.engine.llvm_operations import SLOW
 
 
 @dataclass(frozen=True)

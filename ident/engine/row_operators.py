@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.engine import jit
-from ident.numerics import Array
+from seatrial.ident.engine import jit
+from seatrial.ident.numerics import Array
 
 VECTORS = 4  # worked on at a time: each number of an operator is loaded once for so many
 MULTIPLE = VECTORS * jit.WIDTH  # of columns

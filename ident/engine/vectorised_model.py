@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ident.model import Model
-from ident.numerics import Array
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
 
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 

@@ -15,12 +15,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from ident.data import Record
-from ident.estimation.fisher_scoring import Bounds, Evaluation, expected_gain, solve_step
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import ROUGH, fit
-from ident.model import Model, Parameter
-from ident.numerics import Array
+from seatrial.ident.data import Record
+from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation, expected_gain, solve_step
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import ROUGH, fit
+from seatrial.ident.model import Model, Parameter
+from seatrial.ident.numerics import Array
 
 BLOCK_LENGTH = 12  # blocks of the model's own length (``Model.block``): a minute for a boat
 FEWEST_BLOCKS, MOST_BLOCKS = 5, 8  # in time, of a record

@@ -18,9 +18,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Record
-from ident.estimation.likelihood import Likelihood
-from ident.numerics import Array
+from seatrial.ident.data import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.numerics import Array
 
 Flags = NDArray[np.bool_]
 LARGEST_STEP = 1.5  # of the logarithm of a parameter in one iteration: a factor 4.5

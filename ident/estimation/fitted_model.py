@@ -8,18 +8,18 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.errors import counted
-from ident.data import LogSegment, Record, make_record
-from ident.estimation.cross_validation import TimeBlocks, leave_one_block_out, time_blocks
-from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.maximum_likelihood import EstimationOptions, Fit, SearchSettings, fit
-from ident.estimation.multistart import best_of_starts
-from ident.estimation.smoother import SmoothedStates, smoothed_states
-from ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes
-from ident.model import with_outlier_model as with_outliers
-from ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
-from ident.numerics import NORMAL_MAD, Array, noise_from_differences
-from ident.reporter import QUIET, Reporter
+from seatrial.daq.errors import counted
+from seatrial.ident.data import LogSegment, Record, make_record
+from seatrial.ident.estimation.cross_validation import TimeBlocks, leave_one_block_out, time_blocks
+from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, SearchSettings, fit
+from seatrial.ident.estimation.multistart import best_of_starts
+from seatrial.ident.estimation.smoother import SmoothedStates, smoothed_states
+from seatrial.ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes
+from seatrial.ident.model import with_outlier_model as with_outliers
+from seatrial.ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
+from seatrial.ident.numerics import NORMAL_MAD, Array, noise_from_differences
+from seatrial.ident.reporter import QUIET, Reporter
 
 COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below it has collapsed to zero
 # declared noise that the innovations exceed by this ratio is no more than a prior, with this relative deviation
@@ -126,7 +126,7 @@ def validation_records(
     model: Model, segments: Sequence[LogSegment], rate: float
 ) -> tuple[list[Record], tuple[FailedRun, ...]]:
     """Records of the validation runs, and the runs of which none can be made; ``rate`` [Hz] as in
-    `ident.data.make_record`."""
+    `seatrial.ident.data.make_record`."""
     records, failed = list[Record](), list[FailedRun]()
     for segment in segments:
         try:
@@ -200,7 +200,7 @@ def fit_and_evaluate(
         model: what is fitted, from its own values; a rough search (without robust errors) tries no other starts.
         records, unseen: estimation and validation data. A validation record that cannot be evaluated is left out and
             named in ``failed``.
-        options, settings: of the fit (``ident.estimation.maximum_likelihood.fit``).
+        options, settings: of the fit (``seatrial.ident.estimation.maximum_likelihood.fit``).
     """
     options, settings = options or EstimationOptions(), settings or SearchSettings()
     model = options.with_mean_order(model)

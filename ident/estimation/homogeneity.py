@@ -18,14 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import optimize, stats
 
-from daq.errors import SeatrialError
-from ident.data import Record
-from ident.estimation.fitted_model import FIT_ERRORS
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
-from ident.estimation.standard_errors import AT_BOUND, VAGUE
-from ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
-from ident.numerics import Array
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data import Record
+from seatrial.ident.estimation.fitted_model import FIT_ERRORS
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
+from seatrial.ident.estimation.standard_errors import AT_BOUND, VAGUE
+from seatrial.ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
+from seatrial.ident.numerics import Array
 
 LEVEL = 0.01
 BETWEEN, PAYLOAD, THRUST = "between-runs:", "payload", "thrust"

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import InitialCondition, Prepared, Preparer, Record, initial_condition
-from ident.engine import ArenaPool, Kernel, Programs, programs_for
-from ident.model import LIKELY, Model, robust_weight
-from ident.numerics import Array
+from seatrial.ident.data import InitialCondition, Prepared, Preparer, Record, initial_condition
+from seatrial.ident.engine import ArenaPool, Kernel, Programs, programs_for
+from seatrial.ident.model import LIKELY, Model, robust_weight
+from seatrial.ident.numerics import Array
 
 # A row takes 4 kB on its way back, and 4 kB of covariances. Of a longer record all is kept of one piece at a time, and
 # of the others the state at their start, from where they are run again; a piece fits the cache of the processor.
@@ -122,8 +122,8 @@ class Likelihood:
 
     ``values`` is always an array over ``model.parameters`` in order. Calls may run in threads. ``joseph`` uses
     the longer form of the covariance update. A parameter vector that makes the filter diverge gives NaN.
-    ``process_noise=False`` is output error (``ident.estimation.output_error``): a certain initial state and no process
-    noise.
+    ``process_noise=False`` is output error (``seatrial.ident.estimation.output_error``): a certain initial state and no
+    process noise.
     """
 
     def __init__(self, model: Model, *, joseph: bool = False, process_noise: bool = True) -> None:
@@ -214,7 +214,7 @@ class Likelihood:
     def filter(self, record: Record, values: Array) -> FilterResult:
         """The filter's output for a record; values (n_parameters,). Raises ValueError without process noise."""
         if not self.process_noise:
-            raise ValueError("output error has no filter; simulate with ident.estimation.output_error")
+            raise ValueError("output error has no filter; simulate with seatrial.ident.estimation.output_error")
         data, start = self._start(record, values)
         kernel, n, n_rows, p = self._programs.filter, len(self.model.states), data.n_rows, _own(values)
         outputs, pieces = len(self.model.outputs), _pieces(data.n_rows)

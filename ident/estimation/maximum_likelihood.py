@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from ident.data import Record
-from ident.estimation.fisher_scoring import Iterations, Optimum, Problem, maximise, refine_lbfgsb
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.output_error import free_start
-from ident.estimation.restricted_likelihood import apply_reml
-from ident.estimation.standard_errors import (
+from seatrial.ident.data import Record
+from seatrial.ident.estimation.fisher_scoring import Iterations, Optimum, Problem, maximise, refine_lbfgsb
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.output_error import free_start
+from seatrial.ident.estimation.restricted_likelihood import apply_reml
+from seatrial.ident.estimation.standard_errors import (
     COLOURED,
     TOO_LONG,
     Sandwich,
@@ -25,9 +25,9 @@ from ident.estimation.standard_errors import (
     widened,
     with_interval_information,
 )
-from ident.model import Model, Parameter, segment_name
-from ident.model import with_outlier_model as with_outliers
-from ident.numerics import Array
+from seatrial.ident.model import Model, Parameter, segment_name
+from seatrial.ident.model import with_outlier_model as with_outliers
+from seatrial.ident.numerics import Array
 
 Method = Literal["prediction-error", "output-error"]
 TOLERANCE = 1e-6  # of the log-likelihood: parameters within about a thousandth of a standard error
@@ -38,9 +38,11 @@ class EstimationOptions:
     """How parameters are estimated: chosen on the command line, kept with the fit.
 
     Attributes:
-        outlier_model: contaminated normal innovations in all sensors (``ident.model.outlier_density``); without it
+        outlier_model: contaminated normal innovations in all sensors (``seatrial.ident.model.outlier_density``);
+        without it
             in those in which the model has them.
-        reml: restricted maximum likelihood for noise (``ident.estimation.restricted_likelihood``); not in output
+        reml: restricted maximum likelihood for noise (``seatrial.ident.estimation.restricted_likelihood``); not in
+        output
             error, which has no noise parameters but those of the sensors.
         mean_order: propagation of the filter's mean, of first or second order; None: as the model says.
         method: extended Kalman filter between samples, or simulation without process noise.
@@ -77,7 +79,7 @@ class SearchSettings:
         robust_errors: also standard errors that hold for autocorrelated residuals (sandwich covariance), and those of
             parameters on a flat likelihood. Both cost evaluations, which the many rough fits of a diagnosis spare.
         initial_state: of output error alone: the start of each record is estimated too
-            (``ident.estimation.output_error.free_start``), or taken for exact as the model gives it.
+            (``seatrial.ident.estimation.output_error.free_start``), or taken for exact as the model gives it.
         joseph: Joseph's form of the covariance update, for a start that is uncertain by many orders.
         threads: records that are evaluated at once.
     """

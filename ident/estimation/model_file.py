@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from daq.config import parse_toml, read_text
-from daq.errors import SeatrialError
-from daq.files import write_output
-from ident.data import FrameOrigin
-from ident.effects import catalogue, input_response_effects, nonparametric_effect
-from ident.estimation.homogeneity import BETWEEN, between_runs_effect
-from ident.estimation.maximum_likelihood import Fit
-from ident.estimation.parameter_covariance import ParameterCovariance
-from ident.estimation.thrust_scale import scale_of
-from ident.model import (
+from seatrial.daq.config import parse_toml, read_text
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
+from seatrial.ident.data import FrameOrigin
+from seatrial.ident.effects import catalogue, input_response_effects, nonparametric_effect
+from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
+from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
+from seatrial.ident.estimation.thrust_scale import scale_of
+from seatrial.ident.model import (
     Effect,
     EffectKind,
     ForceCurve,
@@ -31,7 +31,7 @@ from ident.model import (
     robust_sensors,
     with_outlier_model,
 )
-from ident.models import (
+from seatrial.ident.models import (
     ANTENNA,
     CURRENT_WALK,
     ESTIMATOR_ERROR,
@@ -55,7 +55,7 @@ from ident.models import (
     thrust_calibration,
     trusted_file,
 )
-from ident.numerics import Array
+from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-model 1"
 NOTABLE_INFLATION = 1.001  # of a standard error: below it is rounding
@@ -143,8 +143,8 @@ def save_model(
         document["rates"] = {k: float(f"{z:.4g}") for k, z in rates.items()}
     if states := _states_table(model, effects_file):
         document["states"] = states
-    # disturbance forces get the size of the boat whenever a fit begins (ident.models.scaling); a prior of that size
-    # would get it twice
+    # disturbance forces get the size of the boat whenever a fit begins (seatrial.ident.models.scaling); a prior of that
+    # size would get it twice
     sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
     parameters = tomlkit.aot()
     for p in model.parameters:
@@ -231,7 +231,7 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
 
 
 def load_model(path: Path) -> SavedModel:
-    """Read a model.toml. A Python file that it names is run only where `ident.models.trusted_file` allows it.
+    """Read a model.toml. A Python file that it names is run only where `seatrial.ident.models.trusted_file` allows it.
 
     Raises SeatrialError with what is wrong and where.
     """

@@ -11,9 +11,9 @@ from itertools import product
 
 import numpy as np
 
-from ident.data import Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.data import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import Fit
 
 N_STARTS = 2
 WORTH = 2.0  # in the log-likelihood, of one parameter alone, by which a point is likelier than the fit: not by chance

@@ -1,8 +1,8 @@
 """Output error: simulation without process noise, its likelihood, and predictions from given states.
 
-The likelihood is that of ``ident.estimation.likelihood`` with a certain initial state and no process noise, so S is
-the variance of the measurement noise. Value, exact forward sensitivities and Gauss-Newton information (and with it the
-Cramer-Rao bound) are the same calls: ``output_error(model).scores(record, values)``.
+The likelihood is that of ``seatrial.ident.estimation.likelihood`` with a certain initial state and no process noise, so
+S is the variance of the measurement noise. Value, exact forward sensitivities and Gauss-Newton information (and with it
+the Cramer-Rao bound) are the same calls: ``output_error(model).scores(record, values)``.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Preparer, Record, initial_condition
-from ident.engine import Kernel, programs_for
-from ident.estimation.likelihood import Likelihood
-from ident.model import Model, Parameter, segment_name
-from ident.numerics import Array
+from seatrial.ident.data import Preparer, Record, initial_condition
+from seatrial.ident.engine import Kernel, programs_for
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.model import Model, Parameter, segment_name
+from seatrial.ident.numerics import Array
 
 INPUTS = ("u", "u_next", "h")  # what a simulation takes of a record
 
@@ -106,8 +106,9 @@ def predict_ahead(
 ) -> Simulation:
     """Predict rows from the states at earlier rows and the inputs between them.
 
-    Parameters: states (n_rows, n_states): where to start, as the filtered states of ``ident.estimation.likelihood``;
-    start, end (n,): rows of the record, ``start < end``. Returns what is predicted at the n ends.
+    Parameters: states (n_rows, n_states): where to start, as the filtered states of
+    ``seatrial.ident.estimation.likelihood``; start, end (n,): rows of the record, ``start < end``. Returns what is
+    predicted at the n ends.
     """
     data, kernel = Preparer(model)(record), _kernel(model)
     given = {n: data.rows[n] for n in INPUTS} | {"p": _values(model, values)}

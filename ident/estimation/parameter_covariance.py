@@ -17,12 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.data import Preparer, Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit
-from ident.estimation.output_error import simulate
-from ident.model import Model
-from ident.numerics import Array, covariance_root
+from seatrial.ident.data import Preparer, Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array, covariance_root
 
 NULL_SPACE_TOLERANCE = 1e-12  # of the largest eigenvalue of the correlation: below it is rounding
 PARAMETER_STEP = 0.05  # standard deviations of the parameters, for differences: the model is linear over it

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from daq.errors import SeatrialError
-from daq.rig import Rig
-from ident.effects import catalogue
-from ident.estimation.model_file import SavedModel, load_model
-from ident.model import Effect, Model, Parameter, ParameterOrigin
-from ident.models import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import Rig
+from seatrial.ident.effects import catalogue
+from seatrial.ident.estimation.model_file import SavedModel, load_model
+from seatrial.ident.model import Effect, Model, Parameter, ParameterOrigin
+from seatrial.ident.models import (
     CURRENT_WALK,
     SIDES,
     TELEMETRY_AGE,

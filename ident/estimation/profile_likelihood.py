@@ -15,19 +15,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from ident.data import Record
-from ident.estimation.fisher_scoring import Bounds, Evaluation, Optimum, Problem, maximise
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import TOLERANCE, Fit
-from ident.estimation.standard_errors import (
+from seatrial.ident.data import Record
+from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation, Optimum, Problem, maximise
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import TOLERANCE, Fit
+from seatrial.ident.estimation.standard_errors import (
     DROP_95,
     NULL_SPACE_TOLERANCE,
     Z_95,
     flat_coordinates,
     with_interval_information,
 )
-from ident.model import segment_name
-from ident.numerics import Array
+from seatrial.ident.model import segment_name
+from seatrial.ident.numerics import Array
 
 TARGET_DROPS = (0.15, 0.6, 1.3, 2.4)  # of the log-likelihood that points aim at, either way; the interval ends at 1.92
 MAX_OUTWARD_POINTS = 12  # either way, before that side of the interval is left open

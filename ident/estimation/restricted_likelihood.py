@@ -18,9 +18,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.estimation.fisher_scoring import Evaluation, Optimum, Problem, solve_step
-from ident.estimation.standard_errors import DROP_95
-from ident.numerics import Array, scaled_eigen, unit_diagonal
+from seatrial.ident.estimation.fisher_scoring import Evaluation, Optimum, Problem, solve_step
+from seatrial.ident.estimation.standard_errors import DROP_95
+from seatrial.ident.numerics import Array, scaled_eigen, unit_diagonal
 
 STEP = 0.05  # of a logarithm, for differences; the log-determinant is nearly linear in it
 MIN_LOG_INFORMATION = 1.0  # on a logarithm: with less not even its order of magnitude is known

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ident.estimation.likelihood import FilterResult
-from ident.numerics import Array
+from seatrial.ident.estimation.likelihood import FilterResult
+from seatrial.ident.numerics import Array
 
 NULL_SPACE_TOLERANCE = 1e-13  # eigenvalue of a correlation matrix, for each of its rows: below it is rounding
 

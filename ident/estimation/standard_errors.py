@@ -1,7 +1,7 @@
 """Standard errors of an estimate, and what must not be given one.
 
 - `assess`: from the inverse of the information, without combinations that the data do not identify, and wider where a
-  parameter at its bound may leave it, and by what is considered (``ident.model.Parameter``);
+  parameter at its bound may leave it, and by what is considered (``seatrial.ident.model.Parameter``);
 - `sandwich`: valid where residuals are autocorrelated (White 1982): the covariance of the score is taken from sums over
   blocks of rows, which are longer than the autocorrelation, also where that is long and weak;
 - `flat_coordinates`: practical identifiability: parameters whose likelihood is flat around the estimate but falls a
@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.estimation.fisher_scoring import Bounds, Evaluation
-from ident.model import Parameter
-from ident.numerics import Array, correlation_length, scaled_eigen, scaled_inverse
+from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation
+from seatrial.ident.model import Parameter
+from seatrial.ident.numerics import Array, correlation_length, scaled_eigen, scaled_inverse
 
 NULL_SPACE_TOLERANCE = 1e-10  # eigenvalue of the information scaled to unit diagonal: below it nothing is identified
 MEMBER_WEIGHT = 0.1  # in an eigenvector of unit length: from it a parameter is part of the combination

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Model
-from ident.numerics import Array
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
 
 SUBSTEP = 0.0125  # s
 

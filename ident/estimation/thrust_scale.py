@@ -16,10 +16,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ident.estimation.maximum_likelihood import Fit
-from ident.model import Model, Parameter, ParameterOrigin
-from ident.models import SIDES, force_power, is_moment, is_own_model, symmetric_arms
-from ident.numerics import Array
+from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.model import Model, Parameter, ParameterOrigin
+from seatrial.ident.models import SIDES, force_power, is_moment, is_own_model, symmetric_arms
+from seatrial.ident.numerics import Array
 
 BUILT_IN, ESTIMATED = ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED
 ASYMMETRY = 0.1  # prior standard deviation of c2 / c1 where nobody gave c2: astern 0.67 to 1.5 of ahead at two of them

@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 
-from ident.model import Model
-from ident.numerics import Array
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
 
 Kind = Literal["D", "A", "E", "Ds"]
 KINDS: tuple[Kind, ...] = ("D", "A", "E", "Ds")

@@ -19,11 +19,11 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from ident.estimation import dynamic_parameters
-from ident.experiment_design.criteria import SINGULAR
-from ident.experiment_design.excitation import ThrusterResponse
-from ident.experiment_design.information import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation import dynamic_parameters
+from seatrial.ident.experiment_design.criteria import SINGULAR
+from seatrial.ident.experiment_design.excitation import ThrusterResponse
+from seatrial.ident.experiment_design.information import (
     in_lanes,
     interval_ends,
     parallel,
@@ -33,10 +33,10 @@ from ident.experiment_design.information import (
     start_in_lanes,
     with_covariance,
 )
-from ident.experiment_design.optimal_design import search_design
-from ident.experiment_design.task import DesignProblem
-from ident.model import Model
-from ident.numerics import Array, SearchResult
+from seatrial.ident.experiment_design.optimal_design import search_design
+from seatrial.ident.experiment_design.task import DesignProblem
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array, SearchResult
 
 CHUNK = 2  # groups of vector lanes in a call; delayed input taps make them large
 REFITS = 6  # Gauss-Newton steps for the reported T
@@ -85,7 +85,7 @@ class HypothesisPair:
 
     def _run(self, u: Array, u_true: Array, values: Array) -> tuple[Array, Array, Array]:
         """Sums ee (n,), g (n, q) and F (n, q, q) at parameters (n, n_parameters) of the fitted model."""
-        from ident.engine import contest_for  # CasADi, for this alone
+        from seatrial.ident.engine import contest_for  # CasADi, for this alone
 
         kernel = contest_for(self.fitted, self.free, self.truth, covariance=self.task.process_noise).unexplained
         width, n, t = kernel.plan.width, u.shape[2], self.task.t

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import signal
 
-from daq.errors import SeatrialError
-from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
-from ident.model import Model, ModelKind
-from ident.numerics import Array, first_order_lag
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
+from seatrial.ident.model import Model, ModelKind
+from seatrial.ident.numerics import Array, first_order_lag
 
 SIDES = ("left", "right")
 SHAFT_POLE = 2.794  # 1/s, thesis Table 2

@@ -1,9 +1,9 @@
 """Fisher information of the parameters, of a planned experiment or of a log.
 
 Two forms. **Prediction error**: the information of the innovations of the filter, ``de' S^-1 de`` and, for noise
-parameters, ``1/2 tr(S^-1 dS S^-1 dS)`` (``ident.estimation.likelihood``); with process noise the distant past carries
-no information. **Output error** (thesis chapter 5): no process noise, ``F = sum dz' R^-1 dz`` along a simulation.
-``Experiments`` computes either for thousands of inputs or parameter values at a time.
+parameters, ``1/2 tr(S^-1 dS S^-1 dS)`` (``seatrial.ident.estimation.likelihood``); with process noise the distant past
+carries no information. **Output error** (thesis chapter 5): no process noise, ``F = sum dz' R^-1 dz`` along a
+simulation. ``Experiments`` computes either for thousands of inputs or parameter values at a time.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Record
-from ident.engine import Kernel
-from ident.estimation import Likelihood, simulate
-from ident.model import Model, Parameter
-from ident.numerics import Array, scaled_eigen
+from seatrial.ident.data import Record
+from seatrial.ident.engine import Kernel
+from seatrial.ident.estimation import Likelihood, simulate
+from seatrial.ident.model import Model, Parameter
+from seatrial.ident.numerics import Array, scaled_eigen
 
 Mask = NDArray[np.uint32]
 T = TypeVar("T")
@@ -54,7 +54,7 @@ class Experiments:
 
     def __init__(self, model: Model, free: Sequence[str], t: Array, every: Mapping[str, int] | None = None, *,
                  process_noise: bool = True, threads: int = 2) -> None:
-        from ident.engine import batch_for, extremes
+        from seatrial.ident.engine import batch_for, extremes
 
         self.model, self.free, self.t, self.threads = model, tuple(free), t, threads
         self._batch = batch_for(model, free, covariance=process_noise)

@@ -19,13 +19,18 @@ from typing import Literal
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from ident.estimation import SampledInputs, simulate, simulate_stochastic
-from ident.experiment_design.criteria import SINGULAR
-from ident.experiment_design.excitation import StepInput, prbs, rgs
-from ident.experiment_design.information import errors_of, planned_record, prediction_information, prior_information
-from ident.experiment_design.task import N_TRACKS, DesignProblem
-from ident.numerics import Array, Evaluate, EvaluateAbove, PatternSearch, SearchResult
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation import SampledInputs, simulate, simulate_stochastic
+from seatrial.ident.experiment_design.criteria import SINGULAR
+from seatrial.ident.experiment_design.excitation import StepInput, prbs, rgs
+from seatrial.ident.experiment_design.information import (
+    errors_of,
+    planned_record,
+    prediction_information,
+    prior_information,
+)
+from seatrial.ident.experiment_design.task import N_TRACKS, DesignProblem
+from seatrial.ident.numerics import Array, Evaluate, EvaluateAbove, PatternSearch, SearchResult
 
 N_START, N_RESTARTS = 512, 4
 BLOCK = 100.0  # s, shortest block of a long experiment that is designed separately

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ident.estimation import SampledInputs, simulate_stochastic
-from ident.experiment_design.excitation import ThrusterResponse
-from ident.model import Model
-from ident.numerics import Array
+from seatrial.ident.estimation import SampledInputs, simulate_stochastic
+from seatrial.ident.experiment_design.excitation import ThrusterResponse
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
 
 STABLE = 1.4  # largest row spacing times the fastest pole
 TRIED_S, HOLD_S, ROW_S, SUBSTEP = 4.0, 1.0, 0.1, 0.025  # s: random steps of full thrust, in which poles are looked at

@@ -8,14 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from ident.estimation import SavedModel, dynamic_parameters
-from ident.experiment_design.criteria import SINGULAR, Criterion, Kind, characteristic_steps
-from ident.experiment_design.excitation import StepInput, ThrusterResponse
-from ident.experiment_design.information import Experiments, prior_information
-from ident.experiment_design.track_extent import TrackExtent, in_current
-from ident.model import Model, ParameterOrigin
-from ident.numerics import Array, breaks_a_constraint
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation import SavedModel, dynamic_parameters
+from seatrial.ident.experiment_design.criteria import SINGULAR, Criterion, Kind, characteristic_steps
+from seatrial.ident.experiment_design.excitation import StepInput, ThrusterResponse
+from seatrial.ident.experiment_design.information import Experiments, prior_information
+from seatrial.ident.experiment_design.track_extent import TrackExtent, in_current
+from seatrial.ident.model import Model, ParameterOrigin
+from seatrial.ident.numerics import Array, breaks_a_constraint
 
 GRID = 0.2  # s between rows of a search
 REST_S = 5.0  # s before the steps: noise of the sensors, and the boat comes to rest

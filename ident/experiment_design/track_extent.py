@@ -12,10 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from ident.experiment_design.information import Experiments
-from ident.model import Effect, Input, Model, Signals
-from ident.numerics import Array
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.experiment_design.information import Experiments
+from seatrial.ident.model import Effect, Input, Model, Signals
+from seatrial.ident.numerics import Array
 
 CURRENT = ("V_x", "V_y")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ident.export.codegen import C, Content, Program, comment, header
-from ident.export.codegen import write as write_lines
+from seatrial.ident.export.codegen import C, Content, Program, comment, header
+from seatrial.ident.export.codegen import write as write_lines
 
 # Words of the language, of math.h, and of the functions written here.
 WORDS = """x u p y dx dt x_next at k1 k2 k3 k4 i

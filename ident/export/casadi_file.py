@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ident.export.codegen import CASADI, Content, Program, header
-from ident.export.codegen import write as write_lines
-from ident.export.python import constants, unpacked
+from seatrial.ident.export.codegen import CASADI, Content, Program, header
+from seatrial.ident.export.codegen import write as write_lines
+from seatrial.ident.export.python import constants, unpacked
 
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "ca"}
 END = '''

@@ -19,11 +19,11 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
-from ident.engine import VectorisedModel
-from ident.estimation import SavedModel, scale_of
-from ident.model import Input, Model, Parameter, ParameterRole, Signals, State
-from ident.numerics import Array
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.estimation import SavedModel, scale_of
+from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
+from seatrial.ident.numerics import Array
 
 
 @dataclass(frozen=True)

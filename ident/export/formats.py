@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ident.estimation import SavedModel
-from ident.export import c, casadi_file, python, ros2
-from ident.export.codegen import Content, content
+from seatrial.ident.estimation import SavedModel
+from seatrial.ident.export import c, casadi_file, python, ros2
+from seatrial.ident.export.codegen import Content, content
 
 TARGETS: dict[str, Callable[[Content], str]] = {
     "python": python.write, "casadi": casadi_file.write, "c": c.write, "ros2": ros2.write,

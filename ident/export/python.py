@@ -6,8 +6,8 @@ import json
 import re
 from collections.abc import Sequence
 
-from ident.export.codegen import PYTHON, Content, Program, comment, header
-from ident.export.codegen import write as write_lines
+from seatrial.ident.export.codegen import PYTHON, Content, Program, comment, header
+from seatrial.ident.export.codegen import write as write_lines
 
 FUNCTIONS = re.compile(r"\b([a-z][a-z0-9]*)\(")
 BUILT_IN = {"abs", "min", "max", "float"}

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
-from ident.export.codegen import Content, comment, header
+from seatrial.ident.export.codegen import Content, comment, header
 
 
 def write(c: Content) -> str:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.model.structure import Model
+from seatrial.ident.model.structure import Model
 
 SHARE = 0.01  # e: outliers among the samples, a guess that need not be right
 WIDTH = 20.0  # c: how far they are, in standard deviations, within a factor of ten or so

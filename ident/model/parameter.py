@@ -71,8 +71,9 @@ class Parameter:
     role: ParameterRole = ParameterRole.DYNAMICS
     segment: int | None = None  # of a ``per_record`` one in a fit: the record whose own it is
     origin: ParameterOrigin = ParameterOrigin.GIVEN  # of the value or of its prior, see ``provenance``
-    scales: bool = True  # an effect's: goes with the size of the boat by its unit (`ident.models.scaling`); False: it
-    # belongs to a device, the water or the sea
+    # Whether the value of an effect grows with the size of the boat, by its unit (`seatrial.ident.models.scaling`).
+    # False if it belongs to a device, the water or the sea.
+    scales: bool = True
 
     def __post_init__(self) -> None:
         low, high = self.bounds

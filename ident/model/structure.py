@@ -19,7 +19,7 @@ from functools import update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from ident.model.parameter import Parameter, ParameterRole, tap_name
+from seatrial.ident.model.parameter import Parameter, ParameterRole, tap_name
 
 HISTORY_STEP = 0.1  # s between the taps of an input
 PARAMETERS = "parameters"  # a hook of this label changes parameters before the first stage
@@ -144,7 +144,7 @@ class Output:
     unit: str = ""
     noise: str = ""
     angle: bool = False  # innovations are wrapped to (-pi, pi]
-    robust: bool = False  # outliers are allowed (ident.model.outlier_density)
+    robust: bool = False  # outliers are allowed (seatrial.ident.model.outlier_density)
 
 
 @dataclass(frozen=True)
@@ -262,8 +262,9 @@ class StartGrid:
 class Residual:
     """Where something unexplained may enter a model: a force on the hull, a force on the load cell, a reading.
 
-    ``state``: the disturbance that stands for it (``ident.models.disturbances``); ``scale``: what an unknown table of
-    it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind ``stage``;
+    ``state``: the disturbance that stands for it (``seatrial.ident.models.disturbances``); ``scale``: what an unknown
+    table of it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind
+    ``stage``;
     ``of``: the variables that it may depend on, all of the model's where none are named; ``place`` and ``requires``:
     of the nonparametric effects on it. ``relative``: a factor, whose part at zero of the variable belongs to other
     parameters, and for which no disturbance stands.

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from daq.errors import SeatrialError
-from ident.model import Model
-from ident.models.components import current_walk
-from ident.models.user_code import check_user_model, load_object
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.model import Model
+from seatrial.ident.models.components import current_walk
+from seatrial.ident.models.user_code import check_user_model, load_object
 
 BUILT_IN = ("horizontal", "nomoto", "kinematic", "surge", "yaw", "thruster")
 # What may follow the name, each in its place: surge:shaft:speed, yaw:both.
@@ -54,14 +54,14 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     if kind == "horizontal":
         return _horizontal(source, options, sensors)
     if kind == "thruster" and (options in ([], ["slow"]) or _is_step(options)):
-        from ident.models.thruster import thruster_model
+        from seatrial.ident.models.thruster import thruster_model
 
         return thruster_model(*options, force=sensors is None or "load_cell" in sensors)
     if kind == "nomoto":
         return _nomoto(source, options, sensors)
     if kind == "kinematic":
         return _kinematic(source, options, sensors)
-    module = importlib.import_module(f"ident.models.{kind}")
+    module = importlib.import_module(f"seatrial.ident.models.{kind}")
     maker: Callable[..., Model] = getattr(module, f"{kind}_model")
     for place, option in enumerate(options):
         allowed = OPTIONS[kind][place] if place < len(OPTIONS[kind]) else ()
@@ -80,7 +80,7 @@ def _is_step(options: Sequence[str]) -> bool:
 
 
 def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    from ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
+    from seatrial.ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
 
     kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
     wrong = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
@@ -96,7 +96,7 @@ def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | No
 
 
 def _nomoto(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    from ident.models.nomoto import SEEN, nomoto_model
+    from seatrial.ident.models.nomoto import SEEN, nomoto_model
 
     if [o for o in options if o != "sampled"] not in ([], ["no-current"], ["random-walk-current"]):
         raise SeatrialError(f"no model {source!r}: nomoto has sampled, and no-current or random-walk-current")
@@ -106,8 +106,8 @@ def _nomoto(source: str, options: Sequence[str], sensors: Sequence[str] | None) 
 
 
 def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    from ident.models.horizontal import SYMMETRIC, symmetric_arms
-    from ident.models.kinematic import SEEN, kinematic_model
+    from seatrial.ident.models.horizontal import SYMMETRIC, symmetric_arms
+    from seatrial.ident.models.kinematic import SEEN, kinematic_model
 
     unknown = [
         o
@@ -131,5 +131,5 @@ def own_model(source: str) -> Model:
     file, _, name = source.rpartition(":")
     model = load_object(source)
     if not isinstance(model, Model):
-        raise SeatrialError(f"{file}: {name} is no ident.model.structure.Model but {type(model).__name__}")
+        raise SeatrialError(f"{file}: {name} is no seatrial.ident.model.structure.Model but {type(model).__name__}")
     return check_user_model(replace(model, source=source), Path(file))  # by its source model.toml finds it again

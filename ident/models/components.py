@@ -8,9 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ident.model import Effect, EffectKind, Input, Model, Parameter, ParameterOrigin, ParameterRole, Signals, State
-from ident.models import rotations
-from ident.models.horizontal import BUILT_IN, SIDES, VELOCITIES, shift_in_time
+from seatrial.ident.model import (
+    Effect,
+    EffectKind,
+    Input,
+    Model,
+    Parameter,
+    ParameterOrigin,
+    ParameterRole,
+    Signals,
+    State,
+)
+from seatrial.ident.models import rotations
+from seatrial.ident.models.horizontal import BUILT_IN, SIDES, VELOCITIES, shift_in_time
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
 THRUST_CALIBRATION = "thrust-calibration"

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import (
+from seatrial.ident.model import (
     Effect,
     EffectKind,
     Model,

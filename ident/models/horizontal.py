@@ -29,7 +29,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ident.model import (
+from seatrial.ident.model import (
     HISTORY_STEP,
     INF,
     Hold,
@@ -46,7 +46,7 @@ from ident.model import (
     resolve_initial_states,
     tap_name,
 )
-from ident.models.thruster import delay_weights
+from seatrial.ident.models.thruster import delay_weights
 
 Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")

@@ -11,9 +11,9 @@ u, v, w through the water along the body's axes, and a hull that stays on the su
     ax = u' + w q - v r + g sin(theta)
     ay = v' + u r - w p - g cos(theta) sin(phi)
 
-so that level motion is ``ident.models.horizontal`` without its yaw. The added mass in heave is taken to be that in
-sway, as of a body of revolution; its terms are of second order in roll and pitch. Heading and yaw gyro have walking
-offsets, which are subtracted; that of the gyro is seen only through ``v r`` and ``u r``, so its prior counts.
+so that level motion is ``seatrial.ident.models.horizontal`` without its yaw. The added mass in heave is taken to be
+that in sway, as of a body of revolution; its terms are of second order in roll and pitch. Heading and yaw gyro have
+walking offsets, which are subtracted; that of the gyro is seen only through ``v r`` and ``u r``, so its prior counts.
 The noise of these inputs is not modelled; it goes to the disturbance forces and to the accelerometers' noise.
 
 The yaw equation is left out and with it m_r, d_r and d_rr. With ``yaw`` it is there as a state that is seen by the
@@ -27,8 +27,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from ident.model import Hold, Input, Model, Output, Sensor, Signals, State, resolve_initial_states
-from ident.models.horizontal import (
+from seatrial.ident.model import Hold, Input, Model, Output, Sensor, Signals, State, resolve_initial_states
+from seatrial.ident.models.horizontal import (
     ARMS,
     CURRENT,
     DIFFUSION,
@@ -41,7 +41,7 @@ from ident.models.horizontal import (
     shaft,
     thrust,
 )
-from ident.models.rotations import G, oriented, rotation, turned
+from seatrial.ident.models.rotations import G, oriented, rotation, turned
 
 STATES = (
     State("x", "m", "north", from_output="x", sd0=1.0),

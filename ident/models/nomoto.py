@@ -10,7 +10,7 @@ Sway and moments are not in it, so no arm and no inertia in yaw.
 
 K steers at any speed, K_u in proportion to it; k_3 is what a large angle loses. What little it slides is a disturbance.
 T is zero where nobody gives it a prior (``--prior T=0.5:0.5``): a short one beside tau_n and T_r has several optima.
-From ``SHORTEST_LAG`` down to zero it is as in ``ident.models.horizontal.first_order``.
+From ``SHORTEST_LAG`` down to zero it is as in ``seatrial.ident.models.horizontal.first_order``.
 
 Where nothing is slow, delays count: inputs act ``tau_n`` after their time stamp, by cubic convolution of their past.
 The gyro is behind a low-pass filter of second order (Butterworth), as ArduPilot and PX4 have it, with its own states:
@@ -44,7 +44,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import (
+from seatrial.ident.model import (
     Hold,
     Model,
     Parameter,
@@ -55,8 +55,8 @@ from ident.model import (
     Variable,
     resolve_initial_states,
 )
-from ident.models.disturbances import TIME, adder, disturbance
-from ident.models.horizontal import (
+from seatrial.ident.models.disturbances import TIME, adder, disturbance
+from seatrial.ident.models.horizontal import (
     BUILT_IN,
     CURRENT,
     HULL,
@@ -69,7 +69,7 @@ from ident.models.horizontal import (
     pair,
     unchanged,
 )
-from ident.models.thruster import delay_weights
+from seatrial.ident.models.thruster import delay_weights
 
 STEP, TAPS = 0.05, range(-2, 12)  # s between copies of the inputs, and which there are: 0.1 s ahead, 0.55 s back
 MEMORY = 0.1  # s, of the inputs' errors in time

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Signals
+from seatrial.ident.model import Signals
 
 G = 9.81  # m/s2
 Matrix = list[list[Any]]

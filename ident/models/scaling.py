@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import NamedTuple
 
-from ident.model import Effect, Model, Parameter, State
-from ident.models.disturbances import SIZES
+from seatrial.ident.model import Effect, Model, Parameter, State
+from seatrial.ident.models.disturbances import SIZES
 
 MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the thesis' boat with its added mass (Table 1)
 

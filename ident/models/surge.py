@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ident.model import (
+from seatrial.ident.model import (
     INF,
     Input,
     Model,

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ident.data import Channel
-from ident.model import (
+from seatrial.ident.data import Channel
+from seatrial.ident.model import (
     Input,
     Model,
     ModelKind,
@@ -30,7 +30,7 @@ from ident.model import (
     State,
     Variable,
 )
-from ident.models.disturbances import TIME, adder, shaft_disturbance
+from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
 
 COMMAND = "n_cmd"
 DELAY_STEP = 0.0125  # s

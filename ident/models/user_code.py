@@ -18,9 +18,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from daq.errors import SeatrialError
-from daq.files import append_to
-from ident.model import Effect, Model
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import append_to
+from seatrial.ident.model import Effect, Model
 
 # What libraries say of a symbol, and what to write instead
 ADVICE = {
@@ -145,7 +145,7 @@ def load_effects(path: Path) -> dict[str, Effect]:
     module = load_python(path)
     found = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
     if not found or not all(isinstance(e, Effect) for e in found):
-        raise SeatrialError(f"{path}: defines neither EFFECT nor EFFECTS of ident.model.structure.Effect")
+        raise SeatrialError(f"{path}: defines neither EFFECT nor EFFECTS of seatrial.ident.model.structure.Effect")
     return {e.name: e for e in found}
 
 
@@ -166,7 +166,7 @@ def check_user_model(model: Model, path: Path) -> Model:
 
     Raises SeatrialError with file, line, what is wrong there, and what to write instead.
     """
-    from ident.engine import EkfGraphs
+    from seatrial.ident.engine import EkfGraphs
 
     try:
         EkfGraphs(model)

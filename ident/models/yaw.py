@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State
+from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State
 
 HULL = (
     Parameter("m_r", 9.69, "kg m2", "yaw inertia with added inertia", "log"),

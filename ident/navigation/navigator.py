@@ -8,7 +8,7 @@ chapter 8):
 
 over the principal directions i of their covariance; exact where the estimate is linear in the parameters and the
 record is not one that they were estimated from. GNSS samples may be withheld to measure the effect of an outage
-(``ident.navigation.outages``).
+(``seatrial.ident.navigation.outages``).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Record
-from ident.engine import VectorisedModel
-from ident.estimation import (
+from seatrial.ident.data import Record
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.estimation import (
     PARAMETER_STEP,
     FilterResult,
     Likelihood,
@@ -32,9 +32,9 @@ from ident.estimation import (
     smooth,
     smoothed_mean,
 )
-from ident.model import Model
-from ident.models import CURRENT_WALK, current_walk
-from ident.numerics import Array, wrap
+from seatrial.ident.model import Model
+from seatrial.ident.models import CURRENT_WALK, current_walk
+from seatrial.ident.numerics import Array, wrap
 
 Kind = Literal["smoothed", "filtered"]
 CURRENT = {"V_x": "drift_x", "V_y": "drift_y"}  # parameters, and the states that replace them
@@ -145,8 +145,8 @@ def navigate(
 ) -> Navigation:
     """States with their covariance along a record.
 
-    model: fitted, as ``ident.estimation.load_model`` returns it. smoothed: by all samples, else by those up to each
-    row. without_gnss: intervals of ``record.t`` [s] whose GNSS samples are withheld. known: covariance of the
+    model: fitted, as ``seatrial.ident.estimation.load_model`` returns it. smoothed: by all samples, else by those up to
+    each row. without_gnss: intervals of ``record.t`` [s] whose GNSS samples are withheld. known: covariance of the
     parameters; without it they count as exact. Raises ValueError where the model has no position, an interval holds no
     fix, or the filter diverges.
     """

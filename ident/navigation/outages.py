@@ -9,8 +9,8 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.navigation.navigator import Navigation
-from ident.numerics import Array
+from seatrial.ident.navigation.navigator import Navigation
+from seatrial.ident.numerics import Array
 
 CONFIDENCE = 0.95
 CHI2 = -2.0 * np.log(1.0 - CONFIDENCE)  # quantile of two degrees of freedom

@@ -22,7 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from ident.numerics.linear_algebra import Array
+from seatrial.ident.numerics.linear_algebra import Array
 
 WINDOW = 5.0  # autocorrelation times that the window is long (Sokal 1997, section 3)
 LEAST_SUMS = 24  # of samples, below which their correlation says nothing

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.numerics.linear_algebra import Array
+from seatrial.ident.numerics.linear_algebra import Array
 
 Evaluate = Callable[[Array], tuple[Array, Array]]
 EvaluateAbove = Callable[[Array, float], tuple[Array, Array]]

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ident.numerics.linear_algebra import Array
+from seatrial.ident.numerics.linear_algebra import Array
 
 Hold = Literal["forward", "backward"]
 Start = Literal["zero", "steady"]

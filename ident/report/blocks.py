@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ident.report.drawing import Budget, Figure
+from seatrial.ident.report.drawing import Budget, Figure
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from daq.checks import CheckReport, DryRun, Finding, PredictedTrack
-from daq.errors import counted
-from daq.files import write_output
-from ident.checks import CheckEvidence
-from ident.numerics import Array
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Section, Verdict, Verdicts, tabbed
-from ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line_trace, single, stacked
-from ident.report.page import compose
+from seatrial.daq.checks import CheckReport, DryRun, Finding, PredictedTrack
+from seatrial.daq.errors import counted
+from seatrial.daq.files import write_output
+from seatrial.ident.checks import CheckEvidence
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Section, Verdict, Verdicts, tabbed
+from seatrial.ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line_trace, single, stacked
+from seatrial.ident.report.page import compose
 
 LEVELS = {"fault": "faults", "warning": "warnings", "ok": "in order"}
 MOST_NAMED = 4

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.files import write_output
-from ident.numerics import Array
-from ident.report import formatting
-from ident.report.blocks import Canvas, Cell, Facts, Grid, Prose, Section, Table
-from ident.report.drawing import AMBER, FAINT, GREEN, MODEL, Budget, Panel, Trace, line_trace, single, stacked
-from ident.report.page import compose
-from ident.results import DesignResult, DesignTrack
+from seatrial.daq.files import write_output
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Prose, Section, Table
+from seatrial.ident.report.drawing import AMBER, FAINT, GREEN, MODEL, Budget, Panel, Trace, line_trace, single, stacked
+from seatrial.ident.report.page import compose
+from seatrial.ident.results import DesignResult, DesignTrack
 
 COLORS = {"design": MODEL, "PRBS": AMBER, "RGS": GREEN}
 DASHES = {"design": "solid", "PRBS": "dash", "RGS": "dot"}

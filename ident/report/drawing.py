@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.numerics import Array
+from seatrial.ident.numerics import Array
 
 Trace = dict[str, Any]
 Figure = dict[str, Any]

@@ -13,11 +13,11 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from daq.files import write_output
-from ident.report import formatting, sections
-from ident.report.blocks import Canvas, Section
-from ident.report.drawing import TEMPLATE, Budget, Figure
-from ident.results import Result
+from seatrial.daq.files import write_output
+from seatrial.ident.report import formatting, sections
+from seatrial.ident.report.blocks import Canvas, Section
+from seatrial.ident.report.drawing import TEMPLATE, Budget, Figure
+from seatrial.ident.results import Result
 
 KINDS = {
     "thruster": "Thruster identification",
@@ -89,7 +89,7 @@ def compose(
 @cache
 def _environment() -> Environment:
     return Environment(
-        loader=PackageLoader("ident.report"),
+        loader=PackageLoader("seatrial.ident.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
-from ident.results import LogSummary, Trace
+from seatrial.ident.results import LogSummary, Trace
 
 ROLES = ("validation", "estimation")  # the order of showing: what was not fitted convinces more
 

@@ -14,12 +14,12 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from daq.files import write_output
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table
-from ident.report.drawing import BEFORE, MODEL, Budget, single
-from ident.report.page import compose
-from ident.results import AIMS, APART, BIAS, COVERAGE, VARIANCE, ModelStudy, ParameterStudy, StudyResult
+from seatrial.daq.files import write_output
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table
+from seatrial.ident.report.drawing import BEFORE, MODEL, Budget, single
+from seatrial.ident.report.page import compose
+from seatrial.ident.results import AIMS, APART, BIAS, COVERAGE, VARIANCE, ModelStudy, ParameterStudy, StudyResult
 
 Aims = Mapping[str, tuple[float, float]]
 ROW_PX, REST_PX = 26, 56  # height of a parameter's row, and of the axis below

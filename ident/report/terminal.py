@@ -11,10 +11,10 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from ident.report import formatting
-from ident.report.sections.parameters import interval, place
-from ident.report.sections.predictions import by_role, error_words, horizons
-from ident.results import (
+from seatrial.ident.report import formatting
+from seatrial.ident.report.sections.parameters import interval, place
+from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
+from seatrial.ident.results import (
     DiagnosisResult,
     EffectParameter,
     EffectRow,

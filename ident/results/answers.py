@@ -10,10 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.checks import FAULT
-from ident.characterisation import Levels, Quadratic, ThrustCurve, steady_thrust
-from ident.data import ORIGIN, Record
-from ident.estimation import (
+from seatrial.daq.checks import FAULT
+from seatrial.ident.characterisation import Levels, Quadratic, ThrustCurve, steady_thrust
+from seatrial.ident.data import ORIGIN, Record
+from seatrial.ident.estimation import (
     FailedRun,
     Fit,
     FittedModel,
@@ -23,8 +23,8 @@ from ident.estimation import (
     least_inertia,
     scale_of,
 )
-from ident.model import Model
-from ident.results.parts import (
+from seatrial.ident.model import Model
+from seatrial.ident.results.parts import (
     Calibrations,
     CrossCorrelation,
     Errors,
@@ -34,8 +34,8 @@ from ident.results.parts import (
     ResidualTests,
     ResultWarning,
 )
-from ident.results.tables import format_number
-from ident.validation import FEWEST, OUTLYING, ChannelResiduals
+from seatrial.ident.results.tables import format_number
+from seatrial.ident.validation import FEWEST, OUTLYING, ChannelResiduals
 
 NAMES = {
     "x": "north",

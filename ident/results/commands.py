@@ -9,11 +9,11 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from ident.characterisation import directions
-from ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
-from ident.models import residuals_of
-from ident.numerics import Array
-from ident.results.answers import (
+from seatrial.ident.characterisation import directions
+from seatrial.ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
+from seatrial.ident.models import residuals_of
+from seatrial.ident.numerics import Array
+from seatrial.ident.results.answers import (
     calibration_notes,
     check_warnings,
     estimation_warnings,
@@ -29,7 +29,7 @@ from ident.results.answers import (
     thruster_warnings,
     vehicle_answer,
 )
-from ident.results.parts import (
+from seatrial.ident.results.parts import (
     Calibrations,
     InputTrace,
     Part,
@@ -40,7 +40,7 @@ from ident.results.parts import (
     UnusedSignal,
     VehicleResult,
 )
-from ident.results.tables import (
+from seatrial.ident.results.tables import (
     all_inputs,
     calibration_tables,
     cross_correlations,
@@ -55,7 +55,7 @@ from ident.results.tables import (
     traces,
     tracks,
 )
-from ident.validation import PredictionEvaluation
+from seatrial.ident.validation import PredictionEvaluation
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from typing import cast
 
 import msgspec
 
-from daq.errors import counted
-from ident.diagnosis import (
+from seatrial.daq.errors import counted
+from seatrial.ident.diagnosis import (
     Diagnosis,
     DiagnosisEvaluation,
     Refit,
@@ -18,11 +18,11 @@ from ident.diagnosis import (
     ValidationMismatch,
     recommended_experiment,
 )
-from ident.effects import catalogue
-from ident.estimation import FittedModel, ParameterShift, ReportedEstimates, run_differences
-from ident.model import EffectKind
-from ident.results import parts
-from ident.results.answers import (
+from seatrial.ident.effects import catalogue
+from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, run_differences
+from seatrial.ident.model import EffectKind
+from seatrial.ident.results import parts
+from seatrial.ident.results.answers import (
     NAMES,
     calibration_notes,
     change_sentence,
@@ -34,8 +34,8 @@ from ident.results.answers import (
     not_converged,
     outlier_lines,
 )
-from ident.results.parts import DiagnosisResult, Provenance
-from ident.results.tables import (
+from seatrial.ident.results.parts import DiagnosisResult, Provenance
+from seatrial.ident.results.tables import (
     all_inputs,
     calibration_tables,
     cross_correlations,

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from ident.numerics import Array
+from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-result 2"
 Role = Literal["estimation", "validation"]
@@ -23,9 +23,9 @@ RefitOutcome = Literal[
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of a result: immutable, fields by keyword (subclasses say ``frozen=True, kw_only=True`` again).
 
-    Array fields are annotated ``ident.numerics.Array`` (float64, time along the first axis), NaN where there is no
-    number; a number that may not exist is ``float | None``. Descriptions make docs/formats/result.md. ``exact``: its
-    numbers keep all their digits in a file.
+    Array fields are annotated ``seatrial.ident.numerics.Array`` (float64, time along the first axis), NaN where there
+    is no number; a number that may not exist is ``float | None``. Descriptions make docs/formats/result.md. ``exact``:
+    its numbers keep all their digits in a file.
     """
 
     exact: ClassVar[bool] = False

@@ -14,11 +14,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.files import write_output
-from ident.numerics import Array
-from ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
-from ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
+from seatrial.ident.numerics import Array
+from seatrial.ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
+from seatrial.ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
 
 DIGITS = 7  # significant, of a number in a file
 EXACT = 22  # powers of ten are exact up to there

@@ -11,12 +11,12 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
-from ident import estimation, validation
-from ident.data import LoadedLog, Record
-from ident.estimation import Fit, HomogeneityTest, Profile, ReportedEstimates
-from ident.model import Model, ModelKind, segment_name
-from ident.models import force_power
-from ident.results.parts import (
+from seatrial.ident import estimation, validation
+from seatrial.ident.data import LoadedLog, Record
+from seatrial.ident.estimation import Fit, HomogeneityTest, Profile, ReportedEstimates
+from seatrial.ident.model import Model, ModelKind, segment_name
+from seatrial.ident.models import force_power
+from seatrial.ident.results.parts import (
     CalibrationRow,
     Calibrations,
     CalibrationTable,
@@ -43,7 +43,7 @@ from ident.results.parts import (
     Track,
     WhitenessTests,
 )
-from ident.validation import (
+from seatrial.ident.validation import (
     Calibration,
     ChannelResiduals,
     HorizonPrediction,

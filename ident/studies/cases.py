@@ -16,11 +16,11 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from daq.errors import SeatrialError
-from ident.characterisation import noise_model
-from ident.data import TIME_INPUT
-from ident.estimation import EstimationOptions, SampledInputs, SavedModel, load_model
-from ident.experiment_design import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation import noise_model
+from seatrial.ident.data import TIME_INPUT
+from seatrial.ident.estimation import EstimationOptions, SampledInputs, SavedModel, load_model
+from seatrial.ident.experiment_design import (
     GRID,
     SHAFT_POLE,
     Design,
@@ -30,8 +30,8 @@ from ident.experiment_design import (
     design,
     divided,
 )
-from ident.model import INF, Model
-from ident.models import (
+from seatrial.ident.model import INF, Model
+from seatrial.ident.models import (
     DELAY_STEP,
     check_user_model,
     horizontal_model,
@@ -41,8 +41,8 @@ from ident.models import (
     thruster_model,
     yaw_model,
 )
-from ident.numerics import Array, first_order_lag
-from ident.studies.monte_carlo import Case, run_replicates
+from seatrial.ident.numerics import Array, first_order_lag
+from seatrial.ident.studies.monte_carlo import Case, run_replicates
 
 MISSION_SEED = 20  # the mission is the same for all replicates
 # Table 5, 3 DOF: the boat as it was identified. Table 1's d_u and d_vv are at their bound of zero for any such record.
@@ -265,10 +265,11 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
     case = load_object(source)
     if isinstance(case, Model):
         raise SeatrialError(
-            f"{file}: {name} is a Model; a study needs its mission, too: make it an ident.studies.monte_carlo.Case"
+            f"{file}: {name} is a Model; a study needs its mission, too: "
+            "make it a seatrial.ident.studies.monte_carlo.Case"
         )
     if not isinstance(case, Case):
-        raise SeatrialError(f"{file}: {name} is no ident.studies.monte_carlo.Case but {type(case).__name__}")
+        raise SeatrialError(f"{file}: {name} is no seatrial.ident.studies.monte_carlo.Case but {type(case).__name__}")
     if seconds is not None:
         raise SeatrialError(f"--seconds: {file} says how long {name} is")
     check_user_model(case.model, Path(file))

@@ -1,8 +1,8 @@
 """Monte Carlo study of the estimator: bias, variance and interval coverage on simulated data of the model itself.
 
-Each replicate is simulated with process and measurement noise (``ident.estimation.stochastic_simulation``, plain
-numpy) and estimated by ``ident.estimation.maximum_likelihood``. All statistics are in the coordinate of the estimator
-(the logarithm of a positive parameter), to which its standard error refers:
+Each replicate is simulated with process and measurement noise (``seatrial.ident.estimation.stochastic_simulation``,
+plain numpy) and estimated by ``seatrial.ident.estimation.maximum_likelihood``. All statistics are in the coordinate of
+the estimator (the logarithm of a positive parameter), to which its standard error refers:
 
     bias     = mean(d) / sd(d),  d = estimate - truth
     ratio    = var(d) / mean(variance that each fit reported);  bound: the same with the Cramér-Rao bound at the truth,
@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ident.data import Record
-from ident.estimation import (
+from seatrial.ident.data import Record
+from seatrial.ident.estimation import (
     Bounds,
     EstimationOptions,
     Evaluation,
@@ -45,9 +45,9 @@ from ident.estimation import (
     simulate_stochastic,
     solve_step,
 )
-from ident.model import Model, Parameter
-from ident.numerics import Array, scaled_inverse
-from ident.results import APART, BIAS, COVERAGE, VARIANCE
+from seatrial.ident.model import Model, Parameter
+from seatrial.ident.numerics import Array, scaled_inverse
+from seatrial.ident.results import APART, BIAS, COVERAGE, VARIANCE
 
 Row = dict[str, Any]
 Z95 = 1.96

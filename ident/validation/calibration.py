@@ -18,12 +18,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data import Record
-from ident.engine import VectorisedModel
-from ident.estimation import FilterResult, Likelihood
-from ident.model import Model
-from ident.numerics import Array, effective_sample_size, wrap
-from ident.validation.prediction_errors import WARM_UP, SimulationRun
+from seatrial.ident.data import Record
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.estimation import FilterResult, Likelihood
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array, effective_sample_size, wrap
+from seatrial.ident.validation.prediction_errors import WARM_UP, SimulationRun
 
 STRIDE = 0.2  # of the horizon, between the starts of predictions over it
 MOST_STARTS = 1000  # of a record; errors within a horizon are much alike, so that more say little more

@@ -8,13 +8,13 @@ from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
-from ident.data import TIME_INPUT, WORK_INPUT, Record
-from ident.estimation import FittedModel, Likelihood, RecordEvaluation, parameter_uncertainty
-from ident.model import Model, Residual
-from ident.numerics import Array
-from ident.validation import calibration
-from ident.validation.calibration import Calibration, Forecast
-from ident.validation.prediction_errors import (
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT, Record
+from seatrial.ident.estimation import FittedModel, Likelihood, RecordEvaluation, parameter_uncertainty
+from seatrial.ident.model import Model, Residual
+from seatrial.ident.numerics import Array
+from seatrial.ident.validation import calibration
+from seatrial.ident.validation.calibration import Calibration, Forecast
+from seatrial.ident.validation.prediction_errors import (
     PredictionChange,
     PredictionErrors,
     SimulationRun,
@@ -25,7 +25,13 @@ from ident.validation.prediction_errors import (
     prediction_change_by_record,
     simulation_run,
 )
-from ident.validation.whiteness import CrossCorrelation, Whiteness, autoregression, cross_correlation, whiteness_test
+from seatrial.ident.validation.whiteness import (
+    CrossCorrelation,
+    Whiteness,
+    autoregression,
+    cross_correlation,
+    whiteness_test,
+)
 
 FEWEST = 60  # samples of a channel whose residuals are tested
 

@@ -13,11 +13,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ident.data import Record
-from ident.engine import VectorisedModel
-from ident.estimation import FilterResult, Likelihood, ParameterUncertainty, predict_ahead, prediction_variance
-from ident.model import Model
-from ident.numerics import Array, wrap
+from seatrial.ident.data import Record
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.estimation import FilterResult, Likelihood, ParameterUncertainty, predict_ahead, prediction_variance
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array, wrap
 
 THIN = 2  # of a channel, predictions over the horizon start from every second row,
 MOST = 4000  # or, where a sensor is fast, from about so many
@@ -104,8 +104,8 @@ def simulation_run(
     """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band, and
     its mean is of first order.
 
-    ``uncertainty``: of the parameters (``ident.estimation.parameter_covariance``), which widens the band; None takes
-    them for known.
+    ``uncertainty``: of the parameters (``seatrial.ident.estimation.parameter_covariance``), which widens the band; None
+    takes them for known.
     """
     if model.second_order:  # far ahead a heading is spread too widely for a series of second order in it
         model, likelihood = replace(model, second_order=False), None

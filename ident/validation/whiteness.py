@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import signal, special, stats
 
-from ident.numerics import NORMAL_MAD, Array
+from seatrial.ident.numerics import NORMAL_MAD, Array
 
 SEGMENT = 256  # samples of a segment whose periodogram is averaged (Welch)
 FIRST_BIN = 3  # of such a periodogram: a mean and a slow drift leak into those before

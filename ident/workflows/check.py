@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.checks import OK, CheckReport, Finding
-from daq.errors import SeatrialError, counted
-from ident.checks import (
+from seatrial.daq.checks import OK, CheckReport, Finding
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.ident.checks import (
     IMPORTED,
     check_copies,
     check_signals,
@@ -20,11 +20,11 @@ from ident.checks import (
     smoothed,
     spoils_a_fit,
 )
-from ident.data import Channel, LoadedLog
-from ident.model import INF, Model
-from ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_error, navigation_errors
-from ident.numerics import rounding_step
-from ident.report import write_check_page
+from seatrial.ident.data import Channel, LoadedLog
+from seatrial.ident.model import INF, Model
+from seatrial.ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_error, navigation_errors
+from seatrial.ident.numerics import rounding_step
+from seatrial.ident.report import write_check_page
 
 LEAST_WHITE = 0.02  # least white noise of an estimator's output, relative to a usual sensor's
 BEGIN = 1.5  # where the search for a noise with a floor begins, times the floor
@@ -116,10 +116,10 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
     """The model with a floor under the noise of smoothed channels, and a line that names them.
 
     A filter's output has errors that last and no noise from sample to sample: a fit that takes it for white estimates
-    next to none, and follows it everywhere. The floor is a usual sensor's noise (``ident.models.NOISE``); a small part
-    of it, and not worth a line, where errors that last are states. Nowhere is it less than what rounding does: of a
-    signal in whole centimetres less is estimated, since from sample to sample rounding may change little, and forces
-    follow its steps.
+    next to none, and follows it everywhere. The floor is a usual sensor's noise (``seatrial.ident.models.NOISE``); a
+    small part of it, and not worth a line, where errors that last are states. Nowhere is it less than what rounding
+    does: of a signal in whole centimetres less is estimated, since from sample to sample rounding may change little,
+    and forces follow its steps.
     """
     usual, states = {p.name: p.value for p in NOISE.values()}, ESTIMATOR_ERROR in {e.name for e in model.effects}
     lasting = {o.name for s in model.sensors if states and s.name in LASTING for o in s.outputs}

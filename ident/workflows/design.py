@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_new_mission
-from daq.errors import SeatrialError
-from ident.effects import catalogue
-from ident.estimation import dynamic_parameters, load_model, reported_units, simulate
-from ident.experiment_design import (
+from seatrial.daq.config import Mission, Prediction, Segment, dump_mission, parse_mission, save_new_mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.effects import catalogue
+from seatrial.ident.estimation import dynamic_parameters, load_model, reported_units, simulate
+from seatrial.ident.experiment_design import (
     COAST_S,
     GRID,
     N_TRACKS,
@@ -42,12 +42,12 @@ from ident.experiment_design import (
     row_spacing,
     separation,
 )
-from ident.model import Model, Parameter
-from ident.models import make_model
-from ident.numerics import Array, scaled_pseudo_inverse
-from ident.report import tidy, write_design_page
-from ident.reporter import Reporter
-from ident.results import (
+from seatrial.ident.model import Model, Parameter
+from seatrial.ident.models import make_model
+from seatrial.ident.numerics import Array, scaled_pseudo_inverse
+from seatrial.ident.report import tidy, write_design_page
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import (
     Baseline,
     CommandTrace,
     DesignedParameter,

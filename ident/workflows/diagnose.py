@@ -6,20 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ident.checks import device_faults
-from ident.data import WHOLE, TimeWindow, load_all
-from ident.diagnosis import diagnose, evaluate_diagnosis
-from ident.effects import catalogue
-from ident.estimation import EstimationOptions, load_model
-from ident.model import ModelKind
-from ident.model import with_outlier_model as with_outliers
-from ident.models import effects_for
-from ident.reporter import Reporter
-from ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
-from ident.workflows.check import check_first, with_noise_floors
-from ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_lines, unused_signals
-from ident.workflows.output import sensor_rates, validity, write_all
-from ident.workflows.vehicle_model import considered_notes
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data import WHOLE, TimeWindow, load_all
+from seatrial.ident.diagnosis import diagnose, evaluate_diagnosis
+from seatrial.ident.effects import catalogue
+from seatrial.ident.estimation import EstimationOptions, load_model
+from seatrial.ident.model import ModelKind
+from seatrial.ident.model import with_outlier_model as with_outliers
+from seatrial.ident.models import effects_for
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
+from seatrial.ident.workflows.check import check_first, with_noise_floors
+from seatrial.ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_lines, unused_signals
+from seatrial.ident.workflows.output import sensor_rates, validity, write_all
+from seatrial.ident.workflows.vehicle_model import considered_notes
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,27 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from daq.errors import SeatrialError
-from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_runs, make_record
-from ident.estimation import dynamic_parameters, fit, load_model, reported_units, scale_of, without_absent_sensors
-from ident.experiment_design import InformationSegment, characteristic_steps, not_commanded, segment_information
-from ident.model import Model
-from ident.numerics import Array
-from ident.report import write_report
-from ident.reporter import Reporter
-from ident.results import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_runs, make_record
+from seatrial.ident.estimation import (
+    dynamic_parameters,
+    fit,
+    load_model,
+    reported_units,
+    scale_of,
+    without_absent_sensors,
+)
+from seatrial.ident.experiment_design import (
+    InformationSegment,
+    characteristic_steps,
+    not_commanded,
+    segment_information,
+)
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import write_report
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import (
     Information,
     InformationResult,
     InformedParameter,
@@ -30,7 +42,7 @@ from ident.results import (
     scale_warnings,
     write_result,
 )
-from ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
+from seatrial.ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
 TELLS = 1.2  # the standard error would grow by so much without a segment: it is worth naming
 VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known; of a value of 0,

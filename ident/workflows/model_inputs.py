@@ -6,9 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from daq.errors import SeatrialError
-from ident.characterisation import THRUSTER_RATE, ThrustCurve, load_curve, thrust_channels, thruster_runs, total
-from ident.data import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation import (
+    THRUSTER_RATE,
+    ThrustCurve,
+    load_curve,
+    thrust_channels,
+    thruster_runs,
+    total,
+)
+from seatrial.ident.data import (
     COMMANDS,
     SHAFTS,
     SHARED_WITHIN,
@@ -20,9 +27,9 @@ from ident.data import (
     far_apart,
     share_frame,
 )
-from ident.model import Model, ModelKind, segment_name
-from ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
-from ident.results import ResultWarning, UnusedSignal, frame_warnings
+from seatrial.ident.model import Model, ModelKind, segment_name
+from seatrial.ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
+from seatrial.ident.results import ResultWarning, UnusedSignal, frame_warnings
 
 CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # what a static curve makes of commands
 

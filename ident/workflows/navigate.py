@@ -9,16 +9,25 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from daq.files import new_file
-from ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_run, make_record, parts_with_sensors, share_frame
-from ident.estimation import ParameterCovariance, load_model, reported_units
-from ident.model import Model
-from ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
-from ident.numerics import Array
-from ident.report import write_report
-from ident.reporter import Reporter
-from ident.results import (
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.files import new_file
+from seatrial.ident.data import (
+    WHOLE,
+    LoadedLog,
+    Record,
+    TimeWindow,
+    load_run,
+    make_record,
+    parts_with_sensors,
+    share_frame,
+)
+from seatrial.ident.estimation import ParameterCovariance, load_model, reported_units
+from seatrial.ident.model import Model
+from seatrial.ident.navigation import CURRENT, POSITION, Navigation, Outage, OutageErrors, gnss_outages, navigate
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import write_report
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import (
     GnssFixes,
     GnssOutage,
     InputTrace,
@@ -33,7 +42,7 @@ from ident.results import (
     record_inputs,
     write_result,
 )
-from ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
+from seatrial.ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
 Columns = list[tuple[str, str, Array]]  # name, unit, values
 

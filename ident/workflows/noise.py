@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
-from daq.errors import SeatrialError
-from daq.files import write_output
-from daq.log import open_log
-from daq.samples import Ahrs
-from ident.characterisation import NoiseFit, band_spectrum, estimate_noise, welch
-from ident.data import Channel, LoadedLog, ahrs_channels, load_runs
-from ident.report import write_report
-from ident.reporter import Reporter
-from ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
-from ident.validation import OUTLYING
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import write_output
+from seatrial.daq.log import open_log
+from seatrial.daq.samples import Ahrs
+from seatrial.ident.characterisation import NoiseFit, band_spectrum, estimate_noise, welch
+from seatrial.ident.data import Channel, LoadedLog, ahrs_channels, load_runs
+from seatrial.ident.report import write_report
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
+from seatrial.ident.validation import OUTLYING
 
 FORMAT = "seatrial-noise 2"
 WARNING = "Such numbers do not describe the noise, so do not put them into a filter."

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ident.data import FrameOrigin
-from ident.estimation import Fit, FittedModel, save_model
-from ident.report import write_report
-from ident.results import FitResult, write_result
-from ident.validation import shown_inputs
+from seatrial.ident.data import FrameOrigin
+from seatrial.ident.estimation import Fit, FittedModel, save_model
+from seatrial.ident.report import write_report
+from seatrial.ident.results import FitResult, write_result
+from seatrial.ident.validation import shown_inputs
 
 
 def write_all(

@@ -13,13 +13,13 @@ from typing import Any, Literal
 
 import joblib
 
-from daq.errors import SeatrialError
-from daq.files import append_to
-from ident.estimation import Method
-from ident.report import write_study_docs
-from ident.reporter import QUIET, Reporter
-from ident.results import ModelStudy, ParameterStudy, StudyResult, finite, provenance, write_result
-from ident.studies import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import append_to
+from seatrial.ident.estimation import Method
+from seatrial.ident.report import write_study_docs
+from seatrial.ident.reporter import QUIET, Reporter
+from seatrial.ident.results import ModelStudy, ParameterStudy, StudyResult, finite, provenance, write_result
+from seatrial.ident.studies import (
     Case,
     ParameterCoverage,
     Row,

@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from daq.errors import SeatrialError, counted
-from ident.characterisation import (
+from seatrial.daq.errors import SeatrialError, counted
+from seatrial.ident.characterisation import (
     FALLS,
     THRUSTER_RATE,
     Curve,
@@ -37,15 +37,15 @@ from ident.characterisation import (
     thruster_name,
     zero_drift,
 )
-from ident.checks import device_faults
-from ident.data import Channel, LoadedLog, Record, build_record, load_runs
-from ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
-from ident.model import Model
-from ident.models import thruster_model
-from ident.numerics import Array, mean_error, steady_segments
-from ident.report import write_report
-from ident.reporter import Reporter
-from ident.results import (
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data import Channel, LoadedLog, Record, build_record, load_runs
+from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
+from seatrial.ident.model import Model
+from seatrial.ident.models import thruster_model
+from seatrial.ident.numerics import Array, mean_error, steady_segments
+from seatrial.ident.report import write_report
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import (
     Posed,
     StaticForce,
     ThrustCurveResult,
@@ -57,10 +57,10 @@ from ident.results import (
     thruster_result,
     write_result,
 )
-from ident.validation import evaluate
-from ident.workflows.check import with_findings
-from ident.workflows.model_inputs import check_ahead, check_names
-from ident.workflows.output import write_all
+from seatrial.ident.validation import evaluate
+from seatrial.ident.workflows.check import with_findings
+from seatrial.ident.workflows.model_inputs import check_ahead, check_names
+from seatrial.ident.workflows.output import write_all
 
 SETTLED, AVERAGED = 1.0, 0.6  # s that a command must have lasted, and over which it is then averaged
 

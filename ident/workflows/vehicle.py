@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from ident.checks import device_faults
-from ident.data import load_all
-from ident.estimation import fit_nominal_model, homogeneity_test, profile
-from ident.reporter import Reporter
-from ident.results import Posed, VehicleResult, provenance, vehicle_result
-from ident.validation import evaluate
-from ident.workflows.check import check_first
-from ident.workflows.model_inputs import unused_lines
-from ident.workflows.output import sensor_rates, validity, write_all
-from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data import load_all
+from seatrial.ident.estimation import fit_nominal_model, homogeneity_test, profile
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.results import Posed, VehicleResult, provenance, vehicle_result
+from seatrial.ident.validation import evaluate
+from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.model_inputs import unused_lines
+from seatrial.ident.workflows.output import sensor_rates, validity, write_all
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 
 
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ident.characterisation import ThrustCurve, load_curve
-from ident.data import SHAFTS, WHOLE, LoadedLog, LogSegment, TimeWindow
-from ident.estimation import (
+from seatrial.ident.characterisation import ThrustCurve, load_curve
+from seatrial.ident.data import SHAFTS, WHOLE, LoadedLog, LogSegment, TimeWindow
+from seatrial.ident.estimation import (
     EstimationOptions,
     apply_rig_geometry,
     fix_parameters,
@@ -18,11 +18,11 @@ from ident.estimation import (
     set_priors,
     with_effects,
 )
-from ident.model import Model, ParameterOrigin
-from ident.models import is_own_model, thrust_calibration
-from ident.results import UnusedSignal
-from ident.workflows.check import with_estimator_errors, with_noise_floors
-from ident.workflows.model_inputs import (
+from seatrial.ident.model import Model, ParameterOrigin
+from seatrial.ident.models import is_own_model, thrust_calibration
+from seatrial.ident.results import UnusedSignal
+from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
+from seatrial.ident.workflows.model_inputs import (
     check_ahead,
     check_names,
     choose_model,

@@ -11,12 +11,21 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, final
 
-from daq.protocol import EPOCH_2015, Codec, Samples, mavlink, mode_name, read_key
-from daq.rig import Device, Rig
-from daq.samples import Ahrs, Esc, Gnss
-from mocks.devices.autopilot_messages import BOOT_S, EKF_READY, LOOP_HZ, MANUAL, UNUSED, Reports, Vehicle, parameters
-from mocks.devices.base import DeviceEmulator
-from mocks.world import EscController, Sample
+from seatrial.daq.protocol import EPOCH_2015, Codec, Samples, mavlink, mode_name, read_key
+from seatrial.daq.rig import Device, Rig
+from seatrial.daq.samples import Ahrs, Esc, Gnss
+from seatrial.mocks.devices.autopilot_messages import (
+    BOOT_S,
+    EKF_READY,
+    LOOP_HZ,
+    MANUAL,
+    UNUSED,
+    Reports,
+    Vehicle,
+    parameters,
+)
+from seatrial.mocks.devices.base import DeviceEmulator
+from seatrial.mocks.world import EscController, Sample
 
 INTERVAL_PART = 0.8  # of the loop's rate: a faster message is denied
 HOLD, AUTO, RTL = 4, 10, 11

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from daq.protocol import GRAVITY, Codec
-from daq.rig import Thruster
-from daq.samples import NAN, Ahrs, Esc, Gnss
-from mocks.world import EscController
+from seatrial.daq.protocol import GRAVITY, Codec
+from seatrial.daq.rig import Thruster
+from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss
+from seatrial.mocks.world import EscController
 
 LOOP_HZ = 50.0  # SCHED_LOOP_RATE
 MANUAL = 0

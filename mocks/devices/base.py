@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from mocks.world import Sample
+from seatrial.mocks.world import Sample
 
 
 class DeviceEmulator(ABC):

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import final
 
-from daq.errors import SeatrialError
-from daq.protocol import NUMBERS, Assembler, dronecan, loadcell, nmea, vectornav, vesc
-from daq.rig import Device, Rig, Thruster
-from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from mocks.devices.base import DeviceEmulator
-from mocks.devices.slcan_adapter import Adapter, CanFrame
-from mocks.world import EscController, Sample
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol import NUMBERS, Assembler, dronecan, loadcell, nmea, vectornav, vesc
+from seatrial.daq.rig import Device, Rig, Thruster
+from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
+from seatrial.mocks.devices.base import DeviceEmulator
+from seatrial.mocks.devices.slcan_adapter import Adapter, CanFrame
+from seatrial.mocks.world import EscController, Sample
 
 FIRST_ESC_NODE = 20  # of DroneCAN controllers
 SLOW_STATUS_S = 0.2  # between STATUS 4 and 5 of one controller
@@ -132,7 +132,7 @@ def make_emulator(
             )
         return LoadCellLine()
     if device.protocol == "mavlink":
-        from mocks.devices.autopilot import AutopilotEmulator  # brings pymavlink with it
+        from seatrial.mocks.devices.autopilot import AutopilotEmulator  # brings pymavlink with it
 
         return AutopilotEmulator(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):

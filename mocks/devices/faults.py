@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from mocks.world import Sample
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
+from seatrial.mocks.world import Sample
 
 SIGNAL = "usr1"
 LATE_S = 1.0

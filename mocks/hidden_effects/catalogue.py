@@ -6,9 +6,9 @@ drawn with its size within 15 % of the one named in its comment, and with a sign
 
 from __future__ import annotations
 
-from mocks.hidden_effects import disturbed, environment, hull, outside, propulsion, sensing
-from mocks.plant import ENERGY_UNIT, HiddenEffect, Maker
-from mocks.random_streams import EFFECT_NAME, EFFECT_SIZE, random_stream
+from seatrial.mocks.hidden_effects import disturbed, environment, hull, outside, propulsion, sensing
+from seatrial.mocks.plant import ENERGY_UNIT, HiddenEffect, Maker
+from seatrial.mocks.random_streams import EFFECT_NAME, EFFECT_SIZE, random_stream
 
 __all__ = [
     "DEMO",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocks.plant import Gust, HiddenEffect, Maker, Noise, effect_size
+from seatrial.mocks.plant import Gust, HiddenEffect, Maker, Noise, effect_size
 
 
 def _gps(rng: np.random.Generator, scale: float) -> HiddenEffect:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mocks.plant import HiddenEffect, Maker, Wave, effect_size
+from seatrial.mocks.plant import HiddenEffect, Maker, Wave, effect_size
 
 
 def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mocks.plant import HiddenEffect, Maker, effect_size
+from seatrial.mocks.plant import HiddenEffect, Maker, effect_size
 
 
 def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from mocks.plant import Answer, HiddenEffect, Maker, ThrusterTruth, effect_size
-from mocks.plant import thrust as thrust_at_rest
+from seatrial.mocks.plant import Answer, HiddenEffect, Maker, ThrusterTruth, effect_size
+from seatrial.mocks.plant import thrust as thrust_at_rest
 
 
 def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:

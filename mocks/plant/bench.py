@@ -12,8 +12,15 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from mocks.plant.thruster import Shaft, ThrusterTruth, draw_thruster, thrust
-from mocks.random_streams import DISTURBANCE, EFFECT_NAME, EFFECT_SIZE, OrnsteinUhlenbeck, normals, random_stream
+from seatrial.mocks.plant.thruster import Shaft, ThrusterTruth, draw_thruster, thrust
+from seatrial.mocks.random_streams import (
+    DISTURBANCE,
+    EFFECT_NAME,
+    EFFECT_SIZE,
+    OrnsteinUhlenbeck,
+    normals,
+    random_stream,
+)
 
 STEP = 0.0025  # s
 DISTURBANCE_EVERY = 4  # steps: 100 Hz

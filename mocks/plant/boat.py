@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
-from mocks.plant.effect import ENERGY_UNIT, HiddenEffect
-from mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
-from mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
-from mocks.plant.weather import Weather
-from mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck, normals, random_stream
+from seatrial.mocks.plant.effect import ENERGY_UNIT, HiddenEffect
+from seatrial.mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
+from seatrial.mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
+from seatrial.mocks.plant.weather import Weather
+from seatrial.mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck, normals, random_stream
 
 STEP = 0.005  # s
 DISTURBANCE_EVERY = 4  # steps: 50 Hz
@@ -43,7 +43,7 @@ def draw_boat(seed: int, effects: Sequence[HiddenEffect] = (), thruster: Thruste
 
 
 class RigidBodyState(NamedTuple):
-    """What there is to be measured at one moment; SI, NED and body axes as in daq.samples."""
+    """What there is to be measured at one moment; SI, NED and body axes as in seatrial.daq.samples."""
 
     t: float  # s since the plant's start
     x: float

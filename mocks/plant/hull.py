@@ -10,9 +10,9 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
-from mocks.plant.effect import HiddenEffect
-from mocks.plant.thruster import ThrusterTruth
-from mocks.random_streams import CURRENT, PARAMETERS, random_stream
+from seatrial.mocks.plant.effect import HiddenEffect
+from seatrial.mocks.plant.thruster import ThrusterTruth
+from seatrial.mocks.random_streams import CURRENT, PARAMETERS, random_stream
 
 GRAVITY = 9.81  # m/s2
 

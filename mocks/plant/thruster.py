@@ -10,7 +10,7 @@ import math
 from collections import deque
 from dataclasses import dataclass, replace
 
-from mocks.random_streams import THRUSTER, random_stream
+from seatrial.mocks.random_streams import THRUSTER, random_stream
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mocks.plant.effect import Gust, HiddenEffect, Wave
-from mocks.random_streams import GUSTS, WAVES, OrnsteinUhlenbeck, normals, random_stream
+from seatrial.mocks.plant.effect import Gust, HiddenEffect, Wave
+from seatrial.mocks.random_streams import GUSTS, WAVES, OrnsteinUhlenbeck, normals, random_stream
 
 COMPONENTS = 24
 Forces = tuple[float, float, float]  # X, Y, N: N, N, N m

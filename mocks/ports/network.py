@@ -1,4 +1,4 @@
-"""Ports of a mock on loopback UDP and TCP, with the same face as the ptys of mocks.ports.pty."""
+"""Ports of a mock on loopback UDP and TCP, with the same face as the ptys of seatrial.mocks.ports.pty."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import ipaddress
 import socket
 from typing import Any
 
-from daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError
 
 READ_MAX = 1 << 16
 BACKLOG_MAX = 1 << 20

@@ -11,7 +11,7 @@ import tty
 from pathlib import Path
 from typing import IO
 
-from daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError
 
 PATIENCE = 0.3  # wall s without a byte read after which nobody is listening
 CHECK = 0.02  # wall s between looks at what is unread; bytes need a moment to get from one end to the other

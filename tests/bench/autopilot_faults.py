@@ -29,9 +29,9 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from daq.acquisition.process import SILENCE_S
-from daq.acquisition.watchdog import ANSWER_S, HANG_S
-from daq.config.mission_file import Mission, Segment, save_mission
+from seatrial.daq.acquisition.process import SILENCE_S
+from seatrial.daq.acquisition.watchdog import ANSWER_S, HANG_S
+from seatrial.daq.config.mission_file import Mission, Segment, save_mission
 from tests.bench.fault_trials import into
 from tests.bench.runs import acquisition_of, watchdog_of
 from tests.daq.ardurover import MISSING, PROGRAM, RIG, Rover

@@ -6,18 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.mission_generators import make_mission
-from bench.preflight.actuator_test import actuator_plan
-from daq.checks.device_checks import check_devices
-from daq.checks.findings import Finding
-from daq.config.mission_file import Mission
-from daq.log.reader import open_log
-from ident.checks.log_checks import check_log
-from mocks.devices.faults import Faults, parse_fault
-from mocks.offline_simulation import BOAT, Recording, simulate
-from mocks.plant.boat import draw_boat
-from mocks.plant.thruster import ThrusterTruth
-from mocks.random_streams import FAULT, random_stream
+from seatrial.bench.mission_generators import make_mission
+from seatrial.bench.preflight.actuator_test import actuator_plan
+from seatrial.daq.checks.device_checks import check_devices
+from seatrial.daq.checks.findings import Finding
+from seatrial.daq.config.mission_file import Mission
+from seatrial.daq.log.reader import open_log
+from seatrial.ident.checks.log_checks import check_log
+from seatrial.mocks.devices.faults import Faults, parse_fault
+from seatrial.mocks.offline_simulation import BOAT, Recording, simulate
+from seatrial.mocks.plant.boat import draw_boat
+from seatrial.mocks.plant.thruster import ThrusterTruth
+from seatrial.mocks.random_streams import FAULT, random_stream
 from tests.missions import rig_of, write_log
 
 SECONDS = 120.0
@@ -30,7 +30,7 @@ class Case(NamedTuple):
     name: str
     code: str
     where: str
-    fault: str = ""  # for mocks.devices.faults
+    fault: str = ""  # for seatrial.mocks.devices.faults
     thruster: ThrusterTruth | None = None
     swapped: bool = False
     reversed: bool = False

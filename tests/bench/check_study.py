@@ -6,7 +6,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from daq.checks.findings import findings_lines
+from seatrial.daq.checks.findings import findings_lines
 from tests.bench.check_cases import CASES, alarms, findings, logged, named
 
 

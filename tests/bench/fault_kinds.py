@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.execution.safety_guard import COAST_S, FROZEN_S
-from daq.acquisition.watchdog import ANSWER_S, HANG_S
-from daq.config.mission_file import Mission, Segment, save_mission
-from daq.protocol.vesc import STALE
+from seatrial.bench.execution.safety_guard import COAST_S, FROZEN_S
+from seatrial.daq.acquisition.watchdog import ANSWER_S, HANG_S
+from seatrial.daq.config.mission_file import Mission, Segment, save_mission
+from seatrial.daq.protocol.vesc import STALE
 
 SPEED = 4.0
 # Wall seconds, as all of these.
@@ -186,7 +186,7 @@ KINDS = tuple(replace(kind, rig=rig) for rig in RIGS for kind in _of(rig))
 def write_files(folder: Path, kind: Kind) -> None:
     """The rig of a kind, slower than the demo and with a few limits more, and a mission of steps to run on it."""
     name = "mavboat" if kind.rig == MAVLINK else "boat"
-    text = files("mocks").joinpath("rigs", f"{name}.toml").read_text(encoding="utf-8")
+    text = files("seatrial.mocks").joinpath("rigs", f"{name}.toml").read_text(encoding="utf-8")
     text = re.sub(r"speed = [\d.]+", f"speed = {SPEED}", text)
     text = re.sub(r"timeout_s = [\d.]+", f"timeout_s = {ESC_S * SPEED}", text)
     text = text.replace("[limits]\n", f"{LIMITS}force_n = 60.0\n").replace("[log]\n", "[log]\nfree_mb = 1.0\n")

@@ -19,8 +19,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-from daq.log.reader import open_log
-from daq.log.watchdog_note import read_note
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.watchdog_note import read_note
 from tests.bench.fault_kinds import AFTER_DECISION_S, DISK, Kind, write_files
 from tests.bench.mock_process import mock_process
 from tests.bench.runs import acquisition_of, is_alive, watchdog_of
@@ -137,7 +137,13 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
     log = folder / (DISK if kind.full else "") / f"run-{seed}.mcap"
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
-        ["seatrial", "bench.execution.runner", "bench.cli", "bench.execution.operator_interface", "daq.log.reader"]
+        [
+            "seatrial.command_line",
+            "seatrial.bench.cli",
+            "seatrial.bench.execution.operator_interface",
+            "seatrial.bench.execution.runner",
+            "seatrial.daq.log.reader",
+        ]
     )
     words = ["mission", "run", "mission.toml", "rig.toml", "-o", str(log), *kind.words]
     process = context.Process(target=_run, args=(str(folder), words))
@@ -187,12 +193,12 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
 
 def _run(folder: str, words: list[str]) -> None:
     """The runner, in a process that has everything imported."""
-    import seatrial
+    from seatrial import command_line
 
     os.chdir(folder)
     os.setsid()
     sys.stdout = sys.stderr = open("out.txt", "w", encoding="utf-8")  # noqa: SIM115 (for the life of the process)
-    seatrial.main(words)
+    command_line.main(words)
 
 
 def _no_trial(why: str) -> Trial:

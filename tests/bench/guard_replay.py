@@ -20,17 +20,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.execution.safety_guard import SafetyGuard, Stop
-from daq.acquisition import Source
-from daq.acquisition.device_loop import source_of
-from daq.acquisition.status import Latest, PortStatus, Status
-from daq.config.rig_file import load_rig
-from daq.drivers import LinkStatus
-from daq.errors import SeatrialError
-from daq.log.reader import Log, open_log
-from daq.protocol.mavlink import mode_name
-from daq.rig import Rig
-from daq.samples import MEASURED, Autopilot, Command, Esc, Sample, Scalar, Servo
+from seatrial.bench.execution.safety_guard import SafetyGuard, Stop
+from seatrial.daq.acquisition import Source
+from seatrial.daq.acquisition.device_loop import source_of
+from seatrial.daq.acquisition.status import Latest, PortStatus, Status
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.drivers import LinkStatus
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import Log, open_log
+from seatrial.daq.protocol.mavlink import mode_name
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import MEASURED, Autopilot, Command, Esc, Sample, Scalar, Servo
 
 ENDS = ("zero", "stop", "end")  # kinds of events
 STATUS_S = 0.05  # wall seconds from one status to the next, as in a run

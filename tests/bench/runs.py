@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.config.mission_file import Mission, Segment, save_mission
-from daq.log.reader import open_log
-from daq.samples import Command
+from seatrial.daq.config.mission_file import Mission, Segment, save_mission
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Command
 from tests.bench.standin import StandIn, until
 
 SPEED = 4.0
@@ -36,10 +36,10 @@ def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission
 # What never comes is not waited for as long as the command would; the devices are there when it starts.
 IMPATIENT = """
 import sys, seatrial
-from bench.execution import autopilots, device_startup
-from daq.acquisition import session
+from seatrial.bench.execution import autopilots, device_startup
+from seatrial.daq.acquisition import session
 device_startup.AWAIT_S = autopilots.LEAVE_S = session.WATCHDOG_S = 3.0
-seatrial.main(sys.argv[1:])
+command_line.main(sys.argv[1:])
 """
 MISSION_RUN = ("mission", "run", "mission.toml", "bench-rig.toml")
 
@@ -93,12 +93,12 @@ def running(folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = 
 
 def acquisition_of(runner: int) -> int:
     """Process id of the runner's child that acquires."""
-    return _child_of(runner, "daq.acquisition.process")
+    return _child_of(runner, "seatrial.daq.acquisition.process")
 
 
 def watchdog_of(runner: int) -> int:
     """Process id of the runner's child that watches the other one."""
-    return _child_of(runner, "daq.acquisition.watchdog")
+    return _child_of(runner, "seatrial.daq.acquisition.watchdog")
 
 
 def _child_of(runner: int, module: str) -> int:

@@ -20,8 +20,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter
 
-from daq.log import open_log
-from ident.data import Channel, channels
+from seatrial.daq.log import open_log
+from seatrial.ident.data import Channel, channels
 
 Array = NDArray[np.float64]
 COARSE_S, MARGIN_S = 0.1, 5.0  # grid on which clocks are matched; left out at both ends

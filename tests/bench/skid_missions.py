@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from daq.log import open_log
-from ident.data import channels
+from seatrial.daq.log import open_log
+from seatrial.ident.data import channels
 from tests.bench.simulator_delays import delays
 from tests.daq.ardurover import MISSING, PROGRAM, Rover
 

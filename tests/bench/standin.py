@@ -15,8 +15,8 @@ import tty
 from pathlib import Path
 from typing import Self
 
-from daq.protocol import loadcell, vesc
-from daq.samples import Esc
+from seatrial.daq.protocol import loadcell, vesc
+from seatrial.daq.samples import Esc
 
 NODE, POLE_PAIRS, RPM_MAX = 1, 7, 4500.0
 ZERO_COUNTS, NEWTON_PER_COUNT = 84210.0, 0.001

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial
-from bench.cli import next_command
-from bench.mission_generators import HOLD_S, bench_plan, make_mission
-from daq.config.mission_file import Mission, load_mission
+from seatrial import command_line
+from seatrial.bench.cli import next_command
+from seatrial.bench.mission_generators import HOLD_S, bench_plan, make_mission
+from seatrial.daq.config.mission_file import Mission, load_mission
 from tests.bench.standin import RIG
 from tests.daq.mavlink_ends import mav_rig
 from tests.missions import rig_of
@@ -19,7 +19,7 @@ from tests.missions import rig_of
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of one command line."""
     with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
+        command_line.main(words)
     said = capsys.readouterr()
     return int(left.value.code or 0), said.out, said.err
 
@@ -44,7 +44,7 @@ def test_every_command_helps_with_an_example(capsys: pytest.CaptureFixture[str],
 
 def test_steps_are_held_as_long_as_asked(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     plans: list[Mission] = []
-    monkeypatch.setattr("bench.cli._run", lambda plan, *_: plans.append(plan))
+    monkeypatch.setattr("seatrial.bench.cli._run", lambda plan, *_: plans.append(plan))
     rig = str(Path(__file__).resolve().parents[2] / "mocks/rigs/bench.toml")
     for words in (["steps", rig], ["steps", rig, "--hold", "5"]):
         assert run(capsys, "bench", *words)[0] == 0

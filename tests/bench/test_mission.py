@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.config.mission_file import Mission, Segment, dump_mission, load_mission, parse_mission, save_mission
-from daq.errors import SeatrialError
+from seatrial.daq.config.mission_file import Mission, Segment, dump_mission, load_mission, parse_mission, save_mission
+from seatrial.daq.errors import SeatrialError
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "formats" / "mission.md"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench import mission_generators
-from bench.mission_text import command_range, describe_mission
-from daq.config.mission_file import STATIC, Mission, dump_mission, parse_mission
+from seatrial.bench import mission_generators
+from seatrial.bench.mission_text import command_range, describe_mission
+from seatrial.daq.config.mission_file import STATIC, Mission, dump_mission, parse_mission
 
 
 def every_plan() -> list[Mission]:

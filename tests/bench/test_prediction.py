@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.mission_generators import make_mission
-from bench.mission_text import describe_errors, describe_mission, describe_track
-from daq.config.mission_file import Prediction, dump_mission, parse_mission
-from daq.errors import SeatrialError
+from seatrial.bench.mission_generators import make_mission
+from seatrial.bench.mission_text import describe_errors, describe_mission, describe_track
+from seatrial.daq.config.mission_file import Prediction, dump_mission, parse_mission
+from seatrial.daq.errors import SeatrialError
 
 T = np.linspace(5.0, 65.0, 7)
 NORTH, EAST = np.array([0.0, 10, 20, 20, 10, 0, 0]), np.array([0.0, 0, 0, 15, 15, 15, 8])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.thesis.design_bound import as_point, upper_bound
-from ident.experiment_design.excitation import StepInput
-from ident.experiment_design.optimal_design import design
-from ident.experiment_design.task import DesignLimits, DesignProblem
+from seatrial.ident.experiment_design.excitation import StepInput
+from seatrial.ident.experiment_design.optimal_design import design
+from seatrial.ident.experiment_design.task import DesignLimits, DesignProblem
 from tests.ident.experiment_design.test_optimal_design import boat_task, gain_and_offset
 
 

@@ -13,8 +13,8 @@ from benchmarks.thesis import printed, tables
 from benchmarks.thesis.__main__ import main
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part, write_figures
 from benchmarks.thesis.fits import at_rest, surge_experiment, yaw_experiment
-from ident.estimation.standard_errors import TOO_LONG
-from mocks.plant.bench import draw_bench
+from seatrial.ident.estimation.standard_errors import TOO_LONG
+from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log
 
 LIMIT = 6_000_000  # bytes

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
-from daq.config.rig_file import load_rig
-from daq.rig import Rig
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.rig import Rig
 from tests.daq.ptys import TestBoat, wait_for
 
 MAGIC = b"\x89MCAP0\r\n"  # an MCAP file that was closed ends with it

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.log.reader import open_log
-from daq.samples import Scalar
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Scalar
 
 DOCS = Path(__file__).parents[2] / "docs"
 EXAMPLES = DOCS / "examples"

@@ -2,7 +2,8 @@
 
 Logs, captures, bags, tables, rigs, missions and models, damaged (bits, pieces, lengths), hostile (names that are paths,
 code, bombs) and huge go through info, recover, export, check, replay, import, vehicle and diagnose. Each runs as a user
-would run it, with the limits of `daq.bounds` where the command has them. It has to answer, or to fail in one line, in
+would run it, with the limits of `seatrial.daq.bounds` where the command has them. It has to answer, or to fail in one
+line, in
 20 s of processor time and 2 GB of memory: nothing is written but the output that was named, nothing is executed, no
 traceback, nothing for the terminal to obey. Foreign formats and their attacks are made by `tests.daq.hostile_sources`.
 File number K of a seed is always the same: `--first K --n 1 --keep` makes it again and leaves it there.
@@ -40,10 +41,10 @@ from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as BagWriter
 
-import seatrial
-from daq import bounds
-from daq.protocol import nmea, vectornav
-from daq.samples import Ahrs, Gnss
+from seatrial import command_line
+from seatrial.daq import bounds
+from seatrial.daq.protocol import nmea, vectornav
+from seatrial.daq.samples import Ahrs, Gnss
 from tests.daq.csv_files import MAP, ROWS
 from tests.daq.hostile_sources import ATTACKS, Step, damaged_bag, damaged_source, planted, ulog_bomb, write_sources
 from tests.daq.importers.test_mavlink import dataflash, tlog
@@ -65,7 +66,7 @@ TRAPS = ("executed", "trap.py")  # in the folder `outside` of each file's box
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 RUNNING = ("os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn", "os.system", "pickle.find_class")
 RUNNING += ("socket.bind", "socket.connect", "subprocess.Popen")
-MODULES = ("ident.workflows.vehicle", "ident.workflows.diagnose", "ident.report.page")
+MODULES = ("seatrial.ident.workflows.vehicle", "seatrial.ident.workflows.diagnose", "seatrial.ident.report.page")
 NUMBERS = [struct.pack("<Q", n) for n in (0, 1, 2**31 - 1, 2**32 - 1, 2**62, 2**63 - 1, 2**64 - 1)]
 NUMBERS += [struct.pack("<d", x) for x in (float("nan"), float("inf"), -1e308, 5e-324, 1e18)]
 NAMES = [
@@ -157,7 +158,7 @@ class Outcome(NamedTuple):
     answered: bool
     seconds: float  # of the processor
     memory: int  # bytes
-    limited: bool  # whether a limit of `daq.bounds` has ended it
+    limited: bool  # whether a limit of `seatrial.daq.bounds` has ended it
 
 
 @dataclass
@@ -591,7 +592,7 @@ def _of(commands: Sequence[Command], name: str) -> tuple[Command, ...]:
 
 def _main(words: Sequence[str]) -> int:
     try:
-        seatrial.main(words)
+        command_line.main(words)
     except SystemExit as error:
         return error.code if isinstance(error.code, int) else 1
     return 0
@@ -723,7 +724,7 @@ def study(
     stopped: Callable[[], bool] = bool,
 ) -> Summary:
     """Make files `first` to `first + n` of a seed and run their commands; failures are told as they come."""
-    for name in ("daq.tools", "ident.checks.log_checks", *(MODULES if fits else ())):
+    for name in ("seatrial.daq.tools", "seatrial.ident.checks.log_checks", *(MODULES if fits else ())):
         importlib.import_module(name)
     (folder / "bases").mkdir(parents=True)
     (folder / "cache").mkdir(mode=0o700)

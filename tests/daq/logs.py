@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from daq.config.rig_file import parse_rig
-from daq.log.reader import Log
-from daq.log.recorder import Recorder
-from daq.rig import Rig
-from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Sample, Scalar
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.log.reader import Log
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Sample, Scalar
 
 NAN = math.nan
 N_ROUNDS = 12  # of everything, in the log `whole`

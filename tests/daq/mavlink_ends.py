@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.config.rig_file import parse_rig
-from daq.drivers.base import LinkRole
-from daq.drivers.mavlink import MavlinkDriver
-from daq.protocol.mavlink import MavlinkDecoder, make_decoder
-from daq.protocol.mavlink_wire import Codec, read_key
-from daq.rig import Rig
-from daq.samples import Ahrs, Esc, Frame, Gnss
-from mocks.devices.autopilot import AutopilotEmulator
-from mocks.devices.autopilot_messages import LOOP_HZ
-from mocks.plant.bench import draw_bench
-from mocks.world import DeviceSpecs, EscController, EscSpec, bench_world
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.drivers.base import LinkRole
+from seatrial.daq.drivers.mavlink import MavlinkDriver
+from seatrial.daq.protocol.mavlink import MavlinkDecoder, make_decoder
+from seatrial.daq.protocol.mavlink_wire import Codec, read_key
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss
+from seatrial.mocks.devices.autopilot import AutopilotEmulator
+from seatrial.mocks.devices.autopilot_messages import LOOP_HZ
+from seatrial.mocks.plant.bench import draw_bench
+from seatrial.mocks.world import DeviceSpecs, EscController, EscSpec, bench_world
 
 RIG = """
 format = "seatrial-rig 1"

@@ -10,9 +10,9 @@ import tty
 from collections.abc import Callable
 from pathlib import Path
 
-from daq.protocol import loadcell, nmea, slcan, vectornav, vesc
-from daq.protocol.canframe import unpack_can
-from daq.samples import Ahrs, Esc, Gnss
+from seatrial.daq.protocol import loadcell, nmea, slcan, vectornav, vesc
+from seatrial.daq.protocol.canframe import unpack_can
+from seatrial.daq.samples import Ahrs, Esc, Gnss
 
 RIG = """
 format = "seatrial-rig 1"

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import astuple
 from typing import Any
 
-from daq.protocol.decoder import Decoder
-from daq.protocol.framing import sentence
-from daq.samples import Frame
+from seatrial.daq.protocol.decoder import Decoder
+from seatrial.daq.protocol.framing import sentence
+from seatrial.daq.samples import Frame
 
 # Of what a serial line brings that is no frame: text, starts of frames, every byte value.
 GARBAGE = (

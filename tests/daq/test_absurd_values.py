@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from daq.config.mission_file import parse_mission
-from daq.errors import SeatrialError
-from daq.importers.import_files import import_files
-from daq.log.mcap_writer import MAX_CHANNELS, RecordWriter
-from daq.log.reader import open_log
-from daq.protocol.dbc import load_dbc
-from daq.samples import Esc
+from seatrial.daq.config.mission_file import parse_mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.log.mcap_writer import MAX_CHANNELS, RecordWriter
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.protocol.dbc import load_dbc
+from seatrial.daq.samples import Esc
 from tests.daq.csv_files import write
 from tests.daq.logs import write_everything
 

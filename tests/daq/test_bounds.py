@@ -15,14 +15,14 @@ COMMAND = """
 import os, sys, tempfile, time
 from pathlib import Path
 import click
-import seatrial
-from daq import bounds
-from daq.files import new_file
+from seatrial import command_line
+from seatrial.daq import bounds
+from seatrial.daq.files import new_file
 
 bounds.MEMORY_BYTES, bounds.CPU_S, bounds.DISK_BYTES, bounds.GRACE_S = 1 << 30, 1.0, 4 << 20, 1
 bounds.enable()
 
-seatrial.COMMANDS["work"] = seatrial.Row("__main__:work", "")
+command_line.COMMANDS["work"] = command_line.Row("__main__:work", "")
 
 @click.command()
 @click.argument("log", type=click.Path(path_type=Path))
@@ -35,7 +35,7 @@ def work(log):
         {does}
     click.echo("done")
 
-seatrial.main(["work", *sys.argv[1:]])
+command_line.main(["work", *sys.argv[1:]])
 """
 NAMED = "it is damaged, or made to do harm; --trust-file reads it without limits"
 FULL = "while True: Path(tempfile.mkdtemp(), 'x').write_bytes(bytes(1 << 20)); time.sleep(0.01)"

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.demo import DemoSteps
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
-from daq.config.rig_file import load_rig
+from seatrial.bench.demo import DemoSteps
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import load_rig
 from tests.daq.ptys import TestBoat
 
 ROOT = Path(__file__).parents[2]
@@ -49,10 +49,10 @@ def test_processes_of_a_library_execute_nothing_of_the_working_folder(tmp_path: 
     executed = plant(tmp_path)
     code = """
 import contextlib, io, sys
-import seatrial
+from seatrial import command_line
 sys.argv = ["seatrial", "--version"]
 with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
-    seatrial.main()
+    command_line.main()
 import joblib
 print(joblib.Parallel(2)(joblib.delayed(abs)(-k) for k in (1, 2)))
 """

@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 
-from daq.clock import ClockMap, RunClock
+from seatrial.daq.clock import ClockMap, RunClock
 
 
 def test_the_run_clock_starts_at_the_wall_clock_and_goes_at_its_speed() -> None:
@@ -27,7 +27,7 @@ def test_the_run_clock_starts_at_the_wall_clock_and_goes_at_its_speed() -> None:
 
 def test_another_process_with_the_same_origin_agrees() -> None:
     clock = RunClock(speed=3.0)
-    code = f"from daq.clock import RunClock; print(RunClock({clock.speed!r}, {clock.origin!r}).now())"
+    code = f"from seatrial.daq.clock import RunClock; print(RunClock({clock.speed!r}, {clock.origin!r}).now())"
     before = clock.now()
     there = float(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True).stdout)
     assert before < there < clock.now()

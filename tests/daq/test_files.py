@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import SeatrialError
-from daq.files import append_to, new_file, require_file, write_output
-from daq.importers.write_log import replacing
-from daq.log import open_log
-from daq.log.recovery import recover_log
-from daq.tools.export import export_log
-from daq.tools.ros_export import export_ros
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.files import append_to, new_file, require_file, write_output
+from seatrial.daq.importers.write_log import replacing
+from seatrial.daq.log import open_log
+from seatrial.daq.log.recovery import recover_log
+from seatrial.daq.tools.export import export_log
+from seatrial.daq.tools.ros_export import export_ros
 from tests.daq.logs import write_everything
 
 

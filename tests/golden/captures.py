@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.protocol import dbc, mip, nmea, nmea2000, ubx, vectornav, vesc
-from daq.protocol.canframe import pack_can
-from daq.protocol.decoder import Decoder
-from daq.rig import DbcSignal
-from daq.samples import Ahrs, Esc, Frame, Gnss
+from seatrial.daq.protocol import dbc, mip, nmea, nmea2000, ubx, vectornav, vesc
+from seatrial.daq.protocol.canframe import pack_can
+from seatrial.daq.protocol.decoder import Decoder
+from seatrial.daq.rig import DbcSignal
+from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss
 
 GAUSS, DEG = 1e-4, math.pi / 180.0
 # The logger's own parser left this one of its 99 frames out.

@@ -15,10 +15,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from daq.config.rig_file import parse_rig
-from daq.drivers.base import LinkRole
-from daq.drivers.mavlink import MavlinkDriver
-from daq.protocol import (
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.drivers.base import LinkRole
+from seatrial.daq.drivers.mavlink import MavlinkDriver
+from seatrial.daq.protocol import (
     dbc,
     dronecan,
     loadcell,
@@ -33,12 +33,12 @@ from daq.protocol import (
     vectornav,
     vesc,
 )
-from daq.protocol.canframe import pack_can
-from daq.protocol.decoder import Decoder
-from daq.protocol.framing import sentence
-from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status
-from daq.rig import DbcSignal
-from daq.samples import Ahrs, Esc, Gnss
+from seatrial.daq.protocol.canframe import pack_can
+from seatrial.daq.protocol.decoder import Decoder
+from seatrial.daq.protocol.framing import sentence
+from seatrial.daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status
+from seatrial.daq.rig import DbcSignal
+from seatrial.daq.samples import Ahrs, Esc, Gnss
 from tests.daq.mavlink_ends import rig_text
 from tests.daq.streams import counters, said
 

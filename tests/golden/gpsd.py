@@ -32,8 +32,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from daq.protocol import nmea, ubx
-from daq.samples import NAN, Ahrs, Frame, Gnss
+from seatrial.daq.protocol import nmea, ubx
+from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss
 
 TIME_DIGITS = 1e-3  # s, as gpsd prints
 SPEED_DIGITS = 6e-3  # m/s: a hundredth of a knot, and what gpsd prints

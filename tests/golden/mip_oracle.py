@@ -17,7 +17,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from daq.protocol import mip
+from seatrial.daq.protocol import mip
 
 FILE = Path(__file__).with_suffix(".jsonl")
 N = 30  # random packets of each data set

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.validation.calibration import calibration_test
+from seatrial.ident.validation.calibration import calibration_test
 
 
 def calibration(seed: int = 6) -> dict[str, Any]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ident.model.structure import Effect, Model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import SENSORS, horizontal_model
-from ident.models.kinematic import kinematic_model
-from ident.models.nomoto import nomoto_model
-from ident.models.thruster import thruster_model
+from seatrial.ident.model.structure import Effect, Model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import SENSORS, horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
+from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.models.thruster import thruster_model
 
 
 def vehicle_for(effect: Effect) -> Model:

@@ -12,20 +12,20 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ident.effects.nonparametric import nonparametric_effect
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.model_file import SavedModel
-from ident.export.codegen import without_nuisance
-from ident.model.parameter import Parameter
-from ident.model.structure import ForceCurve, Input, Model, Output, Sensor, State, plain_model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
-from ident.models.kinematic import kinematic_model
-from ident.models.nomoto import nomoto_model
-from ident.models.surge import surge_model
-from ident.models.thruster import thruster_model
-from ident.models.yaw import yaw_model
+from seatrial.ident.effects.nonparametric import nonparametric_effect
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.model_file import SavedModel
+from seatrial.ident.export.codegen import without_nuisance
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import ForceCurve, Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
+from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.models.surge import surge_model
+from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.models.yaw import yaw_model
 from tests.ident.carriers import vehicle_for
 
 CLOSE = 1e-12

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ident.results.commands import NavigationResult
+from seatrial.ident.results.commands import NavigationResult
 
 STATES = (
     ("x", "m", "north", False),
@@ -25,7 +25,7 @@ def arrays(_kind: Any, value: Any) -> Any:
 
 
 def navigation(seed: int = 4) -> NavigationResult:
-    """Everything that ``ident.workflows.navigate`` writes."""
+    """Everything that ``seatrial.ident.workflows.navigate`` writes."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 240.0, 0.1)
     angle = t / 20.0

@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from daq.checks.check_report import CheckReport, DryRun, PredictedTrack
-from daq.checks.findings import Finding
-from ident.checks.log_checks import (
+from seatrial.daq.checks.check_report import CheckReport, DryRun, PredictedTrack
+from seatrial.daq.checks.findings import Finding
+from seatrial.ident.checks.log_checks import (
     CheckEvidence,
     PushResponseCurve,
     SampleIntervals,
@@ -17,7 +17,7 @@ from ident.checks.log_checks import (
     ShaftResponse,
     SignalCurve,
 )
-from ident.results.commands import DesignResult, StudyResult
+from seatrial.ident.results.commands import DesignResult, StudyResult
 from tests.ident.navigation_example import arrays
 
 AIMS = {"bias": (-0.15, 0.15), "ratio": (0.9, 1.1), "coverage": (0.93, 0.97)}
@@ -45,7 +45,7 @@ def check() -> CheckReport:
 
 
 def checked_log() -> CheckEvidence:
-    """Curves as `ident.checks.log_checks.log_evidence` gives them."""
+    """Curves as `seatrial.ident.checks.log_checks.log_evidence` gives them."""
     rng, t = np.random.default_rng(8), np.arange(0.0, 48.0, 0.1)
     told = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
     r = 0.2 * np.convolve(told, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]
@@ -65,7 +65,7 @@ def checked_log() -> CheckEvidence:
 
 
 def design() -> DesignResult:
-    """A designed mission: every key that `ident.workflows.design` writes, with fewer samples."""
+    """A designed mission: every key that `seatrial.ident.workflows.design` writes, with fewer samples."""
     rng = np.random.default_rng(9)
     t = np.arange(0.0, 120.0, 0.5)
     levels = [np.repeat(rng.uniform(-1, 1, 12), 20) for _ in range(2)]

@@ -18,13 +18,13 @@ import pytest
 from rich.console import Console
 
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part, write_figures
-from ident.report.check_page import write_check_page
-from ident.report.design_page import write_design_page
-from ident.report.page import write_report
-from ident.report.study_page import write_study_page
-from ident.report.terminal import print_result
-from ident.results.parts import Result
-from ident.results.result_file import from_json, to_json
+from seatrial.ident.report.check_page import write_check_page
+from seatrial.ident.report.design_page import write_design_page
+from seatrial.ident.report.page import write_report
+from seatrial.ident.report.study_page import write_study_page
+from seatrial.ident.report.terminal import print_result
+from seatrial.ident.results.parts import Result
+from seatrial.ident.results.result_file import from_json, to_json
 from tests.ident import navigation_example, page_examples, report_example, report_example_bench
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ident.characterisation.sensor_noise import band_spectrum
-from ident.results.commands import NoiseResult
+from seatrial.ident.characterisation.sensor_noise import band_spectrum
+from seatrial.ident.results.commands import NoiseResult
 from tests.ident.calibration_example import calibration
 from tests.ident.navigation_example import arrays
 from tests.ident.report_example import base, commands, fit, listed, log, parameter

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data.record import Channel
+from seatrial.ident.data.record import Channel
 
 Array = NDArray[np.float64]
 STEP, OUT, FIX = 0.005, 10, 4  # s; steps between AHRS samples; AHRS samples to a fix

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from ident.data.record import Record
-from ident.diagnosis.candidates import TrajectoryLinearisation
-from ident.diagnosis.score_test import (
+from seatrial.ident.data.record import Record
+from seatrial.ident.diagnosis.candidates import TrajectoryLinearisation
+from seatrial.ident.diagnosis.score_test import (
     NormalEquations,
     PriorTerms,
     Score,
@@ -17,10 +17,10 @@ from ident.diagnosis.score_test import (
     place,
     score_tests,
 )
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
-from ident.model.parameter import Parameter
-from ident.model.structure import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
 
 H = 0.1  # s
 M, D, Q, E_V, E_S = 2.0, 1.0, 0.05, 0.05, 0.1

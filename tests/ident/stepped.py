@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.data.record import Channel, Record, build_record
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.models.thruster import delayed_channels, thruster_model
+from seatrial.ident.data.record import Channel, Record, build_record
+from seatrial.ident.estimation.maximum_likelihood import Fit, fit
+from seatrial.ident.models.thruster import delayed_channels, thruster_model
 
 LEVELS = np.array([0.0, 0.3, 0.06, -0.5, 0.12, 0.4, -0.06, -0.12, 0.8, 0.06])  # nothing between 0.06 and 0.12
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.model.parameter import INF, Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.model.parameter import INF, Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 
 
 def turning() -> Model:
@@ -74,7 +74,7 @@ class NumpyFilter:
     """The extended Kalman filter once more, with plain numpy, joint updates and finite-difference Jacobians.
 
     f(x, u) and h(x, u) are the model's; the sensors of a row come one after the other, as they do in
-    ``ident.estimation.likelihood``.
+    ``seatrial.ident.estimation.likelihood``.
     """
 
     def __init__(

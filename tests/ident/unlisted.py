@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from ident.model.structure import EffectKind, ForceCurve
+from seatrial.ident.model.structure import EffectKind, ForceCurve
 
 KINDS = {"": EffectKind.NONPARAMETRIC, "past of ": EffectKind.LAGGED, "swing after ": EffectKind.RESONANT}
 

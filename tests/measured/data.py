@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import seatrial
+from seatrial import command_line
 
 
 def measured(name: str = "") -> Path:
@@ -24,5 +24,5 @@ def measured(name: str = "") -> Path:
 def run(*words: str) -> None:
     """A command that ends well."""
     with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
+        command_line.main(words)
     assert left.value.code == 0, words

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.log.reader import open_log
-from daq.samples import Ahrs, Autopilot, Gnss, Servo
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs, Autopilot, Gnss, Servo
 from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-import seatrial
+from seatrial import command_line
 from tests.measured.data import measured, run
 
 pytestmark = [pytest.mark.measured, pytest.mark.slow]
@@ -65,7 +65,7 @@ def results(folder: Path) -> dict[str, dict[str, Any]]:
 def test_sides_as_the_columns_are_named_are_refused(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     logs = [str(folder / f"fixed_00000{n}.mcap") for n in FITTED]
     with pytest.raises(SystemExit) as left:
-        seatrial.main(["ident", "vehicle", *logs, "--model", "horizontal:force", "--out", str(folder / "refused")])
+        command_line.main(["ident", "vehicle", *logs, "--model", "horizontal:force", "--out", str(folder / "refused")])
     assert left.value.code == 1
     assert "[thruster-sides-swapped]" in capfd.readouterr().err
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-import seatrial
-from daq.checks.findings import Finding
+from seatrial import command_line
+from seatrial.daq.checks.findings import Finding
 from tests.bench.check_cases import findings
 from tests.measured.data import measured, run
 
@@ -39,7 +39,7 @@ def ferry(tmp_path: Path, thruster: int, **changes: str) -> list[Finding]:
     path.write_text("\n".join(lines), encoding="utf-8")
     files = [str(folder / f"{name}_{thruster}.csv") for name in ("actuator_ref", "motor_state")]
     with pytest.raises(SystemExit) as left:
-        seatrial.main(["import", str(path), *files, "-o", str(tmp_path / "log.mcap")])
+        command_line.main(["import", str(path), *files, "-o", str(tmp_path / "log.mcap")])
     assert left.value.code == (1 if 'csv = { time_order = "drop" }' in lines else 0)  # of many rows the time runs back
     return findings(tmp_path / "log.mcap")
 

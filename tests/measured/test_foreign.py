@@ -14,11 +14,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from daq.errors import SeatrialWarning
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.log.reader import open_log
-from daq.samples import Scalar
+from seatrial.daq.errors import SeatrialWarning
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Scalar
 from tests.daq.ulog_files import Topic, write_ulog
 from tests.measured.data import measured, run
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ident.data.loading import load_run
-from ident.data.record import sample_and_hold
+from seatrial.ident.data.loading import load_run
+from seatrial.ident.data.record import sample_and_hold
 from tests.measured.data import measured, run
 
 pytestmark = [

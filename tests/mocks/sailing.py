@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mocks.plant.boat import STEP, Boat, BoatPlant
-from mocks.plant.effect import HiddenEffect
-from mocks.plant.hull import Hull, State
-from mocks.plant.thruster import ThrusterTruth
+from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant
+from seatrial.mocks.plant.effect import HiddenEffect
+from seatrial.mocks.plant.hull import Hull, State
+from seatrial.mocks.plant.thruster import ThrusterTruth
 
 REST: State = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

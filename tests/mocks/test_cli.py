@@ -21,9 +21,9 @@ import can
 import pytest
 import serial
 
-from daq.protocol import vectornav, vesc
-from daq.samples import Ahrs, Esc
-from mocks.hidden_effects.catalogue import DEMO
+from seatrial.daq.protocol import vectornav, vesc
+from seatrial.daq.samples import Ahrs, Esc
+from seatrial.mocks.hidden_effects.catalogue import DEMO
 
 PATIENCE = 20.0  # wall s for what takes a moment
 
@@ -37,7 +37,7 @@ def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def packaged(name: str, folder: Path, speed: float = 10.0, timeout_s: float = 3.0) -> Path:
-    text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (files("seatrial.mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     text = re.sub(r"(?m)^speed = \S+", f"speed = {speed}", text)
     text = re.sub(r"(?m)^timeout_s = \S+", f"timeout_s = {timeout_s}", text)
     path = folder / f"{name}.toml"

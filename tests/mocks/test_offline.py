@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from daq.samples import Ahrs
-from mocks.offline_simulation import simulate, simulate_bench, tables
-from mocks.plant.bench import draw_bench
-from mocks.plant.boat import draw_boat
-from mocks.sensors import geodetic
+from seatrial.daq.samples import Ahrs
+from seatrial.mocks.offline_simulation import simulate, simulate_bench, tables
+from seatrial.mocks.plant.bench import draw_bench
+from seatrial.mocks.plant.boat import draw_boat
+from seatrial.mocks.sensors import geodetic
 from tests.machine import cpu_seconds
 
 T = np.arange(0.0, 20.0, 4.0)

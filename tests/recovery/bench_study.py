@@ -3,9 +3,9 @@
     python -m tests.recovery.bench_study [--seed S] [--seeds N] [--jobs 2] [--effects a,b] [--scales 1,0.5]
                                          [--out FILE] [--report] [--docs]
 
-Every effect of ``mocks.plant.bench``, and none, on benches of N seeds and at full and half size: one run of the plan
-`all` to fit the thruster and to diagnose it, another to validate. Each case is a line in the out file as soon as it is
-done; a study that was interrupted goes on where it was. Nothing is run again with --report.
+Every effect of ``seatrial.mocks.plant.bench``, and none, on benches of N seeds and at full and half size: one run of
+the plan `all` to fit the thruster and to diagnose it, another to validate. Each case is a line in the out file as soon
+as it is done; a study that was interrupted goes on where it was. Nothing is run again with --report.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ident.characterisation.thruster import THRUSTER_RATE, fit_on_a_copy
-from ident.data.record import Channel, LogSegment, Record, build_record
-from ident.diagnosis.results import Diagnosis
-from ident.diagnosis.search import diagnose
-from ident.estimation.fitted_model import FittedModel
-from ident.estimation.maximum_likelihood import EstimationOptions
-from ident.model.structure import Model
-from ident.models.thruster import delay_step, delayed_channels, thruster_model
-from ident.validation.prediction_errors import pooled_errors, simulation_run
-from mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_effect
+from seatrial.ident.characterisation.thruster import THRUSTER_RATE, fit_on_a_copy
+from seatrial.ident.data.record import Channel, LogSegment, Record, build_record
+from seatrial.ident.diagnosis.results import Diagnosis
+from seatrial.ident.diagnosis.search import diagnose
+from seatrial.ident.estimation.fitted_model import FittedModel
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.thruster import delay_step, delayed_channels, thruster_model
+from seatrial.ident.validation.prediction_errors import pooled_errors, simulation_run
+from seatrial.mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_effect
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
 from tests.recovery.resumable import read, resume

@@ -14,23 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from bench.mission_generators import make_mission
-from ident.data.record import LogSegment
-from ident.diagnosis.results import Diagnosis
-from ident.diagnosis.search import diagnose, evaluate_diagnosis
-from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import FittedModel
-from ident.results.diagnosis import diagnosis_result
-from ident.results.parts import DiagnosisResult, ParameterRow
-from ident.results.tables import provenance
-from ident.validation.prediction_errors import (
+from seatrial.bench.mission_generators import make_mission
+from seatrial.ident.data.record import LogSegment
+from seatrial.ident.diagnosis.results import Diagnosis
+from seatrial.ident.diagnosis.search import diagnose, evaluate_diagnosis
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.fitted_model import FittedModel
+from seatrial.ident.results.diagnosis import diagnosis_result
+from seatrial.ident.results.parts import DiagnosisResult, ParameterRow
+from seatrial.ident.results.tables import provenance
+from seatrial.ident.validation.prediction_errors import (
     PredictionErrors,
     horizon_errors,
     one_step_errors,
     pooled_errors,
     simulation_run,
 )
-from mocks.offline_simulation import Recording, simulate
+from seatrial.mocks.offline_simulation import Recording, simulate
 from tests.missions import boat_with, channels_of
 from tests.recovery.kinds import Case, boat_of, model_of, with_gaps
 from tests.recovery.logged import diagnosed, write_logs

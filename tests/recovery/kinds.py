@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.data.record import Channel
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
-from mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, SMALL, make_effect
-from mocks.plant.boat import Boat, draw_boat
+from seatrial.ident.data.record import Channel
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, SMALL, make_effect
+from seatrial.mocks.plant.boat import Boat, draw_boat
 
 NONE = "none"
 SECONDS, VALIDATION_SECONDS = 400.0, 250.0  # as in the demo
-# The noise of the mocks' sensors as their data sheets have it, for ten rows a second (mocks.sensors)
+# The noise of the mocks' sensors as their data sheets have it, for ten rows a second (seatrial.mocks.sensors)
 DECLARED = {"e_psi": np.radians(0.5) / 5**0.5, "e_r": 0.01 / 5**0.5, "e_a": 0.1 / 5**0.5, "e_xy": 0.15, "e_vxy": 0.05}
 
 
@@ -39,7 +39,7 @@ def all_beside(seed: int) -> list[str]:
 @dataclass(frozen=True)
 class Kind:
     """``truths``: what is tried at a seed; ``seeds``: how many seeds by default; ``gain``: on the commands;
-    ``others``: size of every other effect; ``noise``: one of mocks.hidden_effects.catalogue.NOISE."""
+    ``others``: size of every other effect; ``noise``: one of seatrial.mocks.hidden_effects.catalogue.NOISE."""
 
     says: str
     truths: Callable[[int], list[str]]

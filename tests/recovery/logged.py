@@ -8,10 +8,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ident.data.loading import load_run
-from ident.data.record import LogSegment
-from ident.results.result_file import AnyResult, read_result
-from mocks.offline_simulation import Recording
+from seatrial.ident.data.loading import load_run
+from seatrial.ident.data.record import LogSegment
+from seatrial.ident.results.result_file import AnyResult, read_result
+from seatrial.mocks.offline_simulation import Recording
 from tests.missions import write_log
 
 THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")  # of these simulated boats

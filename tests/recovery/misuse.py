@@ -15,15 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from daq.errors import SeatrialError
-from daq.importers.import_map import Signal
-from daq.importers.signals import SignalData
-from daq.importers.write_log import write_signals
-from ident.checks.log_checks import device_faults
-from ident.data.loading import load_all
-from ident.data.record import Channel
-from ident.workflows.check import check_first
-from ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_map import Signal
+from seatrial.daq.importers.signals import SignalData
+from seatrial.daq.importers.write_log import write_signals
+from seatrial.ident.checks.log_checks import device_faults
+from seatrial.ident.data.loading import load_all
+from seatrial.ident.data.record import Channel
+from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
 from tests.missions import T0, boat_with, channels_of, sail
 
 SECONDS, VALIDATION_SECONDS = 240.0, 120.0

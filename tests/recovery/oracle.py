@@ -8,12 +8,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ident.data.record import LogSegment, make_record
-from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import FittedModel, fit_and_evaluate, nominal, superset, without_absent_sensors
-from ident.model.structure import Effect
-from ident.results.parts import NonparametricCurve
-from mocks.hidden_effects.catalogue import make_effect
+from seatrial.ident.data.record import LogSegment, make_record
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.fitted_model import (
+    FittedModel,
+    fit_and_evaluate,
+    nominal,
+    superset,
+    without_absent_sensors,
+)
+from seatrial.ident.model.structure import Effect
+from seatrial.ident.results.parts import NonparametricCurve
+from seatrial.mocks.hidden_effects.catalogue import make_effect
 from tests.recovery.kinds import Case, boat_of, model_of
 
 Array = NDArray[np.float64]

@@ -19,21 +19,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import seatrial
-from bench.mission_generators import make_mission
-from daq.clock import ClockMap
-from daq.log.recorder import Recorder
-from daq.log.schema import local_ned
-from daq.protocol import Codec, dialect
-from daq.protocol.mavlink import MavlinkDecoder, make_samples
-from daq.samples import NAN, Ahrs, Command, Esc, Frame, Gnss
-from mocks.devices.autopilot import AutopilotEmulator
-from mocks.hidden_effects.catalogue import make_effect
-from mocks.offline_simulation import BOAT, Recording, simulate, tables
-from mocks.plant.boat import Boat, draw_boat
-from mocks.plant.thruster import draw_thruster
-from mocks.random_streams import random_stream
-from mocks.world import DeviceSpecs, EscSpec, Reading
+from seatrial import command_line
+from seatrial.bench.mission_generators import make_mission
+from seatrial.daq.clock import ClockMap
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.log.schema import local_ned
+from seatrial.daq.protocol import Codec, dialect
+from seatrial.daq.protocol.mavlink import MavlinkDecoder, make_samples
+from seatrial.daq.samples import NAN, Ahrs, Command, Esc, Frame, Gnss
+from seatrial.mocks.devices.autopilot import AutopilotEmulator
+from seatrial.mocks.hidden_effects.catalogue import make_effect
+from seatrial.mocks.offline_simulation import BOAT, Recording, simulate, tables
+from seatrial.mocks.plant.boat import Boat, draw_boat
+from seatrial.mocks.plant.thruster import draw_thruster
+from seatrial.mocks.random_streams import random_stream
+from seatrial.mocks.world import DeviceSpecs, EscSpec, Reading
 from tests.missions import RPM_MAX, T0, StandingClock, rig_of, write_log
 from tests.recovery.kinds import DECLARED, NONE
 
@@ -193,7 +193,7 @@ def import_files(how: Path, table: Path, path: Path) -> None:
     """`seatrial import`, quietly. Raises RuntimeError where it fails."""
     with redirect_stdout(StringIO()):
         try:
-            seatrial.main(["import", str(how), str(table), "-o", str(path), "--force"])
+            command_line.main(["import", str(how), str(table), "-o", str(path), "--force"])
         except SystemExit as left:
             if left.code:
                 raise RuntimeError(f"{table.name} cannot be imported") from None
@@ -370,7 +370,7 @@ class Plant:
 def import_tlog(tlog: Path, path: Path) -> Path:
     """`seatrial import mavlink` of the example's rig, quietly."""
     with redirect_stdout(StringIO()), suppress(SystemExit):
-        seatrial.main(["import", "mavlink", str(tlog), "--rig", str(ARDUROVER / "rig.toml"), "-o", str(path)])
+        command_line.main(["import", "mavlink", str(tlog), "--rig", str(ARDUROVER / "rig.toml"), "-o", str(path)])
     return path
 
 

@@ -30,11 +30,11 @@ from zlib import crc32
 
 import numpy as np
 
-from ident.effects import catalogue
-from ident.results.parts import DiagnosisResult, VehicleResult
-from ident.results.result_file import read_result
-from mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE
-from mocks.plant.boat import Boat
+from seatrial.ident.effects import catalogue
+from seatrial.ident.results.parts import DiagnosisResult, VehicleResult
+from seatrial.ident.results.result_file import read_result
+from seatrial.mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE
+from seatrial.mocks.plant.boat import Boat
 from tests.recovery import tables
 from tests.recovery.cases import Row, code_state, named_truth, z_scores
 from tests.recovery.kinds import NONE

@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
+from seatrial.mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
 from tests.recovery import tables, targets
 from tests.recovery.cases import Row, run_case
 from tests.recovery.kinds import KINDS, NONE, Case

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mocks.hidden_effects.catalogue import NOISE
+from seatrial.mocks.hidden_effects.catalogue import NOISE
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS
 from tests.recovery.verdict import all_right, drawn_right, exactly, first_right, leads, truths, wrong_as_sure

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import seatrial
+from seatrial import command_line
 from tests.recovery.misuse import COPY, KINDS, SENSORS, logged, outcomes, refusal, written
 
 LONG = ("full", "position", "body")
@@ -30,7 +30,7 @@ def test_a_fit_despite_a_mounting_ends_with_a_result_or_one_line(
     logs = [written(tmp_path / f"{k}.mcap", KINDS[kind].of(logged(1, "full", 150.0, k))) for k in (1, 2)]
     words = ["ident", "vehicle", str(logs[0]), "--validate", str(logs[1]), "--despite-faults", "--out"]
     with pytest.raises(SystemExit) as left:
-        seatrial.main([*words, str(tmp_path / "out")])
+        command_line.main([*words, str(tmp_path / "out")])
     out, err = capfd.readouterr()
     assert left.value.code in (0, 1)
     assert "Despite faults of the logs" in " ".join(out.split())

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ident.characterisation.thruster import THRUSTER_RATE, fit_thruster
-from ident.data.record import build_record
-from ident.diagnosis import diagnose
-from ident.effects.nonparametric import NonparametricForce
-from ident.effects.registry import catalogue
-from ident.estimation.maximum_likelihood import EstimationOptions
-from ident.model.structure import EffectKind
-from ident.models.thruster import delayed_channels, thruster_model
-from ident.results.tables import fit_summary
-from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
-from mocks.plant.bench import draw_bench
+from seatrial.ident.characterisation.thruster import THRUSTER_RATE, fit_thruster
+from seatrial.ident.data.record import build_record
+from seatrial.ident.diagnosis import diagnose
+from seatrial.ident.effects.nonparametric import NonparametricForce
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
+from seatrial.ident.model.structure import EffectKind
+from seatrial.ident.models.thruster import delayed_channels, thruster_model
+from seatrial.ident.results.tables import fit_summary
+from seatrial.mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
+from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_channels_of, push
 from tests.recovery import study, tables, targets, verdict
 from tests.recovery.cases import (

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.log.reader import open_log
-from daq.samples import Esc
-from ident.data.loading import load_run
-from ident.results.parts import VehicleResult
-from ident.results.result_file import read_result
-from mocks.offline_simulation import simulate
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Esc
+from seatrial.ident.data.loading import load_run
+from seatrial.ident.results.parts import VehicleResult
+from seatrial.ident.results.result_file import read_result
+from seatrial.mocks.offline_simulation import simulate
 from tests.missions import boat_with
 from tests.recovery import rigs, tables
 from tests.recovery.cases import Row, code_state, z_scores

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE, make_effect
+from seatrial.mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE, make_effect
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS, NONE
 

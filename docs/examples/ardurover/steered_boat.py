@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Input, Output, Parameter, Sensor, State, plain_model
+from seatrial.ident.model import Input, Output, Parameter, Sensor, State, plain_model
 
 F_PER_N = 20.0  # N at one thruster for n = 1
 

@@ -20,9 +20,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.effects import catalogue
-from ident.model import INF, Effect, Model, Output, Parameter, Sensor, Signals, State
-from ident.models import SIDES, horizontal_model
+from seatrial.ident.effects import catalogue
+from seatrial.ident.model import INF, Effect, Model, Output, Parameter, Sensor, Signals, State
+from seatrial.ident.models import SIDES, horizontal_model
 
 SMALL = 1e-3  # part of full speed; keeps powers smooth at rest
 KNOWN = {"y_left": 0.285, "y_right": -0.285, "e_uv": 0.35, "e_r": 0.25, "e_psi": 50.0, "d_vv": 0.0, "Y_uv": 0.0}

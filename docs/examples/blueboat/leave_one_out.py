@@ -2,10 +2,10 @@
 
     python leave_one_out.py LOG... [--model NAME ...] [--fix NAME=VALUE ...] [--nested] [--subsets N] [--out FILE.json]
 
-The fit is by output error (``ident.estimation.output_error``). Fit and prediction start at the first sample of the run
-from the speeds and the heading measured there, and the prediction sees nothing but the commands after it. The score is
-that of compare() in MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for each run,
-and pooled, with the squares of all runs summed and every run's own mean taken away.
+The fit is by output error (``seatrial.ident.estimation.output_error``). Fit and prediction start at the first sample of
+the run from the speeds and the heading measured there, and the prediction sees nothing but the commands after it. The
+score is that of compare() in MATLAB, which the data's authors use, 100 (1 - |y - y_hat| / |y - mean(y)|) per cent: for
+each run, and pooled, with the squares of all runs summed and every run's own mean taken away.
 
 ``--nested``: nested cross-validation (Varma and Simon 2006). For each run left out, the model and the weight of the
 heading's gain (``e_drift``) are chosen by leaving out the other runs one by one, by the geometric mean over channels of
@@ -34,9 +34,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
-from ident.data import Channel, Record, build_record, load_run
-from ident.estimation import EstimationOptions, Fit, SearchSettings, fit, simulate
-from ident.model import Model
+from seatrial.ident.data import Channel, Record, build_record, load_run
+from seatrial.ident.estimation import EstimationOptions, Fit, SearchSettings, fit, simulate
+from seatrial.ident.model import Model
 
 Array = NDArray[np.float64]
 CHANNELS = ("u", "v", "r")

@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model, tap_name
-from ident.models import delay_weights
+from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model, tap_name
+from seatrial.ident.models import delay_weights
 
 STEP, N_DELAYS = 0.1, 16  # s, copies of an input: seatrial makes them, k steps ago each
 SMALL = 1e-6  # N; keeps the root smooth where there is no thrust

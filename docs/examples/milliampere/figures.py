@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ident.data import load_run, sample_and_hold
+from seatrial.ident.data import load_run, sample_and_hold
 
 SETTLED = 8.0  # s after a command
 

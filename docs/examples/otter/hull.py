@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.effects import catalogue
-from ident.model import INF, Effect, Model, Parameter, Signals
-from ident.models import horizontal_model
+from seatrial.ident.effects import catalogue
+from seatrial.ident.model import INF, Effect, Model, Parameter, Signals
+from seatrial.ident.models import horizontal_model
 
 LENGTH, STRIPS = 2.0, 10  # m; the simulator has 20 strips, which changes c_flow and nothing else
 SMALL = 0.01  # m/s; keeps |v + x r| smooth, without which the search stops short

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def pass_on(s: Signals) -> None:

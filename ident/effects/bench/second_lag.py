@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def filter_command(s: Signals) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.model import Effect, Parameter, Signals, State
 
 USED = 30.0  # s at full power: the unit of work
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals
 
 AT_REST = 1e-6  # added to the squared shaft speed, so that its logarithm exists at rest
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, Input, Parameter, Signals
+from seatrial.ident.model import Effect, Input, Parameter, Signals
 
 
 def drift(s: Signals) -> None:

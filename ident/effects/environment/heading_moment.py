@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import Effect, ForceCurve, Parameter, Signals
+from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def add(s: Signals) -> None:

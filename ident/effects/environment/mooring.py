@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import INF, Effect, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 ROUND = 0.1  # width of the corner at the slack length, relative to the tension that the slack takes away
 

@@ -3,7 +3,7 @@
 Each force is the output of a second-order filter driven by white noise (linear approximation of the wave spectrum,
 Fossen 2011, section 8.2). Its size A is a standard deviation, so the likelihood is even in A and the score at zero
 vanishes: a score test by sensitivities cannot find waves. They are detected as a peak in the spectrum of the
-innovations (``ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
+innovations (``seatrial.ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.model import INF, Effect, Parameter, Signals, State
+from seatrial.ident.model import INF, Effect, Parameter, Signals, State
 
 FORCES = {"X": ("N", 5.0), "Y": ("N", 5.0), "N": ("N m", 0.6)}
 

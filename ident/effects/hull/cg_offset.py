@@ -6,7 +6,7 @@ m_u, shorter than the boat's own by her mass over m_u.
 
 from __future__ import annotations
 
-from ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def couple(s: Signals) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.model import INF, Effect, ForceCurve, Parameter, Signals
+from seatrial.ident.model import INF, Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import Effect, ForceCurve, Parameter, Signals
+from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:

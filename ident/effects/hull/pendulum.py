@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 
-from ident.model import Effect, ModelFunction, Parameter, Signals, State
+from seatrial.ident.model import Effect, ModelFunction, Parameter, Signals, State
 
 # Hz, natural frequencies that are tried: apart by a twelfth, the width of a resonance of this damping
 FREQUENCIES = tuple(round(0.25 * 1.12**k, 2) for k in range(16))
-# kg, of a boat of 37 kg, with which it goes (ident.models.scaling): with all of the mass free the force is infinite
+# kg, of a boat of 37 kg, with which it goes (seatrial.ident.models.scaling): with all of the mass free the force is
+# infinite
 LARGEST = 30.0
 
 

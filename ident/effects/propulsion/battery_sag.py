@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import INF, Effect, Input, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Input, Parameter, Signals
 
 
 def sag(s: Signals) -> None:

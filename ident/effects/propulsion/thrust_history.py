@@ -1,8 +1,9 @@
 """Thrust dynamics: a pure delay, or a further first-order lag, of the measured or given input.
 
 The delay works on delayed copies of the input (``NAME~k``: the input k steps of 0.1 s earlier, held as the input is),
-between which it is cubic (``ident.models.horizontal.shift_in_time``). The lag is a state of each thruster. Both have
-their own place in the thruster's chain, so that it does not matter which was added first, and a derivative at zero.
+between which it is cubic (``seatrial.ident.models.horizontal.shift_in_time``). The lag is a state of each thruster.
+Both have their own place in the thruster's chain, so that it does not matter which was added first, and a derivative at
+zero.
 
 Of a Nomoto model, which is integrated back to a late fix and a late gyro, the lag is approximate while thrust changes:
 what its thrust and steering were then differs from now by what the inputs alone would make of it, at once. Over a fix
@@ -13,8 +14,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from ident.model import Effect, Input, Parameter, Signals, State
-from ident.models import SIDES, first_order, shift_in_time
+from seatrial.ident.model import Effect, Input, Parameter, Signals, State
+from seatrial.ident.models import SIDES, first_order, shift_in_time
 
 N_DELAY = 8
 FULL = {"n": 1.0, "f": 40.0}  # of an input

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ident.effects.bench.thrust_exponent import EXPONENT, SOURCE, factor
-from ident.model import Effect, Signals
+from seatrial.ident.effects.bench.thrust_exponent import EXPONENT, SOURCE, factor
+from seatrial.ident.model import Effect, Signals
 
 
 def bend(s: Signals) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.model import INF, Effect, ForceCurve, ModelFunction, Parameter, Signals
+from seatrial.ident.model import INF, Effect, ForceCurve, ModelFunction, Parameter, Signals
 
 
 def _lose(parameter: str, variable: str) -> ModelFunction:

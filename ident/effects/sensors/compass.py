@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def turn_body_velocity(s: Signals, angle: Any) -> None:

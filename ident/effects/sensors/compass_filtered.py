@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.effects.sensors.compass import turn_body_velocity
-from ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.effects.sensors.compass import turn_body_velocity
+from seatrial.ident.model import Effect, Parameter, Signals, State
 
 TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0.05), ("2c", "cos 2 psi", 0.05))
 

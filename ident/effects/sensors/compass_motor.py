@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ident.effects.sensors.compass import turn_body_velocity
-from ident.model import Effect, Parameter, Signals, State
+from seatrial.ident.effects.sensors.compass import turn_body_velocity
+from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def follow(s: Signals) -> None:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
-from ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, copies_of
+from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
+from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, copies_of
 
 N_PAST = 5
 

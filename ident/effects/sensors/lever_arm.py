@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ident.model import Effect, Parameter, Signals
-from ident.models import rotations, shift
+from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.models import rotations, shift
 
 
 def move(s: Signals) -> None:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ident.effects.sensors.compass import turn_body_velocity
-from ident.model import Effect, Parameter, Signals
-from ident.models import rotations
+from seatrial.ident.effects.sensors.compass import turn_body_velocity
+from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.models import rotations
 
 
 def turn(s: Signals) -> None:

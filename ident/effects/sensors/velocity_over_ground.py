@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def scale(s: Signals) -> None:

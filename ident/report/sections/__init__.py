@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from ident.report.blocks import Canvas, Section
-from ident.report.sections import answer, navigation, noise, parameters, predictions, residuals, runs, search
-from ident.results import (
+from seatrial.ident.report.blocks import Canvas, Section
+from seatrial.ident.report.sections import answer, navigation, noise, parameters, predictions, residuals, runs, search
+from seatrial.ident.results import (
     DiagnosisResult,
     FitResult,
     InformationResult,

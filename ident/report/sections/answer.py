@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section
-from ident.report.sections.predictions import by_role
-from ident.results import (
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Dumbbell, Dumbbells, EffectCard, Facts, Grid, Prose, Section
+from seatrial.ident.report.sections.predictions import by_role
+from seatrial.ident.results import (
     DiagnosisResult,
     EffectRow,
     ErrorComparison,
@@ -107,8 +107,8 @@ def effect_card(effect: EffectRow) -> EffectCard:
 
 
 def _importance(factor: float | None) -> tuple[str, str]:
-    """How much larger the prediction error is without the effect (ident.diagnosis.importance): the figure, and the
-    words after it."""
+    """How much larger the prediction error is without the effect (seatrial.ident.diagnosis.importance): the figure, and
+    the words after it."""
     if factor is None:
         return "", ""
     if factor >= 2.0:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ident.numerics import Array
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Prose, Section, Table, tabbed
-from ident.report.record_tabs import origin_words
-from ident.results import GnssFixes, GnssOutage, NavigatedRecord, NavigationResult, StateTrace
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Prose, Section, Table, tabbed
+from seatrial.ident.report.record_tabs import origin_words
+from seatrial.ident.results import GnssFixes, GnssOutage, NavigatedRecord, NavigationResult, StateTrace
 
 TIME = "time [s]"
 TURN = np.linspace(0.0, 2 * np.pi, 73)

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ident.numerics import Array
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Section, Table
-from ident.results import ChannelNoise, NoiseResult, SpectrumBands
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Plot, Section, Table
+from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from ident.numerics import Array
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table, tabbed
-from ident.results import (
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table, tabbed
+from seatrial.ident.results import (
     Correlation,
     FitSummary,
     InformationResult,

@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Lines, Plot, Prose, Section, Table, tabbed
-from ident.results import (
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Lines, Plot, Prose, Section, Table, tabbed
+from seatrial.ident.results import (
     CalibrationRow,
     Calibrations,
     CalibrationTable,

@@ -7,11 +7,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from ident.numerics import Array
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Section, Table, tabbed
-from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from ident.results import CorrelationTest, CrossCorrelation, FitResult, ResidualTests, WhitenessTests
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Section, Table, tabbed
+from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
+from seatrial.ident.results import CorrelationTest, CrossCorrelation, FitResult, ResidualTests, WhitenessTests
 
 T = TypeVar("T", WhitenessTests, CorrelationTest)
 KOLMOGOROV_95 = 1.358  # of sqrt(m) times the largest distance of a cumulative periodogram (Bartlett 1955)

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ident.numerics import Array
-from ident.report import drawing, formatting
-from ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
-from ident.report.record_tabs import RecordTab, of_record, origin_lines, origin_words, record_tabs, roles_of
-from ident.results import ErrorComparison, ErrorTable, FitResult, InputTrace, LogSummary, Trace
+from seatrial.ident.numerics import Array
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Canvas, Cell, Grid, Key, Lines, Prose, Section, Table, tabbed
+from seatrial.ident.report.record_tabs import RecordTab, of_record, origin_lines, origin_words, record_tabs, roles_of
+from seatrial.ident.results import ErrorComparison, ErrorTable, FitResult, InputTrace, LogSummary, Trace
 
 TIME = "time since the start of the record [s]"
 

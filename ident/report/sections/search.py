@@ -6,10 +6,10 @@ import math
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from ident.report import drawing, formatting
-from ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
-from ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
+from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
+from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
+from seatrial.ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
 
 SHOWN = 14
 OUTCOMES = {

@@ -11,16 +11,16 @@ from typing import cast
 
 import pytest
 
-from bench.execution import autopilots
-from bench.execution.autopilots import Autopilots
-from bench.execution.safety_guard import LASTS_S, TOLERANCE, OutputCheck, SafetyGuard, Stop, StopCode
-from daq.acquisition.session import Acquisition
-from daq.acquisition.status import Latest, PortStatus, Status
-from daq.clock import RunClock
-from daq.drivers.base import LinkStatus
-from daq.errors import SeatrialError
-from daq.protocol.mavlink import ROVER
-from daq.samples import Servo
+from seatrial.bench.execution import autopilots
+from seatrial.bench.execution.autopilots import Autopilots
+from seatrial.bench.execution.safety_guard import LASTS_S, TOLERANCE, OutputCheck, SafetyGuard, Stop, StopCode
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.acquisition.status import Latest, PortStatus, Status
+from seatrial.daq.clock import RunClock
+from seatrial.daq.drivers.base import LinkStatus
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol.mavlink import ROVER
+from seatrial.daq.samples import Servo
 from tests.daq.mavlink_ends import Ends, mav_rig
 
 T = 1_763_616_000.0

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.config.mission_file import Mission, Segment, save_mission
-from daq.log.reader import open_log
-from daq.log.watchdog_note import read_note
-from daq.samples import Command, Esc
+from seatrial.daq.config.mission_file import Mission, Segment, save_mission
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.watchdog_note import read_note
+from seatrial.daq.samples import Command, Esc
 from tests.bench.guard_replay import replay
 from tests.bench.runs import AT_ONCE_S, DEADMAN_S, acquisition_of, watchdog_of
 from tests.bench.standin import until
@@ -33,7 +33,7 @@ SEATRIAL = [sys.executable, "-m", "seatrial"]
 
 def write_files(folder: Path, seconds: float) -> None:
     """The mocks' bench with its controller on DroneCAN, reversed; and a mission: rest, ahead, astern."""
-    text = files("mocks").joinpath("rigs", "bench.toml").read_text(encoding="utf-8")
+    text = files("seatrial.mocks").joinpath("rigs", "bench.toml").read_text(encoding="utf-8")
     text = text.replace('protocol = "vesc"', 'protocol = "dronecan"').replace("pole_pairs = 7\n", "reversed = true\n")
     text = re.sub(r"speed = [\d.]+", f"speed = {SPEED}", text)
     text = re.sub(r"timeout_s = [\d.]+", f"timeout_s = {ESC_S * SPEED}", text)

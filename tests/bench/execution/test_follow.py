@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.log.reader import open_log
-from daq.samples import Command
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Command
 from tests.bench.runs import AT_ONCE_S, Run, acquisition_of, kinds, running
 from tests.bench.standin import StandIn, until
 from tests.daq.ros_ends import Commander, Router

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bench.execution import safety_guard as guard_module
-from bench.execution.safety_guard import (
+from seatrial.bench.execution import safety_guard as guard_module
+from seatrial.bench.execution.safety_guard import (
     AT_REST_S,
     COAST_S,
     DUTY_LASTS_S,
@@ -25,12 +25,12 @@ from bench.execution.safety_guard import (
     Stop,
     StopCode,
 )
-from daq.acquisition.status import Latest, PortStatus, Status
-from daq.config.rig_file import parse_rig
-from daq.drivers import LinkStatus
-from daq.errors import SafetyStop
-from daq.rig import Limits, Rig
-from daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample, Servo
+from seatrial.daq.acquisition.status import Latest, PortStatus, Status
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.drivers import LinkStatus
+from seatrial.daq.errors import SafetyStop
+from seatrial.daq.rig import Limits, Rig
+from seatrial.daq.samples import Ahrs, Esc, Gnss, LoadCell, Sample, Servo
 from tests.bench.execution.test_safety_guard import GNSS
 from tests.bench.standin import RIG
 from tests.daq.mavlink_ends import mav_rig

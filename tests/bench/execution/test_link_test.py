@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.execution.link_test import MUTED, N_TEST, LinkTest, link_test_plan, measure_link_loss
-from daq.drivers.base import LinkStatus
-from daq.errors import SeatrialError
+from seatrial.bench.execution.link_test import MUTED, N_TEST, LinkTest, link_test_plan, measure_link_loss
+from seatrial.daq.drivers.base import LinkStatus
+from seatrial.daq.errors import SeatrialError
 from tests.daq.mavlink_ends import mav_rig
 
 SILENT, ENDED = 3.0, 3.5  # s: nothing is sent from here on, and the thrust is over

@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from bench.execution.link_test import LinkTest, require_link_test, save_link_tests
-from daq.config.mission_file import Mission, Segment, save_mission
-from daq.config.rig_file import load_rig
-from daq.drivers.ardupilot_parameters import link_loss_hash
-from daq.drivers.base import DISARMED, LinkStatus
-from daq.errors import SeatrialError
-from daq.log.reader import open_log
-from daq.samples import Ahrs, Command, Servo
-from ident.data.loading import channels
+from seatrial.bench.execution.link_test import LinkTest, require_link_test, save_link_tests
+from seatrial.daq.config.mission_file import Mission, Segment, save_mission
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.drivers.ardupilot_parameters import link_loss_hash
+from seatrial.daq.drivers.base import DISARMED, LinkStatus
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs, Command, Servo
+from seatrial.ident.data.loading import channels
 from tests.bench.guard_replay import replay
 from tests.bench.runs import IMPATIENT, acquisition_of, is_alive
 from tests.bench.standin import until

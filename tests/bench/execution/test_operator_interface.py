@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 from rich.console import Console
 
-from bench.execution.operator_interface import (
+from seatrial.bench.execution.operator_interface import (
     AGAIN_S,
     CAUGHT,
     Keys,

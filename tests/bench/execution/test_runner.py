@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.config.mission_file import Mission, Segment, parse_mission, save_mission
-from daq.log.reader import open_log
-from daq.samples import Command, Esc, LoadCell
+from seatrial.daq.config.mission_file import Mission, Segment, parse_mission, save_mission
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Command, Esc, LoadCell
 from tests.bench.guard_replay import replay
 from tests.bench.runs import SPEED, acquisition_of, assert_plan_was_run, running, short_mission
 from tests.bench.standin import RPM_MAX, StandIn

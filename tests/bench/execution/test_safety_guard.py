@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from bench.execution.runner import newest_values
-from bench.execution.safety_guard import QUICK, SLOW, STALE_MAX_S, STOPPED, SafetyGuard, stopping_distance
-from daq.acquisition.status import Latest, PortStatus, Status
-from daq.config.rig_file import parse_rig
-from daq.errors import SafetyStop
-from daq.rig import Rig
-from daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample
+from seatrial.bench.execution.runner import newest_values
+from seatrial.bench.execution.safety_guard import QUICK, SLOW, STALE_MAX_S, STOPPED, SafetyGuard, stopping_distance
+from seatrial.daq.acquisition.status import Latest, PortStatus, Status
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SafetyStop
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Ahrs, Battery, Esc, Gnss, LoadCell, Sample
 from tests.bench.standin import RIG
 from tests.daq.mavlink_ends import mav_rig
 

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.execution.operator_interface import AGAIN_S
-from bench.execution.sequencer import CommandFollower, MissionSequencer, Schedule, follow_plan
-from daq.acquisition.status import PortStatus, Status
-from daq.config.mission_file import Mission, Segment
-from daq.config.rig_file import parse_rig
-from daq.errors import SafetyStop, SeatrialError
-from daq.log.reader import open_log
-from daq.tools.ros_live import ReceivedCommand
+from seatrial.bench.execution.operator_interface import AGAIN_S
+from seatrial.bench.execution.sequencer import CommandFollower, MissionSequencer, Schedule, follow_plan
+from seatrial.daq.acquisition.status import PortStatus, Status
+from seatrial.daq.config.mission_file import Mission, Segment
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SafetyStop, SeatrialError
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.tools.ros_live import ReceivedCommand
 from tests.bench.runs import short_mission
 from tests.bench.standin import RIG, StandIn, until
 

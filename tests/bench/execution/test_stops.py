@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.config.mission_file import Mission, Segment, save_mission
-from daq.drivers.setpoints import REPEAT_S, ZERO_FOR_S
-from daq.log.reader import open_log
-from daq.samples import Command
+from seatrial.daq.config.mission_file import Mission, Segment, save_mission
+from seatrial.daq.drivers.setpoints import REPEAT_S, ZERO_FOR_S
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Command
 from tests.bench.runs import (
     AT_ONCE_S,
     DEADMAN_S,

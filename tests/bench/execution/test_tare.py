@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.execution.tare import describe_tares, measure_tares, static_windows
-from bench.mission_generators import bench_plan
-from daq.clock import RunClock
-from daq.config.rig_file import parse_rig
-from daq.log.recorder import Recorder
-from daq.rig import Rig
-from daq.samples import Frame, LoadCell
+from seatrial.bench.execution.tare import describe_tares, measure_tares, static_windows
+from seatrial.bench.mission_generators import bench_plan
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Frame, LoadCell
 from tests.bench.standin import NEWTON_PER_COUNT, RIG, ZERO_COUNTS
 
 START = 1_763_616_000.0

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.ipc import ACTIVE, FINISHED, IDLE
-from daq.acquisition.watchdog import ANSWER_S, HANG_S, POLL_S, HeartbeatMonitor
-from daq.log.reader import open_log
-from daq.log.watchdog_note import note_path, read_note, write_note
+from seatrial.daq.acquisition.ipc import ACTIVE, FINISHED, IDLE
+from seatrial.daq.acquisition.watchdog import ANSWER_S, HANG_S, POLL_S, HeartbeatMonitor
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.watchdog_note import note_path, read_note, write_note
 from tests.bench.runs import AT_ONCE_S, acquisition_of, is_alive, kinds, running, short_mission, watchdog_of
 from tests.bench.standin import SLOW_ESC_S, StandIn, until
 
@@ -67,7 +67,7 @@ def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_move
 
 
 def test_it_loads_only_what_it_needs_to_send_zero() -> None:
-    program = "import sys, daq.acquisition.watchdog as w, daq.log; daq.log.write_note; print(*sys.modules)"
+    program = "import sys, seatrial.daq.acquisition.watchdog, seatrial.daq.log as log; log.write_note; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert not {"numpy", "mcap", "zstandard", "pymavlink", "can"} & set(done.stdout.split())
 

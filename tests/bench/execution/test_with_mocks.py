@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
-from bench.demo import write_demo_rig
-from daq.config.mission_file import parse_mission
-from daq.log.reader import open_log
-from daq.samples import Command, Esc, LoadCell
+from seatrial.bench.demo import write_demo_rig
+from seatrial.daq.config.mission_file import parse_mission
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Command, Esc, LoadCell
 from tests.bench.guard_replay import replay
 from tests.bench.mock_process import mock_process
 from tests.bench.runs import assert_plan_was_run

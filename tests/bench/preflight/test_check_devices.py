@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from bench.preflight.rig_checks import check_ports
-from daq.acquisition.status import PortStatus, Status
-from daq.checks.device_checks import check_devices
-from daq.checks.findings import FAULT, WARNING, Finding
-from daq.drivers.base import LinkStatus
-from daq.log.reader import open_log
-from daq.samples import NAN, Ahrs, Gnss, LoadCell
-from mocks.plant.bench import draw_bench
-from mocks.world import Sample
+from seatrial.bench.preflight.rig_checks import check_ports
+from seatrial.daq.acquisition.status import PortStatus, Status
+from seatrial.daq.checks.device_checks import check_devices
+from seatrial.daq.checks.findings import FAULT, WARNING, Finding
+from seatrial.daq.drivers.base import LinkStatus
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import NAN, Ahrs, Gnss, LoadCell
+from seatrial.mocks.plant.bench import draw_bench
+from seatrial.mocks.world import Sample
 from tests.bench.check_cases import Case, alarms, logged, sailed
 from tests.daq.mavlink_ends import mav_rig
 from tests.missions import push, write_log

@@ -8,11 +8,11 @@ import signal
 import subprocess
 from pathlib import Path
 
-from bench.demo import write_demo_rig
-from bench.mission_generators import make_mission
-from daq.config.mission_file import save_mission
-from daq.log.reader import open_log
-from daq.samples import Command
+from seatrial.bench.demo import write_demo_rig
+from seatrial.bench.mission_generators import make_mission
+from seatrial.daq.config.mission_file import save_mission
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Command
 from tests.bench.execution.test_with_mocks import SEATRIAL, mock, trace, turning
 from tests.bench.standin import StandIn, until
 from tests.daq.logs import T0, recorder

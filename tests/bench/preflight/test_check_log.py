@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial
-from bench.mission_generators import make_mission
-from daq.checks.device_checks import check_timestamps, lost_zeros, white
-from daq.checks.findings import Finding, findings_lines, findings_summary, worst_first
-from ident.checks.log_checks import check_signals
-from ident.checks.motion import check_motion
-from ident.checks.sensors import heading_match
-from ident.checks.shafts import Response, response
-from ident.data.record import Channel
-from mocks.offline_simulation import simulate, tables
-from mocks.plant.boat import draw_boat
-from mocks.plant.thruster import draw_thruster
+from seatrial import command_line
+from seatrial.bench.mission_generators import make_mission
+from seatrial.daq.checks.device_checks import check_timestamps, lost_zeros, white
+from seatrial.daq.checks.findings import Finding, findings_lines, findings_summary, worst_first
+from seatrial.ident.checks.log_checks import check_signals
+from seatrial.ident.checks.motion import check_motion
+from seatrial.ident.checks.sensors import heading_match
+from seatrial.ident.checks.shafts import Response, response
+from seatrial.ident.data.record import Channel
+from seatrial.mocks.offline_simulation import simulate, tables
+from seatrial.mocks.plant.boat import draw_boat
+from seatrial.mocks.plant.thruster import draw_thruster
 from tests.bench.check_cases import CASES, Case, alarms, findings, logged, mission, named, sailed
 from tests.missions import boat_with, channels_of, sail
 from tests.recovery.kinds import NONE
@@ -51,7 +51,7 @@ def test_a_healthy_run_raises_no_alarm(tmp_path: Path, seed: int, actuators: boo
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
+        command_line.main(words)
     out, err = capsys.readouterr()
     return int(left.value.code or 0), out, err
 

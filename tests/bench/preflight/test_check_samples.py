@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.checks.device_checks import _stuck, check_devices, check_timestamps
-from daq.checks.findings import Finding
-from daq.config.rig_file import parse_rig
-from daq.log.reader import open_log
-from daq.rig import Rig
-from daq.samples import NAN, Ahrs, Autopilot, Gnss, LoadCell, Sample
-from mocks.world import Reading
+from seatrial.daq.checks.device_checks import _stuck, check_devices, check_timestamps
+from seatrial.daq.checks.findings import Finding
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import NAN, Ahrs, Autopilot, Gnss, LoadCell, Sample
+from seatrial.mocks.world import Reading
 from tests.daq.mavlink_ends import mav_rig
 from tests.missions import record
 

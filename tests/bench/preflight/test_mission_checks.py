@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.preflight.actuator_test import actuator_plan
-from bench.preflight.mission_checks import check_mission, track
-from daq.config.mission_file import Mission, Prediction, Segment
-from daq.errors import SeatrialError
-from daq.rig import Rig
-from mocks.offline_simulation import simulate
-from mocks.plant.boat import draw_boat
+from seatrial.bench.preflight.actuator_test import actuator_plan
+from seatrial.bench.preflight.mission_checks import check_mission, track
+from seatrial.daq.config.mission_file import Mission, Prediction, Segment
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.rig import Rig
+from seatrial.mocks.offline_simulation import simulate
+from seatrial.mocks.plant.boat import draw_boat
 from tests.missions import rig_of
 
 BOAT = rig_of("boat")

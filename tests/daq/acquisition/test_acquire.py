@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
-from daq.config.rig_file import load_rig
-from daq.log.reader import open_log
-from daq.samples import Ahrs, Esc, Gnss, LoadCell
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs, Esc, Gnss, LoadCell
 from tests.daq.acquiring import acquiring, is_closed
 from tests.daq.ptys import TestBoat, wait_for
 

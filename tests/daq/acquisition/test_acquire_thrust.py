@@ -16,19 +16,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.acquisition.device_loop import STUCK_S, DeviceLoop, source_of
-from daq.acquisition.log_thread import LogSink
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock, SuspendDetector
-from daq.config.rig_file import load_rig
-from daq.drivers.base import LinkRole
-from daq.drivers.factory import make_driver
-from daq.drivers.setpoints import REPEAT_S, Setpoints
-from daq.errors import SeatrialError
-from daq.log.reader import open_log
-from daq.protocol.catalogue import make_decoder
-from daq.samples import Ahrs, Command, Gnss
-from daq.transport.factory import make_port
+from seatrial.daq.acquisition.device_loop import STUCK_S, DeviceLoop, source_of
+from seatrial.daq.acquisition.log_thread import LogSink
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock, SuspendDetector
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.drivers.base import LinkRole
+from seatrial.daq.drivers.factory import make_driver
+from seatrial.daq.drivers.setpoints import REPEAT_S, Setpoints
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.protocol.catalogue import make_decoder
+from seatrial.daq.samples import Ahrs, Command, Gnss
+from seatrial.daq.transport.factory import make_port
 from tests.daq.acquiring import acquiring, assert_ends_at_zero, is_closed, living
 from tests.daq.ptys import TestBoat, commands_in, wait_for
 
@@ -150,11 +150,11 @@ def test_without_thrust_a_silent_runner_ends_nothing(tmp_path: Path) -> None:
 PARENT = """
 import sys, time
 from pathlib import Path
-from daq.acquisition.device_loop import STUCK_S, DeviceLoop
-from daq.acquisition.log_thread import LogSink
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock, SuspendDetector
-from daq.config.rig_file import load_rig
+from seatrial.daq.acquisition.device_loop import STUCK_S, DeviceLoop
+from seatrial.daq.acquisition.log_thread import LogSink
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock, SuspendDetector
+from seatrial.daq.config.rig_file import load_rig
 rig = load_rig(sys.argv[1])
 clock = RunClock(rig.speed)
 with Acquisition(rig, Path(sys.argv[2]), clock=clock) as acquisition:

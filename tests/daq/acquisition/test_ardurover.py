@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.config.rig_file import load_rig
-from daq.drivers.base import DISARMED
-from daq.log.reader import open_log
-from daq.protocol.mavlink import MavlinkDecoder, Samples
-from daq.samples import Ahrs, Gnss, Servo
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.drivers.base import DISARMED
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.protocol.mavlink import MavlinkDecoder, Samples
+from seatrial.daq.samples import Ahrs, Gnss, Servo
 from tests.bench.autopilot_faults import FAULTS, SETTINGS, link_test, ready_rover, start, try_fault, try_parameter
 from tests.daq.ardurover import HEADING_DEG, MISSING, PROGRAM, RIG, Rover
 

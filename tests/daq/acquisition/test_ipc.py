@@ -7,10 +7,10 @@ import socket
 
 import pytest
 
-from daq.acquisition import ipc
-from daq.acquisition.status import Latest, PortStatus, Status, StreamedSample
-from daq.drivers.base import LinkStatus
-from daq.samples import Ahrs, Esc
+from seatrial.daq.acquisition import ipc
+from seatrial.daq.acquisition.status import Latest, PortStatus, Status, StreamedSample
+from seatrial.daq.drivers.base import LinkStatus
+from seatrial.daq.samples import Ahrs, Esc
 
 PORT = PortStatus("ahrs", "vectornav", "/p/ahrs", 40.0, math.inf, 0.1, 5, 5, 0, 0, 0, 0, 100, 1e-3, 1e-3, "")
 LATEST = {("ahrs", None): Latest(Ahrs(1.0, 0.1, 0.2, 0.0, 0.0, 0.0), 1.0), ("can", 2): Latest(Esc(2, 10.0, 1.0), 2.0)}

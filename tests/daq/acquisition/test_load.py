@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.acquisition import LOSS_RATE, record, soak
-from daq.log.reader import open_log
-from daq.samples import Ahrs, PortHealth
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs, PortHealth
 
 SECONDS = 2.0
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from daq.acquisition.log_thread import LogItem, LogSink
-from daq.samples import NAN, Event, Frame, LoadCell
+from seatrial.daq.acquisition.log_thread import LogItem, LogSink
+from seatrial.daq.samples import NAN, Event, Frame, LoadCell
 
 
 def item(k: int) -> LogItem:

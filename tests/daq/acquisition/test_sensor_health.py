@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from daq.acquisition.sensor_health import ERA, SensorHealth
-from daq.protocol.text_lines import SATURATED, SPIKE
-from daq.samples import Ahrs, Frame, Gnss, LoadCell, Sample
-from daq.sensor_limits import STUCK_LIVE
+from seatrial.daq.acquisition.sensor_health import ERA, SensorHealth
+from seatrial.daq.protocol.text_lines import SATURATED, SPIKE
+from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Sample
+from seatrial.daq.sensor_limits import STUCK_LIVE
 
 T0 = 1.7e9
 

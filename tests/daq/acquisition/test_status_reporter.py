@@ -7,15 +7,15 @@ from pathlib import Path
 
 from rich.console import Console
 
-from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.ipc import AcquisitionChannel, StatusReport
-from daq.acquisition.log_thread import LogSink, LogThread
-from daq.acquisition.status import Status
-from daq.acquisition.status_reporter import StatusReporter
-from daq.clock import RunClock
-from daq.protocol.catalogue import make_decoder
-from daq.tools.live_table import table
-from daq.transport.serial_port import SerialPort
+from seatrial.daq.acquisition.device_loop import DeviceLoop
+from seatrial.daq.acquisition.ipc import AcquisitionChannel, StatusReport
+from seatrial.daq.acquisition.log_thread import LogSink, LogThread
+from seatrial.daq.acquisition.status import Status
+from seatrial.daq.acquisition.status_reporter import StatusReporter
+from seatrial.daq.clock import RunClock
+from seatrial.daq.protocol.catalogue import make_decoder
+from seatrial.daq.tools.live_table import table
+from seatrial.daq.transport.serial_port import SerialPort
 from tests.daq.logs import recorder, rig
 
 HINT = "the adapter keeps bytes for up to 16 ms (Permission denied): echo 1 | sudo tee /sys/.../latency_timer"

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition import watchdog
-from daq.acquisition.ipc import (
+from seatrial.daq.acquisition import watchdog
+from seatrial.daq.acquisition.ipc import (
     ACTIVE,
     ANSWER,
     FINISHED,
@@ -24,7 +24,7 @@ from daq.acquisition.ipc import (
     WatchdogConfiguration,
     WatchdogReady,
 )
-from daq.acquisition.watchdog import (
+from seatrial.daq.acquisition.watchdog import (
     ANSWER_S,
     HANG_S,
     HEARTBEAT_S,
@@ -35,10 +35,10 @@ from daq.acquisition.watchdog import (
     _step_in,
     _watch,
 )
-from daq.config.rig_file import load_rig, parse_rig
-from daq.drivers.dronecan import DronecanDriver
-from daq.errors import SeatrialError
-from daq.log.watchdog_note import note_path, read_note
+from seatrial.daq.config.rig_file import load_rig, parse_rig
+from seatrial.daq.drivers.dronecan import DronecanDriver
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.watchdog_note import note_path, read_note
 from tests.daq.ptys import TestBoat
 
 
@@ -323,7 +323,7 @@ def monitored(heartbeat: Heartbeat, process: subprocess.Popen[bytes]) -> None:
 
 def start_watchdog(end: socket.socket) -> subprocess.Popen[bytes]:
     with end:
-        command = [sys.executable, "-m", "daq.acquisition.watchdog", str(end.fileno())]
+        command = [sys.executable, "-m", "seatrial.daq.acquisition.watchdog", str(end.fileno())]
         return subprocess.Popen(command, pass_fds=[end.fileno()], start_new_session=True)
 
 
@@ -364,7 +364,7 @@ def test_a_watchdog_timer_that_cannot_be_opened_is_named_before_anything_moves(t
 def test_the_watchdog_is_urgent_where_the_system_lets_it(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
-    probe = [sys.executable, "-c", "from daq.realtime_priority import *; set_realtime_priority(); import os;"
+    probe = [sys.executable, "-c", "from seatrial.daq.realtime_priority import *; set_realtime_priority(); import os;"
              "print(os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0))"]  # fmt: skip
     allowed = subprocess.run(probe, capture_output=True, text=True, check=True).stdout.split()
     ours, theirs = socket.socketpair()

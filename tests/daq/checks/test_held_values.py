@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.checks.held_values import FloatArray, held_signals
+from seatrial.daq.checks.held_values import FloatArray, held_signals
 
 SECONDS = 120.0
 

@@ -7,15 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from daq.checks import Finding
-from daq.checks.thruster_coverage import _without_rpm_max, check_thruster_coverage
-from daq.config.rig_file import load_rig
-from daq.errors import SeatrialError
-from daq.importers.can_log import import_can
-from daq.importers.write_log import SignalRow, write_frames
-from daq.log import open_log
-from daq.protocol import dronecan
-from daq.samples import NAN, Esc, Frame
+from seatrial.daq.checks import Finding
+from seatrial.daq.checks.thruster_coverage import _without_rpm_max, check_thruster_coverage
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.can_log import import_can
+from seatrial.daq.importers.write_log import SignalRow, write_frames
+from seatrial.daq.log import open_log
+from seatrial.daq.protocol import dronecan
+from seatrial.daq.samples import NAN, Esc, Frame
 from tests.daq.mavlink_ends import mav_rig
 
 RIG = """format = "seatrial-rig 1"

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.config.rig_file import load_rig, parse_rig
-from daq.errors import SeatrialError
+from seatrial.daq.config.rig_file import load_rig, parse_rig
+from seatrial.daq.errors import SeatrialError
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "rig.md"
 

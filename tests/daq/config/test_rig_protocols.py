@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.config.rig_file import parse_rig
-from daq.errors import SeatrialError
-from daq.protocol import dbc, mantracourt
-from daq.protocol.catalogue import CAN, DEVICES, make_decoder
-from daq.rig import DbcSignal, Rig, Segments
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol import dbc, mantracourt
+from seatrial.daq.protocol.catalogue import CAN, DEVICES, make_decoder
+from seatrial.daq.rig import DbcSignal, Rig, Segments
 
 SIGNAL = """
 [[device.signal]]

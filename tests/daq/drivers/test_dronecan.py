@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from daq.config.rig_file import parse_rig
-from daq.drivers.base import LinkRole
-from daq.drivers.dronecan import STATUS_S, DronecanDriver
-from daq.drivers.factory import make_driver
-from daq.drivers.setpoints import Due
-from daq.errors import SeatrialError
-from daq.protocol import dronecan
-from daq.protocol.canframe import CAN_FRAME, pack_can, unpack_can
-from daq.protocol.catalogue import make_decoder
-from daq.protocol.dronecan import Assembler, MessageType, frames_of
-from daq.rig import Rig
-from daq.samples import Esc
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.drivers.base import LinkRole
+from seatrial.daq.drivers.dronecan import STATUS_S, DronecanDriver
+from seatrial.daq.drivers.factory import make_driver
+from seatrial.daq.drivers.setpoints import Due
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol import dronecan
+from seatrial.daq.protocol.canframe import CAN_FRAME, pack_can, unpack_can
+from seatrial.daq.protocol.catalogue import make_decoder
+from seatrial.daq.protocol.dronecan import Assembler, MessageType, frames_of
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Esc
 
 RIG = """
 format = "seatrial-rig 1"

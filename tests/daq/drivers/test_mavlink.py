@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from daq.drivers.ardupilot_parameters import OF_FAILSAFES, YOUNG, check_parameters, parameter_names
-from daq.drivers.base import DISARMED, LinkRole
-from daq.drivers.factory import make_driver
-from daq.drivers.setpoints import Due
-from daq.protocol.catalogue import make_decoder
-from daq.protocol.mavlink_wire import Codec, Head, head
-from daq.rig import Rig
-from daq.samples import NAN, Ahrs, Battery, Esc, Gnss, Servo
-from mocks.devices.autopilot import HOLD, OWN_N, RTL, AutopilotEmulator
+from seatrial.daq.drivers.ardupilot_parameters import OF_FAILSAFES, YOUNG, check_parameters, parameter_names
+from seatrial.daq.drivers.base import DISARMED, LinkRole
+from seatrial.daq.drivers.factory import make_driver
+from seatrial.daq.drivers.setpoints import Due
+from seatrial.daq.protocol.catalogue import make_decoder
+from seatrial.daq.protocol.mavlink_wire import Codec, Head, head
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import NAN, Ahrs, Battery, Esc, Gnss, Servo
+from seatrial.mocks.devices.autopilot import HOLD, OWN_N, RTL, AutopilotEmulator
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig
 
 LONG = "COMMAND_LONG"

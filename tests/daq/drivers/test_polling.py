@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
-from daq.config.rig_file import parse_rig
-from daq.drivers.base import PollingDriver
-from daq.log.reader import open_log
-from daq.samples import LoadCell
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.drivers.base import PollingDriver
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import LoadCell
 from tests.daq.ptys import wait_for
 
 RIG = """

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from daq.drivers.setpoints import REPEAT_S, ZERO_FOR_S, Due, Setpoints
+from seatrial.daq.drivers.setpoints import REPEAT_S, ZERO_FOR_S, Due, Setpoints
 
 
 def test_rows_are_due_at_their_time_and_repeated_in_between() -> None:

@@ -11,13 +11,13 @@ import can
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.can_log import import_can, read_can
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.importers.table import SourceOptions, Table
-from daq.log.reader import open_log
-from daq.samples import Esc
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.can_log import import_can, read_can
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.table import SourceOptions, Table
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Esc
 from tests.daq.csv_files import values
 
 N = 40

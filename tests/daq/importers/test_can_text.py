@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.can_log import read_can, read_frames
-from daq.importers.guess import guess_map
-from daq.importers.sources import source_kind
-from daq.importers.table import SourceOptions
-from daq.protocol import EXTENDED
-from daq.protocol.nmea2000 import FIX, HEADING, identifier
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.can_log import read_can, read_frames
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.sources import source_kind
+from seatrial.daq.importers.table import SourceOptions
+from seatrial.daq.protocol import EXTENDED
+from seatrial.daq.protocol.nmea2000 import FIX, HEADING, identifier
 
 N = 60
 RATE_HZ = 10.0

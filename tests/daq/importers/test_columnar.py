@@ -14,13 +14,13 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from daq.errors import SeatrialError
-from daq.importers.clocks import Clock, clock_of
-from daq.importers.columnar import read_matlab, read_parquet
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.importers.sources import source_kind
-from daq.importers.table import SourceOptions
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.clocks import Clock, clock_of
+from seatrial.daq.importers.columnar import read_matlab, read_parquet
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.sources import source_kind
+from seatrial.daq.importers.table import SourceOptions
 from tests.daq.csv_files import values
 
 T = 0.1 * np.arange(50)

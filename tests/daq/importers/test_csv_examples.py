@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from daq.importers.import_files import import_files
-from daq.importers.import_map import load_import_map
-from daq.importers.units import UNITS
-from daq.log.reader import open_log
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.import_map import load_import_map
+from seatrial.daq.importers.units import UNITS
+from seatrial.daq.log.reader import open_log
 from tests.daq.csv_files import DOCS, EXAMPLES, values
 from tests.measured import data
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.log import open_log
-from daq.samples import Scalar
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.log import open_log
+from seatrial.daq.samples import Scalar
 
 N = 100
 START = datetime(2024, 5, 12, 13, 0, 0, tzinfo=UTC).timestamp()

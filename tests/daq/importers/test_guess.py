@@ -14,16 +14,16 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.io import savemat
 
-from daq import cli
-from daq.errors import SeatrialError
-from daq.importers import guess
-from daq.importers.clocks import Clock, clock_of
-from daq.importers.guess import Guess, guess_map, outputs
-from daq.importers.import_files import import_files
-from daq.importers.recognise import read_name
-from daq.importers.sources import SourceKind
-from daq.importers.table import Table, TextStyle
-from daq.importers.text_table import sniff_style
+from seatrial.daq import cli
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers import guess
+from seatrial.daq.importers.clocks import Clock, clock_of
+from seatrial.daq.importers.guess import Guess, guess_map, outputs
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.recognise import read_name
+from seatrial.daq.importers.sources import SourceKind
+from seatrial.daq.importers.table import Table, TextStyle
+from seatrial.daq.importers.text_table import sniff_style
 from tests.daq.csv_files import values
 
 N = 30

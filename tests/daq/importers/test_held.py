@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialWarning
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
+from seatrial.daq.errors import SeatrialWarning
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
 from tests.bench.check_cases import findings
 from tests.daq.checks.test_held_values import held, measured
 from tests.daq.csv_files import values

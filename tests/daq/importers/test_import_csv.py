@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq import cli
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.importers.import_map import load_import_map
-from daq.importers.write_log import replacing
-from daq.log.reader import open_log
-from daq.samples import Scalar
-from ident.checks import spoils_a_fit
+from seatrial.daq import cli
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.import_map import load_import_map
+from seatrial.daq.importers.write_log import replacing
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Scalar
+from seatrial.ident.checks import spoils_a_fit
 from tests.bench.check_cases import findings
 from tests.daq.csv_files import EXAMPLES, values, write
 

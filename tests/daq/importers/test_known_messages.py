@@ -14,10 +14,10 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.log.reader import open_log
-from daq.samples import Scalar
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Scalar
 from tests.daq.csv_files import values
 from tests.daq.ulog_files import Topic, needs_pyulog, write_ulog
 

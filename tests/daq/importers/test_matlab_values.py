@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from daq.errors import SeatrialError
-from daq.importers.columnar import read_matlab
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.importers.table import SourceOptions, Table
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.columnar import read_matlab
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.table import SourceOptions, Table
 from tests.daq.csv_files import values
 
 N = 50

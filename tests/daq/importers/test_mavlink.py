@@ -17,16 +17,16 @@ from pymavlink.dialects.v20.ardupilotmega import (
     MAVLink_heartbeat_message,
 )
 
-from daq.config.rig_file import load_rig
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.dataflash import _Reader
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.importers.mavlink import STAMP, _frames, import_mavlink
-from daq.importers.write_log import Timed
-from daq.log.reader import open_log
-from daq.samples import Ahrs, Autopilot, Battery, Esc, Frame, Gnss, Servo
-from ident.data.loading import PropulsionInput, channels, load_run
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.dataflash import _Reader
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.mavlink import STAMP, _frames, import_mavlink
+from seatrial.daq.importers.write_log import Timed
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Frame, Gnss, Servo
+from seatrial.ident.data.loading import PropulsionInput, channels, load_run
 from tests.daq.mavlink_ends import LEVEL, Ends, mav_rig, rig_text
 
 T0 = 1_790_000_000.0

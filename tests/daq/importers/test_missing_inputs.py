@@ -9,13 +9,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.import_files import import_files
-from daq.importers.missing_inputs import input_gaps
-from daq.importers.ros import read_bag
-from daq.importers.table import SourceOptions
-from daq.importers.ulog import read_ulog
-from ident.data import load_all
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.missing_inputs import input_gaps
+from seatrial.daq.importers.ros import read_bag
+from seatrial.daq.importers.table import SourceOptions
+from seatrial.daq.importers.ulog import read_ulog
+from seatrial.ident.data import load_all
 from tests.bench.check_cases import findings
 from tests.daq.csv_files import values
 from tests.daq.ulog_files import Topic, needs_pyulog, write_ulog

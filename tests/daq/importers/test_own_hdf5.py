@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from daq.importers.columnar import read_matlab
-from daq.importers.table import SourceOptions
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.columnar import read_matlab
+from seatrial.daq.importers.table import SourceOptions
 
 
 def external_storage(file: h5py.File, secret: Path) -> None:

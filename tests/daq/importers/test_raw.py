@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq import cli
-from daq.checks.device_checks import check_devices
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.import_files import import_files
-from daq.importers.raw import import_raw
-from daq.importers.samples import sample_tables
-from daq.log.reader import open_log
-from daq.protocol import nmea, vectornav
-from daq.protocol.framing import crc16, sentence
-from daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
+from seatrial.daq import cli
+from seatrial.daq.checks.device_checks import check_devices
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.raw import import_raw
+from seatrial.daq.importers.samples import sample_tables
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.protocol import nmea, vectornav
+from seatrial.daq.protocol.framing import crc16, sentence
+from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
 from tests.measured.data import measured
 
 SAMPLES = [Ahrs(0.1 * k, 0.01, -0.02, 0.001, 0.002, 0.003 * k, 0.1, 0.2, -9.8) for k in range(40)]
@@ -222,7 +222,7 @@ def test_a_clock_that_ran_back_is_a_fault_of_a_mapped_log_too(tmp_path: Path, mo
     )
     (tmp_path / "run.log").write_text("")
     kind = SimpleNamespace(name="can", read=lambda path, options: [table])
-    monkeypatch.setattr("daq.importers.import_files.source_kind", lambda path: kind)
+    monkeypatch.setattr("seatrial.daq.importers.import_files.source_kind", lambda path: kind)
     with pytest.warns(SeatrialWarning, match="ran back 2 times"):
         (out,) = import_files(tmp_path / "map.toml", [tmp_path / "run.log"], out=tmp_path / "run.mcap")
     with open_log(out) as log:

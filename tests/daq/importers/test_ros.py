@@ -17,14 +17,14 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.importers.ros import _Topic, read_bag
-from daq.importers.table import SourceOptions
-from daq.log.reader import Log, open_log
-from daq.samples import Ahrs, Gnss, Scalar
-from daq.tools import export_ros
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.ros import _Topic, read_bag
+from seatrial.daq.importers.table import SourceOptions
+from seatrial.daq.log.reader import Log, open_log
+from seatrial.daq.samples import Ahrs, Gnss, Scalar
+from seatrial.daq.tools import export_ros
 from tests.daq.logs import T0, write_everything
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

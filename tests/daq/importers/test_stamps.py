@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
+from seatrial.daq.importers.stamps import EstimatedTimes, MessageTimes, message_times
 
 Array = npt.NDArray[np.float64]
 T0, SECONDS = 1.7e9, 120.0

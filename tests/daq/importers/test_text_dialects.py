@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.log import open_log
-from daq.samples import Scalar
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.log import open_log
+from seatrial.daq.samples import Scalar
 
 START = datetime(2024, 5, 12, 9, 0, 0, tzinfo=UTC)
 N = 200
@@ -312,7 +312,7 @@ DIALECTS: dict[str, tuple[str, float, int]] = {
 }  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore::daq.errors.SeatrialWarning")
+@pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 @pytest.mark.parametrize(("text", "start", "lacks"), DIALECTS.values(), ids=DIALECTS)
 def test_a_dialect(tmp_path: Path, text: str, start: float, lacks: int) -> None:
     t, x, _ = imported(tmp_path, text)

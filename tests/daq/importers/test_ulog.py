@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.importers.table import SourceOptions
-from daq.importers.ulog import read_ulog, whole_records
-from daq.log.reader import open_log
-from daq.samples import Scalar
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.importers.table import SourceOptions
+from seatrial.daq.importers.ulog import read_ulog, whole_records
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Scalar
 from tests.daq.ulog_files import Topic, message, needs_pyulog, write_ulog
 
 UTC = 1_700_000_000.0

@@ -11,10 +11,10 @@ import pytest
 import zstandard
 from mcap.writer import MCAP0_MAGIC
 
-from daq.errors import SeatrialError
-from daq.log.mcap_reader import RawLog
-from daq.log.reader import open_log
-from daq.samples import Gnss
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.mcap_reader import RawLog
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Gnss
 from tests.daq.logs import N_ROUNDS, T0, is_prefix, recorder, tables
 
 
@@ -184,7 +184,7 @@ def test_a_bomb_of_small_messages_costs_no_memory(whole: Path, tmp_path: Path, m
     """Some kilobytes that claim thirty million messages: what such a file can hold is read, the rest is left out."""
     import resource
 
-    monkeypatch.setattr("daq.log.mcap_reader.FEW_MESSAGES", 200_000)
+    monkeypatch.setattr("seatrial.daq.log.mcap_reader.FEW_MESSAGES", 200_000)
     data, end = whole.read_bytes(), RawLog(whole)._chunks[-1]["stop"]
     one = struct.pack("<BQHIQQ", 5, 22, 60_000, 0, 10**9, 10**9)
     bomb = chunk_record(zstandard.compress(one * 300_000), len(one) * 300_000)

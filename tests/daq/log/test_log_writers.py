@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from daq.errors import SeatrialError
-from daq.log import schema
-from daq.log.cdr import cdr_layout, full_definition
-from daq.log.reader import open_log
-from daq.samples import NAN, Frame, Gnss, Scalar
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import schema
+from seatrial.daq.log.cdr import cdr_layout, full_definition
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import NAN, Frame, Gnss, Scalar
 
 T = 1.7e9
 

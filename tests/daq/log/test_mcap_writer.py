@@ -11,8 +11,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from daq.log.mcap_reader import RawLog
-from daq.log.mcap_writer import RecordWriter
+from seatrial.daq.log.mcap_reader import RawLog
+from seatrial.daq.log.mcap_writer import RecordWriter
 
 Message = tuple[int, int, bytes, int, int]  # channel, log time, data, publish time, sequence
 CHUNK_BYTES = 4096

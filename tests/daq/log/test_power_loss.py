@@ -10,12 +10,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from daq.log.mcap_writer import FLUSH_S, SYNC_S
-from daq.log.reader import open_log
-from daq.log.record_stream import FileSyncer
-from daq.log.recorder import Recorder
-from daq.rig import Segments
-from daq.samples import Ahrs, Frame
+from seatrial.daq.log.mcap_writer import FLUSH_S, SYNC_S
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.record_stream import FileSyncer
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.rig import Segments
+from seatrial.daq.samples import Ahrs, Frame
 from tests.daq.logs import T0, StoppedClock, rig
 
 SECTOR, PERIOD = 512, 0.02
@@ -68,13 +68,13 @@ def test_a_loss_of_power_costs_what_came_since_the_last_sync(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     rng, now = random.Random(seed), [0.0]
-    monkeypatch.setattr("daq.log.mcap_writer.time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr("seatrial.daq.log.mcap_writer.time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(FileSyncer, "request", lambda self: self._stream.sync())
     for trial in range(5):
         before, after = tmp_path / f"before{trial}", tmp_path / f"after{trial}"
         after.mkdir()
         disk = ForgetfulDisk()
-        monkeypatch.setattr("daq.log.record_stream.os", disk)
+        monkeypatch.setattr("seatrial.daq.log.record_stream.os", disk)
         segments = Segments(seconds=2.0)
         log = Recorder(before / "run.mcap", rig=replace(rig(), segments=segments), clock=StoppedClock())
         n = rng.randrange(60, 400)  # beyond the first sync: before it there may be no file

@@ -16,18 +16,18 @@ import pytest
 import zstandard
 from click.testing import CliRunner
 
-from daq import cli
-from daq.checks.device_checks import check_devices
-from daq.errors import SeatrialError
-from daq.log.cdr import NANO, cdr_layout
-from daq.log.mcap_chunk import MAX_CHUNK, scan
-from daq.log.mcap_reader import RawLog
-from daq.log.mcap_writer import LogWriter
-from daq.log.reader import open_log
-from daq.log.schema import TYPES, topic
-from daq.log.segments import segment_path
-from daq.log.watchdog_note import note_path
-from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
+from seatrial.daq import cli
+from seatrial.daq.checks.device_checks import check_devices
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.cdr import NANO, cdr_layout
+from seatrial.daq.log.mcap_chunk import MAX_CHUNK, scan
+from seatrial.daq.log.mcap_reader import RawLog
+from seatrial.daq.log.mcap_writer import LogWriter
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.schema import TYPES, topic
+from seatrial.daq.log.segments import segment_path
+from seatrial.daq.log.watchdog_note import note_path
+from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Scalar
 from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables
 
 
@@ -283,8 +283,8 @@ def test_what_is_wrong_with_one_topic_is_said_by_its_table_alone(tmp_path: Path)
 MEASURE = """
 import sys
 from benchmarks.measure import peak_mb
-from daq.log.reader import open_log
-from daq.samples import Scalar
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Scalar
 before = peak_mb()
 table = open_log(sys.argv[1]).table(Scalar, "surge")
 print(len(table), table.nbytes, peak_mb() - before)
@@ -310,8 +310,8 @@ def test_reading_takes_24_bytes_a_message_and_48_mb_over_what_it_returns(tmp_pat
 
 LIMITED = """
 import resource, sys
-from daq.log.reader import open_log
-from daq.samples import Ahrs
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs
 log = open_log(sys.argv[1])
 used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 4 * 2**20,) * 2)
@@ -336,7 +336,7 @@ def test_records_beside_the_messages_are_bounded(tmp_path: Path, monkeypatch: py
     log.event(T0, "mark", "x")
     log.close()
     assert set(open_log(path).attachments) == {"rig.toml", "huge.bin", "small.txt"}
-    monkeypatch.setattr("daq.log.mcap_reader.MAX_HELD", 200_000)
+    monkeypatch.setattr("seatrial.daq.log.mcap_reader.MAX_HELD", 200_000)
     for data in (path.read_bytes(), path.read_bytes()[:-20]):
         path.write_bytes(data)
         with open_log(path) as opened:

@@ -13,19 +13,19 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
 
-from daq.errors import SeatrialError
-from daq.log import mcap_writer
-from daq.log.reader import open_log
-from daq.samples import Ahrs, Frame, Scalar
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import mcap_writer
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs, Frame, Scalar
 from tests.daq.logs import RIG, T0, recorder, write_everything
 
 RECORD = """
 import os, struct, sys, time
 from pathlib import Path
-from daq.clock import RunClock
-from daq.samples import Ahrs, Frame
+from seatrial.daq.clock import RunClock
+from seatrial.daq.samples import Ahrs, Frame
 from tests.daq.logs import rig
-from daq.log.recorder import Recorder
+from seatrial.daq.log.recorder import Recorder
 clock = RunClock()
 log = Recorder(Path(sys.argv[1]), rig=rig(), clock=clock, attachments={"mission.toml": b"n = 1"}, metadata={})
 while True:
@@ -38,7 +38,7 @@ while True:
 FILL = """
 import os, resource, sys
 from pathlib import Path
-from daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError
 from tests.daq.logs import recorder, T0
 if len(sys.argv) > 2:
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))

@@ -10,12 +10,12 @@ import pytest
 from click.testing import CliRunner, Result
 from mcap.reader import make_reader
 
-from daq import cli
-from daq.errors import SeatrialError
-from daq.log.reader import open_log
-from daq.log.recorder import Recorder
-from daq.rig import Segments
-from daq.samples import Ahrs, Frame
+from seatrial.daq import cli
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.rig import Segments
+from seatrial.daq.samples import Ahrs, Frame
 from tests.daq.logs import T0, StoppedClock, rig, tables, write_everything
 
 

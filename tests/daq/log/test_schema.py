@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from daq.log import schema
-from daq.log.cdr import cdr_layout, flatten, full_definition
-from daq.log.reader import open_log
-from daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar
+from seatrial.daq.log import schema
+from seatrial.daq.log.cdr import cdr_layout, flatten, full_definition
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar
 from tests.daq.logs import HEALTH, SAMPLES, T0, recorder, write_everything
 
 STANDARD = [schema.IMU, schema.MAG, schema.FIX, schema.TWIST, schema.WRENCH]

@@ -15,17 +15,17 @@ import pytest
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
-from daq.config.rig_file import parse_rig
-from daq.errors import SeatrialError
-from daq.log import recorder as recorder_module
-from daq.log.reader import Log, open_log
-from daq.log.recorder import Recorder, check_room
-from daq.log.recovery import recover_log
-from daq.log.watchdog_note import note_path
-from daq.rig import Segments
-from daq.samples import Ahrs, Frame, Gnss
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import recorder as recorder_module
+from seatrial.daq.log.reader import Log, open_log
+from seatrial.daq.log.recorder import Recorder, check_room
+from seatrial.daq.log.recovery import recover_log
+from seatrial.daq.log.watchdog_note import note_path
+from seatrial.daq.rig import Segments
+from seatrial.daq.samples import Ahrs, Frame, Gnss
 from tests.daq.logs import T0, StoppedClock, rig
 from tests.daq.ptys import TestBoat, wait_for
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.errors import SeatrialError
-from daq.protocol import dbc, dronecan
-from daq.protocol.canframe import CAN_FRAME, EXTENDED, pack_can
-from daq.rig import SOURCE, DbcSignal
-from daq.samples import Esc
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol import dbc, dronecan
+from seatrial.daq.protocol.canframe import CAN_FRAME, EXTENDED, pack_can
+from seatrial.daq.rig import SOURCE, DbcSignal
+from seatrial.daq.samples import Esc
 from tests.daq.streams import check_splits, counters, is_close
 
 PLAIN = """VERSION ""

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.log.reader import open_log
-from daq.protocol import nmea
-from daq.protocol.framing import sentence
-from daq.samples import Ahrs, Frame
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.protocol import nmea
+from seatrial.daq.protocol.framing import sentence
+from seatrial.daq.samples import Ahrs, Frame
 from tests.daq.logs import T0, recorder
 from tests.daq.streams import check_splits
 from tests.measured.data import measured

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.protocol.loadcell import Decoder, encode
-from daq.protocol.text_lines import LINE_MAX, SATURATED, SPIKE
-from daq.samples import LoadCell
+from seatrial.daq.protocol.loadcell import Decoder, encode
+from seatrial.daq.protocol.text_lines import LINE_MAX, SATURATED, SPIKE
+from seatrial.daq.samples import LoadCell
 from tests.daq.streams import check_garbage, check_splits, counters
 
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.errors import SeatrialError
-from daq.protocol import ubx
-from daq.protocol.mavlink import MavlinkDecoder, Samples
-from daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status, read_key
-from daq.rig import AutopilotOutput
-from daq.samples import Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Servo
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol import ubx
+from seatrial.daq.protocol.mavlink import MavlinkDecoder, Samples
+from seatrial.daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status, read_key
+from seatrial.daq.rig import AutopilotOutput
+from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Servo
 from tests.daq.mavlink_ends import Ends, mav_rig
 from tests.daq.streams import check_garbage, check_splits, counters
 from tests.measured.data import measured

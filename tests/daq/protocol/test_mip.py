@@ -7,9 +7,9 @@ import struct
 
 import pytest
 
-from daq.protocol import mip
-from daq.protocol.ubx import GPS_EPOCH, WEEK
-from daq.samples import Ahrs, Gnss
+from seatrial.daq.protocol import mip
+from seatrial.daq.protocol.ubx import GPS_EPOCH, WEEK
+from seatrial.daq.samples import Ahrs, Gnss
 from tests.daq.streams import check_garbage, counters
 
 SENSOR = mip.packet(

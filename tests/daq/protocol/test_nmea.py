@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.protocol.framing import sentence
-from daq.protocol.nmea import Decoder, encode
-from daq.samples import NAN, Gnss
+from seatrial.daq.protocol.framing import sentence
+from seatrial.daq.protocol.nmea import Decoder, encode
+from seatrial.daq.samples import NAN, Gnss
 from tests.daq.streams import COLD, check_garbage, check_splits, counters, is_close
 from tests.measured.data import measured
 

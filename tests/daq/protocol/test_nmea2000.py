@@ -9,16 +9,16 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.log_thread import LogSink
-from daq.clock import RunClock
-from daq.config.rig_file import parse_rig
-from daq.protocol import nmea2000
-from daq.protocol.canframe import FRAME_BYTES, pack_can
-from daq.protocol.catalogue import make_decoder
-from daq.protocol.nmea2000 import Decoder, encode, fast_packet, identifier, split_identifier
-from daq.samples import NAN, Ahrs, Frame, Gnss
-from daq.transport.serial_port import SerialPort
+from seatrial.daq.acquisition.device_loop import DeviceLoop
+from seatrial.daq.acquisition.log_thread import LogSink
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.protocol import nmea2000
+from seatrial.daq.protocol.canframe import FRAME_BYTES, pack_can
+from seatrial.daq.protocol.catalogue import make_decoder
+from seatrial.daq.protocol.nmea2000 import Decoder, encode, fast_packet, identifier, split_identifier
+from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss
+from seatrial.daq.transport.serial_port import SerialPort
 from tests.daq.streams import check_splits, counters, is_close
 
 AHRS = Ahrs(-2.1, 0.0123, -0.0456, r=-0.25)

@@ -17,9 +17,9 @@ from dronecan.transport import Transfer
 from nmea2000.decoder import NMEA2000Decoder
 from pyubx2 import GET, UBXMessage, UBXReader
 
-from daq.protocol import dronecan, mip, nmea2000, ubx
-from daq.protocol.canframe import pack_can
-from daq.samples import NAN, Ahrs, Esc, Gnss
+from seatrial.daq.protocol import dronecan, mip, nmea2000, ubx
+from seatrial.daq.protocol.canframe import pack_can
+from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss
 from tests.golden import mip_oracle
 from tests.measured.data import measured
 

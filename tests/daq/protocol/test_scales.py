@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from daq.protocol import mantracourt, openscale
-from daq.protocol.text_lines import SATURATED, SPIKE
-from daq.samples import Frame, LoadCell
+from seatrial.daq.protocol import mantracourt, openscale
+from seatrial.daq.protocol.text_lines import SATURATED, SPIKE
+from seatrial.daq.samples import Frame, LoadCell
 from tests.daq.streams import check_splits, counters
 
 G = 9.80665

@@ -8,10 +8,10 @@ import time
 
 import pytest
 
-from daq.protocol import nmea, ubx
-from daq.protocol.framing import sentence
-from daq.protocol.ubx import GPS_EPOCH, WEEK, gps_to_utc
-from daq.samples import Ahrs, Frame, Gnss
+from seatrial.daq.protocol import nmea, ubx
+from seatrial.daq.protocol.framing import sentence
+from seatrial.daq.protocol.ubx import GPS_EPOCH, WEEK, gps_to_utc
+from seatrial.daq.samples import Ahrs, Frame, Gnss
 from tests.daq.streams import check_garbage, check_splits, is_close
 
 T = 1_700_000_000.0

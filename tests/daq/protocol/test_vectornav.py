@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.protocol.framing import crc16, sentence
-from daq.protocol.vectornav import SYNC, Decoder, encode_ascii, encode_binary, message_layout
-from daq.samples import NAN, Ahrs
+from seatrial.daq.protocol.framing import crc16, sentence
+from seatrial.daq.protocol.vectornav import SYNC, Decoder, encode_ascii, encode_binary, message_layout
+from seatrial.daq.samples import NAN, Ahrs
 from tests.daq.streams import check_garbage, check_splits, counters, is_close
 from tests.measured.data import measured
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.protocol import slcan
-from daq.protocol.canframe import CAN_FRAME, pack_can, unpack_can
-from daq.protocol.vesc import STALE, Decoder, decode_command, encode_duty, encode_status
-from daq.samples import NAN, Esc
+from seatrial.daq.protocol import slcan
+from seatrial.daq.protocol.canframe import CAN_FRAME, pack_can, unpack_can
+from seatrial.daq.protocol.vesc import STALE, Decoder, decode_command, encode_duty, encode_status
+from seatrial.daq.samples import NAN, Esc
 from tests.daq.streams import check_splits, counters, is_close
 from tests.measured.data import measured
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.config.rig_file import parse_rig
-from daq.protocol.mavlink_wire import Codec
-from daq.rig import Rig
-from daq.tools.autopilot_tables import DiscoveredAutopilot, identify_autopilot
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.protocol.mavlink_wire import Codec
+from seatrial.daq.rig import Rig
+from seatrial.daq.tools.autopilot_tables import DiscoveredAutopilot, identify_autopilot
 from tests.daq.mavlink_ends import Ends, mav_rig
 
 

@@ -15,12 +15,12 @@ import pytest
 from click.testing import CliRunner
 from pymavlink.dialects.v20.ardupilotmega import MAVLink
 
-from daq import cli
-from daq.config.rig_file import parse_rig
-from daq.protocol import DEVICES, loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
-from daq.protocol.framing import sentence
-from daq.samples import Ahrs, Esc, Gnss
-from daq.tools.discovery import _Listener, baud_rates, identify_protocol
+from seatrial.daq import cli
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.protocol import DEVICES, loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
+from seatrial.daq.protocol.framing import sentence
+from seatrial.daq.samples import Ahrs, Esc, Gnss
+from seatrial.daq.tools.discovery import _Listener, baud_rates, identify_protocol
 from tests.daq.streams import COLD
 
 SPEEDS = {9600: termios.B9600, 38400: termios.B38400, 115200: termios.B115200, 57600: termios.B57600}
@@ -131,7 +131,7 @@ def test_what_is_not_known_is_said() -> None:
 
 
 def test_a_silent_port_is_given_up_at_the_first_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq.tools.discovery.SILENT_S", 0.1)
+    monkeypatch.setattr("seatrial.daq.tools.discovery.SILENT_S", 0.1)
     with device(9600, lambda k: b"") as port:
         assert identify_protocol(port, listen=0.1).says.startswith("silent")
 

@@ -16,15 +16,15 @@ import scipy.io
 import xarray
 from click.testing import CliRunner
 
-from daq import cli
-from daq.errors import SeatrialError
-from daq.importers.import_map import Signal
-from daq.importers.signals import SignalData
-from daq.importers.write_log import write_signals
-from daq.log.reader import open_log
-from daq.log.tables import log_tables, resample
-from daq.samples import Ahrs, Frame, Gnss
-from daq.tools.export import export_log, export_resampled
+from seatrial.daq import cli
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_map import Signal
+from seatrial.daq.importers.signals import SignalData
+from seatrial.daq.importers.write_log import write_signals
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.log.tables import log_tables, resample
+from seatrial.daq.samples import Ahrs, Frame, Gnss
+from seatrial.daq.tools.export import export_log, export_resampled
 from tests.daq.logs import T0, recorder, write_everything
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from daq.importers.write_log import SignalRow, write_frames
-from daq.log import open_log
-from daq.samples import Ahrs, Esc, Frame, Gnss, Sample
-from daq.tools import show_log
+from seatrial.daq.importers.write_log import SignalRow, write_frames
+from seatrial.daq.log import open_log
+from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, Sample
+from seatrial.daq.tools import show_log
 
 
 def test_samples_and_their_messages(tmp_path: Path) -> None:

@@ -15,16 +15,16 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
-from daq.acquisition.status import Latest, PortStatus, Status, from_json, to_json
-from daq.cli import log
-from daq.config.rig_file import parse_rig
-from daq.errors import SeatrialError
-from daq.log.reader import open_log
-from daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from daq.tools.live_table import default_log_path, describe, duration_text, line, log_summary, size_text, table
+from seatrial.daq.acquisition.status import Latest, PortStatus, Status, from_json, to_json
+from seatrial.daq.cli import log
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
+from seatrial.daq.tools.live_table import default_log_path, describe, duration_text, line, log_summary, size_text, table
 from tests.daq.ptys import RIG, TestBoat, wait_for
 
-COMMAND = [sys.executable, "-c", "from daq.cli import log; log()"]
+COMMAND = [sys.executable, "-c", "from seatrial.daq.cli import log; log()"]
 HEALTHY = PortStatus("ahrs", "vectornav", "/p/ahrs", 100.0, 100.2, 0.004, 5000, 5000, 0, 0, 0, 0, 10**6, 2e-3, 1e-3, "")
 
 

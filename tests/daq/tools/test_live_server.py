@@ -18,14 +18,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.acquisition.status import Latest, Status
-from daq.config.rig_file import parse_rig
-from daq.errors import SeatrialError
-from daq.log import schema
-from daq.log.cdr import cdr_layout
-from daq.rig import Live, Rig
-from daq.samples import Ahrs, Gnss
-from daq.tools.live_server import LiveServer
+from seatrial.daq.acquisition.status import Latest, Status
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import schema
+from seatrial.daq.log.cdr import cdr_layout
+from seatrial.daq.rig import Live, Rig
+from seatrial.daq.samples import Ahrs, Gnss
+from seatrial.daq.tools.live_server import LiveServer
 from tests.daq.logs import RIG, T0
 
 needs_foxglove = pytest.mark.skipif(

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from daq.acquisition.status import Latest, PortStatus, Source, Status
-from daq.config.rig_file import parse_rig
-from daq.rig import Rig
-from daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Gnss, Sample, Servo
-from daq.tools.live_table import describe, line, table
+from seatrial.daq.acquisition.status import Latest, PortStatus, Source, Status
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Gnss, Sample, Servo
+from seatrial.daq.tools.live_table import describe, line, table
 from tests.daq.mavlink_ends import mav_rig
 from tests.daq.ptys import RIG
 

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 import serial
 
-from daq.acquisition.session import Acquisition
-from daq.clock import RunClock
-from daq.config.rig_file import load_rig, parse_rig
-from daq.errors import SeatrialError
-from daq.log.reader import open_log
-from daq.protocol import slcan
-from daq.protocol.canframe import CAN_FRAME, pack_can
-from daq.rig import Rig, Ros2
-from daq.samples import Ahrs, Esc
-from daq.tools.replay import as_slcan, replay_log
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import load_rig, parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.protocol import slcan
+from seatrial.daq.protocol.canframe import CAN_FRAME, pack_can
+from seatrial.daq.rig import Rig, Ros2
+from seatrial.daq.samples import Ahrs, Esc
+from seatrial.daq.tools.replay import as_slcan, replay_log
 from tests.daq.logs import T0, recorder
 from tests.daq.ptys import RIG, TestBoat, wait_for
 

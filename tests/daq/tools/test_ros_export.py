@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq import cli
-from daq.config.rig_file import parse_rig
-from daq.errors import SeatrialError
-from daq.log.reader import Log, open_log
-from daq.log.recorder import Recorder
-from daq.log.schema import local_ned
-from daq.samples import Ahrs, Frame, Gnss
-from daq.tools.ros_export import NO_MEASUREMENT, export_ros
+from seatrial.daq import cli
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import Log, open_log
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.log.schema import local_ned
+from seatrial.daq.samples import Ahrs, Frame, Gnss
+from seatrial.daq.tools.ros_export import NO_MEASUREMENT, export_ros
 from tests.daq.logs import RIG, T0, StoppedClock, recorder, write_everything
 
 rosbags = pytest.importorskip("rosbags.highlevel", reason="no reader of bags here (rosbags)")

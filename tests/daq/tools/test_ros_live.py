@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.acquisition.session import Acquisition
-from daq.acquisition.status import StreamedSample
-from daq.clock import RunClock
-from daq.config.rig_file import load_rig
-from daq.errors import SeatrialError
-from daq.log.reader import open_log
-from daq.rig import Rig, Ros2
-from daq.samples import Ahrs
-from daq.tools import ros_live
-from daq.tools.ros_live import ATTACHMENT, LateCommands, ReceivedCommand, Ros2Node, _command
+from seatrial.daq.acquisition.session import Acquisition
+from seatrial.daq.acquisition.status import StreamedSample
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import load_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import open_log
+from seatrial.daq.rig import Rig, Ros2
+from seatrial.daq.samples import Ahrs
+from seatrial.daq.tools import ros_live
+from seatrial.daq.tools.ros_live import ATTACHMENT, LateCommands, ReceivedCommand, Ros2Node, _command
 from tests.daq.logs import SAMPLES, T0
 from tests.daq.logs import rig as rig_of_logs
 from tests.daq.ptys import TestBoat, wait_for

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.transport.ftdi_latency import UDEV_RULE, VENDOR, set_latency_timer
+from seatrial.daq.transport.ftdi_latency import UDEV_RULE, VENDOR, set_latency_timer
 
 
 @pytest.fixture

@@ -11,21 +11,21 @@ from pathlib import Path
 
 import pytest
 
-from daq.acquisition.device_loop import DeviceLoop
-from daq.acquisition.log_thread import LogSink
-from daq.acquisition.watchdog import FailsafeSender
-from daq.clock import RunClock
-from daq.config.rig_file import parse_rig
-from daq.drivers.base import LinkRole
-from daq.drivers.factory import make_driver
-from daq.drivers.setpoints import Setpoints
-from daq.errors import SeatrialError
-from daq.protocol.catalogue import make_decoder
-from daq.protocol.mavlink import MavlinkDecoder
-from daq.protocol.mavlink_wire import Codec, Head, head
-from daq.transport.base import Port, PortError, decode_read
-from daq.transport.factory import make_net_port, make_port
-from daq.transport.network_port import SILENT_S, UdpPort
+from seatrial.daq.acquisition.device_loop import DeviceLoop
+from seatrial.daq.acquisition.log_thread import LogSink
+from seatrial.daq.acquisition.watchdog import FailsafeSender
+from seatrial.daq.clock import RunClock
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.drivers.base import LinkRole
+from seatrial.daq.drivers.factory import make_driver
+from seatrial.daq.drivers.setpoints import Setpoints
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol.catalogue import make_decoder
+from seatrial.daq.protocol.mavlink import MavlinkDecoder
+from seatrial.daq.protocol.mavlink_wire import Codec, Head, head
+from seatrial.daq.transport.base import Port, PortError, decode_read
+from seatrial.daq.transport.factory import make_net_port, make_port
+from seatrial.daq.transport.network_port import SILENT_S, UdpPort
 from tests.daq.mavlink_ends import rig_text
 from tests.daq.ptys import wait_for
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from daq.protocol import slcan
-from daq.protocol.canframe import pack_can
-from daq.transport.base import PortError
-from daq.transport.can_port import REFUSED, SlcanPort, SocketCanPort
-from daq.transport.serial_port import SerialPort
+from seatrial.daq.protocol import slcan
+from seatrial.daq.protocol.canframe import pack_can
+from seatrial.daq.transport.base import PortError
+from seatrial.daq.transport.can_port import REFUSED, SlcanPort, SocketCanPort
+from seatrial.daq.transport.serial_port import SerialPort
 from tests.daq.ptys import Pty, wait_for
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq.errors import SeatrialError
-from daq.importers.import_files import import_files
-from ident.characterisation import zero_drift
-from ident.cli.commands import ident
-from ident.data import Channel
-from ident.numerics import Array
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_files import import_files
+from seatrial.ident.characterisation import zero_drift
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import Array
 
 T = np.arange(0.0, 120.0, 0.05)
 C1 = 40.0  # N

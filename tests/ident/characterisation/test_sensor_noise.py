@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from ident.characterisation.sensor_noise import UNKNOWN, NoiseFit, band_spectrum, estimate_noise, innovation_form, welch
-from ident.data.record import Channel
-from ident.validation.whiteness import autocorrelation, ljung_box, predictable
+from seatrial.ident.characterisation.sensor_noise import (
+    UNKNOWN,
+    NoiseFit,
+    band_spectrum,
+    estimate_noise,
+    innovation_form,
+    welch,
+)
+from seatrial.ident.data.record import Channel
+from seatrial.ident.validation.whiteness import autocorrelation, ljung_box, predictable
 from tests.measured.data import measured
 
 

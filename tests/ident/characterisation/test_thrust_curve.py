@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-import seatrial
-from daq.errors import SeatrialError
-from ident.characterisation.thrust_curve import (
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation.thrust_curve import (
     Levels,
     ThrustCurve,
     _merged,
@@ -27,9 +27,9 @@ from ident.characterisation.thrust_curve import (
     save_curve,
     thrust_channels,
 )
-from ident.data.record import Channel
-from ident.results.answers import curve_notes, curve_warnings
-from ident.workflows.thruster import curve_answer
+from seatrial.ident.data.record import Channel
+from seatrial.ident.results.answers import curve_notes, curve_warnings
+from seatrial.ident.workflows.thruster import curve_answer
 
 COMMANDS = np.round(np.linspace(-1.0, 1.0, 11), 3)
 MAP = """
@@ -292,7 +292,7 @@ def test_thrust_from_commands(tmp_path: Path) -> None:
 
 def run(*words: str, status: int = 0) -> None:
     with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
+        command_line.main(words)
     assert left.value.code == status, words
 
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-import seatrial
-from daq.errors import SeatrialError
-from ident.characterisation.thruster import steady_thrust
-from ident.estimation.prior_knowledge import fix_parameters
-from ident.models.horizontal import horizontal_model
-from ident.results.answers import thruster_answer
-from ident.workflows.thruster import _steady
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation.thruster import steady_thrust
+from seatrial.ident.estimation.prior_knowledge import fix_parameters
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.results.answers import thruster_answer
+from seatrial.ident.workflows.thruster import _steady
 
 MAP = """
 format = "seatrial-import 1"
@@ -44,7 +44,7 @@ DT = 0.05
 
 def run(*words: str, status: int = 0) -> None:
     with pytest.raises(SystemExit) as left:
-        seatrial.main(words)
+        command_line.main(words)
     assert left.value.code == status, words
 
 

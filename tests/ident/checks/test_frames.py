@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.checks.frames import Relation, _reversed, culprit
-from ident.checks.log_checks import check_copies, check_signals
-from ident.checks.sensors import sensor_matches
-from ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
-from ident.data.loading import LoadedLog
-from ident.data.record import Channel, LogSegment
-from ident.models.horizontal import horizontal_model
-from ident.models.nomoto import nomoto_model
-from ident.workflows.check import with_estimator_errors, with_noise_floors
+from seatrial.ident.checks.frames import Relation, _reversed, culprit
+from seatrial.ident.checks.log_checks import check_copies, check_signals
+from seatrial.ident.checks.sensors import sensor_matches
+from seatrial.ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
+from seatrial.ident.data.loading import LoadedLog
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
 from tests.missions import boat_with, channels_of, sail
 
 SIDES = {"left": -0.15, "right": 0.15}

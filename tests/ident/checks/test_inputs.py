@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.checks import spoils_a_fit
-from ident.checks.inputs import check_inputs
-from ident.checks.log_checks import check_signals
-from ident.data import Channel
+from seatrial.ident.checks import spoils_a_fit
+from seatrial.ident.checks.inputs import check_inputs
+from seatrial.ident.checks.log_checks import check_signals
+from seatrial.ident.data import Channel
 from tests.ident.checks.test_latency import ATTITUDE, COMMANDS, SHAFTS, SIDES, VELOCITY, sailed
 
 

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from daq.checks import Finding
-from ident.checks.latency import check_latency
-from ident.data import Channel
+from seatrial.daq.checks import Finding
+from seatrial.ident.checks.latency import check_latency
+from seatrial.ident.data import Channel
 
 SIDES = {"left": -0.35, "right": 0.35}
 DT, SECONDS, SHAFT_LAG = 0.02, 180.0, 0.2

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.checks.log_checks import check_signals
-from ident.checks.signals import check_frozen
-from ident.data import Channel
+from seatrial.ident.checks.log_checks import check_signals
+from seatrial.ident.checks.signals import check_frozen
+from seatrial.ident.data import Channel
 from tests.ident.checks.test_latency import ATTITUDE, SHAFTS, SIDES, sailed
 
 MINUTE, KNOT = 1.855, 0.514444  # m of 0.001 minutes of latitude; m/s

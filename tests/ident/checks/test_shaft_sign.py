@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.checks.log_checks import check_signals
-from ident.data import Channel
-from ident.numerics import Array
+from seatrial.ident.checks.log_checks import check_signals
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import Array
 from tests.ident.checks.test_latency import ATTITUDE, SHAFTS, SIDES, VELOCITY, sailed
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.checks.shafts import check_shafts
-from ident.data.record import Channel
+from seatrial.ident.checks.shafts import check_shafts
+from seatrial.ident.data.record import Channel
 
 RATE = 20.0  # Hz
 

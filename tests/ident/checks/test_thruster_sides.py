@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.checks.motion import check_motion, turning
-from ident.data.record import Channel
-from mocks.offline_simulation import simulate
+from seatrial.ident.checks.motion import check_motion, turning
+from seatrial.ident.data.record import Channel
+from seatrial.mocks.offline_simulation import simulate
 from tests.missions import boat_with, channels_of, sail
 
 SIDES = {"left": -0.15, "right": 0.15}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.checks import spoils_a_fit
-from ident.checks.log_checks import check_signals
-from ident.data import Channel
+from seatrial.ident.checks import spoils_a_fit
+from seatrial.ident.checks.log_checks import check_signals
+from seatrial.ident.data import Channel
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.checks.signals import check_alternating
-from ident.data import Channel
-from ident.numerics import Array
+from seatrial.ident.checks.signals import check_alternating
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import Array
 
 T = np.arange(0.0, 120.0, 0.2)
 RNG = np.random.default_rng(4)

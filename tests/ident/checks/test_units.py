@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.checks.sensors import Match, gyro_and_heading
-from ident.data import Channel
-from ident.numerics import Array
+from seatrial.ident.checks.sensors import Match, gyro_and_heading
+from seatrial.ident.data import Channel
+from seatrial.ident.numerics import Array
 
 T: Array = np.array(0.1 * np.arange(400), np.float64)
 

@@ -12,14 +12,14 @@ import click
 import msgspec
 import pytest
 
-import seatrial
-from ident.cli.options import run_workflow
-from ident.estimation.model_file import load_model
-from ident.results.parts import VehicleResult
-from ident.results.result_file import read_result
-from mocks.hidden_effects.catalogue import make_effect
-from mocks.plant.bench import draw_bench
-from mocks.plant.boat import Boat
+from seatrial import command_line
+from seatrial.ident.cli.options import run_workflow
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.results.parts import VehicleResult
+from seatrial.ident.results.result_file import read_result
+from seatrial.mocks.hidden_effects.catalogue import make_effect
+from seatrial.mocks.plant.bench import draw_bench
+from seatrial.mocks.plant.boat import Boat
 from tests.missions import bench_log, boat_log, boat_with, sail, write_log
 
 SEED, EFFECT = 2, "cubic-drag"
@@ -45,7 +45,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
     def run(*words: object) -> Outcome:
         with pytest.raises(SystemExit) as leaving:
-            seatrial.main([str(w) for w in words])
+            command_line.main([str(w) for w in words])
         out, err = capsys.readouterr()
         return int(leaving.value.code or 0), out, err
 
@@ -68,7 +68,7 @@ def fitted(logs: Path) -> Path:
          "--validate", logs / "validation.mcap", "--out", logs / "vehicle"],
     ):
         with pytest.raises(SystemExit) as leaving:
-            seatrial.main(["ident", *map(str, words)])
+            command_line.main(["ident", *map(str, words)])
         assert not leaving.value.code
     return logs
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial
-from daq.config.mission_file import dump_mission, load_mission, parse_mission
-from daq.errors import SeatrialError
-from ident.effects.registry import catalogue
-from ident.estimation.model_file import load_model
-from ident.experiment_design.task import COAST_S, REST_S, believed
-from ident.models.horizontal import horizontal_model
-from ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
+from seatrial import command_line
+from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.experiment_design.task import COAST_S, REST_S, believed
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "formats" / "model.md"
 QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
@@ -25,7 +25,7 @@ QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     """Exit status, stdout and stderr of `seatrial mission` with these words."""
     with pytest.raises(SystemExit) as left:
-        seatrial.main(["mission", *words])
+        command_line.main(["mission", *words])
     said = capsys.readouterr()
     return int(left.value.code or 0), said.out, said.err
 

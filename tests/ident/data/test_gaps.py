@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError, SeatrialWarning
-from daq.samples import Ahrs
-from ident.checks.log_checks import check_log, log_evidence
-from ident.data.gaps import clock_of, parts_between, silent_times
-from ident.data.loading import TimeWindow, known_pieces, load_all, load_run, load_runs
-from ident.data.record import Channel, LeftOut, make_record
-from ident.models.horizontal import horizontal_model
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.samples import Ahrs
+from seatrial.ident.checks.log_checks import check_log, log_evidence
+from seatrial.ident.data.gaps import clock_of, parts_between, silent_times
+from seatrial.ident.data.loading import TimeWindow, known_pieces, load_all, load_run, load_runs
+from seatrial.ident.data.record import Channel, LeftOut, make_record
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, record, rig_of, sail
 
 DAY, TEN_YEARS = 86_400.0, 10 * 365.25 * 86_400.0

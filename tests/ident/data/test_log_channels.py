@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.mission_generators import make_mission
-from daq.errors import SeatrialError
-from daq.log.reader import Log, open_log
-from daq.log.schema import local_ned
-from daq.samples import NAN, Command, Esc, Gnss, Servo
-from ident.checks.log_checks import device_faults
-from ident.data import loading
-from ident.data.loading import SHAFTS, PropulsionInput, TimeWindow, channels, load_run, propulsion_input
-from ident.data.record import Channel, make_record
-from ident.models.horizontal import horizontal_model
-from mocks.offline_simulation import Recording, simulate
-from mocks.plant.bench import draw_bench
-from mocks.sensors import geodetic
+from seatrial.bench.mission_generators import make_mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log.reader import Log, open_log
+from seatrial.daq.log.schema import local_ned
+from seatrial.daq.samples import NAN, Command, Esc, Gnss, Servo
+from seatrial.ident.checks.log_checks import device_faults
+from seatrial.ident.data import loading
+from seatrial.ident.data.loading import SHAFTS, PropulsionInput, TimeWindow, channels, load_run, propulsion_input
+from seatrial.ident.data.record import Channel, make_record
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.mocks.offline_simulation import Recording, simulate
+from seatrial.mocks.plant.bench import draw_bench
+from seatrial.mocks.sensors import geodetic
 from tests.missions import T0, bench_channels_of, boat_log, boat_with, channels_of, push, sail, write_log
 from tests.recovery.rig_logs import AUTOPILOT, autopilot_log
 

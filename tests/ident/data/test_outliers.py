@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.checks.log_checks import check_signals
-from ident.checks.outliers import check_outliers
-from ident.data import Channel, without_outliers
+from seatrial.ident.checks.log_checks import check_signals
+from seatrial.ident.checks.outliers import check_outliers
+from seatrial.ident.data import Channel, without_outliers
 
 RATE = 10.0  # Hz
 T = np.arange(0.0, 120.0, 1.0 / RATE)

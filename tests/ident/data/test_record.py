@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import (
+from seatrial.ident.data.record import (
     WORK_UNIT,
     Channel,
     Record,
@@ -18,9 +18,9 @@ from ident.data.record import (
     held_lines,
     sample_and_hold,
 )
-from ident.model.parameter import Parameter
-from ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
-from ident.results.answers import cut_records
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.results.answers import cut_records
 
 
 def model(hold: str = "zero", feels: str = "") -> Model:

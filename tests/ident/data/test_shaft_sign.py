@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ident.data.loading import GRID_STEP, follows_command, shaft_speed
+from seatrial.ident.data.loading import GRID_STEP, follows_command, shaft_speed
 
 DT = 1e-3  # s
 Array = NDArray[np.float64]

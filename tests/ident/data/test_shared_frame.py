@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from daq.samples import Ahrs, Esc, Gnss
-from ident.data.loading import FrameOrigin, LoadedLog, load_all, load_run, share_frame
-from ident.data.record import LogSegment, make_record
-from ident.diagnosis.search import _refused
-from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.model_file import load_model, save_model
-from ident.estimation.prior_knowledge import with_effects
-from ident.models.horizontal import horizontal_model
-from ident.results.answers import frames_assumed
-from ident.workflows.model_inputs import require_one_frame, saved_frame_warnings
-from mocks.sensors import LATITUDE, LONGITUDE, geodetic
-from mocks.world import Reading
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.samples import Ahrs, Esc, Gnss
+from seatrial.ident.data.loading import FrameOrigin, LoadedLog, load_all, load_run, share_frame
+from seatrial.ident.data.record import LogSegment, make_record
+from seatrial.ident.diagnosis.search import _refused
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.model_file import load_model, save_model
+from seatrial.ident.estimation.prior_knowledge import with_effects
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.results.answers import frames_assumed
+from seatrial.ident.workflows.model_inputs import require_one_frame, saved_frame_warnings
+from seatrial.mocks.sensors import LATITUDE, LONGITUDE, geodetic
+from seatrial.mocks.world import Reading
 from tests.ident.effects.independent_boat import Force, IndependentBoat, sail
 from tests.ident.effects.test_weak_effects import line, model_of, spring
 from tests.missions import RPM_MAX, write_log

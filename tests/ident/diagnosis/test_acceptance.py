@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ident.diagnosis.acceptance import validation_gain
-from ident.diagnosis.results import MATERIAL_ERROR_RATIO, MIN_ERROR_RATIO, EffectImportance, Outcome, Refit, Round
-from ident.model.structure import Effect, EffectKind
-from ident.validation.prediction_errors import PredictionChange
+from seatrial.ident.diagnosis.acceptance import validation_gain
+from seatrial.ident.diagnosis.results import (
+    MATERIAL_ERROR_RATIO,
+    MIN_ERROR_RATIO,
+    EffectImportance,
+    Outcome,
+    Refit,
+    Round,
+)
+from seatrial.ident.model.structure import Effect, EffectKind
+from seatrial.ident.validation.prediction_errors import PredictionChange
 
 
 @dataclass

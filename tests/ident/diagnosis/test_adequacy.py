@@ -14,18 +14,18 @@ import pytest
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
-from ident.diagnosis.results import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
-from ident.diagnosis.score_test import Score
-from ident.effects.registry import catalogue
-from ident.estimation.standard_errors import AT_BOUND
-from ident.model.parameter import Parameter
-from ident.model.structure import Effect, ForceCurve
-from ident.models.horizontal import horizontal_model
-from ident.numerics import Array
-from ident.report.page import write_report
-from ident.report.terminal import print_result
-from ident.validation.prediction_errors import PredictionChange
+from seatrial.ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
+from seatrial.ident.diagnosis.results import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
+from seatrial.ident.diagnosis.score_test import Score
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.standard_errors import AT_BOUND
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Effect, ForceCurve
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.numerics import Array
+from seatrial.ident.report.page import write_report
+from seatrial.ident.report.terminal import print_result
+from seatrial.ident.validation.prediction_errors import PredictionChange
 from tests.ident.pages import loaded
 from tests.ident.report_example import diagnosis
 from tests.ident.unlisted import kind_of

@@ -9,13 +9,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ident.data.record import Record
-from ident.diagnosis.candidates import TrajectoryLinearisation, all_columns, generic_features, splines, variables
-from ident.effects.registry import catalogue
-from ident.model.structure import Effect, EffectKind, Model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
-from ident.models.scaling import VesselScale, scale_priors
+from seatrial.ident.data.record import Record
+from seatrial.ident.diagnosis.candidates import (
+    TrajectoryLinearisation,
+    all_columns,
+    generic_features,
+    splines,
+    variables,
+)
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.model.structure import Effect, EffectKind, Model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.scaling import VesselScale, scale_priors
 from tests.ident.carriers import carrier
 from tests.ident.sliders import whole
 

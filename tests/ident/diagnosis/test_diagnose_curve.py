@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from daq.errors import SeatrialError
-from ident.cli.commands import ident
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.cli.commands import ident
 from tests.missions import boat_log, boat_with
 
 

@@ -9,10 +9,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from ident.diagnosis import importance
-from ident.diagnosis.importance import by_importance, effect_importance
-from ident.diagnosis.results import EffectImportance, Refit, Round
-from ident.model.structure import Effect, ForceCurve
+from seatrial.ident.diagnosis import importance
+from seatrial.ident.diagnosis.importance import by_importance, effect_importance
+from seatrial.ident.diagnosis.results import EffectImportance, Refit, Round
+from seatrial.ident.model.structure import Effect, ForceCurve
 from tests.ident.unlisted import kind_of
 
 

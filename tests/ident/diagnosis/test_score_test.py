@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ident.data.record import Record
-from ident.diagnosis import score_test
-from ident.diagnosis.candidates import TrajectoryLinearisation, normal_equations
-from ident.diagnosis.score_test import (
+from seatrial.ident.data.record import Record
+from seatrial.ident.diagnosis import score_test
+from seatrial.ident.diagnosis.candidates import TrajectoryLinearisation, normal_equations
+from seatrial.ident.diagnosis.score_test import (
     BLOCK,
     ColumnIndex,
     NormalEquations,
@@ -27,12 +27,12 @@ from ident.diagnosis.score_test import (
     score_tests,
     whole_blocks,
 )
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.fitted_model import fit_and_evaluate
-from ident.estimation.likelihood import FilterResult, Likelihood
-from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.model.parameter import Parameter
-from ident.model.structure import Effect, Signals, State
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.fitted_model import fit_and_evaluate
+from seatrial.ident.estimation.likelihood import FilterResult, Likelihood
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Effect, Signals, State
 from tests.ident.sliders import (
     CUBE,
     DRAG,

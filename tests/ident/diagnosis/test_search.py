@@ -8,9 +8,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, LogSegment
-from ident.diagnosis import search
-from ident.diagnosis.results import (
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.diagnosis import search
+from seatrial.ident.diagnosis.results import (
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -22,17 +22,17 @@ from ident.diagnosis.results import (
     UntestedCandidate,
     ValidationMismatch,
 )
-from ident.diagnosis.score_test import Score
-from ident.diagnosis.search import _Search, _starts, diagnose, evaluate_diagnosis
-from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import FittedModel, validated_in_blocks
-from ident.estimation.homogeneity import BETWEEN, ParameterShift
-from ident.model.parameter import Parameter
-from ident.model.structure import Effect, EffectKind, ForceCurve, Input
-from ident.models.horizontal import horizontal_model
-from ident.reporter import QUIET
-from ident.results import parts
-from ident.results.diagnosis import (
+from seatrial.ident.diagnosis.score_test import Score
+from seatrial.ident.diagnosis.search import _Search, _starts, diagnose, evaluate_diagnosis
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blocks
+from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Effect, EffectKind, ForceCurve, Input
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.reporter import QUIET
+from seatrial.ident.results import parts
+from seatrial.ident.results.diagnosis import (
     _blocks_note,
     _mismatch,
     _notes,
@@ -42,8 +42,8 @@ from ident.results.diagnosis import (
     diagnosis_caveat,
     reported_mismatches,
 )
-from ident.validation.prediction_errors import PredictionChange
-from mocks.plant.boat import Boat
+from seatrial.ident.validation.prediction_errors import PredictionChange
+from seatrial.mocks.plant.boat import Boat
 from tests.missions import boat_with, channels_of, sail
 
 NAN = float("nan")

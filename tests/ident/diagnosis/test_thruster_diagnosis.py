@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial
-from daq.errors import SeatrialError
-from ident.characterisation import thruster
-from ident.characterisation.thruster import shaft_guess
-from ident.data.loading import LoadedLog
-from ident.data.record import Channel, LogSegment, build_record
-from ident.diagnosis.candidates import TrajectoryLinearisation as Along
-from ident.diagnosis.candidates import variables
-from ident.effects.nonparametric import nonparametric_effect
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.fitted_model import reset_collapsed_noise
-from ident.model.structure import ForceCurve, Model
-from ident.models.catalogue import make_model
-from ident.models.disturbances import for_diagnosis, residuals_of, variables_of
-from ident.models.thruster import delayed_channels, thruster_model
-from mocks.plant.bench import draw_bench, make_effect
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation import thruster
+from seatrial.ident.characterisation.thruster import shaft_guess
+from seatrial.ident.data.loading import LoadedLog
+from seatrial.ident.data.record import Channel, LogSegment, build_record
+from seatrial.ident.diagnosis.candidates import TrajectoryLinearisation as Along
+from seatrial.ident.diagnosis.candidates import variables
+from seatrial.ident.effects.nonparametric import nonparametric_effect
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.fitted_model import reset_collapsed_noise
+from seatrial.ident.model.structure import ForceCurve, Model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.disturbances import for_diagnosis, residuals_of, variables_of
+from seatrial.ident.models.thruster import delayed_channels, thruster_model
+from seatrial.mocks.plant.bench import draw_bench, make_effect
 from tests.missions import bench_log
 
 BENCH = [name for name, effect in catalogue().items() if "bench" in effect.requires]
@@ -179,7 +179,7 @@ def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
         ("ident", "diagnose", model, logs[0], "--validate", logs[1], "--out", str(out)),
     ):
         with pytest.raises(SystemExit) as left:
-            seatrial.main(words)
+            command_line.main(words)
         assert left.value.code == 0
     result = json.loads((out / "result.json").read_text())
     assert result["kind"] == "diagnosis"

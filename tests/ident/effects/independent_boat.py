@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.data.record import Channel, LogSegment
+from seatrial.ident.data.record import Channel, LogSegment
 
 STEP = 0.025  # s
 AHRS, GNSS = 2, 8  # steps between samples

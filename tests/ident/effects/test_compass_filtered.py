@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, Record, build_record
-from ident.effects.registry import catalogue
-from ident.estimation.maximum_likelihood import EstimationOptions, fit
-from ident.estimation.output_error import simulate
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import Channel, Record, build_record
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, fit
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
 
 SENSORS = ("attitude", "gyro", "body_velocity")
 TRUTH = {"dev_f1s": 0.12, "dev_f1c": -0.08, "dev_f2s": 0.03, "dev_f2c": 0.02, "T_head": 3.0}

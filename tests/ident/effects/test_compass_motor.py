@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, Record, build_record
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.maximum_likelihood import EstimationOptions, fit
-from ident.estimation.output_error import simulate
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import Channel, Record, build_record
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, fit
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
 
 SENSORS = ("attitude", "gyro", "body_velocity")
 TRUTH = {"dev_ms": -0.1, "dev_mc": 0.2, "T_dev": 6.0, "b_x": 0.3, "b_y": -0.2}

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
-from ident.data.record import LogSegment, make_record
-from ident.diagnosis.candidates import wave_peak_score
-from ident.effects.environment.waves import EFFECT as WAVES
-from ident.effects.environment.waves import FORCES, waves_at
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal
-from ident.model.structure import Model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import LogSegment, make_record
+from seatrial.ident.diagnosis.candidates import wave_peak_score
+from seatrial.ident.effects.environment.waves import EFFECT as WAVES
+from seatrial.ident.effects.environment.waves import FORCES, waves_at
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
 

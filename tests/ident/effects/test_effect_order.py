@@ -10,13 +10,13 @@ from operator import add
 import numpy as np
 import pytest
 
-from ident.effects.nonparametric import input_response_effects, nonparametric_effect
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.model.structure import Effect, ForceCurve, Model
-from ident.models.catalogue import make_model
-from ident.models.components import antenna, current_walk, estimator_error, telemetry_age, thrust_calibration
-from ident.models.disturbances import (
+from seatrial.ident.effects.nonparametric import input_response_effects, nonparametric_effect
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.model.structure import Effect, ForceCurve, Model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.components import antenna, current_walk, estimator_error, telemetry_age, thrust_calibration
+from seatrial.ident.models.disturbances import (
     disturbance_of,
     for_diagnosis,
     readings_of,
@@ -24,7 +24,7 @@ from ident.models.disturbances import (
     sensor_bias,
     thrust_losses_of,
 )
-from ident.models.horizontal import SENSORS
+from seatrial.ident.models.horizontal import SENSORS
 
 ROWS = 6
 

@@ -9,16 +9,16 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, build_record
-from ident.effects.registry import catalogue
-from ident.effects.sensors.gnss_latency import N_PAST, _before
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.output_error import simulate
-from ident.model.structure import Effect, Model, Signals
-from ident.models.catalogue import make_model
-from ident.models.components import telemetry_age
-from ident.models.horizontal import SENSORS, horizontal_model
-from ident.models.scaling import scale_priors, size_of
+from seatrial.ident.data.record import Channel, build_record
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.effects.sensors.gnss_latency import N_PAST, _before
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model.structure import Effect, Model, Signals
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.components import telemetry_age
+from seatrial.ident.models.horizontal import SENSORS, horizontal_model
+from seatrial.ident.models.scaling import scale_priors, size_of
 from tests.ident.carriers import carrier
 
 RNG = np.random.default_rng(7)

@@ -10,10 +10,10 @@ from operator import add
 import numpy as np
 import pytest
 
-from ident.effects.registry import catalogue
-from ident.model.structure import Effect, Model
-from ident.models.components import telemetry_age
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.model.structure import Effect, Model
+from seatrial.ident.models.components import telemetry_age
+from seatrial.ident.models.horizontal import horizontal_model
 
 DT, LATE, ARM = 0.002, 0.2, 0.15  # s, s, m
 HULL = {"m_u": 37.0, "m_v": 47.0, "m_r": 9.69, "d_u": 2.0, "d_uu": 0.0, "d_v": 20.0, "d_vv": 0.0, "d_r": 4.0,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.effects.nonparametric import TIME_CONSTANTS, input_response_effects
-from ident.engine.vectorised_model import VectorisedModel
-from ident.model.structure import Effect, Model, curve_name
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.effects.nonparametric import TIME_CONSTANTS, input_response_effects
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.model.structure import Effect, Model, curve_name
+from seatrial.ident.models.horizontal import horizontal_model
 
 NAMES = {"X(past of n_sum)", "X(swing after n_sum)", "N(past of n_diff)", "N(swing after n_diff)"}
 

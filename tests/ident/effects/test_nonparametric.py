@@ -8,11 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ident.effects.nonparametric import N_KNOTS, ROUNDING, between_knots, nonparametric_effect, shape, spline_basis
-from ident.engine.vectorised_model import VectorisedModel
-from ident.model.structure import ForceCurve, Signals
-from ident.models.disturbances import variables_of
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.effects.nonparametric import (
+    N_KNOTS,
+    ROUNDING,
+    between_knots,
+    nonparametric_effect,
+    shape,
+    spline_basis,
+)
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.model.structure import ForceCurve, Signals
+from seatrial.ident.models.disturbances import variables_of
+from seatrial.ident.models.horizontal import horizontal_model
 
 SPAN = (-0.4, 1.2)
 SPACING = (SPAN[1] - SPAN[0]) / (N_KNOTS - 1)

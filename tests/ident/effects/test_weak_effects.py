@@ -8,15 +8,15 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 
-from ident.data.record import make_record
-from ident.diagnosis.results import Diagnosis
-from ident.diagnosis.score_test import Score
-from ident.diagnosis.search import diagnose, score_all
-from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
-from ident.models.scaling import scale_priors, size_of
+from seatrial.ident.data.record import make_record
+from seatrial.ident.diagnosis.results import Diagnosis
+from seatrial.ident.diagnosis.score_test import Score
+from seatrial.ident.diagnosis.search import diagnose, score_all
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.scaling import scale_priors, size_of
 from tests.ident.effects.independent_boat import Force, IndependentBoat, Loss, Moment, Slosh, sail
 
 SECONDS = (300.0, 150.0)  # of the estimation run and of the validation run

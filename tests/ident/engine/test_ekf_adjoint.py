@@ -9,20 +9,20 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.engine import ekf_adjoint, jit
-from ident.engine.ekf_graph import EkfGraphs, pack, unpack
-from ident.engine.expressions import reverse_mode, simplified
-from ident.engine.filter_plans import Plans
-from ident.engine.kernel import Kernel
-from ident.engine.loop_plan import Factor, Plan, Product, stage
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.output_error import simulate
-from ident.model.outlier_density import with_outlier_model
-from ident.model.structure import Model
-from ident.models.catalogue import make_model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.engine import ekf_adjoint, jit
+from seatrial.ident.engine.ekf_graph import EkfGraphs, pack, unpack
+from seatrial.ident.engine.expressions import reverse_mode, simplified
+from seatrial.ident.engine.filter_plans import Plans
+from seatrial.ident.engine.kernel import Kernel
+from seatrial.ident.engine.loop_plan import Factor, Plan, Product, stage
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model.outlier_density import with_outlier_model
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.engine.test_kernel import operations, points
 from tests.ident.toys import turning
 

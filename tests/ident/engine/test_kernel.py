@@ -9,14 +9,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from ident.data.record import Preparer
-from ident.engine import jit
-from ident.engine.filter_kernels import Programs, programs_for
-from ident.engine.kernel import Arena, Kernel
-from ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero
-from ident.engine.loop_plan import Gram, Plan, stage
-from ident.model.parameter import Parameter
-from ident.model.structure import Model, Output, Sensor, State, plain_model
+from seatrial.ident.data.record import Preparer
+from seatrial.ident.engine import jit
+from seatrial.ident.engine.filter_kernels import Programs, programs_for
+from seatrial.ident.engine.kernel import Arena, Kernel
+from seatrial.ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero
+from seatrial.ident.engine.loop_plan import Gram, Plan, stage
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
 from tests.ident.toys import turning, turning_record, values_of
 
 ca.GlobalOptions.setNumpyMode(-1)

@@ -14,26 +14,26 @@ from weakref import WeakValueDictionary
 import numpy as np
 import pytest
 
-from ident.effects.registry import catalogue
-from ident.engine import filter_kernels, jit
-from ident.engine.kernel_cache import kernel_key
-from ident.estimation.likelihood import Likelihood
-from ident.model.outlier_density import with_outlier_model
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
-from ident.models.kinematic import kinematic_model
-from ident.models.surge import surge_model
-from ident.models.thruster import thruster_model
-from ident.models.yaw import yaw_model
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine import filter_kernels, jit
+from seatrial.ident.engine.kernel_cache import kernel_key
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.model.outlier_density import with_outlier_model
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
+from seatrial.ident.models.surge import surge_model
+from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.models.yaw import yaw_model
 from tests.ident.toys import turning, turning_record, values_of
 
 needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="llvmlite is not installed")
 ROOT = Path(__file__).resolve().parents[3]
 WORK = """
 import sys
-from ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.likelihood import Likelihood
 from tests.ident.toys import turning, turning_record, values_of
 likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
 value, gradient = likelihood.gradient(record, v)
@@ -56,11 +56,11 @@ def key(model: Model) -> str | None:
 
 
 KEYS = """
-from ident.engine.kernel_cache import kernel_key
-from ident.effects.registry import catalogue
-from ident.models.components import current_walk, estimator_error
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import SENSORS, horizontal_model
+from seatrial.ident.engine.kernel_cache import kernel_key
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.models.components import current_walk, estimator_error
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import SENSORS, horizontal_model
 sensors = tuple(SENSORS)
 model = for_diagnosis(horizontal_model("shaft", sensors) + current_walk() + estimator_error(sensors))
 for effect in catalogue().values():
@@ -112,10 +112,10 @@ def test_a_kernel_that_was_found_again_still_has_its_plan(tmp_path: Path, monkey
 
 IR = """
 import casadi as ca
-from ident.engine.llvm_emitter import LlvmEmitter
-from ident.engine.ekf_graph import EkfGraphs
-from ident.engine.loop_plan import Plan, stage
-from ident.engine.filter_plans import Plans
+from seatrial.ident.engine.llvm_emitter import LlvmEmitter
+from seatrial.ident.engine.ekf_graph import EkfGraphs
+from seatrial.ident.engine.loop_plan import Plan, stage
+from seatrial.ident.engine.filter_plans import Plans
 from tests.ident.toys import turning
 plans = Plans(EkfGraphs(turning()))
 names = [f"carried{k}" for k in range(5)]

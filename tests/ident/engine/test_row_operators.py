@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.engine import jit
-from ident.engine.row_operators import MULTIPLE, NOWHERE, apply_rows, padded
+from seatrial.ident.engine import jit
+from seatrial.ident.engine.row_operators import MULTIPLE, NOWHERE, apply_rows, padded
 
 N, S, M, Q = 40, 5, 3, 3  # rows, states, outputs, and as many sensitivities of outputs
 TOUCHED = {"some": [1, 3, 6], "rates": [0, 1, 2, 3, 4], "outputs": [5, 7], "all": list(range(S + Q)), "none": []}

@@ -7,13 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.estimation.cross_validation import FEWEST_BLOCKS, MOST_BLOCKS, TimeBlocks, leave_one_block_out, time_blocks
-from ident.estimation.fitted_model import blocks_of, fit_and_evaluate, validated_in_blocks
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.model.parameter import Parameter
-from ident.model.structure import PARAMETERS, Effect, EffectKind, Signals, State
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.cross_validation import (
+    FEWEST_BLOCKS,
+    MOST_BLOCKS,
+    TimeBlocks,
+    leave_one_block_out,
+    time_blocks,
+)
+from seatrial.ident.estimation.fitted_model import blocks_of, fit_and_evaluate, validated_in_blocks
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import fit
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import PARAMETERS, Effect, EffectKind, Signals, State
 from tests.ident.estimation.test_homogeneity import pushed, records
 
 MODEL = replace(pushed(), block=0.4)  # s: a record of 30 s has five blocks at least

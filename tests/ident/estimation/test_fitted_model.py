@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, LogSegment
-from ident.estimation import fitted_model
-from ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model
-from ident.estimation.maximum_likelihood import SearchSettings
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.estimation import fitted_model
+from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.sliders import slide, slider
 from tests.missions import boat_with, channels_of, sail
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.estimation import fisher_scoring
-from ident.estimation.maximum_likelihood import CLOSE_ENOUGH
-from ident.estimation.standard_errors import flat_coordinates
-from ident.model.parameter import INF, Parameter
+from seatrial.ident.estimation import fisher_scoring
+from seatrial.ident.estimation.maximum_likelihood import CLOSE_ENOUGH
+from seatrial.ident.estimation.standard_errors import flat_coordinates
+from seatrial.ident.model.parameter import INF, Parameter
 from tests.ident.stepped import steps
 
 FREE = fisher_scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.zeros(2, dtype=bool))

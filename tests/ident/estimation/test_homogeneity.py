@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from daq.errors import SeatrialError
-from ident.data.record import Record
-from ident.estimation.homogeneity import between_log_variance, homogeneity_test
-from ident.estimation.maximum_likelihood import EstimationOptions, Method, SearchSettings, fit
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from ident.results.answers import homogeneity_sentence
-from ident.results.tables import homogeneity_row
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.homogeneity import between_log_variance, homogeneity_test
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Method, SearchSettings, fit
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.results.answers import homogeneity_sentence
+from seatrial.ident.results.tables import homogeneity_row
 
 
 def pushed() -> Model:

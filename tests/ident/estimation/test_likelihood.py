@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Preparer, Record, initial_condition
-from ident.estimation import likelihood as likelihood_module
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.data.record import Preparer, Record, initial_condition
+from seatrial.ident.estimation import likelihood as likelihood_module
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import NumpyFilter, turning, turning_record, values_of
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r", "psi0", "sd0")

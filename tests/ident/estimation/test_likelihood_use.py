@@ -9,11 +9,11 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.engine import filter_kernels, jit, kernel
-from ident.estimation.likelihood import Likelihood
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Output, Sensor, State, plain_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.engine import filter_kernels, jit, kernel
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Output, Sensor, State, plain_model
 from tests.ident.toys import turning, turning_record, values_of
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r", "psi0", "sd0")

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.estimation import fisher_scoring, maximum_likelihood
-from ident.estimation.fisher_scoring import Problem
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
-from ident.estimation.parameter_covariance import parameter_uncertainty
-from ident.model.parameter import INF, Parameter, ParameterOrigin
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation import fisher_scoring, maximum_likelihood
+from seatrial.ident.estimation.fisher_scoring import Problem
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
+from seatrial.ident.estimation.parameter_covariance import parameter_uncertainty
+from seatrial.ident.model.parameter import INF, Parameter, ParameterOrigin
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import best_start, turning, turning_record, values_of
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 import tomlkit
 
-from daq.errors import SeatrialError
-from ident.characterisation.thrust_curve import load_curve
-from ident.data.record import build_record
-from ident.effects.nonparametric import input_response_effects, nonparametric_effect
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.homogeneity import between_runs_effect
-from ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
-from ident.estimation.model_file import load_model, save_model
-from ident.model.structure import ForceCurve, Model
-from ident.models.catalogue import make_model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
-from ident.models.scaling import VesselScale, rescale, scale_priors, size_of
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.characterisation.thrust_curve import load_curve
+from seatrial.ident.data.record import build_record
+from seatrial.ident.effects.nonparametric import input_response_effects, nonparametric_effect
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.homogeneity import between_runs_effect
+from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fit
+from seatrial.ident.estimation.model_file import load_model, save_model
+from seatrial.ident.model.structure import ForceCurve, Model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.scaling import VesselScale, rescale, scale_priors, size_of
 from tests.missions import boat_with, channels_of, sail
 
 SPAN = (-0.3, 1.1)
@@ -162,7 +162,7 @@ def test_a_large_boats_effect_comes_back_with_its_bounds_and_states(tmp_path: Pa
 def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
-        "from dataclasses import replace\nfrom ident.models import yaw_model\n"
+        "from dataclasses import replace\nfrom seatrial.ident.models import yaw_model\n"
         f"def boat():\n    return replace(yaw_model(), source={f'{file}:boat'!r})\n",
         encoding="utf-8",
     )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, Record, build_record
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.multistart import alternative_starts, best_of_starts
-from ident.models.thruster import delay_step, delayed_channels, thruster_model
+from seatrial.ident.data.record import Channel, Record, build_record
+from seatrial.ident.estimation.maximum_likelihood import Fit, fit
+from seatrial.ident.estimation.multistart import alternative_starts, best_of_starts
+from seatrial.ident.models.thruster import delay_step, delayed_channels, thruster_model
 
 TAU, POLE = 0.3, 2.2
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import EstimationOptions, SearchSettings, fit
-from ident.estimation.output_error import free_start, output_error, predict_ahead, simulate, with_initial_state
-from ident.models.yaw import yaw_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, SearchSettings, fit
+from seatrial.ident.estimation.output_error import free_start, output_error, predict_ahead, simulate, with_initial_state
+from seatrial.ident.models.yaw import yaw_model
 from tests.ident.toys import turning, turning_record, values_of
 
 OUTPUT_ERROR = EstimationOptions(method="output-error")

@@ -7,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.estimation.output_error import simulate
-from ident.estimation.parameter_covariance import ParameterUncertainty, parameter_uncertainty, prediction_variance
-from ident.model.parameter import Parameter
-from ident.model.structure import Output, Sensor, State, plain_model
-from ident.validation.prediction_errors import WARM_UP, simulation_run
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.estimation.parameter_covariance import (
+    ParameterUncertainty,
+    parameter_uncertainty,
+    prediction_variance,
+)
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Output, Sensor, State, plain_model
+from seatrial.ident.validation.prediction_errors import WARM_UP, simulation_run
 from tests.ident.sliders import slide, slider
 from tests.ident.toys import turning, turning_record
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.mission_generators import make_mission
-from ident.data.record import Channel, LogSegment
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.models.horizontal import horizontal_model
-from mocks.offline_simulation import simulate
-from mocks.plant.boat import draw_boat
-from mocks.plant.effect import HiddenEffect, Noise
-from mocks.world import DeviceSpecs, EscSpec
+from seatrial.bench.mission_generators import make_mission
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.mocks.offline_simulation import simulate
+from seatrial.mocks.plant.boat import draw_boat
+from seatrial.mocks.plant.effect import HiddenEffect, Noise
+from seatrial.mocks.world import DeviceSpecs, EscSpec
 from tests.missions import channels_of
 from tests.recovery.cases import named_truth
 

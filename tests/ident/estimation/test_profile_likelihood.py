@@ -14,19 +14,19 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from daq.errors import SeatrialError
-from ident.data.record import Record
-from ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
-from ident.estimation.output_error import output_error
-from ident.estimation.profile_likelihood import Profile, profile
-from ident.estimation.standard_errors import DROP_95
-from ident.estimation.thrust_scale import ReportedEstimates
-from ident.model.parameter import Parameter
-from ident.model.structure import Model, Output, Sensor, State, plain_model
-from ident.report.page import render
-from ident.results.result_file import from_json
-from ident.results.tables import profile_curve
-from ident.workflows.model_inputs import check_names
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
+from seatrial.ident.estimation.output_error import output_error
+from seatrial.ident.estimation.profile_likelihood import Profile, profile
+from seatrial.ident.estimation.standard_errors import DROP_95
+from seatrial.ident.estimation.thrust_scale import ReportedEstimates
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
+from seatrial.ident.report.page import render
+from seatrial.ident.results.result_file import from_json
+from seatrial.ident.results.tables import profile_curve
+from seatrial.ident.workflows.model_inputs import check_names
 from tests.ident.pages import shortened
 from tests.ident.report_example_bench import thruster
 from tests.ident.stepped import stepped_record, steps

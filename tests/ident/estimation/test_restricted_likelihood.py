@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.estimation.maximum_likelihood import EstimationOptions, SearchSettings, fit
-from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
-from ident.models.thruster import thruster_model
-from ident.studies.cases import make_case
-from ident.studies.monte_carlo import make_record
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, SearchSettings, fit
+from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.studies.cases import make_case
+from seatrial.ident.studies.monte_carlo import make_record
 from tests.ident.toys import turning, turning_record
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")

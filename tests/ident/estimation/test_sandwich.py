@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ident.data.record import Record
-from ident.estimation.fisher_scoring import Bounds, Evaluation
-from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.estimation.standard_errors import TOO_LONG, Sandwich, Uncertainty, assess, sandwich, widened
-from ident.model.parameter import Parameter
-from ident.model.structure import Model, Output, Sensor, State, plain_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.estimation.standard_errors import TOO_LONG, Sandwich, Uncertainty, assess, sandwich, widened
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
 
 N = 4000
 

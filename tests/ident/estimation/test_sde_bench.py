@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
-from ident.models.yaw import yaw_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import fit
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.yaw import yaw_model
 from tests.machine import cpu_seconds
 from tests.measured.data import measured
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Record
-from ident.estimation import likelihood as likelihood_module
-from ident.estimation.likelihood import Covariances, FilterResult, Likelihood
-from ident.estimation.smoother import smooth, smoothed_mean, smoothed_states
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation import likelihood as likelihood_module
+from seatrial.ident.estimation.likelihood import Covariances, FilterResult, Likelihood
+from seatrial.ident.estimation.smoother import smooth, smoothed_mean, smoothed_states
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import turning, turning_record, values_of
 from tests.machine import cpu_seconds
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.estimation.fisher_scoring import Bounds, Evaluation
-from ident.estimation.standard_errors import Uncertainty, assess
+from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation
+from seatrial.ident.estimation.standard_errors import Uncertainty, assess
 
 BOUNDS = Bounds(np.array([-np.inf, 0.0]), np.full(2, np.inf), np.zeros(2, dtype=bool))
 

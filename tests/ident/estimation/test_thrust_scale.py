@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import LogSegment, make_record
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.thrust_scale import (
+from seatrial.ident.data.record import LogSegment, make_record
+from seatrial.ident.estimation.maximum_likelihood import Fit, fit
+from seatrial.ident.estimation.thrust_scale import (
     ReportedEstimates,
     ThrustScale,
     against_priors,
@@ -17,8 +17,8 @@ from ident.estimation.thrust_scale import (
     pose_scale,
     scale_of,
 )
-from ident.model.parameter import ParameterOrigin
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
 BUILT_IN, GIVEN, PRIOR = ParameterOrigin.BUILT_IN, ParameterOrigin.GIVEN, ParameterOrigin.PRIOR

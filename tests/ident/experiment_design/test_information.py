@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.estimation.output_error import output_error, simulate, with_initial_state
-from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.experiment_design.information import (
+from seatrial.ident.estimation.output_error import output_error, simulate, with_initial_state
+from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from seatrial.ident.experiment_design.information import (
     Experiments,
     errors_of,
     planned_record,
@@ -17,9 +17,9 @@ from ident.experiment_design.information import (
     prior_information,
     segment_information,
 )
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
-from ident.models.surge import surge_model
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.surge import surge_model
 from tests.ident.toys import turning, values_of
 
 HULL = ("m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr")

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from daq.errors import SeatrialError
-from ident.effects.registry import catalogue
-from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.estimation.output_error import simulate
-from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.experiment_design.discrimination import HypothesisPair, discriminate, separation
-from ident.experiment_design.excitation import StepInput, ThrusterResponse, prbs, rgs
-from ident.experiment_design.information import planned_record
-from ident.experiment_design.optimal_design import (
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from seatrial.ident.experiment_design.discrimination import HypothesisPair, discriminate, separation
+from seatrial.ident.experiment_design.excitation import StepInput, ThrusterResponse, prbs, rgs
+from seatrial.ident.experiment_design.information import planned_record
+from seatrial.ident.experiment_design.optimal_design import (
     Design,
     baseline_signals,
     design,
@@ -25,15 +25,15 @@ from ident.experiment_design.optimal_design import (
     predicted_errors,
     predicted_track,
 )
-from ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from ident.models.horizontal import horizontal_model
-from ident.models.surge import surge_model
-from ident.models.yaw import yaw_model
-from ident.numerics.pattern_search import penalised_objective
-from ident.studies.cases import repeats
-from ident.workflows.design import beyond_validity
+from seatrial.ident.experiment_design.task import GRID, DesignLimits, DesignProblem, ParameterPrior
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.surge import surge_model
+from seatrial.ident.models.yaw import yaw_model
+from seatrial.ident.numerics.pattern_search import penalised_objective
+from seatrial.ident.studies.cases import repeats
+from seatrial.ident.workflows.design import beyond_validity
 from tests.ident.toys import follower, values_of
 
 
@@ -183,7 +183,7 @@ def test_many_commands_are_judged_a_few_at_a_time(monkeypatch: pytest.MonkeyPatc
     task = DesignProblem(gain_and_offset(), StepInput(4, 1, 10.0, 1.0, GRID), robust=2)
     command = task.commands(task.steps.random(7, np.random.default_rng(2)))
     at_once = task.judge(command)
-    monkeypatch.setattr("ident.experiment_design.task.HELD", 8 * task.t.size * 2 * 3)
+    monkeypatch.setattr("seatrial.ident.experiment_design.task.HELD", 8 * task.t.size * 2 * 3)
     np.testing.assert_allclose(task.judge(command), at_once)
 
 

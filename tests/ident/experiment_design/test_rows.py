@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from ident.effects.registry import catalogue
-from ident.experiment_design.discrimination import separation
-from ident.experiment_design.excitation import StepInput
-from ident.experiment_design.optimal_design import design
-from ident.experiment_design.rows import row_spacing
-from ident.experiment_design.task import GRID, DesignProblem
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.experiment_design.discrimination import separation
+from seatrial.ident.experiment_design.excitation import StepInput
+from seatrial.ident.experiment_design.optimal_design import design
+from seatrial.ident.experiment_design.rows import row_spacing
+from seatrial.ident.experiment_design.task import GRID, DesignProblem
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.toys import follower, values_of
 
 

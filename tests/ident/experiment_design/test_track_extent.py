@@ -9,15 +9,23 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.errors import SeatrialError
-from ident.estimation.output_error import simulate
-from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.experiment_design.excitation import StepInput
-from ident.experiment_design.information import Experiments, planned_record
-from ident.experiment_design.task import COAST_S, GRID, N_TRACKS, REST_S, DesignLimits, DesignProblem, ParameterPrior
-from ident.experiment_design.track_extent import TrackExtent, in_current, with_noise_inputs
-from ident.models.horizontal import horizontal_model
-from ident.models.surge import surge_model
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from seatrial.ident.experiment_design.excitation import StepInput
+from seatrial.ident.experiment_design.information import Experiments, planned_record
+from seatrial.ident.experiment_design.task import (
+    COAST_S,
+    GRID,
+    N_TRACKS,
+    REST_S,
+    DesignLimits,
+    DesignProblem,
+    ParameterPrior,
+)
+from seatrial.ident.experiment_design.track_extent import TrackExtent, in_current, with_noise_inputs
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.surge import surge_model
 from tests.ident.toys import values_of
 
 Array = NDArray[np.float64]

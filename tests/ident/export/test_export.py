@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq.errors import SeatrialError
-from ident.cli.commands import ident
-from ident.data.record import Record
-from ident.effects.registry import catalogue
-from ident.estimation.output_error import simulate
-from ident.export.codegen import content, identifiers, prefix
-from ident.export.formats import TARGETS, export
-from ident.model.parameter import Parameter, ParameterOrigin
-from ident.model.structure import Output, Sensor, State, plain_model
-from ident.models.components import estimator_error
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
-from ident.models.kinematic import kinematic_model
-from ident.models.nomoto import nomoto_model
-from ident.models.thruster import thruster_model
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.data.record import Record
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.export.codegen import content, identifiers, prefix
+from seatrial.ident.export.formats import TARGETS, export
+from seatrial.ident.model.parameter import Parameter, ParameterOrigin
+from seatrial.ident.model.structure import Output, Sensor, State, plain_model
+from seatrial.ident.models.components import estimator_error
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
+from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.models.thruster import thruster_model
 from tests.ident.exported import ALONE, MODELS, compare, moved, points, run_c, run_casadi, run_python, saved
 from tests.test_docs import ROOT, blocks
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from ident.data.record import Channel, LogSegment, Preparer, Record, _agreeing
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
-from ident.estimation.output_error import output_error
-from ident.model import outlier_density
-from ident.model.parameter import Parameter
-from ident.model.structure import Model, Output, Sensor, State, plain_model
-from ident.models.horizontal import horizontal_model
+from seatrial.ident.data.record import Channel, LogSegment, Preparer, Record, _agreeing
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
+from seatrial.ident.estimation.output_error import output_error
+from seatrial.ident.model import outlier_density
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.toys import turning, turning_record, values_of
 from tests.missions import boat_with, channels_of, sail
 

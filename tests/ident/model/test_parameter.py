@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.model.parameter import Parameter
+from seatrial.ident.model.parameter import Parameter
 
 MEMORY = Parameter("tau_b", 1.5, "s", transform="log", bounds=(0.2, 60.0))
 

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
-from daq.errors import SeatrialError
-from ident.data.record import build_record
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.estimation.model_file import load_model, save_model
-from ident.estimation.prior_knowledge import apply_rig_geometry
-from ident.model.parameter import ParameterOrigin
-from ident.models.catalogue import make_model
-from ident.models.components import antenna, current_walk, estimator_error, thrust_calibration
-from ident.models.disturbances import for_diagnosis
-from ident.models.horizontal import horizontal_model
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data.record import build_record
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.estimation.model_file import load_model, save_model
+from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry
+from seatrial.ident.model.parameter import ParameterOrigin
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.components import antenna, current_walk, estimator_error, thrust_calibration
+from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ident.data.record import Channel, LogSegment, build_record
-from ident.diagnosis.search import Diagnosis, diagnose
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.model.structure import Model
-from ident.models.horizontal import horizontal_model, outside_dead_zone
+from seatrial.ident.data.record import Channel, LogSegment, build_record
+from seatrial.ident.diagnosis.search import Diagnosis, diagnose
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.horizontal import horizontal_model, outside_dead_zone
 from tests.machine import cpu_seconds
 
 Array = NDArray[np.float64]

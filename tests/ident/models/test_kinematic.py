@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial
 from benchmarks.thesis import printed
 from benchmarks.thesis.boat import sail
-from ident.data.record import Channel, LogSegment, build_record
-from ident.diagnosis.search import diagnose
-from ident.estimation.fitted_model import fit_nominal_model, nominal
-from ident.estimation.model_file import load_model
-from ident.model.structure import Model
-from ident.models.catalogue import make_model
-from ident.models.horizontal import horizontal_model
-from ident.models.kinematic import kinematic_model
-from ident.models.rotations import G
+from seatrial import command_line
+from seatrial.ident.data.record import Channel, LogSegment, build_record
+from seatrial.ident.diagnosis.search import diagnose
+from seatrial.ident.estimation.fitted_model import fit_nominal_model, nominal
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
+from seatrial.ident.models.rotations import G
 from tests.missions import boat_log, boat_with
 
 HULL = ("m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_rr")
@@ -138,7 +138,7 @@ def test_its_name_makes_it_again(source: str) -> None:
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str]:
     with pytest.raises(SystemExit) as leaving:
-        seatrial.main([str(w) for w in words])
+        command_line.main([str(w) for w in words])
     return int(leaving.value.code or 0), capsys.readouterr().err
 
 

@@ -7,13 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, Record, build_record
-from ident.estimation.maximum_likelihood import Fit, fit
-from ident.estimation.output_error import simulate
-from ident.model.structure import Model
-from ident.models.surge import surge_model
-from ident.models.thruster import DELAY_STEP, N_DELAYS, delay_weights, delayed_channels, past_dead_zone, thruster_model
-from ident.models.yaw import yaw_model
+from seatrial.ident.data.record import Channel, Record, build_record
+from seatrial.ident.estimation.maximum_likelihood import Fit, fit
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.surge import surge_model
+from seatrial.ident.models.thruster import (
+    DELAY_STEP,
+    N_DELAYS,
+    delay_weights,
+    delayed_channels,
+    past_dead_zone,
+    thruster_model,
+)
+from seatrial.ident.models.yaw import yaw_model
 from tests.ident.toys import best_start
 
 A, C1, C2, BIAS = 2.794, 40.05, 1.11, 0.3

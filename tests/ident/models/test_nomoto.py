@@ -9,18 +9,18 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import butter, cont2discrete, freqs_zpk, lfilter
 
-from bench.mission_generators import make_mission
-from daq.errors import SeatrialError
-from ident.data.loading import LoadedLog
-from ident.data.record import Channel, LogSegment
-from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.estimation.prior_knowledge import fix_parameters, set_priors
-from ident.model.structure import Model, Signals
-from ident.models.catalogue import make_model
-from ident.models.components import current_walk
-from ident.models.nomoto import nomoto_model
-from ident.workflows.vehicle_model import considered_notes, with_sampled_inputs
+from seatrial.bench.mission_generators import make_mission
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data.loading import LoadedLog
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.estimation.prior_knowledge import fix_parameters, set_priors
+from seatrial.ident.model.structure import Model, Signals
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.components import current_walk
+from seatrial.ident.models.nomoto import nomoto_model
+from seatrial.ident.workflows.vehicle_model import considered_notes, with_sampled_inputs
 
 DT = 0.001
 GYRO = 2 * np.pi * 4.0  # rad/s: corner of its filter

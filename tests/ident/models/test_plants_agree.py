@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, build_record
-from ident.estimation.output_error import simulate
-from ident.models.horizontal import horizontal_model
-from mocks.plant.boat import STEP, BoatPlant, draw_boat
+from seatrial.ident.data.record import Channel, build_record
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.mocks.plant.boat import STEP, BoatPlant, draw_boat
 from tests.missions import sail
 
 SECONDS = 60.0

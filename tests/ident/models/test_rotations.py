@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq.errors import SeatrialError
-from ident.cli.commands import ident
-from ident.data.record import LogSegment
-from ident.effects.registry import catalogue
-from ident.estimation.fitted_model import FittedModel, fit_nominal_model
-from ident.estimation.model_file import load_model
-from ident.estimation.prior_knowledge import apply_rig_geometry, with_effects
-from ident.model.structure import Model
-from ident.models.catalogue import make_model
-from ident.models.horizontal import horizontal_model
-from ident.models.kinematic import kinematic_model
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.data.record import LogSegment
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry, with_effects
+from seatrial.ident.model.structure import Model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.kinematic import kinematic_model
 from tests.ident.rolling import TRUTH, Fitted, sail
 from tests.missions import boat_log, boat_with
 

@@ -7,16 +7,16 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from ident.data.record import Channel, LogSegment, make_record
-from ident.diagnosis.score_test import Score, score_threshold
-from ident.diagnosis.search import score_all
-from ident.effects.nonparametric import input_response_effects, nonparametric_effect
-from ident.effects.registry import catalogue
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
-from ident.model.structure import ForceCurve
-from ident.models.horizontal import horizontal_model
-from ident.models.scaling import VesselScale, dimension, rescale, scale_priors, size_of
+from seatrial.ident.data.record import Channel, LogSegment, make_record
+from seatrial.ident.diagnosis.score_test import Score, score_threshold
+from seatrial.ident.diagnosis.search import score_all
+from seatrial.ident.effects.nonparametric import input_response_effects, nonparametric_effect
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
+from seatrial.ident.model.structure import ForceCurve
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.scaling import VesselScale, dimension, rescale, scale_priors, size_of
 from tests.ident.carriers import carrier
 from tests.missions import boat_with, channels_of, sail
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import seatrial
-from daq.errors import SeatrialError
-from ident.cli.commands import ident
-from ident.estimation.model_file import load_model
-from ident.models.catalogue import make_model
-from ident.models.user_code import check_user_model, load_effects, load_python
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.user_code import check_user_model, load_effects, load_python
 from tests.test_how_to import ROOT, blocks
 
 OWN = """
-from ident.model import Effect
-from ident.model import Parameter
+from seatrial.ident.model import Effect
+from seatrial.ident.model import Parameter
 
 def pull(s):
     s.X = s.X - s.p.weed * s.x.u
@@ -58,8 +58,8 @@ def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
 
 
 TANK = """import math
-from ident.model import Input, Output, Sensor, State, plain_model
-from ident.model import Parameter
+from seatrial.ident.model import Input, Output, Sensor, State, plain_model
+from seatrial.ident.model import Parameter
 
 def f(x, u, p):
     RATE
@@ -174,7 +174,7 @@ def test_the_decay_test_of_the_how_to_is_fitted_by_its_command(
     Path("map.toml").write_text(MAP)
     truth = decay(Path("decay.csv"), 1)
     with pytest.raises(SystemExit):
-        seatrial.main(["import", "map.toml", "decay.csv", "-o", "decay.mcap"])
+        command_line.main(["import", "map.toml", "decay.csv", "-o", "decay.mcap"])
     words = blocks("own-model", "sh")[1].split()
     assert words[:3] == ["seatrial", "ident", "vehicle"]
     CliRunner().invoke(ident, [*words[2:], "--rate", "20"], catch_exceptions=False)
@@ -186,9 +186,9 @@ def test_the_decay_test_of_the_how_to_is_fitted_by_its_command(
     block = blocks("own-model", "python")[1]
     Path("rolling.py").write_text(block.replace("p.dd * abs", "p.dq * abs"), encoding="utf-8")
     with pytest.raises(SystemExit):
-        seatrial.main([*words[1:], "--force"])
+        command_line.main([*words[1:], "--force"])
     Path("rolling.py").write_text(block.replace("abs(x.p)", "max(x.p, -x.p)"), encoding="utf-8")
     with pytest.raises(SystemExit):
-        seatrial.main([*words[1:], "--force"])
+        command_line.main([*words[1:], "--force"])
     assert [line for line in capsys.readouterr().err.splitlines() if line.startswith("seatrial:")] == blocks(
         "own-model", "text")[0].splitlines()

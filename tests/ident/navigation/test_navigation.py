@@ -14,15 +14,15 @@ from click.testing import CliRunner
 from numpy.typing import NDArray
 from scipy import stats
 
-from ident.cli.commands import ident
-from ident.data.record import LogSegment, Record, make_record
-from ident.estimation.fitted_model import FittedModel, fit_nominal_model
-from ident.estimation.parameter_covariance import ParameterCovariance
-from ident.models.horizontal import horizontal_model
-from ident.navigation.navigator import Navigation, navigate, navigator
-from ident.navigation.outages import circular_error, ellipse, gnss_outages
-from ident.workflows.navigate import navigation_answer
-from mocks.offline_simulation import Truth
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.data.record import LogSegment, Record, make_record
+from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
+from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.navigation.navigator import Navigation, navigate, navigator
+from seatrial.ident.navigation.outages import circular_error, ellipse, gnss_outages
+from seatrial.ident.workflows.navigate import navigation_answer
+from seatrial.mocks.offline_simulation import Truth
 from tests.missions import boat_log, boat_with, channels_of, sail
 
 Array = NDArray[np.float64]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ident.navigation.outages import Ellipse, Outage
-from ident.workflows.navigate import navigation_answer
+from seatrial.ident.navigation.outages import Ellipse, Outage
+from seatrial.ident.workflows.navigate import navigation_answer
 
 WORST = Outage(
     start=10.0, end=70.0, open=False, leading=False, withheld=True, north=0.0, east=0.0,

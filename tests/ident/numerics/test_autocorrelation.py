@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ident.numerics.autocorrelation import (
+from seatrial.ident.numerics.autocorrelation import (
     Truncation,
     block_error,
     correlation_length,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.numerics.linear_algebra import (
+from seatrial.ident.numerics.linear_algebra import (
     covariance_root,
     scaled_eigen,
     scaled_inverse,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.experiment_design.criteria import SINGULAR, Criterion
-from ident.numerics.pattern_search import PatternSearch, breaks_a_constraint
+from seatrial.ident.experiment_design.criteria import SINGULAR, Criterion
+from seatrial.ident.numerics.pattern_search import PatternSearch, breaks_a_constraint
 
 
 def bowl(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

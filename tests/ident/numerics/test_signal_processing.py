@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from ident.numerics.signal_processing import (
+from seatrial.ident.numerics.signal_processing import (
     Hold,
     LagData,
     Start,
@@ -81,7 +81,7 @@ def test_angles_are_wrapped_and_nothing_else() -> None:
 
 def test_an_estimate_does_not_wait_for_scipy() -> None:
     """Its import would take more than half of the time of a small fit."""
-    program = "import sys; from ident.estimation import Likelihood, fit; sys.exit('scipy' in sys.modules)"
+    program = "import sys; from seatrial.ident.estimation import Likelihood, fit; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial
-from daq.checks.check_report import CheckReport
-from daq.checks.findings import Finding
-from daq.log import open_log
-from ident.checks.log_checks import CheckEvidence, log_evidence, push, sides_of
-from ident.checks.motion import YAW_LAGS, delayed_forces
-from ident.data import channels
-from ident.report.check_page import _held, check_answer, write_check_page
+from seatrial import command_line
+from seatrial.daq.checks.check_report import CheckReport
+from seatrial.daq.checks.findings import Finding
+from seatrial.daq.log import open_log
+from seatrial.ident.checks.log_checks import CheckEvidence, log_evidence, push, sides_of
+from seatrial.ident.checks.motion import YAW_LAGS, delayed_forces
+from seatrial.ident.data import channels
+from seatrial.ident.report.check_page import _held, check_answer, write_check_page
 from tests.bench.check_cases import CASES, logged
 from tests.ident import page_examples
 from tests.ident.pages import HOSTILE, Page, numbers
@@ -78,7 +78,7 @@ def test_the_page_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     log = logged(tmp_path / "run.mcap", 3, CASES[5], actuators=True)  # a GNSS that comes late
     out = tmp_path / "reports" / "check.html"
     with pytest.raises(SystemExit) as left:
-        seatrial.main(["check", str(log), "--report", str(out)])
+        command_line.main(["check", str(log), "--report", str(out)])
     told = capsys.readouterr()
     assert left.value.code == 1
     assert f"report: {out}" in told.out
@@ -96,7 +96,7 @@ def test_the_page_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_logs_have_a_tab_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = [str(logged(tmp_path / f"{name}.mcap", seed, None, actuators=True)) for name, seed in (("a", 3), ("b", 4))]
     with pytest.raises(SystemExit) as left:
-        seatrial.main(["check", *logs, "--report", str(tmp_path / "check.html"), "--json"])
+        command_line.main(["check", *logs, "--report", str(tmp_path / "check.html"), "--json"])
     assert left.value.code == 0
     told = capsys.readouterr()
     assert json.loads(told.out)["format"] == "seatrial-check 1"  # the line about the report is not in it

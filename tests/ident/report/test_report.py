@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from ident.report import drawing, formatting
+from seatrial.ident.report import drawing, formatting
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -206,7 +206,7 @@ def refusal(result: dict[str, Any]) -> str:
 def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ident.report.page._plotly", lambda: "plotly")
+    monkeypatch.setattr("seatrial.ident.report.page._plotly", lambda: "plotly")
     result = shortened(KINDS[kind]())
     every, n_drawn, rng = places(result), 0, np.random.default_rng(7)
     poor = [value for value in POOR if value == value]  # JSON knows no NaN

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ident.report.record_tabs import RecordTab
+from seatrial.ident.report.record_tabs import RecordTab
 from tests.ident.pages import KINDS, printed
 
 

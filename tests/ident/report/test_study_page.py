@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from ident.report.study_page import by_chance, picture, write_study_page
+from seatrial.ident.report.study_page import by_chance, picture, write_study_page
 from tests.ident import page_examples
 from tests.ident.pages import Page, numbers
 

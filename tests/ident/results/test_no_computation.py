@@ -7,20 +7,20 @@ from typing import Any, NoReturn
 
 import pytest
 
-from ident.data.record import LogSegment
-from ident.diagnosis.search import diagnose, evaluate_diagnosis
-from ident.engine.vectorised_model import VectorisedModel
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.estimation.likelihood import Likelihood
-from ident.model.outlier_density import with_outlier_model
-from ident.models.horizontal import horizontal_model
-from ident.report.page import write_report
-from ident.results.commands import Posed, vehicle_result
-from ident.results.diagnosis import diagnosis_result
-from ident.results.parts import Provenance
-from ident.results.result_file import read_result, to_json, write_result
-from ident.validation.evaluation import evaluate
-from ident.workflows.output import validity
+from seatrial.ident.data.record import LogSegment
+from seatrial.ident.diagnosis.search import diagnose, evaluate_diagnosis
+from seatrial.ident.engine.vectorised_model import VectorisedModel
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.model.outlier_density import with_outlier_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.report.page import write_report
+from seatrial.ident.results.commands import Posed, vehicle_result
+from seatrial.ident.results.diagnosis import diagnosis_result
+from seatrial.ident.results.parts import Provenance
+from seatrial.ident.results.result_file import read_result, to_json, write_result
+from seatrial.ident.validation.evaluation import evaluate
+from seatrial.ident.workflows.output import validity
 from tests.missions import boat_with, channels_of, sail
 
 MADE = Provenance(created="2025-05-06T07:08:09+00:00", seatrial="0.1.0", command="seatrial ident")
@@ -39,7 +39,8 @@ def no_more_computing(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in METHODS:
         monkeypatch.setattr(Likelihood, name, refuse)
     monkeypatch.setattr(VectorisedModel, "__init__", refuse)
-    for place in ("ident.estimation.fitted_model.smoothed_states", "ident.estimation.output_error.simulate"):
+    for place in ("fitted_model.smoothed_states", "output_error.simulate"):
+        place = f"seatrial.ident.estimation.{place}"
         monkeypatch.setattr(place, refuse)
 
 

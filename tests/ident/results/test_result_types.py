@@ -11,9 +11,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from ident.results.parts import Result
-from ident.results.result_file import from_json, read_result, to_json
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.results.parts import Result
+from seatrial.ident.results.result_file import from_json, read_result, to_json
 from tests.ident import navigation_example, page_examples, report_example_bench
 
 EXAMPLES: dict[str, Callable[[], Result]] = {

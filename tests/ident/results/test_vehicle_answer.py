@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.model.outlier_density import with_outlier_model
-from ident.models import horizontal_model
-from ident.results.answers import (
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.maximum_likelihood import fit
+from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
+from seatrial.ident.model.outlier_density import with_outlier_model
+from seatrial.ident.models import horizontal_model
+from seatrial.ident.results.answers import (
     NAMES,
     change_sentence,
     check_warnings,
@@ -31,7 +31,7 @@ from ident.results.answers import (
     thruster_answer,
     vehicle_answer,
 )
-from ident.results.parts import (
+from seatrial.ident.results.parts import (
     CrossCorrelation,
     ErrorComparison,
     Errors,
@@ -43,13 +43,13 @@ from ident.results.parts import (
     Provenance,
     ResidualTests,
 )
-from ident.results.tables import cross_rows, format_number, prediction_change, residual_row
-from ident.studies.cases import make_case
-from ident.studies.monte_carlo import make_record
-from ident.validation.evaluation import residual_tests
-from ident.validation.prediction_errors import ChannelChange
-from ident.validation.prediction_errors import PredictionChange as Found
-from ident.validation.whiteness import Whiteness
+from seatrial.ident.results.tables import cross_rows, format_number, prediction_change, residual_row
+from seatrial.ident.studies.cases import make_case
+from seatrial.ident.studies.monte_carlo import make_record
+from seatrial.ident.validation.evaluation import residual_tests
+from seatrial.ident.validation.prediction_errors import ChannelChange
+from seatrial.ident.validation.prediction_errors import PredictionChange as Found
+from seatrial.ident.validation.whiteness import Whiteness
 from tests.ident.toys import turning, turning_record
 
 

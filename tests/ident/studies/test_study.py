@@ -14,17 +14,17 @@ import msgspec
 import numpy as np
 import pytest
 
-import seatrial
-from ident.data.record import Record
-from ident.estimation.fisher_scoring import Bounds
-from ident.estimation.output_error import simulate
-from ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
-from ident.model.parameter import INF, Parameter
-from ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from ident.report.study_page import as_text
-from ident.reporter import QUIET
-from ident.studies.cases import CASES, make_case
-from ident.studies.monte_carlo import (
+from seatrial import command_line
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.fisher_scoring import Bounds
+from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
+from seatrial.ident.model.parameter import INF, Parameter
+from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.report.study_page import as_text
+from seatrial.ident.reporter import QUIET
+from seatrial.ident.studies.cases import CASES, make_case
+from seatrial.ident.studies.monte_carlo import (
     Row,
     counts,
     hashed_files,
@@ -32,7 +32,7 @@ from ident.studies.monte_carlo import (
     summarise,
     variance_change_by_bounds,
 )
-from ident.workflows import study
+from seatrial.ident.workflows import study
 from tests.ident import page_examples
 from tests.ident.reports import Kept
 
@@ -355,7 +355,7 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
     outputs, page = [], tmp_path / "docs/study.md"
     for more in ([], ["--docs", str(page)]):
         with pytest.raises(SystemExit) as leaving:
-            seatrial.main([*words, *more])
+            command_line.main([*words, *more])
         assert not leaving.value.code
         outputs.append(capsys.readouterr())
     assert "surge, PE: 60 s" in outputs[0].out
@@ -385,7 +385,7 @@ def test_what_cannot_be_done_is_one_line(
     words: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as leaving:
-        seatrial.main(["ident", "study", *words.split(), "--out", str(tmp_path)])
+        command_line.main(["ident", "study", *words.split(), "--out", str(tmp_path)])
     err = capsys.readouterr().err
     assert leaving.value.code == 1
     assert err.count("\n") == 1
@@ -397,14 +397,14 @@ def test_a_number_of_processes_is_one_or_all(
     jobs: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(SystemExit) as leaving:
-        seatrial.main(["ident", "study", "surge", "--jobs", jobs, "--out", str(tmp_path)])
+        command_line.main(["ident", "study", "surge", "--jobs", jobs, "--out", str(tmp_path)])
     assert leaving.value.code == 2
     assert "is neither a number of processes nor -1" in capsys.readouterr().err
     asked: list[int] = []
     monkeypatch.setattr(study, "run_study", lambda *args, jobs, **more: asked.append(jobs) or [])
     for words in ([], ["--jobs", "-1"], ["--jobs", "3"]):
         with pytest.raises(SystemExit):
-            seatrial.main(["ident", "study", "surge", *words, "--out", str(tmp_path)])
+            command_line.main(["ident", "study", "surge", *words, "--out", str(tmp_path)])
     assert asked == [-1, -1, 3]
 
 

@@ -7,23 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from ident.estimation.maximum_likelihood import fit
-from ident.estimation.model_file import SavedModel, save_model
-from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.models.horizontal import horizontal_model
-from ident.models.surge import surge_model
-from ident.studies import cases
-from ident.studies.cases import make_case, surge_case
-from ident.studies.monte_carlo import make_record, run_replicates
-from ident.workflows import study
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation.maximum_likelihood import fit
+from seatrial.ident.estimation.model_file import SavedModel, save_model
+from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.surge import surge_model
+from seatrial.ident.studies import cases
+from seatrial.ident.studies.cases import make_case, surge_case
+from seatrial.ident.studies.monte_carlo import make_record, run_replicates
+from seatrial.ident.workflows import study
 from tests.ident.reports import Kept
 
 OWN = """
 import numpy as np
-from ident.estimation import SampledInputs
-from ident.models import surge_model
-from ident.studies import Case
+from seatrial.ident.estimation import SampledInputs
+from seatrial.ident.models import surge_model
+from seatrial.ident.studies import Case
 
 t = np.arange(0.0, 60.0, 0.1)
 push = 40.0 * np.sign(np.sin(2 * np.pi * t / 25))[:, None]
@@ -115,8 +115,8 @@ def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "says"),
     [
-        ("{file}:model", "is a Model; a study needs its mission, too: make it an ident.studies.monte_carlo.Case"),
-        ("{file}:number", "number is no ident.studies.monte_carlo.Case but int"),
+        ("{file}:model", "a study needs its mission, too: make it a seatrial.ident.studies.monte_carlo.Case"),
+        ("{file}:number", "number is no seatrial.ident.studies.monte_carlo.Case but int"),
         ("{file}:nothing", "nothing cannot be loaded"),
         ("{file}.no:mine", "no such Python file"),
         ("nowhere/model.toml", "no such file"),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.estimation.maximum_likelihood import SearchSettings, fit
-from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.studies.cases import make_case
-from ident.studies.monte_carlo import make_record
+from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
+from seatrial.ident.studies.cases import make_case
+from seatrial.ident.studies.monte_carlo import make_record
 
 N_STARTS = 50
 CLOSE = 1e-3  # of the log-likelihood

@@ -10,18 +10,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ident.data.record import LogSegment, Record
-from ident.estimation.fitted_model import FittedModel, RecordEvaluation, fit_nominal_model
-from ident.estimation.likelihood import Likelihood
-from ident.model.parameter import Parameter
-from ident.model.structure import Input, Output, Sensor, State, plain_model
-from ident.models.horizontal import horizontal_model
-from ident.numerics.autocorrelation import effective_sample_size
-from ident.results.answers import calibration_notes
-from ident.results.tables import calibration_tables
-from ident.validation.calibration import Calibration, calibration_test, pooled_calibration, simulation_calibration
-from ident.validation.evaluation import ByHorizon, PredictionEvaluation, evaluate
-from ident.validation.prediction_errors import WARM_UP, simulation_run
+from seatrial.ident.data.record import LogSegment, Record
+from seatrial.ident.estimation.fitted_model import FittedModel, RecordEvaluation, fit_nominal_model
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Input, Output, Sensor, State, plain_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.numerics.autocorrelation import effective_sample_size
+from seatrial.ident.results.answers import calibration_notes
+from seatrial.ident.results.tables import calibration_tables
+from seatrial.ident.validation.calibration import (
+    Calibration,
+    calibration_test,
+    pooled_calibration,
+    simulation_calibration,
+)
+from seatrial.ident.validation.evaluation import ByHorizon, PredictionEvaluation, evaluate
+from seatrial.ident.validation.prediction_errors import WARM_UP, simulation_run
 from tests.ident.toys import turning, turning_record, values_of
 from tests.missions import boat_with, channels_of, sail
 

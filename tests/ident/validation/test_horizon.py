@@ -12,23 +12,23 @@ import pytest
 from click.testing import CliRunner, Result
 from scipy import stats
 
-from daq.errors import SeatrialError
-from ident.cli.commands import ident
-from ident.data.record import LogSegment
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.estimation.likelihood import Likelihood
-from ident.estimation.stochastic_simulation import simulate_stochastic
-from ident.models.horizontal import horizontal_model
-from ident.models.thruster import thruster_model
-from ident.results.answers import calibration_notes
-from ident.results.parts import CalibrationRow, Calibrations, CalibrationTable
-from ident.studies.cases import make_case
-from ident.studies.monte_carlo import make_record
-from ident.validation import calibration
-from ident.validation.calibration import Calibration
-from ident.validation.evaluation import evaluate, prediction_changes
-from ident.validation.prediction_errors import MOST, WARM_UP, simulation_run
-from mocks.plant.bench import draw_bench
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.data.record import LogSegment
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.models.thruster import thruster_model
+from seatrial.ident.results.answers import calibration_notes
+from seatrial.ident.results.parts import CalibrationRow, Calibrations, CalibrationTable
+from seatrial.ident.studies.cases import make_case
+from seatrial.ident.studies.monte_carlo import make_record
+from seatrial.ident.validation import calibration
+from seatrial.ident.validation.calibration import Calibration
+from seatrial.ident.validation.evaluation import evaluate, prediction_changes
+from seatrial.ident.validation.prediction_errors import MOST, WARM_UP, simulation_run
+from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log, boat_log, boat_with, channels_of, sail
 
 KINDS = ["one_step", "horizon", "simulation"]

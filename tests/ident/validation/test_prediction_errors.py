@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ident.data.record import Record
-from ident.estimation.likelihood import Likelihood
-from ident.model.parameter import Parameter
-from ident.model.structure import Output, Sensor, State, plain_model
-from ident.numerics.signal_processing import wrap
-from ident.validation.prediction_errors import (
+from seatrial.ident.data.record import Record
+from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.model.parameter import Parameter
+from seatrial.ident.model.structure import Output, Sensor, State, plain_model
+from seatrial.ident.numerics.signal_processing import wrap
+from seatrial.ident.validation.prediction_errors import (
     WARM_UP,
     PredictionErrors,
     horizon_errors,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal, stats
 
-from ident.validation.whiteness import autoregression, cross_correlation, whiteness_test
+from seatrial.ident.validation.whiteness import autoregression, cross_correlation, whiteness_test
 
 N_SETS, N = 400, 1000
 T = 0.1 * np.arange(N)

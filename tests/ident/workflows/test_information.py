@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-import seatrial
-from daq.log.recorder import Recorder
-from daq.samples import NAN, Ahrs, Frame
-from ident.effects.registry import catalogue
-from ident.experiment_design.information import InformationSegment
-from ident.models.catalogue import make_model
-from ident.models.horizontal import horizontal_model
-from ident.results.commands import InformedParameter, SegmentInformation
-from ident.workflows.information import _answer, _longest, _notes, _parameter
-from mocks.offline_simulation import simulate
+from seatrial import command_line
+from seatrial.daq.log.recorder import Recorder
+from seatrial.daq.samples import NAN, Ahrs, Frame
+from seatrial.ident.effects.registry import catalogue
+from seatrial.ident.experiment_design.information import InformationSegment
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.results.commands import InformedParameter, SegmentInformation
+from seatrial.ident.workflows.information import _answer, _longest, _notes, _parameter
+from seatrial.mocks.offline_simulation import simulate
 from tests.missions import T0, StandingClock, boat_with, rig_of
 
 SECONDS = 90.0
@@ -73,7 +73,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as left:
-        seatrial.main(["ident", "information", *map(str, words)])
+        command_line.main(["ident", "information", *map(str, words)])
     said = capsys.readouterr()
     return int(left.value.code or 0), said.out, said.err
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ident.data.loading import LoadedLog
-from ident.data.record import Channel, LogSegment
-from ident.workflows.model_inputs import unused_signals
+from seatrial.ident.data.loading import LoadedLog
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.workflows.model_inputs import unused_signals
 from tests.ident.sliders import slider
 
 C = Channel(np.arange(3.0), np.zeros(3))

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-import seatrial
-from daq.errors import SeatrialError
-from ident.estimation.model_file import load_model
-from ident.models.user_code import trusting_code
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.models.user_code import trusting_code
 from tests.ident.models.test_user_code import MAP, OWN, decay
 from tests.missions import boat_log, boat_with
 from tests.test_how_to import ROOT
@@ -27,7 +27,7 @@ Said = pytest.CaptureFixture[str]
 
 def run(*words: object) -> int:
     with pytest.raises(SystemExit) as leaving:
-        seatrial.main([str(w) for w in words])
+        command_line.main([str(w) for w in words])
     return int(leaving.value.code or 0)
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import seatrial
-from daq.protocol import vectornav
-from daq.samples import Ahrs
+from seatrial import command_line
+from seatrial.daq.protocol import vectornav
+from seatrial.daq.samples import Ahrs
 from tests.measured.data import measured
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "docs/examples/static"
@@ -27,7 +27,7 @@ SIGNAL = '[[signal]]\nname = "{0}"\ncolumn = "{0}"\nunit = "{1}"\n'
 
 def run(*words: str, status: int = 0) -> None:
     with pytest.raises(SystemExit) as left:
-        seatrial.main([str(w) for w in words])
+        command_line.main([str(w) for w in words])
     assert left.value.code == status, words
 
 

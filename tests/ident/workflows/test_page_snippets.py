@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import ident.results
-from daq.errors import SeatrialError
-from daq.importers.import_files import import_files
-from ident.cli.commands import ident as commands
-from ident.models.catalogue import make_model
+import seatrial.ident.results
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.importers.import_files import import_files
+from seatrial.ident.cli.commands import ident as commands
+from seatrial.ident.models.catalogue import make_model
 from tests.test_docs import ROOT, blocks, how_to
 
 T = 0.1 * np.arange(601)
@@ -63,8 +63,8 @@ def test_the_simulation_of_a_model_of_commands(folder: Path, monkeypatch: pytest
 
 
 def test_a_result_is_read_by_the_name_that_the_page_has(folder: Path) -> None:
-    assert "ident.results.read_result(path)" in (ROOT / "docs/formats/result.md").read_text(encoding="utf-8")
+    assert "seatrial.ident.results.read_result(path)" in (ROOT / "docs/formats/result.md").read_text(encoding="utf-8")
     (folder / "result.json").write_text('{"kind": "nothing"}')
     for path in ("result.json", folder / "result.json"):  # text, too
         with pytest.raises(SeatrialError, match=r"result\.json: "):
-            ident.results.read_result(path)
+            seatrial.ident.results.read_result(path)

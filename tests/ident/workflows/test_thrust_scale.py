@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq.importers.import_files import import_files
-from ident.cli.commands import ident
-from ident.estimation.model_file import load_model
+from seatrial.daq.importers.import_files import import_files
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.estimation.model_file import load_model
 
 # 12 kg of boat: masses [kg], inertia [kg m2], damping, full-ahead thrust [N] and arm [m]
 TRUE = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.30, "d_u": 2.0, "d_v": 12.0, "d_r": 1.5}

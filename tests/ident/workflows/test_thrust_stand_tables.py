@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.importers.guess import guess_map
-from daq.importers.import_files import import_files
-from daq.log import open_log
-from daq.samples import Scalar
-from ident.data import load_runs
-from ident.reporter import QUIET
-from ident.results import ThrustCurveResult
-from ident.workflows.thruster import ThrusterRequest, characterise, is_static
+from seatrial.daq.importers.guess import guess_map
+from seatrial.daq.importers.import_files import import_files
+from seatrial.daq.log import open_log
+from seatrial.daq.samples import Scalar
+from seatrial.ident.data import load_runs
+from seatrial.ident.reporter import QUIET
+from seatrial.ident.results import ThrustCurveResult
+from seatrial.ident.workflows.thruster import ThrusterRequest, characterise, is_static
 
 HEADER = (
     "Time (s),ESC signal (µs),Servo 1 (µs),AccX (g),AccY (g),AccZ (g),Torque (N·m),Thrust (kgf),Voltage (V),"

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq.config.rig_file import parse_rig
-from daq.errors import SeatrialError
-from daq.samples import LoadCell
-from ident.cli.commands import ident
-from ident.estimation.model_file import load_model
-from ident.estimation.prior_knowledge import fix_parameters
-from ident.models.horizontal import horizontal_model
-from mocks.plant.bench import draw_bench
-from mocks.world import Reading
+from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.samples import LoadCell
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.estimation.prior_knowledge import fix_parameters
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.mocks.plant.bench import draw_bench
+from seatrial.mocks.world import Reading
 from tests import missions
 from tests.missions import push, rig_of, write_log
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from ident.cli.commands import ident
+from seatrial.ident.cli.commands import ident
 from tests.test_docs import ROOT, blocks, how_to
 
 PAGE = how_to("use-a-model")

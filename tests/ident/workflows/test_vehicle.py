@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from daq.errors import SeatrialError
-from ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_all, load_run, load_runs
-from ident.data.record import Channel, LogSegment
-from ident.estimation.fitted_model import fit_nominal_model
-from ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
-from ident.models.catalogue import make_model
-from ident.models.horizontal import horizontal_model
-from ident.workflows.model_inputs import choose_model, completed, thrust_from
-from ident.workflows.output import sensor_rates, validity
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data.loading import LoadedLog, PropulsionInput, TimeWindow, load_all, load_run, load_runs
+from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.estimation.fitted_model import fit_nominal_model
+from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.workflows.model_inputs import choose_model, completed, thrust_from
+from seatrial.ident.workflows.output import sensor_rates, validity
 from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
 from tests.missions import boat_log, boat_with, rig_of

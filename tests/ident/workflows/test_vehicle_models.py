@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-import seatrial
-from daq.errors import SeatrialError
-from ident.data.loading import along_track
-from ident.estimation.fitted_model import nominal
-from ident.estimation.model_file import load_model
-from ident.models.catalogue import make_model
-from ident.models.horizontal import horizontal_model
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.data.loading import along_track
+from seatrial.ident.estimation.fitted_model import nominal
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.horizontal import horizontal_model
 
 MASS, LINEAR, SQUARE, DELAY = 40.0, 4.0, 12.0, 0.4
 CURVE = """
@@ -36,8 +36,8 @@ UNITS = {"n_left": "1", "n_right": "1", "speed_x": "m/s", "speed_y": "m/s", "X":
 UNITS["r"] = "rad/s"
 OWN = """
 from dataclasses import replace
-from ident.model import Input, Output, Sensor, State, plain_model
-from ident.model import INF, Parameter
+from seatrial.ident.model import Input, Output, Sensor, State, plain_model
+from seatrial.ident.model import INF, Parameter
 
 def mine():
     return plain_model(
@@ -60,7 +60,7 @@ def mine():
 
 def run(*words: object, status: int = 0) -> None:
     with pytest.raises(SystemExit) as left:
-        seatrial.main([str(w) for w in words])
+        command_line.main([str(w) for w in words])
     assert left.value.code == status, words
 
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from daq.errors import SeatrialError
-from ident.cli.commands import ident
-from ident.estimation.model_file import load_model
-from ident.model.outlier_density import robust_sensors
-from ident.reporter import QUIET
-from ident.workflows.diagnose import DiagnosisRequest, diagnosis
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.estimation.model_file import load_model
+from seatrial.ident.model.outlier_density import robust_sensors
+from seatrial.ident.reporter import QUIET
+from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 from tests.missions import boat_log, boat_with
 
 
@@ -114,7 +114,7 @@ def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_withou
 @pytest.mark.study
 def test_a_mean_of_second_order_is_left_out_of_a_model_of_ones_own(logs: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(
-        "from dataclasses import replace\nfrom ident.models.horizontal import horizontal_model\n\n\n"
+        "from dataclasses import replace\nfrom seatrial.ident.models.horizontal import horizontal_model\n\n\n"
         "def bent():\n    return replace(horizontal_model(), second_order=True)\n", encoding="utf-8")
     model, out = f"{tmp_path / 'own.py'}:bent", str(tmp_path / "out")
     words = ["vehicle", str(logs[0]), "--model", model, "--out", out, "--force"]

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from daq.errors import SeatrialError
-from ident.cli.commands import ident
-from ident.estimation.model_file import load_model
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.cli.commands import ident
+from seatrial.ident.estimation.model_file import load_model
 from tests.missions import boat_log, boat_with
 
 

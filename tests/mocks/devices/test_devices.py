@@ -10,24 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.clock import ClockMap
-from daq.config.rig_file import load_rig, parse_rig
-from daq.errors import SeatrialError
-from daq.protocol import loadcell, nmea, slcan, vectornav, vesc
-from daq.rig import Rig
-from daq.samples import Ahrs, Esc, Frame, Gnss, LoadCell
-from mocks.cli import _gear
-from mocks.devices.emulators import VescBus, by_side, make_emulator
-from mocks.devices.faults import Faults, parse_fault
-from mocks.devices.slcan_adapter import CanFrame
-from mocks.plant.bench import draw_bench
-from mocks.plant.boat import draw_boat
-from mocks.sensors import EscSensor
-from mocks.world import EscController, EscSpec, World, bench_world, boat_world
+from seatrial.daq.clock import ClockMap
+from seatrial.daq.config.rig_file import load_rig, parse_rig
+from seatrial.daq.errors import SeatrialError
+from seatrial.daq.protocol import loadcell, nmea, slcan, vectornav, vesc
+from seatrial.daq.rig import Rig
+from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, LoadCell
+from seatrial.mocks.cli import _gear
+from seatrial.mocks.devices.emulators import VescBus, by_side, make_emulator
+from seatrial.mocks.devices.faults import Faults, parse_fault
+from seatrial.mocks.devices.slcan_adapter import CanFrame
+from seatrial.mocks.plant.bench import draw_bench
+from seatrial.mocks.plant.boat import draw_boat
+from seatrial.mocks.sensors import EscSensor
+from seatrial.mocks.world import EscController, EscSpec, World, bench_world, boat_world
 
 
 def packaged(name: str, **changes: str) -> Rig:
-    text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (files("seatrial.mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     for old, new in changes.items():
         text = text.replace(old, new)
     return parse_rig(text, Path("/nowhere/rig.toml"))
@@ -56,7 +56,7 @@ def esc_frames(data: bytes) -> list[Frame]:
 
 def test_the_packaged_rigs_are_valid(tmp_path: Path) -> None:
     for name in ("boat", "bench"):
-        text = (files("mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
+        text = (files("seatrial.mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
         (tmp_path / "rig.toml").write_text(text)
         assert load_rig(tmp_path / "rig.toml").speed == 20.0
 

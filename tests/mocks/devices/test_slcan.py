@@ -13,8 +13,8 @@ from queue import SimpleQueue
 import can
 import pytest
 
-from mocks.devices.slcan_adapter import Adapter, CanFrame
-from mocks.ports.pty import PtyPort
+from seatrial.mocks.devices.slcan_adapter import Adapter, CanFrame
+from seatrial.mocks.ports.pty import PtyPort
 
 
 def test_answers_by_the_manual() -> None:

@@ -8,13 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE, draw_name, make_effect
-from mocks.plant.boat import STEP, Boat, BoatPlant
-from mocks.plant.effect import HiddenEffect
-from mocks.plant.hull import Hull, State
-from mocks.plant.thruster import ThrusterTruth
-from mocks.plant.weather import Sea
-from mocks.sensors import AhrsSensor
+from seatrial.mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE, draw_name, make_effect
+from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant
+from seatrial.mocks.plant.effect import HiddenEffect
+from seatrial.mocks.plant.hull import Hull, State
+from seatrial.mocks.plant.thruster import ThrusterTruth
+from seatrial.mocks.plant.weather import Sea
+from seatrial.mocks.sensors import AhrsSensor
 from tests.mocks.sailing import REST, run
 
 SIGNED = {

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, make_effect, mixture
-from mocks.plant.boat import STEP, Boat, BoatPlant
-from mocks.plant.hull import Hull
-from mocks.plant.thruster import ThrusterTruth
-from mocks.sensors import GnssSensor
+from seatrial.mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, make_effect, mixture
+from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant
+from seatrial.mocks.plant.hull import Hull
+from seatrial.mocks.plant.thruster import ThrusterTruth
+from seatrial.mocks.sensors import GnssSensor
 from tests.mocks.sailing import REST, run
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mocks.plant.bench import (
+from seatrial.mocks.plant.bench import (
     DEMO,
     EFFECTS,
     NONE,
@@ -20,7 +20,7 @@ from mocks.plant.bench import (
     draw_name,
     make_effect,
 )
-from mocks.plant.thruster import ThrusterTruth, thrust
+from seatrial.mocks.plant.thruster import ThrusterTruth, thrust
 
 
 def forces(effect: BenchEffect, n: float, seconds: float) -> np.ndarray:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mocks.plant.boat import STEP, Boat, BoatPlant, draw_boat
-from mocks.plant.effect import HiddenEffect
-from mocks.plant.hull import ARM, CURRENT_MAX, Hull, State, draw_current, draw_hull
-from mocks.plant.thruster import Shaft, ThrusterTruth, thrust
+from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant, draw_boat
+from seatrial.mocks.plant.effect import HiddenEffect
+from seatrial.mocks.plant.hull import ARM, CURRENT_MAX, Hull, State, draw_current, draw_hull
+from seatrial.mocks.plant.thruster import Shaft, ThrusterTruth, thrust
 from tests.machine import cpu_seconds
 
 STILL = (0.0, 0.0)

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 import serial
 
-from daq.errors import SeatrialError
-from mocks.ports.pty import CHECK, PATIENCE, PtyPort
+from seatrial.daq.errors import SeatrialError
+from seatrial.mocks.ports.pty import CHECK, PATIENCE, PtyPort
 
 
 @pytest.fixture

@@ -22,8 +22,8 @@ try:
     import click
     from click.shell_completion import CompletionItem
 
-    from daq import bounds
-    from daq.errors import SeatrialError, SeatrialWarning, printable
+    from seatrial.daq import bounds
+    from seatrial.daq.errors import SeatrialError, SeatrialWarning, printable
 except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
@@ -34,11 +34,11 @@ for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 if TYPE_CHECKING:
-    from bench.preflight.report import MotionChecks
-    from daq.checks.check_report import CheckReport
-    from daq.checks.findings import Finding
+    from seatrial.bench.preflight.report import MotionChecks
+    from seatrial.daq.checks.check_report import CheckReport
+    from seatrial.daq.checks.findings import Finding
 
-WAITING = "ROS 2"  # daq.tools.ros_live
+WAITING = "ROS 2"  # seatrial.daq.tools.ros_live
 OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
 
 
@@ -50,22 +50,22 @@ class Row(NamedTuple):
 
 
 COMMANDS = {
-    "demo": Row("bench.demo:demo", "The whole loop on mock devices, to a report."),
-    "devices": Row("daq.cli:devices", "Find ports and identify the devices there."),
-    "log": Row("daq.cli:log", "Acquire until Ctrl-C, with a live table."),
-    "check": Row("bench.preflight.cli:check", "Preflight of a rig, or the same questions to a log."),
-    "bench": Row("bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
-    "mission": Row("bench.cli:mission", "Design, make, show and run missions."),
-    "import": Row("daq.cli:import_", "Turn foreign logs into MCAP."),
-    "export": Row("daq.cli:export", "Write a log as CSV, Parquet, MATLAB, NetCDF or a bag of ROS 2."),
-    "info": Row("daq.cli:info", "Say what a log holds."),
-    "recover": Row("daq.cli:recover", "Recover the log of a killed run."),
-    "replay": Row("daq.cli:replay", "Send a log's raw bytes again, on ports."),
-    "ident": Row("ident.cli.commands:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
-    "mock": Row("mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
+    "demo": Row("seatrial.bench.demo:demo", "The whole loop on mock devices, to a report."),
+    "devices": Row("seatrial.daq.cli:devices", "Find ports and identify the devices there."),
+    "log": Row("seatrial.daq.cli:log", "Acquire until Ctrl-C, with a live table."),
+    "check": Row("seatrial.bench.preflight.cli:check", "Preflight of a rig, or the same questions to a log."),
+    "bench": Row("seatrial.bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
+    "mission": Row("seatrial.bench.cli:mission", "Design, make, show and run missions."),
+    "import": Row("seatrial.daq.cli:import_", "Turn foreign logs into MCAP."),
+    "export": Row("seatrial.daq.cli:export", "Write a log as CSV, Parquet, MATLAB, NetCDF or a bag of ROS 2."),
+    "info": Row("seatrial.daq.cli:info", "Say what a log holds."),
+    "recover": Row("seatrial.daq.cli:recover", "Recover the log of a killed run."),
+    "replay": Row("seatrial.daq.cli:replay", "Send a log's raw bytes again, on ports."),
+    "ident": Row("seatrial.ident.cli.commands:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
+    "mock": Row("seatrial.mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
 }
 # Commands of one part in the group of another: the parts do not import each other.
-ATTACHED = {"mission": {"design": "ident.cli.commands:design"}}
+ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}
 
 
 class LazyGroup(click.Group):
@@ -133,7 +133,7 @@ class MotionChecksOfIdent:
     def check_log(self, path: Path) -> list[Finding]:
         """Findings about sensors and thrusters from the motion in a log; raises SeatrialError without ident."""
         try:
-            from ident.checks.log_checks import check_log
+            from seatrial.ident.checks.log_checks import check_log
         except ModuleNotFoundError as error:
             raise SeatrialError(_needs("that", error.name or "ident")) from error
         return check_log(path)
@@ -141,7 +141,7 @@ class MotionChecksOfIdent:
     def write_check_page(self, report: CheckReport, out: Path) -> None:
         """Write the page of a check; raises SeatrialError without ident."""
         try:
-            from ident.workflows.check import write_check
+            from seatrial.ident.workflows.check import write_check
         except ModuleNotFoundError as error:
             raise SeatrialError(_needs("--report", error.name or "ident")) from error
         write_check(report, " ".join(["seatrial", *sys.argv[1:]]), out)
@@ -254,6 +254,3 @@ def _mute() -> None:
     for stream in (sys.stdout, sys.stderr):
         os.dup2(nowhere, stream.fileno())
 
-
-if __name__ == "__main__":
-    main()

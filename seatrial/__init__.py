@@ -1,0 +1,1 @@
+"""seatrial: measure a boat and its thrusters, excite them with designed inputs, and explain what was measured."""
