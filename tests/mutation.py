@@ -240,6 +240,8 @@ def survives(mutant: Mutant) -> bool:
         os.chdir(tree)
         # The tests start processes of their own, which have to find the mutant too.
         os.environ |= {"PYTHONPATH": name, "PYTHONDONTWRITEBYTECODE": "1"}
+        if "seatrial" in sys.modules:  # with modules of the original; the others are found in the copy
+            sys.modules["seatrial"].__path__ = [str(tree / "seatrial")]
         sys.path[:] = [name, *(entry for entry in sys.path if entry not in ("", str(ROOT)))]
         sys.dont_write_bytecode = True
         with open(os.devnull, "w", encoding="utf-8") as nowhere:

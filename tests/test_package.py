@@ -108,7 +108,7 @@ def installed(built: Built) -> Path:
 
 
 def test_the_wheel_runs_from_any_folder(installed: Path, tmp_path: Path) -> None:
-    code = "import sys; from seatrial import command_line; print(command_line.__file__); command_line.main(sys.argv[1:])"
+    code = "import sys; from seatrial import command_line as c; print(c.__file__); c.main(sys.argv[1:])"
 
     def run(*words: str) -> str:
         return python(["-P", "-c", code, *words], tmp_path, PYTHONPATH=str(installed)).stdout

@@ -34,7 +34,8 @@ def templates(node: ast.expr) -> Iterator[str]:
 
 
 def sources() -> list[Path]:
-    return [ROOT / "seatrial/command_line.py", *(path for part in PARTS for path in sorted((ROOT / part).rglob("*.py")))]
+    parts = (path for part in PARTS for path in sorted((ROOT / part).rglob("*.py")))
+    return [ROOT / "seatrial/command_line.py", *parts]
 
 
 @cache

@@ -15,8 +15,11 @@ FORMAT = "seatrial-check 1"
 
 
 class MotionChecks(Protocol):
-    """What the check asks of the explaining part, which may not be installed: seatrial.command_line puts it into the command's
-    context, for bench imports nothing of it. Both raise SeatrialError where it is not installed."""
+    """Checks of a log that `seatrial.ident` makes for the command `check`.
+
+    `seatrial.command_line` puts an object of this kind into the context of the command, because bench must not import
+    ident, which may not be installed. Both methods raise SeatrialError if it is not.
+    """
 
     def check_log(self, path: Path) -> list[Finding]:
         """What the motion in a log says of its sensors and thrusters."""

@@ -1,4 +1,4 @@
-"""Commands of ``seatrial ident``, and ``seatrial mission design``, which seatrial.command_line adds to the group of bench."""
+"""Commands of ``seatrial ident``, and ``seatrial mission design``, which belongs to the group of bench."""
 
 from __future__ import annotations
 
