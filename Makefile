@@ -67,6 +67,7 @@ compiled: .venv/ready
 lint: .venv/ready
 	@echo "ruff"
 	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check --quiet . || { echo "run: $(BIN)/ruff format ." >&2; exit 1; }
 	@echo "mypy"
 	@$(BIN)/mypy
 	@echo "import contracts"

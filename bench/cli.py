@@ -61,9 +61,7 @@ def _bench_command(kind: str, text: str) -> None:
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
     @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
     @click.option("--thruster", help="Which thruster, when the rig has more than one.")
-    @click.option(
-        "--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}]."
-    )
+    @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}].")
     @_ARM
     @_RETRY
     def command(
@@ -152,9 +150,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
 @click.option(
     "--n-max", type=FiniteRange(0, 1, min_open=True), help="Largest command followed [default: limits.n_max]."
 )
-@click.option(
-    "--slew", type=FiniteRange(0, min_open=True), default=1.0, show_default=True, help="Largest change, 1/s."
-)
+@click.option("--slew", type=FiniteRange(0, min_open=True), default=1.0, show_default=True, help="Largest change, 1/s.")
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
 @_ARM
 def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out: Path | None, arm: bool) -> None:

@@ -67,5 +67,8 @@ def describe_track(predicted: Prediction) -> list[str]:
     north = float(np.max(x + radius) - np.min(x - radius))
     east = float(np.max(y + radius) - np.min(y - radius))
     away = float(np.max(np.hypot(x - x[0], y - y[0]) + radius))
-    return ["", f"predicted track with its band (95 %): {north:.0f} m north by {east:.0f} m east, "
-                f"at most {away:.0f} m from the start"]
+    return [
+        "",
+        f"predicted track with its band (95 %): {north:.0f} m north by {east:.0f} m east, "
+        f"at most {away:.0f} m from the start",
+    ]

@@ -41,8 +41,10 @@ def main() -> int:
     print(table(figures))
     print(f"\n{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}; {took:.0f} s")
     if given.json:
-        rows = [{k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(f).items()}
-                for f in figures]
+        rows = [
+            {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in asdict(f).items()}
+            for f in figures
+        ]
         about = {"machine": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
         document = {"format": "seatrial-benchmarks 1", "seed": given.seed, **about, "figures": rows}
         given.json.write_text(json.dumps(document, indent=1), encoding="utf-8")

@@ -66,26 +66,32 @@ def _rates(p: dict[str, float], inputs: Array, s: Array) -> Array:
     _, _, psi, u, v, r = s.tolist()
     X, N = inputs.tolist()
     cos, sin = math.cos(psi), math.sin(psi)
-    return np.array([
-        cos * u - sin * v, sin * u + cos * v, r,
-        (X + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"],
-        (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"],
-        (N + (p["m_u"] - p["m_v"]) * u * v - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"],
-    ])
+    return np.array(
+        [
+            cos * u - sin * v,
+            sin * u + cos * v,
+            r,
+            (X + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"],
+            (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"],
+            (N + (p["m_u"] - p["m_v"]) * u * v - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"],
+        ]
+    )
 
 
 def _jacobian(p: dict[str, float], s: Array) -> Array:
     _, _, psi, u, v, r = s.tolist()
     cos, sin = math.cos(psi), math.sin(psi)
     m_u, m_v, m_r = p["m_u"], p["m_v"], p["m_r"]
-    return np.array([
-        [0.0, 0.0, -sin * u - cos * v, cos, -sin, 0.0],
-        [0.0, 0.0, cos * u - sin * v, sin, cos, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
-        [0.0, 0.0, 0.0, -(p["d_u"] + 2 * p["d_uu"] * abs(u)) / m_u, m_v * r / m_u, m_v * v / m_u],
-        [0.0, 0.0, 0.0, -m_u * r / m_v, -(p["d_v"] + 2 * p["d_vv"] * abs(v)) / m_v, -m_u * u / m_v],
-        [0.0, 0.0, 0.0, (m_u - m_v) * v / m_r, (m_u - m_v) * u / m_r, -(p["d_r"] + 2 * p["d_rr"] * abs(r)) / m_r],
-    ])
+    return np.array(
+        [
+            [0.0, 0.0, -sin * u - cos * v, cos, -sin, 0.0],
+            [0.0, 0.0, cos * u - sin * v, sin, cos, 0.0],
+            [0.0, 0.0, 0.0, 0.0, 0.0, 1.0],
+            [0.0, 0.0, 0.0, -(p["d_u"] + 2 * p["d_uu"] * abs(u)) / m_u, m_v * r / m_u, m_v * v / m_u],
+            [0.0, 0.0, 0.0, -m_u * r / m_v, -(p["d_v"] + 2 * p["d_vv"] * abs(v)) / m_v, -m_u * u / m_v],
+            [0.0, 0.0, 0.0, (m_u - m_v) * v / m_r, (m_u - m_v) * u / m_r, -(p["d_r"] + 2 * p["d_rr"] * abs(r)) / m_r],
+        ]
+    )
 
 
 def casadi_gradient(model: Model, record: Record) -> Callable[[Array], tuple[float, Array]]:

@@ -57,12 +57,16 @@ def rates(p: dict[str, float], s: Array, X: float, N: float) -> Array:
     """Equations of motion written out once more, so that the model is not its own witness."""
     _, _, psi, u, v, r = s.tolist()
     cos, sin = np.cos(psi), np.sin(psi)
-    return np.array([
-        cos * u - sin * v, sin * u + cos * v, r,
-        (X + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"],
-        (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"],
-        (N + (p["m_u"] - p["m_v"]) * u * v - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"],
-    ])
+    return np.array(
+        [
+            cos * u - sin * v,
+            sin * u + cos * v,
+            r,
+            (X + p["m_v"] * v * r - p["d_u"] * u - p["d_uu"] * abs(u) * u) / p["m_u"],
+            (-p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v) / p["m_v"],
+            (N + (p["m_u"] - p["m_v"]) * u * v - p["d_r"] * r - p["d_rr"] * abs(r) * r) / p["m_r"],
+        ]
+    )
 
 
 def measured() -> Record | None:

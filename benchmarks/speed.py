@@ -45,7 +45,8 @@ def ratios(record: Record) -> Iterator[Figure]:
     given = dict(zip(names, values.tolist(), strict=True))
     by_numpy = numpy_value(given, record)
     works = {
-        "ours": (lambda: likelihood.gradient(record, values), 50), "casadi": (lambda: peer(values), 2),
+        "ours": (lambda: likelihood.gradient(record, values), 50),
+        "casadi": (lambda: peer(values), 2),
         "by differences": (lambda: numpy_value(given, record, by_hand=False), 1),
         "by hand": (lambda: numpy_value(given, record), 1),
     }

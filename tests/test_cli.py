@@ -184,9 +184,7 @@ command_line.main(sys.argv[1:])
     reader, writer = os.pipe()
     os.close(reader)
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", code, command], stdout=writer, stderr=subprocess.PIPE, timeout=60
-        )
+        done = subprocess.run([sys.executable, "-c", code, command], stdout=writer, stderr=subprocess.PIPE, timeout=60)
     finally:
         os.close(writer)
     assert done.stderr == b""

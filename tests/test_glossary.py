@@ -50,6 +50,8 @@ RETIRED = {
 ALLOWED = {
     ("docs/how-to/devices.md", "GPS weeks have begun again"),
 }
+
+
 def prose(page: Path) -> str:
     """A page without code and output of the program: other tests compare these with their source."""
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)

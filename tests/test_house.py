@@ -78,7 +78,9 @@ def test_a_wing_is_imported_through_its_face() -> None:
         f"{module} imports {target}.{name}"
         for module, path in PRODUCT.items()
         for target, name in imports(path)
-        if wing_of(target) in WINGS and target != wing_of(target) and wing_of(module) != wing_of(target)
+        if wing_of(target) in WINGS
+        and target != wing_of(target)
+        and wing_of(module) != wing_of(target)
         and wing_of(target) not in MODULES_NAMED
     ]
     assert not beside

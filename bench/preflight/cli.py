@@ -61,9 +61,7 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
     is_flag=True,
     help="With --actuators, instead of it: 0.1 of thrust, silence; how soon does the autopilot end it?",
 )
-@click.option(
-    "--thrust", type=FiniteRange(0, 1, min_open=True), help="Largest command of --actuators [default: 0.3]."
-)
+@click.option("--thrust", type=FiniteRange(0, 1, min_open=True), help="Largest command of --actuators [default: 0.3].")
 @click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
 @click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 @click.option("-o", "--out", type=FILE, help="Log of the actuator test [default: by date in the rig's log directory].")

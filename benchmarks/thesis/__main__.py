@@ -27,8 +27,14 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--repeats", type=int, default=50, help="fits of the designed experiment, chapter 5")
     given = parser.parse_args(words)
     try:
-        write(given.out, given.seed, given.bench, lambda line: print(line, file=sys.stderr, flush=True),
-              evaluations=given.evaluations, repeats=given.repeats)
+        write(
+            given.out,
+            given.seed,
+            given.bench,
+            lambda line: print(line, file=sys.stderr, flush=True),
+            evaluations=given.evaluations,
+            repeats=given.repeats,
+        )
     except (SeatrialError, OSError) as problem:
         print(f"seatrial: {problem}", file=sys.stderr)
         return 1

@@ -29,8 +29,21 @@ STEP = 0.05  # s between AHRS samples
 FIX = 4  # AHRS samples to a fix
 ROLL = (2 * np.pi * 0.55, 0.12, 0.06)  # rad/s, damping ratio, rad a m/s2 across
 PITCH = (2 * np.pi * 0.70, 0.12, 0.0004)  # rad/s, damping ratio, rad a N
-SIZES = {"s_u": 0.01, "s_v": 0.01, "s_r": 0.005, "s_p": 0.02, "s_q": 0.02, "e_psi": 0.005, "e_r": 0.005, "e_a": 0.05,
-         "e_xy": 0.05, "e_vxy": 0.05, "e_tilt": 0.002, "V_x": 0.1, "V_y": -0.05}
+SIZES = {
+    "s_u": 0.01,
+    "s_v": 0.01,
+    "s_r": 0.005,
+    "s_p": 0.02,
+    "s_q": 0.02,
+    "e_psi": 0.005,
+    "e_r": 0.005,
+    "e_a": 0.05,
+    "e_xy": 0.05,
+    "e_vxy": 0.05,
+    "e_tilt": 0.002,
+    "V_x": 0.1,
+    "V_y": -0.05,
+}
 
 
 @dataclass(frozen=True)

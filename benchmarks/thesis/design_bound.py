@@ -80,7 +80,7 @@ def as_point(steps: StepInput, command: Array, grid: float) -> Array:
     while len(rows) < steps.n_steps:
         k = int(np.argmax(rows))
         half = rows[k] // 2
-        rows[k:k + 1], levels[k:k + 1] = [half, rows[k] - half], [levels[k], levels[k]]
-    spare = np.maximum(np.array(rows[:steps.n_steps]) * grid - steps.shortest, 0.0)
+        rows[k : k + 1], levels[k : k + 1] = [half, rows[k] - half], [levels[k], levels[k]]
+    spare = np.maximum(np.array(rows[: steps.n_steps]) * grid - steps.shortest, 0.0)
     shares = np.clip(spare / max(spare.max(), grid), 0.02, 1.0)
-    return np.append(np.array(levels[:steps.n_steps]).ravel(), shares)
+    return np.append(np.array(levels[: steps.n_steps]).ravel(), shares)

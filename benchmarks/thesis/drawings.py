@@ -18,19 +18,30 @@ START = 5.0  # s until the filter knows where it is
 
 def noise_part(rest: Mapping[str, Rest]) -> Part:
     """Figures 4.1 and 4.2."""
-    return Part("noise", "Sensor noise", [
-        Drawing("Figure 4.1: accelerometer at rest", "Hz", [_density(rest[n]) for n in ("ax", "ay")],
-                "Welch's periodogram, the model identified (white noise plus random walk) and the true density."),
-        Drawing("Figure 4.2: magnetometer at rest", "Hz", [_density(rest[n]) for n in ("mx", "my", "mz")]),
-    ])
+    return Part(
+        "noise",
+        "Sensor noise",
+        [
+            Drawing(
+                "Figure 4.1: accelerometer at rest",
+                "Hz",
+                [_density(rest[n]) for n in ("ax", "ay")],
+                "Welch's periodogram, the model identified (white noise plus random walk) and the true density.",
+            ),
+            Drawing("Figure 4.2: magnetometer at rest", "Hz", [_density(rest[n]) for n in ("mx", "my", "mz")]),
+        ],
+    )
 
 
 def _density(one: Rest) -> Chart:
     f, power = _in_decades(*welch(one.channel))
     (white, walk), dt = one.truth, one.found.interval
     truth = 2 * dt * (white**2 + walk**2 * dt / (4 * np.sin(np.pi * f * dt) ** 2))
-    curves = [Curve("periodogram", f, power, "measured"), Curve("identified", f, one.found.psd(f)),
-              Curve("truth", f, truth, "other")]
+    curves = [
+        Curve("periodogram", f, power, "measured"),
+        Curve("identified", f, one.found.psd(f)),
+        Curve("truth", f, truth, "other"),
+    ]
     return Chart(f"{one.channel.source} [({one.channel.unit})²/Hz]", curves, log=True)
 
 
@@ -47,64 +58,117 @@ def bench_part(one: Both) -> Part:
     late &= one.record.t < 50
 
     def charts(rows: NDArray[np.bool_], outputs: Sequence[tuple[int, str]]) -> list[Chart]:
-        return [Chart(title, [Curve("measured", t[rows], one.record.y[rows, j], "measured"),
-                              Curve("model", t[rows], free[rows, j])]) for j, title in outputs]
+        return [
+            Chart(
+                title,
+                [Curve("measured", t[rows], one.record.y[rows, j], "measured"), Curve("model", t[rows], free[rows, j])],
+            )
+            for j, title in outputs
+        ]
 
     command = Curve("command", t, one.record.u[:, 0], "other")
     whole = charts(np.ones(t.size, dtype=bool), [(0, "shaft speed, normalised"), (1, "force [N]")])
     whole[0] = Chart(whole[0].title, [command, *whole[0].curves])
-    return Part("bench", "Thruster", [
-        Drawing("Figure 4.3, left: response to the steps and chirps", "s", whole,
-                "The model predicts from the command alone."),
-        Drawing("Figure 4.3, right: the last steps", "s", charts(late, [(1, "force [N]")])),
-    ])
+    return Part(
+        "bench",
+        "Thruster",
+        [
+            Drawing(
+                "Figure 4.3, left: response to the steps and chirps",
+                "s",
+                whole,
+                "The model predicts from the command alone.",
+            ),
+            Drawing("Figure 4.3, right: the last steps", "s", charts(late, [(1, "force [N]")])),
+        ],
+    )
 
 
 def predictor_part(turn: Both, run: Both) -> Part:
     """Figures 6.1 and 6.2."""
     t, r = turn.record.t, turn.record.y[:, 0]
     ahead = r - turn.filtered.e[:, 0]
-    yaw = Drawing("Figure 6.1: yaw rate, measured and predicted", "s", [
-        Chart("yaw rate [rad/s]", [Curve("measured", t, r, "measured"), Curve("OE: from the moment alone", t,
-              turn.simulated.y[:, 0], "other"), Curve("PE: one sample ahead", t, ahead)]),
-        Chart("measured less predicted [rad/s]", [Curve("OE: from the moment alone", t, r - turn.simulated.y[:, 0],
-              "other"), Curve("PE: one sample ahead", t, r - ahead)]),
-    ], "What is left of output error is coloured: process noise that it has no place for.")
+    yaw = Drawing(
+        "Figure 6.1: yaw rate, measured and predicted",
+        "s",
+        [
+            Chart(
+                "yaw rate [rad/s]",
+                [
+                    Curve("measured", t, r, "measured"),
+                    Curve("OE: from the moment alone", t, turn.simulated.y[:, 0], "other"),
+                    Curve("PE: one sample ahead", t, ahead),
+                ],
+            ),
+            Chart(
+                "measured less predicted [rad/s]",
+                [
+                    Curve("OE: from the moment alone", t, r - turn.simulated.y[:, 0], "other"),
+                    Curve("PE: one sample ahead", t, r - ahead),
+                ],
+            ),
+        ],
+        "What is left of output error is coloured: process noise that it has no place for.",
+    )
     t, x = run.record.t, run.record.y[:, 0]
     oe, pe = run.simulated.y[:, 0], x - run.filtered.e[:, 0]
     h = np.diff(t)
-    speed = [Curve("measured", t[1:], np.diff(x) / h, "measured"), Curve("OE", t[1:], np.diff(oe) / h, "other"),
-             Curve("PE: one sample ahead", t[1:], np.diff(pe) / h)]
-    surge = Drawing("Figure 6.2: position, and its first differences", "s", [
-        Chart("position [m]", [Curve("measured", t, x, "measured"), Curve("OE", t, oe, "other"),
-                               Curve("PE: one sample ahead", t, pe)]),
-        Chart("measured less predicted [m]", [Curve("OE", t, x - oe, "other"),
-                                              Curve("PE: one sample ahead", t, x - pe)]),
-        Chart("first differences [m/s]", speed),
-    ])
+    speed = [
+        Curve("measured", t[1:], np.diff(x) / h, "measured"),
+        Curve("OE", t[1:], np.diff(oe) / h, "other"),
+        Curve("PE: one sample ahead", t[1:], np.diff(pe) / h),
+    ]
+    surge = Drawing(
+        "Figure 6.2: position, and its first differences",
+        "s",
+        [
+            Chart(
+                "position [m]",
+                [
+                    Curve("measured", t, x, "measured"),
+                    Curve("OE", t, oe, "other"),
+                    Curve("PE: one sample ahead", t, pe),
+                ],
+            ),
+            Chart(
+                "measured less predicted [m]",
+                [Curve("OE", t, x - oe, "other"), Curve("PE: one sample ahead", t, x - pe)],
+            ),
+            Chart("first differences [m/s]", speed),
+        ],
+    )
     return Part("predictors", "Output error and prediction error", [yaw, surge])
 
 
 def innovation_part(three: Plane, six: Plane) -> Part:
     """Figures 6.3 to 6.6."""
-    return Part("innovations", "Innovations of the models in the plane", [
-        _innovations("Figure 6.3: surge acceleration, 3DOF", three, ("ax",), "m/s2"),
-        _innovations("Figure 6.4: surge acceleration, 6DOF K", six, ("ax",), "m/s2"),
-        _innovations("Figure 6.5: position, 3DOF", three, ("x", "y"), "m"),
-        _innovations("Figure 6.6: position, 6DOF K", six, ("x", "y"), "m"),
-        correlations(three, six),
-    ])
+    return Part(
+        "innovations",
+        "Innovations of the models in the plane",
+        [
+            _innovations("Figure 6.3: surge acceleration, 3DOF", three, ("ax",), "m/s2"),
+            _innovations("Figure 6.4: surge acceleration, 6DOF K", six, ("ax",), "m/s2"),
+            _innovations("Figure 6.5: position, 3DOF", three, ("x", "y"), "m"),
+            _innovations("Figure 6.6: position, 6DOF K", six, ("x", "y"), "m"),
+            correlations(three, six),
+        ],
+    )
 
 
 def _innovations(title: str, one: Plane, channels: Sequence[str], unit: str) -> Drawing:
     charts = []
     for name in channels:
         t, e, sd = (z[one.innovations(name)[0] > START] for z in one.innovations(name))
-        charts.append(Chart(f"{name} [{unit}]", [
-            Curve("95 % of them, as the filter has it", t, -Z95 * sd, "band", Z95 * sd),
-            Curve("innovation", t, e, "measured"),
-            Curve("mean over 2 s", t, _smooth(t, e, 2.0)),
-        ]))
+        charts.append(
+            Chart(
+                f"{name} [{unit}]",
+                [
+                    Curve("95 % of them, as the filter has it", t, -Z95 * sd, "band", Z95 * sd),
+                    Curve("innovation", t, e, "measured"),
+                    Curve("mean over 2 s", t, _smooth(t, e, 2.0)),
+                ],
+            )
+        )
     return Drawing(title, "s", charts)
 
 

@@ -131,9 +131,11 @@ def _words(oe: Experiment, pe: Experiment) -> list[str]:
     for one in (oe, pe):
         best = max(one.found.values(), key=lambda r: r.value)
         baseline = ", ".join(f"{r.kind} {r.value:.1f} ({_bandwidth(r)})" for r in one.found.values())
-        rows.append(f"| {one.title} | {one.value:.1f} | {baseline} | {one.value - best.value:+.1f} | "
-                    f"{100 * np.mean(one.margin > 0):.1f} % | {100 * np.mean(one.margin >= 3):.1f} % | "
-                    f"{one.search_cpu:.0f} s | {one.samples_cpu:.2f} s |")
+        rows.append(
+            f"| {one.title} | {one.value:.1f} | {baseline} | {one.value - best.value:+.1f} | "
+            f"{100 * np.mean(one.margin > 0):.1f} % | {100 * np.mean(one.margin >= 3):.1f} % | "
+            f"{one.search_cpu:.0f} s | {one.samples_cpu:.2f} s |"
+        )
     return [*OPENING.splitlines(), *rows, *CLOSING.splitlines(), ""]
 
 
@@ -147,38 +149,55 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
     fine = pe.judge.finer
     at = np.searchsorted(pe.judge.t, fine.t + 1e-9, side="right") - 1
     columns = [
-        oe.made.errors, predicted_errors(pe.judge, oe.made.command_on(fine)), pe.made.predicted,
+        oe.made.errors,
+        predicted_errors(pe.judge, oe.made.command_on(fine)),
+        pe.made.predicted,
         predicted_errors(pe.judge, best.command[at]),
     ]
     rows = [f"| `{n}` | {' | '.join(f'{c[n]:.2g}' for c in columns)} |" for n in names]
     return [
         "Predicted standard errors: what output error promises of its design; and what prediction error expects of",
-        "that design, of its own, and of its best baseline.", "",
-        f"| | OE design, by OE | OE design | PE design | {best.kind} |", "|---|---|---|---|---|", *rows, "",
+        "that design, of its own, and of its best baseline.",
+        "",
+        f"| | OE design, by OE | OE design | PE design | {best.kind} |",
+        "|---|---|---|---|---|",
+        *rows,
+        "",
     ]
 
 
 def _delivered(found: list[Delivered], n: int) -> list[str]:
-    rows = [f"| `{d.name}` | {d.predicted:.2g} | {d.ratio:.2f} | {d.interval[0]:.2f} to {d.interval[1]:.2f} | "
-            f"{100 * d.coverage:.0f} % | {d.outliers} |" for d in found]
+    rows = [
+        f"| `{d.name}` | {d.predicted:.2g} | {d.ratio:.2f} | {d.interval[0]:.2f} to {d.interval[1]:.2f} | "
+        f"{100 * d.coverage:.0f} % | {d.outliers} |"
+        for d in found
+    ]
     mean = float(np.mean([d.ratio for d in found]))
     return [
         f"{n} simulated repeats of the PE design, each fitted with all noises free and damping not bounded: spread of",
         "the estimates over the predicted error, with its 95 % interval, and the share within 1.96 predicted errors.",
-        f'Mean ratio {mean:.2f}. "Stuck": fits that ended in another optimum, more than 8 errors away.', "",
-        "| | predicted | spread/predicted | 95 % | coverage | stuck |", "|---|---|---|---|---|---|", *rows, "",
+        f'Mean ratio {mean:.2f}. "Stuck": fits that ended in another optimum, more than 8 errors away.',
+        "",
+        "| | predicted | spread/predicted | 95 % | coverage | stuck |",
+        "|---|---|---|---|---|---|",
+        *rows,
+        "",
     ]
 
 
 def _part(oe: Experiment, pe: Experiment) -> Part:
-    return Part("design", "Design of experiments", [
-        _inputs("Figure 5.1: parametrisation, levels and durations of steps", pe, SHOWN),
-        _inputs("Figure 5.2: designed input, output error", oe, SECONDS),
-        _inputs("Figure 5.2, prediction error", pe, SECONDS),
-        _track(pe),
-        _histogram("Figure 5.3: log det in 1000 samples of the box, output error", oe),
-        _histogram("Figure 5.3, prediction error", pe),
-    ])
+    return Part(
+        "design",
+        "Design of experiments",
+        [
+            _inputs("Figure 5.1: parametrisation, levels and durations of steps", pe, SHOWN),
+            _inputs("Figure 5.2: designed input, output error", oe, SECONDS),
+            _inputs("Figure 5.2, prediction error", pe, SECONDS),
+            _track(pe),
+            _histogram("Figure 5.3: log det in 1000 samples of the box, output error", oe),
+            _histogram("Figure 5.3, prediction error", pe),
+        ],
+    )
 
 
 def _inputs(title: str, one: Experiment, until: float) -> Drawing:
@@ -186,20 +205,41 @@ def _inputs(title: str, one: Experiment, until: float) -> Drawing:
     command = one.command[rows]
     shaft = task.actuation.shaft(one.command[:, :, None])[rows, :, 0]
     t = task.t[rows]
-    charts = [Chart(f"{name}, -1..1", [Curve("command", np.repeat(t, 2)[1:], np.repeat(command[:, k], 2)[:-1]),
-                                       Curve("shaft speed", t, shaft[:, k], "other")])
-              for k, name in enumerate(task.actuation.channels)]
+    charts = [
+        Chart(
+            f"{name}, -1..1",
+            [
+                Curve("command", np.repeat(t, 2)[1:], np.repeat(command[:, k], 2)[:-1]),
+                Curve("shaft speed", t, shaft[:, k], "other"),
+            ],
+        )
+        for k, name in enumerate(task.actuation.channels)
+    ]
     return Drawing(title, "s", charts)
 
 
 def _track(one: Experiment) -> Drawing:
     track = predicted_track(one.made)
     assert track is not None  # the horizontal model has a position
-    charts = [Chart(f"{name} [m]", [
-        Curve("95 % of boats of the box", track.t, np.quantile(others, 0.025, axis=0), "band",
-              np.quantile(others, 0.975, axis=0)), Curve("nominal boat", track.t, middle)])
-        for name, middle, others in (("north", track.x, track.others[:, :, 0]),
-                                     ("east", track.y, track.others[:, :, 1]))]
+    charts = [
+        Chart(
+            f"{name} [m]",
+            [
+                Curve(
+                    "95 % of boats of the box",
+                    track.t,
+                    np.quantile(others, 0.025, axis=0),
+                    "band",
+                    np.quantile(others, 0.975, axis=0),
+                ),
+                Curve("nominal boat", track.t, middle),
+            ],
+        )
+        for name, middle, others in (
+            ("north", track.x, track.others[:, :, 0]),
+            ("east", track.y, track.others[:, :, 1]),
+        )
+    ]
     return Drawing("Predicted track", "s", charts, "Not in the paper. Without steering, what is not known adds up.")
 
 
@@ -208,7 +248,13 @@ def _histogram(title: str, one: Experiment) -> Drawing:
     low, high = (float(q) for q in np.quantile(every, [0.002, 0.998]))
     edges = np.linspace(low, high, BINS + 1)
     roles: dict[str, Literal["model", "other", "truth"]] = {"design": "model", "PRBS": "other", "RGS": "truth"}
-    curves = [Curve(name, np.repeat(edges, 2)[1:-1],
-                    np.repeat(np.histogram(np.clip(v, low, high), edges)[0].astype(float), 2), roles[name])
-              for name, v in one.samples.values.items()]
+    curves = [
+        Curve(
+            name,
+            np.repeat(edges, 2)[1:-1],
+            np.repeat(np.histogram(np.clip(v, low, high), edges)[0].astype(float), 2),
+            roles[name],
+        )
+        for name, v in one.samples.values.items()
+    ]
     return Drawing(title, "log det of the information", [Chart("samples", curves)])

@@ -18,8 +18,11 @@ CHANNELS = ("ax", "ay", "x", "y", "vx", "vy", "r", "psi")
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Lines:
     """A table's lines; all columns but the first are numbers."""
-    return ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1),
-            *("| " + " | ".join(r) + " |" for r in rows)]
+    return [
+        "| " + " | ".join(head) + " |",
+        "|---|" + "---:|" * (len(head) - 1),
+        *("| " + " | ".join(r) + " |" for r in rows),
+    ]
 
 
 def number(value: float, error: float | None = None) -> str:
@@ -44,8 +47,17 @@ def tables_3_and_4(one: Both, paper: Mapping[str, Mapping[str, float]]) -> Lines
     for n in paper["OE"]:
         robust = float(one.oe.robust_errors[one.oe.names.index(n)])
         (oe, error), pe = one.oe.estimate(n), one.pe.estimate(n)
-        rows.append([_named(n), number(paper["OE"][n]), number(paper["PE"][n]), number(one.truth[n]),
-                     number(oe, error), f"± {robust:.2g}" if np.isfinite(robust) else "", number(*pe)])
+        rows.append(
+            [
+                _named(n),
+                number(paper["OE"][n]),
+                number(paper["PE"][n]),
+                number(one.truth[n]),
+                number(oe, error),
+                f"± {robust:.2g}" if np.isfinite(robust) else "",
+                number(*pe),
+            ]
+        )
     return markdown(head, rows)
 
 
@@ -53,8 +65,13 @@ def table_5(truth: Mapping[str, float], three: Fit, six: Fit, forces: Fit) -> Li
     """Three degrees of freedom, measured attitude, and three with disturbance forces."""
     paper = printed.TABLE_5
     rows = [
-        [_named(n), number(paper["3DOF"][n]), number(paper["6DOF K"][n]), number(truth[n]),
-         *(number(*f.estimate(n)) for f in (three, six, forces))]
+        [
+            _named(n),
+            number(paper["3DOF"][n]),
+            number(paper["6DOF K"][n]),
+            number(truth[n]),
+            *(number(*f.estimate(n)) for f in (three, six, forces)),
+        ]
         for n in paper["3DOF"]
     ]
     return markdown(["", "paper 3DOF", "paper 6DOF K", "truth", "3DOF", "6DOF K", "3DOF with forces"], rows)

@@ -184,9 +184,7 @@ def angles(
     return yaw, pitch, roll
 
 
-def local_ned(
-    lat: NDArray[np.float64], lon: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def local_ned(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
     phi = np.radians(lat[0])
     w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2

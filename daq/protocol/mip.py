@@ -110,7 +110,6 @@ class Decoder(StreamDecoder[Frame]):
         p, q, r = self._newest("rate", t_rx)
         self._out.append(Frame(Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz), t_rx, NAN))
 
-
     def _newest(self, name: str, t_rx: float) -> tuple[float, ...]:
         values, when = self._vectors.get(name, (_NAN3, -math.inf))
         return values if t_rx - when <= STALE_S else _NAN3

@@ -362,9 +362,7 @@ def _plotjuggler(plots: Sequence[Plot]) -> str:
     )
     for title, curves in plots or [Plot("empty", [])]:
         area = ElementTree.SubElement(split, "DockArea", name=title)
-        plot = ElementTree.SubElement(
-            area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false"
-        )
+        plot = ElementTree.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
         ElementTree.SubElement(plot, "limitY")
         for i, (name, field) in enumerate(curves):
             curve = f"{name}/{field.replace('.', '/')}"

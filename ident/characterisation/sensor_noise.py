@@ -124,9 +124,24 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     p, largest = ljung_box(acf, eps.size, n_fitted=2), float(acf[np.argmax(np.abs(acf))])  # white and walk
     flags = tuple(f"{n}: {what}" for n, what in found.flags)
     return NoiseFit(
-        name, t.size, dt, white * scale, white_error * spread * scale, walk * scale, walk_error * spread * scale, c,
-        sd * scale, found.log_likelihood - t.size * float(np.log(scale)), eps, t - t[0],
-        float(np.median(np.diff(np.unique(y)))) * scale, p, largest, whiteness_diagnostics(eps), flags)
+        name,
+        t.size,
+        dt,
+        white * scale,
+        white_error * spread * scale,
+        walk * scale,
+        walk_error * spread * scale,
+        c,
+        sd * scale,
+        found.log_likelihood - t.size * float(np.log(scale)),
+        eps,
+        t - t[0],
+        float(np.median(np.diff(np.unique(y)))) * scale,
+        p,
+        largest,
+        whiteness_diagnostics(eps),
+        flags,
+    )
 
 
 def _kurtosis(e: Array) -> float:
@@ -208,6 +223,7 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     """Frequency [Hz] and one-sided density [unit^2/Hz] of evenly sampled data, by Welch's method (1967)."""
     dt = float(np.median(np.diff(channel.t)))
     length = max(16, int(2 * channel.value.size / (n_segments + 1)))
-    frequency, density = signal.welch(channel.value, 1.0 / dt, nperseg=min(length, channel.value.size),
-                                      detrend="linear")
+    frequency, density = signal.welch(
+        channel.value, 1.0 / dt, nperseg=min(length, channel.value.size), detrend="linear"
+    )
     return frequency[1:], density[1:]

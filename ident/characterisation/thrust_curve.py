@@ -337,13 +337,17 @@ def save_curve(
         "n_samples": [int(k) for k in levels.n_samples],
         "memory": _rounded(levels.memory),
     } | ({} if levels.offset is None else {"offset": float(f"{levels.offset:.7g}")})
-    document["quadratic"] = {
-        "c1": float(f"{quadratic.c1:.7g}"),
-    } | ({} if quadratic.c2 is None else {"c2": float(f"{quadratic.c2:.7g}")}) | {
-        "rms": float(f"{quadratic.rms:.4g}"),
-        "largest": float(f"{quadratic.largest:.4g}"),
-        "adequate": adequate(quadratic),
-    }
+    document["quadratic"] = (
+        {
+            "c1": float(f"{quadratic.c1:.7g}"),
+        }
+        | ({} if quadratic.c2 is None else {"c2": float(f"{quadratic.c2:.7g}")})
+        | {
+            "rms": float(f"{quadratic.rms:.4g}"),
+            "largest": float(f"{quadratic.largest:.4g}"),
+            "adequate": adequate(quadratic),
+        }
+    )
     write_output(path, tomlkit.dumps(document))
 
 

@@ -53,9 +53,13 @@ def fit_on_a_copy(
 def _restricted(top: Fit, records: Sequence[Record]) -> Fit:
     """From the maximum of the likelihood to that of the restricted one; what it took to get there counts."""
     found = fit(top.model, records, EstimationOptions(reml=True))
-    return replace(found, iterations=top.iterations + found.iterations, evaluations=top.evaluations + found.evaluations,
-                   cpu_seconds=top.cpu_seconds + found.cpu_seconds,
-                   message=top.message if found.converged else found.message)
+    return replace(
+        found,
+        iterations=top.iterations + found.iterations,
+        evaluations=top.evaluations + found.evaluations,
+        cpu_seconds=top.cpu_seconds + found.cpu_seconds,
+        message=top.message if found.converged else found.message,
+    )
 
 
 def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOptions) -> Fit:
@@ -195,7 +199,9 @@ def thruster_runs(loaded: Sequence[LoadedLog], model: Model, name: str | None) -
         name = name or thruster_name(x)
         channels = thruster_channels(x, model, name)
         if "thrust" in model.provides and "force" not in channels:
-            raise SeatrialError(f"{x.about['path']}: no load cell in the log, but the model has its force; it "
-                                "was fitted to other logs: fit these with `seatrial ident thruster` first")
+            raise SeatrialError(
+                f"{x.about['path']}: no load cell in the log, but the model has its force; it "
+                "was fitted to other logs: fit these with `seatrial ident thruster` first"
+            )
         runs.append(replace(x.run, channels=channels))
     return runs

@@ -99,7 +99,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
     for name, w in tracks.items():
         still = _still(c, w) if "psi" in c else None
         if still is not None:
-            where = ("x, y" if name == "position" else "vx, vy")
+            where = "x, y" if name == "position" else "vx, vy"
             text = f"the boat's track hardly goes {still}, whatever its heading"
             advice = "another column for that axis, in the import's map"
             yield Finding("fault", f"{name}-axes", "frame", where, text, advice)

@@ -510,9 +510,7 @@ def _unique(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
     return found
 
 
-def load_run(
-    path: Path, role: str, window: TimeWindow = WHOLE, device_faults: DeviceChecks | None = None
-) -> LoadedLog:
+def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: DeviceChecks | None = None) -> LoadedLog:
     """A log, or a window of it: the rest is not read, and so it has no ``sha256``. Times count from the first sample of
     the whole log. ``device_faults``: checks of the open log, which read what is read here. Raises SeatrialError where
     nothing is there that can be identified."""

@@ -539,14 +539,16 @@ class Preparer:
         mask = np.zeros(record.n_rows, np.uint32)
         first_output = 0
         for bit, sensor in enumerate(model.sensors):
-            columns = there[:, first_output:first_output + len(sensor.outputs)]
+            columns = there[:, first_output : first_output + len(sensor.outputs)]
             first_output += len(sensor.outputs)
             whole = columns.all(axis=1)
             partly = np.flatnonzero(columns.any(axis=1) & ~whole)
             if partly.size:
-                raise ValueError(f"record {record.name}: a sample of {sensor.name} at {record.t[partly[0]]:g} s has "
-                                 "some of its outputs and lacks others")
-            of_it = outliers[:, first_output - len(sensor.outputs):first_output]
+                raise ValueError(
+                    f"record {record.name}: a sample of {sensor.name} at {record.t[partly[0]]:g} s has "
+                    "some of its outputs and lacks others"
+                )
+            of_it = outliers[:, first_output - len(sensor.outputs) : first_output]
             of_it |= of_it.any(axis=1, keepdims=True)  # a sample is taken or left as a whole
             mask |= np.where(whole & ~of_it[:, 0], np.uint32(1 << bit), np.uint32(0))
         rows = {"u": record.u, "u_next": record.u_next, "y": record.y, "h": record.h}
@@ -560,8 +562,10 @@ class Preparer:
         wanted = {"u": (n, len(model.inputs)), "u_next": (n, len(model.inputs)), "y": (n, len(model.outputs))}
         for name, shape in wanted.items():
             if getattr(record, name).shape != shape:
-                raise ValueError(f"record {record.name}: {name} is {getattr(record, name).shape}, but model "
-                                 f"{model.name} needs {shape}")
+                raise ValueError(
+                    f"record {record.name}: {name} is {getattr(record, name).shape}, but model "
+                    f"{model.name} needs {shape}"
+                )
         if n < 2 or not (np.diff(record.t) > 0).all():
             raise ValueError(f"record {record.name}: its times do not increase, or it has fewer than two rows")
         known = np.isfinite(record.u) & np.isfinite(record.u_next)

@@ -202,7 +202,8 @@ def _close(one: Round) -> list[Refit]:
     name, best = one.chosen.effect.name, one.chosen.criterion
     least = max(best - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * best), 0.0)
     others = [
-        q for q in one.refits
+        q
+        for q in one.refits
         if q is not one.chosen and not q.unknown and q.criterion > (best if name in q.effect.nests else least)
     ]
     return sorted(others, key=lambda q: -q.criterion)

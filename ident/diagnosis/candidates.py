@@ -155,9 +155,7 @@ class TrajectoryLinearisation:
                 effect.name, delta, tuple(names), tried, effect.kind, effect.curve, effect.one_sided, own, touched
             )
 
-    def _driven(
-        self, rowwise: VectorisedModel, begin: list[Array], all_values: list[Array], u: Array
-    ) -> list[Array]:
+    def _driven(self, rowwise: VectorisedModel, begin: list[Array], all_values: list[Array], u: Array) -> list[Array]:
         """States (n_rows, m) of an effect, driven along the trajectory while the effect is at zero (linear, constant
         coefficients), for each set of values, from those at the first row."""
         n, m = len(self.model.states), begin[0].size

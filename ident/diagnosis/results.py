@@ -108,7 +108,10 @@ class Round:
             return Outcome.ADDED
         found = {r.outcome for r in self.refits}
         order = (
-            Outcome.SMALL, Outcome.WORSE_PREDICTION, Outcome.NO_BETTER_PREDICTION, Outcome.NOT_VALIDATED,
+            Outcome.SMALL,
+            Outcome.WORSE_PREDICTION,
+            Outcome.NO_BETTER_PREDICTION,
+            Outcome.NOT_VALIDATED,
             Outcome.NOT_SUPPORTED,
         )
         return next((o for o in order if o in found), Outcome.UNTESTED)

@@ -250,7 +250,8 @@ def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[
 def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
     """Why no name can be sure on these data, whatever the effect."""
     reasons = [
-        f"the fit {which} it did not converge" for which, s in (("without", before), ("with", after))
+        f"the fit {which} it did not converge"
+        for which, s in (("without", before), ("with", after))
         if not s.fit.converged
     ]
     seconds = sum(r.duration for r in after.records)
@@ -518,9 +519,7 @@ def _explains_more(one: Refit, other: Refit) -> bool:
 
 def _half_values(effect: Effect) -> dict[str, float]:
     """A start nearer to nothing, within the bounds: a parameter whose bounds do not hold its half begins at one."""
-    return {
-        p.name: min(max(0.5 * p.value, p.bounds[0]), p.bounds[1]) for p in effect.parameters if not p.per_record
-    }
+    return {p.name: min(max(0.5 * p.value, p.bounds[0]), p.bounds[1]) for p in effect.parameters if not p.per_record}
 
 
 def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:
@@ -537,8 +536,13 @@ def _starts(effect: Effect, score: Score) -> Iterator[Effect]:
     for name, tried in effect.scan.items():
         at = tried.index(score.scan[name]) if score.scan.get(name) in tried else 0
         scans += [score.scan | {name: tried[k]} for k in (at - 1, at + 1) if 0 <= k < len(tried)]
-    for scan, share in [(scans[0], 1.0), (scans[0], 0.3), *((s, 1.0) for s in scans[1:]), (scans[0], -0.3),
-                        (scans[0], 0.0)]:
+    for scan, share in [
+        (scans[0], 1.0),
+        (scans[0], 0.3),
+        *((s, 1.0) for s in scans[1:]),
+        (scans[0], -0.3),
+        (scans[0], 0.0),
+    ]:
         yield replace(effect, parameters=tuple(_start(p, score, scan, share) for p in effect.parameters))
 
 

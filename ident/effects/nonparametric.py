@@ -140,7 +140,12 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
         {residual.stage: add},
         parameters=tuple(
             Parameter(
-                n, 0.0, unit, f"{force} {what}", prior=(0.0, residual.scale), step=0.03 * residual.scale,
+                n,
+                0.0,
+                unit,
+                f"{force} {what}",
+                prior=(0.0, residual.scale),
+                step=0.03 * residual.scale,
                 scales=residual.stage not in OF_SENSORS,
             )
             for n, what in zip(names, terms_of, strict=True)
@@ -250,8 +255,7 @@ def _per_drive(force: Residual, unit: str) -> tuple[str, float, float]:
 
 
 def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effect:
-    """``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``: first-order lagged response to w, which is in ``unit``.
-    """
+    """First-order lagged response to w [``unit``]: ``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``."""
     of_drive, scale, full = _per_drive(force, unit)
     names = [f"{force.name}_{of}_late_{k}" for k in range(len(TIME_CONSTANTS))]
     states = [f"late_{of}_{k}" for k in range(len(TIME_CONSTANTS))]
@@ -271,12 +275,15 @@ def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effec
         f"a nonparametric effect: {force.title} follows {of} with a lag",
         {force.stage: add, "rate": follow},
         parameters=tuple(
-            Parameter(n, 0.0, of_drive, f"{force.name} behind {of} by {memory:g} s", prior=(0.0, 2 * scale),
-                      step=0.03 * scale)
+            Parameter(
+                n, 0.0, of_drive, f"{force.name} behind {of} by {memory:g} s", prior=(0.0, 2 * scale), step=0.03 * scale
+            )
             for n, memory in zip(names, TIME_CONSTANTS, strict=True)
         ),
-        states=tuple(State(n, unit, f"{of} behind by {memory:g} s", 0.0, sd0=0.05 * full)
-                     for n, memory in zip(states, TIME_CONSTANTS, strict=True)),
+        states=tuple(
+            State(n, unit, f"{of} behind by {memory:g} s", 0.0, sd0=0.05 * full)
+            for n, memory in zip(states, TIME_CONSTANTS, strict=True)
+        ),
         formula=f"{force.name} += sum t_k (z_k - w), z_k' = (w - z_k) / T_k, "
         f"w the {'thrust' if unit else 'part of full thrust'}",
         source="the residual itself",
@@ -309,13 +316,20 @@ def resonant_response(force: Residual, of: str, drive: Signal, unit: str) -> Eff
         f"a nonparametric effect: {force.title} responds to {of} with a resonance",
         {force.stage: add, "rate": swing},
         parameters=(
-            *(Parameter(n, 0.0, of_drive, f"{force.name} resonant to {of}{what}", prior=(0.0, 2 * scale),
-                        step=0.03 * scale) for n, what in zip(names, ("", ", its quadrature"), strict=True)),
-            Parameter(f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5),
-                      scales=False),  # nobody knows what swings: the frequencies are those that a log can tell
+            *(
+                Parameter(
+                    n, 0.0, of_drive, f"{force.name} resonant to {of}{what}", prior=(0.0, 2 * scale), step=0.03 * scale
+                )
+                for n, what in zip(names, ("", ", its quadrature"), strict=True)
+            ),
+            Parameter(
+                f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5), scales=False
+            ),  # nobody knows what swings: the frequencies are those that a log can tell
         ),
-        states=tuple(State(n, unit, what, 0.0, sd0=0.05 * full)
-                     for n, what in zip(states, (f"resonant response to {of}", "its quadrature"), strict=True)),
+        states=tuple(
+            State(n, unit, what, 0.0, sd0=0.05 * full)
+            for n, what in zip(states, (f"resonant response to {of}", "its quadrature"), strict=True)
+        ),
         scan={f_name: FREQUENCIES},
         formula=f"{force.name} += a (z - w) + b z'/w0, z'' + 2 zeta w0 z' = w0^2 (w - z), "
         f"w the {'thrust' if unit else 'part of full thrust'}",

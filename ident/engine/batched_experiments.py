@@ -117,8 +117,9 @@ class Filter:
         speed = [sum(mean[names.index(n)] ** 2 for n in ("u", "v") if n in names)] if "u" in names else []
         seen = ca.vertcat(mean, *speed)
         low, high = ca.SX.sym("low", seen.numel()), ca.SX.sym("high", seen.numel())
-        return stage({"s": self.graphs.s, "low": low, "high": high},
-                     {"low": ca.fmin(low, seen), "high": ca.fmax(high, seen)})
+        return stage(
+            {"s": self.graphs.s, "low": low, "high": high}, {"low": ca.fmin(low, seen), "high": ca.fmax(high, seen)}
+        )
 
 
 def extremes(model: Model) -> tuple[str, ...]:
@@ -189,7 +190,8 @@ class DiscriminationBatch:
 
     def __init__(self, model: Model, free: Sequence[str], truth: Model, covariance: bool) -> None:
         if [(s.name, [o.name for o in s.outputs]) for s in model.sensors] != [
-                (s.name, [o.name for o in s.outputs]) for s in truth.sensors]:
+            (s.name, [o.name for o in s.outputs]) for s in truth.sensors
+        ]:
             raise ValueError(f"models {model.name} and {truth.name} have different sensors")
         self.model, self.free, self.truth, self.covariance = model, tuple(free), truth, covariance
 
@@ -203,7 +205,7 @@ class DiscriminationBatch:
             inputs: Mapping[str, Any] = f.inputs | theirs
             stages: list[LoopSegment] = []
             for bit, sensor, first in f.sensors():
-                after, slopes, e = f.update(sensor, first, true.z[first:first + len(sensor.outputs)])
+                after, slopes, e = f.update(sensor, first, true.z[first : first + len(sensor.outputs)])
                 V, r = ca.vertcat(*slopes), ca.vertcat(*e)
                 stages.append(stage(inputs, after | {"fisher": _triangle(V), "score": V.T @ r, "ee": r.T @ r}, bit))
             h = {"h": true.graphs.h}

@@ -41,7 +41,7 @@ class Adjoint:
     def stages(self, g: EkfGraphs, bar: Any, bit: int | None) -> tuple[Product | LoopSegment, ...]:
         """In the order in which they run."""
         inputs = {name: v for name, v in g.inputs.items() if name != "s"} | dict(self.needs) | {"bar": bar}
-        results = {"bar": self.both[:bar.numel()], "g": self.both[bar.numel():]}
+        results = {"bar": self.both[: bar.numel()], "g": self.both[bar.numel() :]}
         return (*self.before, stage(inputs, results, bit))
 
 
@@ -79,10 +79,13 @@ def of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
     moving = [k for k in range(g.n) if g.covariance and not _constant(g.moved.Phi[:, k])]  # not as in the identity
     if not moving or g.model.second_order:
         return of_stage(g, {"s": g.predict[0]}, tape, bar)
-    n, A, Q, upper = g.n, g.moved.A, g.moved.Q, unpack(bar[g.n:], g.n)
+    n, A, Q, upper = g.n, g.moved.A, g.moved.Q, unpack(bar[g.n :], g.n)
     L, T = _doubled(upper), g.moved.T @ ca.diag([not _constant(Q[k, k]) for k in range(n)])
-    moved = _Columns("moved", {("Phi", k): g.moved.Phi[:, k] for k in moving} |
-                     {("T", k): T[:, k] for k in range(n) if not _constant(T[:, k])})
+    moved = _Columns(
+        "moved",
+        {("Phi", k): g.moved.Phi[:, k] for k in moving}
+        | {("T", k): T[:, k] for k in range(n) if not _constant(T[:, k])},
+    )
     spread = _Columns("spread", {("P", k): (g.P + Q)[:, k] for k in moving})
     Phi, LPhi = moved.read("Phi", g.moved.Phi), moved.turned("Phi", L)
     T, LT = moved.read("T", T), moved.turned("T", L @ T)
@@ -94,10 +97,15 @@ def of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
     both = ca.vertcat(slopes[:n], pack(by_P - ca.diag(ca.diag(by_P)) / 2), slopes[n:])
     both, needs, keeps = _taped(g, both, moved.array, ca.vertcat(bar, moved.result, spread.result))
     factors = _factors(n)
-    products = (moved.product(factors), spread.product([
-        [moved.factor(("Phi", k), i) if k in moving else factors[i][k] for k in range(n)] for i in range(n)]))
-    return Adjoint(both, {tape: needs} | moved.symbols | spread.symbols,
-                   {tape: keeps} | moved.kept | spread.kept, products)
+    products = (
+        moved.product(factors),
+        spread.product(
+            [[moved.factor(("Phi", k), i) if k in moving else factors[i][k] for k in range(n)] for i in range(n)]
+        ),
+    )
+    return Adjoint(
+        both, {tape: needs} | moved.symbols | spread.symbols, {tape: keeps} | moved.kept | spread.kept, products
+    )
 
 
 class _Columns:

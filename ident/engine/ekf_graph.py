@@ -115,17 +115,24 @@ class EkfGraphs:
         model = self.model
         noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
         names = [p.name for p in model.parameters]
-        what = (self.rate.serialize(), self.output.serialize(), noise, names, self.covariance, self.joseph,
-                model.second_order)
+        what = (
+            self.rate.serialize(),
+            self.output.serialize(),
+            noise,
+            names,
+            self.covariance,
+            self.joseph,
+            model.second_order,
+        )
         return hashlib.sha256(repr(what).encode()).hexdigest()
 
     @property
     def mean(self) -> Any:
-        return self.s[:self.n]
+        return self.s[: self.n]
 
     @cached_property
     def P(self) -> Any:
-        return unpack(self.s[self.n:], self.n)
+        return unpack(self.s[self.n :], self.n)
 
     def step(self, x: Any) -> tuple[Any, Any, Any]:
         """Runge-Kutta 4 over one interval: the mean at its end, and state and inputs in its middle."""
@@ -171,8 +178,11 @@ class EkfGraphs:
 
     def _bend(self, P: Any) -> Any:
         """``1/2 tr(P f_xx)``, what a spread of covariance P adds to the mean of the rates."""
-        return self._in_the_middle(lambda slopes, x: ca.vertcat(*[
-            ca.sum1(ca.sum2(ca.jacobian(slopes[i, :].T, x) * P)) / 2 for i in range(self.n)]))
+        return self._in_the_middle(
+            lambda slopes, x: ca.vertcat(
+                *[ca.sum1(ca.sum2(ca.jacobian(slopes[i, :].T, x) * P)) / 2 for i in range(self.n)]
+            )
+        )
 
     def _in_the_middle(self, of: Callable[[Any, Any], Any]) -> Any:
         """An expression of the Jacobian of the rates and of the state x, in the middle of the interval."""
@@ -232,8 +242,11 @@ class EkfGraphs:
             e = _wrap(e)
         scaled, inverse_variance = e / ca.sqrt(S), 1 / S
         slope = outlier_density.score(scaled) / ca.sqrt(S) if output.robust else e / S
-        ll = (outlier_density.log_density(scaled) - 0.5 * ca.log(S) if output.robust else
-              -0.5 * (e * slope + ca.log(2 * math.pi * S)))
+        ll = (
+            outlier_density.log_density(scaled) - 0.5 * ca.log(S)
+            if output.robust
+            else -0.5 * (e * slope + ca.log(2 * math.pi * S))
+        )
         if output.robust:
             inverse_variance = outlier_density.score_slope(scaled) / S
         if H is None:
@@ -257,13 +270,16 @@ def _wrap(angle: Any) -> Any:
 
 def _trace(model: Model) -> tuple[Any, Any]:
     """The model's rates and outputs as functions of (x, u, p)."""
-    x, u, p = (ca.SX.sym(name, len(of)) for name, of in
-               (("x", model.states), ("u", model.inputs), ("p", model.parameters)))
+    x, u, p = (
+        ca.SX.sym(name, len(of)) for name, of in (("x", model.states), ("u", model.inputs), ("p", model.parameters))
+    )
     signals = model.signals(*[ca.vertsplit(v) if v.numel() else [] for v in (x, u, p)])
     rates = _collect(model, signals.rate, [s.name for s in model.states], "rate of the state")
     outputs = _collect(model, signals.y, [o.name for o in model.outputs], "value of the output")
-    return (ca.Function("rate", [x, u, p], [simplified(rates)]),
-            ca.Function("output", [x, u, p], [simplified(outputs)]))
+    return (
+        ca.Function("rate", [x, u, p], [simplified(rates)]),
+        ca.Function("output", [x, u, p], [simplified(outputs)]),
+    )
 
 
 def _collect(model: Model, values: Mapping[str, Any], names: list[str], what: str) -> Any:
@@ -275,13 +291,16 @@ def _collect(model: Model, values: Mapping[str, Any], names: list[str], what: st
         if value.numel() != 1:
             raise ValueError(f"model {model.name}: the {what} {name} is not a scalar")
         if _has_nan(value):
-            raise ValueError(f"model {model.name}: the {what} {name} has lost its symbols (math.sin, float() and "
-                             "filling np.zeros make numbers of them; numpy's functions do not)")
+            raise ValueError(
+                f"model {model.name}: the {what} {name} has lost its symbols (math.sin, float() and "
+                "filling np.zeros make numbers of them; numpy's functions do not)"
+            )
         column.append(ca.densify(value))
     return ca.densify(ca.vertcat(*column))
 
 
 def _has_nan(expression: Any) -> bool:
     f = ca.Function("f", ca.symvar(expression), [expression])
-    return any(f.instruction_id(k) == ca.OP_CONST and math.isnan(f.instruction_constant(k))
-               for k in range(f.n_instructions()))
+    return any(
+        f.instruction_id(k) == ca.OP_CONST and math.isnan(f.instruction_constant(k)) for k in range(f.n_instructions())
+    )

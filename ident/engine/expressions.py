@@ -12,8 +12,13 @@ LEAF = -1  # no operation: a symbol or a number
 T = TypeVar("T")
 
 
-def instructions(f: Any, argument: Callable[[int, int], T], constant: Callable[[float], T], apply: Callable[..., T],
-                 done: Callable[[int, int, T], None] | None = None) -> list[list[T]]:
+def instructions(
+    f: Any,
+    argument: Callable[[int, int], T],
+    constant: Callable[[float], T],
+    apply: Callable[..., T],
+    done: Callable[[int, int, T], None] | None = None,
+) -> list[list[T]]:
     """The results of an SX function in any algebra.
 
     ``argument(i, j)`` is entry j of argument i, ``apply(code, *x)`` an operation; ``done(i, j, x)`` is told of entry j

@@ -93,6 +93,7 @@ class Programs:
 
     def _kernel(self, name: str) -> Kernel:
         with _lock:
+
             def plan() -> Plan:
                 with _lock:
                     made: Any = getattr(self._plans, name)()

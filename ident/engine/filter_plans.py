@@ -31,8 +31,10 @@ class Plans:
 
     def forward(self) -> Plan:
         """Like ``value``; rows tape0, tape1, ... and others keep what the adjoint of each stage needs of it."""
-        stages = [stage(self.graphs.inputs, self._effect(u) | dict(adjoint.keeps), bit)
-                  for (_, u, bit), adjoint in zip(self._sweep(), self._adjoints, strict=True)]
+        stages = [
+            stage(self.graphs.inputs, self._effect(u) | dict(adjoint.keeps), bit)
+            for (_, u, bit), adjoint in zip(self._sweep(), self._adjoints, strict=True)
+        ]
         return Plan(tuple(stages), ROWS | self.tapes)
 
     def backward(self) -> Plan:
@@ -45,8 +47,9 @@ class Plans:
     @cached_property
     def _adjoints(self) -> list[Adjoint]:
         g, bar = self.graphs, self._bar
-        return [of_prediction(g, tape, bar) if u.ll is None else of_update(g, u, tape, bar)
-                for tape, u, _ in self._sweep()]
+        return [
+            of_prediction(g, tape, bar) if u.ll is None else of_update(g, u, tape, bar) for tape, u, _ in self._sweep()
+        ]
 
     def tangent(self) -> Plan:
         """One lane for each chosen parameter: ``ds`` carried, ``dp`` constant; ``dll`` and ``fisher`` summed.
@@ -64,8 +67,7 @@ class Plans:
                 de, dS = _tangent(g, u.e, ds, dp), _tangent(g, u.S, ds, dp)
                 results["dll"] = ca.sum1(0.5 * dS * (u.e * u.slope - 1) / u.S - u.slope * de)
                 part = ca.sqrt(u.known)
-                results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S),
-                                              np.sqrt(0.5) * part[:, 1] * dS / u.S)
+                results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S), np.sqrt(0.5) * part[:, 1] * dS / u.S)
                 lanes.add(f"v{q}")
             stages += split(g.inputs, self._effect(u), seeds, results, bit, f"w{q}")
             if u.e is not None:

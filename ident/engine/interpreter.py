@@ -14,8 +14,9 @@ from seatrial.ident.numerics import Array
 Mask = NDArray[np.uint32]
 
 
-def interpret(plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array],
-              per_row: AbstractSet[str]) -> None:
+def interpret(
+    plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]
+) -> None:
     """Do what the compiled kernel does, in place."""
     shaped = {name: a.reshape(plan.shape(name, n_rows, groups, name in per_row)) for name, a in arrays.items()}
     order = range(n_rows - 1, -1, -1) if plan.backward else range(n_rows)

@@ -38,7 +38,7 @@ def allocate(shape: Sequence[int], zero: bool = True) -> Array:
     size = math.prod(shape)
     a = (np.zeros if zero else np.empty)(size + LINE)
     first = -a.ctypes.data // 8 % LINE
-    return a[first:first + size].reshape(tuple(shape))
+    return a[first : first + size].reshape(tuple(shape))
 
 
 @dataclass
@@ -94,8 +94,11 @@ class Kernel:
             compiled = jit.AVAILABLE
             if not compiled and not _warned:
                 _warned.append("said")
-                warnings.warn("llvmlite is not installed: estimation works, but some thousand times slower",
-                              SeatrialWarning, stacklevel=2)
+                warnings.warn(
+                    "llvmlite is not installed: estimation works, but some thousand times slower",
+                    SeatrialWarning,
+                    stacklevel=2,
+                )
         self._loop: Loop = self._compile() if compiled else self._interpret()
 
     @classmethod
@@ -114,8 +117,16 @@ class Kernel:
     def plan(self) -> Plan:
         return self._make()
 
-    def __call__(self, n_rows: int, mask: Mask | None, given: Mapping[str, Array], *, groups: int = 1,
-                 per_row: AbstractSet[str] = frozenset(), arena: Arena | None = None) -> dict[str, Array]:
+    def __call__(
+        self,
+        n_rows: int,
+        mask: Mask | None,
+        given: Mapping[str, Array],
+        *,
+        groups: int = 1,
+        per_row: AbstractSet[str] = frozenset(),
+        arena: Arena | None = None,
+    ) -> dict[str, Array]:
         """Run over ``n_rows``; returns all arrays by name.
 
         mask (n_rows,) uint32, all set if None. Arrays that are not given start from zero and, with an arena, are
@@ -136,8 +147,9 @@ class Kernel:
         self._loop(n_rows, groups, mask, arrays, per_row)
         return arrays
 
-    def segments(self, start: Sequence[int], stop: Sequence[int], given: Mapping[str, Array], begin: Array,
-                  wanted: Sequence[str]) -> dict[str, Array]:
+    def segments(
+        self, start: Sequence[int], stop: Sequence[int], given: Mapping[str, Array], begin: Array, wanted: Sequence[str]
+    ) -> dict[str, Array]:
         """Run over many segments of the same rows, with all sensors, and keep the last row of each: where they are
         short, calls one by one would mostly prepare arrays.
 
@@ -146,8 +158,14 @@ class Kernel:
         """
         layout, lengths = self.layout, [b - a for a, b in zip(start, stop, strict=True)]
         (carried,) = layout.carried
-        rows_given = min((given[name].size // size for name, size in layout.sizes.items()
-                          if size and name in layout.rows and name in given), default=0)
+        rows_given = min(
+            (
+                given[name].size // size
+                for name, size in layout.sizes.items()
+                if size and name in layout.rows and name in given
+            ),
+            default=0,
+        )
         if len(begin) != len(lengths) or min(lengths, default=1) < 1 or min(start, default=0) < 0 or (
                 max(stop, default=0) > rows_given):  # fmt: skip
             raise ValueError(f"segments: one or more rows of the {rows_given} given wanted, and a beginning for each")
@@ -166,8 +184,11 @@ class Kernel:
         flags = [0] * len(layout.summed)
         for k, (first, last) in enumerate(zip(start, stop, strict=True)):
             if self._entry is None:
-                own_rows = {name: a[first:last] if name in given else a[:last - first]
-                            for name, a in arrays.items() if name in layout.rows}
+                own_rows = {
+                    name: a[first:last] if name in given else a[: last - first]
+                    for name, a in arrays.items()
+                    if name in layout.rows
+                }
                 self._loop(last - first, 1, mask, arrays | own_rows | {carried: state[k]}, frozenset())
             else:
                 at = [a + first * row + k * segment for a, row, segment in moves]
@@ -198,13 +219,19 @@ class Kernel:
     def _linked(self, library: Any, address: int) -> Loop:
         summed, n_arrays = self.layout.summed, len(self.layout.sizes)
         pointers = [ctypes.c_void_p] * (1 + n_arrays)
-        entry = self._entry = ctypes.CFUNCTYPE(None, ctypes.c_int64, ctypes.c_int64, *pointers,
-                                               *[ctypes.c_int64] * len(summed))(address)
+        entry = self._entry = ctypes.CFUNCTYPE(
+            None, ctypes.c_int64, ctypes.c_int64, *pointers, *[ctypes.c_int64] * len(summed)
+        )(address)
 
         def run(n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]) -> None:
             assert library is not None  # the code lives as long as its library
-            entry(n_rows, groups, mask.ctypes.data, *[a.ctypes.data for a in arrays.values()],
-                  *[int(name in per_row) for name in summed])
+            entry(
+                n_rows,
+                groups,
+                mask.ctypes.data,
+                *[a.ctypes.data for a in arrays.values()],
+                *[int(name in per_row) for name in summed],
+            )
 
         return run
 

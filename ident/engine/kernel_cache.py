@@ -112,8 +112,10 @@ def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
     """The same for two models only if their kernels are; None where a function of the model cannot be written down."""
     lines: list[str] = []
     try:
-        x, u, p = ([CachedKernel(lines, f"{kind} {i}") for i in range(len(of))] for kind, of in
-                   (("x", model.states), ("u", model.inputs), ("p", model.parameters)))
+        x, u, p = (
+            [CachedKernel(lines, f"{kind} {i}") for i in range(len(of))]
+            for kind, of in (("x", model.states), ("u", model.inputs), ("p", model.parameters))
+        )
         s = model.signals(x, u, p)
         lines += [f"rate {_name(s.rate[v.name])}" for v in model.states]
         lines += [f"output {_name(s.y[o.name])}" for o in model.outputs]

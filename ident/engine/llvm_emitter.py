@@ -67,8 +67,11 @@ class LlvmEmitter:
         self.grouped = False  # that stage is a function of its own
         self.width = plan.width  # of the vectors that are being written
         # what arrays hold that are not in memory within the loop, and what the stage being written puts into them
-        self.held = {name: [Value(f"%held.{name}.{j}", False, False) for j in range(plan.sizes[name])]
-                     for name in plan.sizes if name in plan.carried and not self._in_memory(name)}
+        self.held = {
+            name: [Value(f"%held.{name}.{j}", False, False) for j in range(plan.sizes[name])]
+            for name in plan.sizes
+            if name in plan.carried and not self._in_memory(name)
+        }
         self.fresh: dict[tuple[str, int], Value] = {}
 
     def ir(self) -> str:
@@ -79,15 +82,36 @@ class LlvmEmitter:
         steps = "".join(f", i64 %step.{name}" for name in self.plan.summed)
         row = "%last, %i" if self.plan.backward else "%i, 0"
         fetched, held, kept = self._ends()
-        return "\n".join([
-            *FLUSH_TO_ZERO.declared, *sorted(self.declared), *self.functions,
-            f"define void @kernel(i64 %n, i64 %groups, ptr %mask, {_pointers(self.plan.sizes)}{steps}) {FRAME} {{",
-            "entry:", *FLUSH_TO_ZERO.first, *self.entry, *fetched, "%last = sub i64 %n, 1", "br label %loop",
-            "loop:", f"%i = phi i64 [0, %entry], [%i.next, %end{self.number}]", *held, f"%k = sub i64 {row}",
-            "%mask.p = getelementptr i32, ptr %mask, i64 %k", "%mask.k = load i32, ptr %mask.p", *self.body,
-            "%i.next = add i64 %i, 1", "%more = icmp slt i64 %i.next, %n", "br i1 %more, label %loop, label %exit",
-            "exit:", *kept, *FLUSH_TO_ZERO.last, "ret void", "}", "",
-        ])
+        return "\n".join(
+            [
+                *FLUSH_TO_ZERO.declared,
+                *sorted(self.declared),
+                *self.functions,
+                f"define void @kernel(i64 %n, i64 %groups, ptr %mask, {_pointers(self.plan.sizes)}{steps}) {FRAME} {{",
+                "entry:",
+                *FLUSH_TO_ZERO.first,
+                *self.entry,
+                *fetched,
+                "%last = sub i64 %n, 1",
+                "br label %loop",
+                "loop:",
+                f"%i = phi i64 [0, %entry], [%i.next, %end{self.number}]",
+                *held,
+                f"%k = sub i64 {row}",
+                "%mask.p = getelementptr i32, ptr %mask, i64 %k",
+                "%mask.k = load i32, ptr %mask.p",
+                *self.body,
+                "%i.next = add i64 %i, 1",
+                "%more = icmp slt i64 %i.next, %n",
+                "br i1 %more, label %loop, label %exit",
+                "exit:",
+                *kept,
+                *FLUSH_TO_ZERO.last,
+                "ret void",
+                "}",
+                "",
+            ]
+        )
 
     def _in_memory(self, name: str) -> bool:
         """Whether a function or vectors of more than one entry need an address of a carried array."""
@@ -118,8 +142,11 @@ class LlvmEmitter:
         if part.bit is None:
             self._write(f"br label %do{q}")
         else:
-            self._write(f"%bit{q} = and i32 %mask.k, {1 << part.bit}", f"%on{q} = icmp ne i32 %bit{q}, 0",
-                        f"br i1 %on{q}, label %do{q}, label %end{q}")
+            self._write(
+                f"%bit{q} = and i32 %mask.k, {1 << part.bit}",
+                f"%on{q} = icmp ne i32 %bit{q}, 0",
+                f"br i1 %on{q}, label %do{q}, label %end{q}",
+            )
         self._write(f"do{q}:")
         if isinstance(part, Gram):
             self._gram(part)
@@ -169,19 +196,33 @@ class LlvmEmitter:
         declared = "".join(f", i64 %step.{name}" for name in steps)
         self.functions += [
             f"define internal void @stage{q}(i64 %k, i64 %g, i64 %groups, {_pointers(used, 'noalias')}{declared}) "
-            f"noinline {FRAME} {{", *self.body, "ret void", "}"]
+            f"noinline {FRAME} {{",
+            *self.body,
+            "ret void",
+            "}",
+        ]
         self.body, self.grouped = outer, False
-        self._group_loop(f"do{q}", f"g{q}", "0", [
-            f"call void @stage{q}(i64 %k, i64 %g{q}, i64 %groups, {_pointers(used)}{declared})"], f"end{q}")
+        self._group_loop(
+            f"do{q}",
+            f"g{q}",
+            "0",
+            [f"call void @stage{q}(i64 %k, i64 %g{q}, i64 %groups, {_pointers(used)}{declared})"],
+            f"end{q}",
+        )
 
     def _group_loop(self, origin: str, index: str, first: str, body: list[str], end: str, tail: str = "") -> None:
         """Blocks that run ``body`` for ``index`` from ``first`` to the last group; ``tail``: the last block of
         the body, where it is more than one."""
         block = f"loop.{index}"
-        self._write(f"br label %{block}", f"{block}:",
-                    f"%{index} = phi i64 [{first}, %{origin}], [%{index}.next, %{tail or block}]", *body,
-                    f"%{index}.next = add i64 %{index}, 1", f"%more.{index} = icmp slt i64 %{index}.next, %groups",
-                    f"br i1 %more.{index}, label %{block}, label %{end}")
+        self._write(
+            f"br label %{block}",
+            f"{block}:",
+            f"%{index} = phi i64 [{first}, %{origin}], [%{index}.next, %{tail or block}]",
+            *body,
+            f"%{index}.next = add i64 %{index}, 1",
+            f"%more.{index} = icmp slt i64 %{index}.next, %groups",
+            f"br i1 %more.{index}, label %{block}, label %{end}",
+        )
 
     def _gram(self, part: Gram) -> None:
         q = self.number
@@ -194,36 +235,53 @@ class LlvmEmitter:
 
     def _gram_function(self, part: Gram) -> None:
         width, vector = self.plan.width, self._type(True)
-        lines = [f"%left = mul i64 %a, {part.entries * width}", f"%right = mul i64 %b, {part.entries}",
-                 "%line = mul i64 %a, %groups", "%block = add i64 %line, %b", f"%first = mul i64 %block, {width}",
-                 f"%scalars = getelementptr double, ptr %{part.source}, i64 %left",
-                 f"%vectors = getelementptr {vector}, ptr %{part.source}, i64 %right",
-                 f"%sums = getelementptr {vector}, ptr %{part.result}, i64 %first"]
+        lines = [
+            f"%left = mul i64 %a, {part.entries * width}",
+            f"%right = mul i64 %b, {part.entries}",
+            "%line = mul i64 %a, %groups",
+            "%block = add i64 %line, %b",
+            f"%first = mul i64 %block, {width}",
+            f"%scalars = getelementptr double, ptr %{part.source}, i64 %left",
+            f"%vectors = getelementptr {vector}, ptr %{part.source}, i64 %right",
+            f"%sums = getelementptr {vector}, ptr %{part.result}, i64 %first",
+        ]
         for e in range(part.entries):
-            lines += [f"%b{e}.p = getelementptr {vector}, ptr %vectors, i64 {e}",
-                      f"%b{e} = load {vector}, ptr %b{e}.p, align 8"]
+            lines += [
+                f"%b{e}.p = getelementptr {vector}, ptr %vectors, i64 {e}",
+                f"%b{e} = load {vector}, ptr %b{e}.p, align 8",
+            ]
         for i in range(width):
-            lines += [f"%s{i}.p = getelementptr {vector}, ptr %sums, i64 {i}",
-                      f"%s{i}.0 = load {vector}, ptr %s{i}.p, align 8"]
+            lines += [
+                f"%s{i}.p = getelementptr {vector}, ptr %sums, i64 {i}",
+                f"%s{i}.0 = load {vector}, ptr %s{i}.p, align 8",
+            ]
             for e in range(part.entries):
                 t = f"{i}.{e}"
-                lines += [f"%a{t}.p = getelementptr double, ptr %scalars, i64 {e * width + i}",
-                          f"%a{t} = load double, ptr %a{t}.p, align 8",
-                          f"%i{t} = insertelement {vector} poison, double %a{t}, i32 0",
-                          f"%v{t} = shufflevector {vector} %i{t}, {vector} poison, <{width} x i32> zeroinitializer",
-                          f"%m{t} = fmul {FAST} {vector} %v{t}, %b{e}",
-                          f"%s{i}.{e + 1} = fadd {FAST} {vector} %s{i}.{e}, %m{t}"]
+                lines += [
+                    f"%a{t}.p = getelementptr double, ptr %scalars, i64 {e * width + i}",
+                    f"%a{t} = load double, ptr %a{t}.p, align 8",
+                    f"%i{t} = insertelement {vector} poison, double %a{t}, i32 0",
+                    f"%v{t} = shufflevector {vector} %i{t}, {vector} poison, <{width} x i32> zeroinitializer",
+                    f"%m{t} = fmul {FAST} {vector} %v{t}, %b{e}",
+                    f"%s{i}.{e + 1} = fadd {FAST} {vector} %s{i}.{e}, %m{t}",
+                ]
             lines.append(f"store {vector} %s{i}.{part.entries}, ptr %s{i}.p, align 8")
         arguments = _pointers([part.source, part.result], "noalias")
-        self.functions += [f"define internal void @stage{self.number}(i64 %a, i64 %b, i64 %groups, {arguments}) "
-                           f"noinline {FRAME} {{", *lines, "ret void", "}"]
+        self.functions += [
+            f"define internal void @stage{self.number}(i64 %a, i64 %b, i64 %groups, {arguments}) noinline {FRAME} {{",
+            *lines,
+            "ret void",
+            "}",
+        ]
 
     def _product(self, part: Product) -> None:
         self.width = part.width
         for i, line in enumerate(part.left):
             factors = [self._load(factor.array, factor.place) for factor in line]
-            factors = [self._op("fadd {F} {T} {0}, {0}", value) if factor.twice else value
-                       for factor, value in zip(line, factors, strict=True)]
+            factors = [
+                self._op("fadd {F} {T} {0}, {0}", value) if factor.twice else value
+                for factor, value in zip(line, factors, strict=True)
+            ]
             for first in range(0, part.stride, part.width):
                 terms = []
                 for j, value in enumerate(factors):
@@ -238,8 +296,9 @@ class LlvmEmitter:
         """In two halves, which do not wait for each other."""
         self.flags = STRICT  # or LLVM would make one chain of them
         half = (len(terms) + 1) // 2
-        first, *more = [reduce(partial(self._op, "fadd {F} {T} {0}, {1}"), part)
-                        for part in (terms[:half], terms[half:]) if part]
+        first, *more = [
+            reduce(partial(self._op, "fadd {F} {T} {0}, {1}"), part) for part in (terms[:half], terms[half:]) if part
+        ]
         total = self._op("fadd {F} {T} {0}, {1}", first, *more) if more else first
         self.flags = FAST
         return total
@@ -271,14 +330,16 @@ class LlvmEmitter:
             return self._call(LIBRARY[code], *a)
         raise NotImplementedError(f"the engine does not know CasADi's operation {code}")
 
-    def _op(self, template: str, *args: Value, vector: bool = False, constant: bool = True,
-            again: bool = False) -> Value:
+    def _op(
+        self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False
+    ) -> Value:
         """Write an instruction, unless the same was written before; returns its value."""
         vector = vector or any(a.vector for a in args)
         constant = constant and not self.grouped and all(a.constant for a in args)
         operands = [self._splat(a) if vector else a.text for a in args]
-        code = template.format(*operands, T=self._type(vector), S=f"v{self.width}f64" if vector else "f64",
-                               F=self.flags)
+        code = template.format(
+            *operands, T=self._type(vector), S=f"v{self.width}f64" if vector else "f64", F=self.flags
+        )
         key = code if constant else (code, self.number)
         if again or key not in self.memo:
             self.count += 1
@@ -290,21 +351,22 @@ class LlvmEmitter:
         """``result`` where the comparison holds, else zero."""
         c = self._op(f"fcmp {comparison} {{T}} {{0}}, {{1}}", x, y)
         test = f"<{self.plan.width} x i1>" if c.vector else "i1"
-        return self._op(f"select {test} {c.text}, {{T}} {{0}}, {{T}} {{1}}", result, ZERO,
-                        vector=c.vector, constant=c.constant)
+        return self._op(
+            f"select {test} {c.text}, {{T}} {{0}}, {{T}} {{1}}", result, ZERO, vector=c.vector, constant=c.constant
+        )
 
     def _call(self, name: str, *a: Value) -> Value:
         """Call the C library, lane by lane."""
         if not any(x.vector for x in a):
-            self.declared.add(f'declare double @{name}({", ".join(["double"] * len(a))}) memory(none)')
-            return self._op(f'call double @{name}({", ".join(f"double {{{i}}}" for i in range(len(a)))})', *a)
+            self.declared.add(f"declare double @{name}({', '.join(['double'] * len(a))}) memory(none)")
+            return self._op(f"call double @{name}({', '.join(f'double {{{i}}}' for i in range(len(a)))})", *a)
         result = Value("poison", True, True)
         for i in range(self.plan.width):
-            parts = [self._op(f"extractelement {{T}} {{0}}, i32 {i}", x)._replace(vector=False) if x.vector else x
-                     for x in a]
+            parts = [
+                self._op(f"extractelement {{T}} {{0}}, i32 {i}", x)._replace(vector=False) if x.vector else x for x in a
+            ]
             part = self._call(name, *parts)
-            result = self._op(f"insertelement {{T}} {{0}}, double {part.text}, i32 {i}", result,
-                              constant=part.constant)
+            result = self._op(f"insertelement {{T}} {{0}}, double {part.text}, i32 {i}", result, constant=part.constant)
         return result
 
     def _splat(self, a: Value) -> str:
@@ -340,8 +402,12 @@ class LlvmEmitter:
         if name in self.held:
             return self.held[name][j]
         varies = name in self.plan.rows or name in self.plan.carried or again
-        return self._op(f"load {{T}}, ptr {self._address(name, j)}, align 8", vector=name in self.plan.lanes,
-                        constant=not varies, again=again)
+        return self._op(
+            f"load {{T}}, ptr {self._address(name, j)}, align 8",
+            vector=name in self.plan.lanes,
+            constant=not varies,
+            again=again,
+        )
 
     def _store(self, name: str, j: int, value: Value) -> None:
         if name in self.held:

@@ -121,17 +121,24 @@ class Plan:
 def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None = None) -> LoopSegment:
     """A stage from SX expressions by name."""
     expressions = [ca.densify(e) for e in ca.cse(list(results.values()))]
-    function = ca.Function("stage", list(inputs.values()), expressions, list(inputs), list(results),
-                           {"allow_duplicate_io_names": True})
+    function = ca.Function(
+        "stage", list(inputs.values()), expressions, list(inputs), list(results), {"allow_duplicate_io_names": True}
+    )
     return LoopSegment(function, bit)
 
 
-def split(inputs: Mapping[str, Any], results: Mapping[str, Any], seeds: Mapping[str, Any],
-          tangents: Mapping[str, Any], bit: int | None, name: str) -> tuple[LoopSegment, LoopSegment]:
+def split(
+    inputs: Mapping[str, Any],
+    results: Mapping[str, Any],
+    seeds: Mapping[str, Any],
+    tangents: Mapping[str, Any],
+    bit: int | None,
+    name: str,
+) -> tuple[LoopSegment, LoopSegment]:
     """Two stages: ``results`` without lanes and ``tangents`` with; ``name`` holds what the second needs of the
     first, so that it is computed once and not in every group of lanes."""
     both = ca.cse([*results.values(), *tangents.values()])
-    values, rest = both[:len(results)], both[len(results):]
+    values, rest = both[: len(results)], both[len(results) :]
     rest, symbols, needed = ca.extract_parametric(rest, ca.vertcat(*inputs.values()), {"extract_trivial": True})
     first = stage(inputs, dict(zip(results, values, strict=True)) | {name: ca.vertcat(*needed)}, bit)
     second = stage({**seeds, name: ca.vertcat(*symbols)}, dict(zip(tangents, rest, strict=True)), bit)

@@ -111,7 +111,7 @@ class BfgsCorrection:
         if after.value - before.value > QUADRATIC_GAIN:
             self.pairs.clear()
             return
-        self.pairs = [*self.pairs[1 - MAX_BFGS_PAIRS:], (step, before.gradient - after.gradient)]
+        self.pairs = [*self.pairs[1 - MAX_BFGS_PAIRS :], (step, before.gradient - after.gradient)]
 
     def holds(self, trial: Evaluation) -> bool:
         """Whether the sensitivities are of the order that they were. Where a simulation is about to diverge its value
@@ -175,8 +175,15 @@ def remaining_gain(at: Evaluation, H: Array, z: Array, bounds: Bounds) -> float:
     return expected_gain(at, H, solve_step(at, H, z, bounds, 0.0))
 
 
-def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: int, tolerance: float,
-             progress: Iterations | None = None) -> Optimum:
+def maximise(
+    evaluate: Evaluate,
+    z: Array,
+    bounds: Bounds,
+    *,
+    max_iterations: int,
+    tolerance: float,
+    progress: Iterations | None = None,
+) -> Optimum:
     """From ``z`` until a full step is expected to gain less than ``tolerance``, or no step gains anything, neither by
     the corrected Hessian nor by the expected information alone.
 
@@ -215,8 +222,13 @@ def maximise(evaluate: Evaluate, z: Array, bounds: Bounds, *, max_iterations: in
     return Optimum(z, at, max_iterations, evaluations, remaining_gain(at, memory.hessian(at), z, bounds))
 
 
-def refine_lbfgsb(value_and_gradient: Callable[[Array], tuple[float, Array]], start: Optimum, bounds: Bounds,
-          evaluate: Evaluate, tolerance: float) -> Optimum:
+def refine_lbfgsb(
+    value_and_gradient: Callable[[Array], tuple[float, Array]],
+    start: Optimum,
+    bounds: Bounds,
+    evaluate: Evaluate,
+    tolerance: float,
+) -> Optimum:
     """L-BFGS-B with the exact gradient, scaled by the information: where scoring stands still. It ends where a step
     gains next to nothing of the ``tolerance``: a rough fit need not crawl on for a hundred steps."""
     from scipy import optimize  # half a second of import, and scoring seldom stands still
@@ -230,8 +242,14 @@ def refine_lbfgsb(value_and_gradient: Callable[[Array], tuple[float, Array]], st
 
     relative = LBFGSB_TOLERANCE * tolerance / max(abs(start.at.value), 1.0)  # of the value, as L-BFGS-B wants it
     limits = optimize.Bounds(bounds.low * size, bounds.high * size)
-    found = optimize.minimize(negative, start.z * size, jac=True, method="L-BFGS-B", bounds=limits,
-                              options={"maxiter": 200, "maxcor": 30, "ftol": max(1e-14, relative), "gtol": 1e-6})
+    found = optimize.minimize(
+        negative,
+        start.z * size,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=limits,
+        options={"maxiter": 200, "maxcor": 30, "ftol": max(1e-14, relative), "gtol": 1e-6},
+    )
     z = bounds.clip(found.x / size)
     at = evaluate(z)
     spent = start.evaluations + int(found.nfev) + 1
@@ -247,8 +265,14 @@ T = TypeVar("T")
 class Problem:
     """Of the ``free`` parameters; ``begin``: values of ``V_x@0`` and the like to start from, not the model's own."""
 
-    def __init__(self, likelihood: Likelihood, records: Sequence[Record], free: Sequence[str], threads: int,
-                 begin: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self,
+        likelihood: Likelihood,
+        records: Sequence[Record],
+        free: Sequence[str],
+        threads: int,
+        begin: Mapping[str, float] | None = None,
+    ) -> None:
         self.likelihood, self.records, self.begin = likelihood, tuple(records), begin or {}
         model = self.model = likelihood.model
         index = {p.name: i for i, p in enumerate(model.parameters)}
@@ -261,8 +285,9 @@ class Problem:
         self.columns = [index[p.name] for p in self.parameters]
         # places[i]: where record i's free parameters stand among the coordinates
         first = len(shared)
-        self.places = [[*range(first), *range(first + i * len(own), first + (i + 1) * len(own))]
-                       for i in range(len(records))]
+        self.places = [
+            [*range(first), *range(first + i * len(own), first + (i + 1) * len(own))] for i in range(len(records))
+        ]
         self.base = np.array([p.value for p in model.parameters])
         self.threads = max(1, min(threads, len(records)))
         self._last_values: dict[int, tuple[Array, float]] = {}
@@ -335,6 +360,7 @@ class Problem:
     def value(self, z: Array) -> float:
         """Log-posterior. A record whose values are those of the last call is not evaluated again: where a coordinate
         that one record has for itself is moved, that record alone."""
+
         def work(i: int, v: Array) -> float:
             last, known = self._last_values.get(i, (None, 0.0))
             if last is None or not np.array_equal(last, v):
@@ -360,15 +386,20 @@ class Problem:
         """For each record: its coordinates, and what each row adds to the gradient."""
         slope = self.slopes(z)
         rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, self.free, by_row=True), z)
-        return [(places, slope[places] * scores.by_row) for places, scores in zip(self.places, rows, strict=True)
-                if scores.by_row is not None]
+        return [
+            (places, slope[places] * scores.by_row)
+            for places, scores in zip(self.places, rows, strict=True)
+            if scores.by_row is not None
+        ]
 
     def check(self, z: Array) -> None:
         """Raise ValueError naming the first record that cannot be evaluated."""
         for record, values in zip(self.records, self.values(z), strict=True):
             if not np.isfinite(self.likelihood.value(record, values)):
-                raise ValueError(f"record {record.name}: the likelihood of model {self.model.name} cannot be "
-                                 "evaluated at the starting values")
+                raise ValueError(
+                    f"record {record.name}: the likelihood of model {self.model.name} cannot be "
+                    "evaluated at the starting values"
+                )
 
     def _map(self, work: Callable[[int, Array], T], z: Array) -> list[T]:
         values = self.values(z)

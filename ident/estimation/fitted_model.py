@@ -290,9 +290,7 @@ def validated_in_blocks(stage: FittedModel) -> FittedModel:
     own = [p for p in model.parameters if p.free and p.per_record]
     parameters = [replace(p, segment=i) for i in range(len(stage.validation)) for p in own]
     values = leave_one_block_out(model, blocks, np.array([v.values for v in stage.validation]), parameters)
-    return replace(
-        stage, validation=tuple(_view(model, r, v) for r, v in zip(blocks.records, values, strict=True))
-    )
+    return replace(stage, validation=tuple(_view(model, r, v) for r, v in zip(blocks.records, values, strict=True)))
 
 
 def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:

@@ -122,10 +122,19 @@ def _with_one_each(model: Model, shared: Parameter, n: int) -> Model:
 def _again(one: Fit, model: Model, records: Sequence[Record], which: Sequence[int]) -> Fit:
     """Another model fitted to some of the records as ``one`` was, for only then their likelihoods compare: its model
     has the outliers and the free starts of output error already, and each record begins where it ended."""
-    begin = {segment_name(p.name, k): float(v) for k, i in enumerate(which)
-             for p, v in zip(one.parameters, one.values, strict=True) if p.segment == i}
-    return fit(model, [records[i] for i in which], replace(one.options, outlier_model=False),
-               SearchSettings(initial_state="given"), start=begin)
+    begin = {
+        segment_name(p.name, k): float(v)
+        for k, i in enumerate(which)
+        for p, v in zip(one.parameters, one.values, strict=True)
+        if p.segment == i
+    }
+    return fit(
+        model,
+        [records[i] for i in which],
+        replace(one.options, outlier_model=False),
+        SearchSettings(initial_state="given"),
+        start=begin,
+    )
 
 
 def between_log_variance(values: Array, covariance: Array) -> tuple[float, float, float]:
@@ -179,7 +188,12 @@ def between_runs_effect(model: Model, what: str) -> Effect:
 
         sd = PAYLOAD_SHARE * model.values["m_u"]
         carried = Parameter(
-            "m_payload", 0.0, "kg", "mass more than on average over the runs", prior=(0.0, sd), per_record=True,
+            "m_payload",
+            0.0,
+            "kg",
+            "mass more than on average over the runs",
+            prior=(0.0, sd),
+            per_record=True,
             step=0.05 * sd,
         )
         return _between(PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run")
@@ -193,8 +207,14 @@ def between_runs_effect(model: Model, what: str) -> Effect:
                 setattr(s.p, name, getattr(s.p, name) * factor)
 
     factor = Parameter(
-        f"k_{what}", 0.0, "", f"relative difference of {meaning} from its mean over the runs", prior=(0.0, SPREAD),
-        bounds=(LEAST, MOST), per_record=True, step=0.01,
+        f"k_{what}",
+        0.0,
+        "",
+        f"relative difference of {meaning} from its mean over the runs",
+        prior=(0.0, SPREAD),
+        bounds=(LEAST, MOST),
+        per_record=True,
+        step=0.01,
     )
     formula = f"{', '.join(names)} (1 + k) in each run"
     return _between(what, f"a difference of {meaning} between runs", change, factor, formula)

@@ -174,8 +174,9 @@ class Likelihood:
             gradient[parameter] += slope * given["bar"][entry]
         return value, gradient
 
-    def scores(self, record: Record, values: Array, free: Sequence[str] | None = None, *, by_row: bool = False
-               ) -> LikelihoodAndScore:
+    def scores(
+        self, record: Record, values: Array, free: Sequence[str] | None = None, *, by_row: bool = False
+    ) -> LikelihoodAndScore:
         """Log-likelihood, score and expected Fisher information, by forward sensitivities.
 
         Parameters: values (n_parameters,); free: names to differentiate by, by default those free in the model;
@@ -193,10 +194,16 @@ class Likelihood:
                 if parameter in lane_of:
                     lane = lane_of[parameter]
                     ds[lane // width, entry, lane % width] += slope
-            given = {**_inputs(kernel, data), "p": _own(values), "s": start.s, "ds": ds,
-                     "dp": kernel.seeds(len(self._index), chosen, groups)}
-            done = kernel(data.n_rows, data.mask, given, groups=groups, arena=arena,
-                          per_row={"dll"} if by_row else frozenset())
+            given = {
+                **_inputs(kernel, data),
+                "p": _own(values),
+                "s": start.s,
+                "ds": ds,
+                "dp": kernel.seeds(len(self._index), chosen, groups),
+            }
+            done = kernel(
+                data.n_rows, data.mask, given, groups=groups, arena=arena, per_row={"dll"} if by_row else frozenset()
+            )
             dll = done["dll"].reshape(-1, groups * width)[:, :n].copy()
             information = _symmetric(done["fisher"])[:n, :n]
             value = float(done["ll"][0])
@@ -220,8 +227,11 @@ class Likelihood:
         outputs, pieces = len(self.model.outputs), _pieces(data.n_rows)
 
         def run(rows: slice, s: Array) -> dict[str, Array]:
-            own = {f"{kind}{bit}": np.full((rows.stop - rows.start, len(sensor.outputs)), np.nan)
-                   for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
+            own = {
+                f"{kind}{bit}": np.full((rows.stop - rows.start, len(sensor.outputs)), np.nan)
+                for bit, sensor in enumerate(self.model.sensors)
+                for kind in "eS"
+            }
             given = {**_inputs(kernel, data, rows), "p": p, "s": s, **own}
             return kernel(rows.stop - rows.start, data.mask[rows], given, per_row={"ll"})
 
@@ -245,7 +255,7 @@ class Likelihood:
                     if k not in last:
                         last.clear()
                         last[k] = _covariances(run(rows, begun[k].copy()), n)
-                    parts.append([a[max(first - rows.start, 0):end - rows.start] for a in last[k]])
+                    parts.append([a[max(first - rows.start, 0) : end - rows.start] for a in last[k]])
             return Covariances(*(p[0] if len(p) == 1 else np.concatenate(p) for p in zip(*parts, strict=True)))
 
         R = np.array([p[self._index[o.noise]] ** 2 for o in self.model.outputs])
@@ -260,9 +270,12 @@ class Likelihood:
         """
         data, kernel, n = self._prepare(record), self._programs.filter, len(self.model.states)
         n_rows = last + 1 - first
-        rows = {name: a[first:last + 1] for name, a in _inputs(kernel, data).items()}
-        rows |= {f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
-                 for bit, sensor in enumerate(self.model.sensors) for kind in "eS"}
+        rows = {name: a[first : last + 1] for name, a in _inputs(kernel, data).items()}
+        rows |= {
+            f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
+            for bit, sensor in enumerate(self.model.sensors)
+            for kind in "eS"
+        }
         s = np.append(x, P[np.triu_indices(n)])
         done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"p": _own(values), "s": s})
         return done["predicted"][:, :n].copy(), _covariance(done["predicted"], n)

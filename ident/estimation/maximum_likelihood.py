@@ -230,8 +230,10 @@ def _check_enough(problem: Problem) -> None:
     unknown = int(np.sum(problem.prior[1] == 0))
     if told < unknown:
         names = ", ".join(r.name for r in problem.records)
-        raise ValueError(f"{names}: {told} measured samples for {unknown} free parameters of model "
-                         f"{problem.model.name} without a prior; give more data, or fix some of them")
+        raise ValueError(
+            f"{names}: {told} measured samples for {unknown} free parameters of model "
+            f"{problem.model.name} without a prior; give more data, or fix some of them"
+        )
 
 
 def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertainty, Sandwich]:
@@ -241,8 +243,15 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     information, bounds = optimum.at.information, problem.bounds
     flat = flat_coordinates(problem.value, z, problem.parameters, information, bounds) if coloured else []
     considered = considered_information(problem, z) if coloured and problem.model.considered else None
-    known = assess(with_interval_information(optimum.at, flat), z, problem.bounds, problem.names, slopes,
-                   problem.prior[1], considered)
+    known = assess(
+        with_interval_information(optimum.at, flat),
+        z,
+        problem.bounds,
+        problem.names,
+        slopes,
+        problem.prior[1],
+        considered,
+    )
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
     robust = Sandwich(*np.full((3, z.size), np.nan))
     if coloured:
@@ -271,8 +280,13 @@ def _coloured(problem: Problem, robust: Sandwich) -> bool:
     return bool((p * np.isfinite(p).sum() < COLOURED).any())
 
 
-def _with_outliers(model: Model, records: Sequence[Record], options: EstimationOptions, settings: SearchSettings,
-                   begin: Mapping[str, float]) -> Model:
+def _with_outliers(
+    model: Model,
+    records: Sequence[Record],
+    options: EstimationOptions,
+    settings: SearchSettings,
+    begin: Mapping[str, float],
+) -> Model:
     """The model with outliers allowed, at the better of two starts: its own values, or those of a plain fit.
 
     Outliers are told from good samples by the noise, so its scale must be about right first, which a plain fit
@@ -281,8 +295,13 @@ def _with_outliers(model: Model, records: Sequence[Record], options: EstimationO
     own = with_outliers(model)
     try:
         # output error's starts are free in this model already, or meant to be as they are
-        plain = fit(model, records, EstimationOptions(method=options.method),
-                    replace(settings, initial_state="given", robust_errors=False), start=begin).model
+        plain = fit(
+            model,
+            records,
+            EstimationOptions(method=options.method),
+            replace(settings, initial_state="given", robust_errors=False),
+            start=begin,
+        ).model
     except ValueError:
         return own
     likelihood, starts = Likelihood(own, process_noise=options.process_noise), (own, with_outliers(plain))
@@ -303,32 +322,60 @@ def _search(problem: Problem, settings: SearchSettings, progress: Iterations | N
     z = problem.bounds.clip(problem.start)
     if not problem.evaluate(z).finite:
         problem.check(z)
-    optimum = maximise(problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance,
-                       progress=progress)
+    optimum = maximise(
+        problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance, progress=progress
+    )
     if abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
-        optimum = refine_lbfgsb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate,
-                        tolerance)
+        optimum = refine_lbfgsb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate, tolerance)
     return optimum
 
 
-def _report(problem: Problem, optimum: Optimum, known: Uncertainty, robust: Array, coloured: bool,
-            options: EstimationOptions, prior_part: float, cpu_seconds: float) -> Fit:
+def _report(
+    problem: Problem,
+    optimum: Optimum,
+    known: Uncertainty,
+    robust: Array,
+    coloured: bool,
+    options: EstimationOptions,
+    prior_part: float,
+    cpu_seconds: float,
+) -> Fit:
     record_values = problem.values(optimum.z)
     names = [p.name for p in problem.model.parameters]
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
     plain = np.abs(problem.slopes(optimum.z)) * np.sqrt(np.diag(known.P + known.spread))
     inflation = np.where(np.isfinite(plain), np.fmax(known.errors / plain, 1.0), 1.0)
     converged = abs(optimum.gain_left) < CLOSE_ENOUGH
-    message = (f"converged in {optimum.iterations} iterations" if converged else
-               f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain")
+    message = (
+        f"converged in {optimum.iterations} iterations"
+        if converged
+        else f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain"
+    )
     return Fit(
-        model=model, options=options, records=tuple(r.name for r in problem.records), parameters=problem.parameters,
-        values=problem.own(optimum.z), errors=known.errors, limits=problem.own(known.limits),
-        covariance=known.covariance, correlation=known.correlation, considered=known.considered,
+        model=model,
+        options=options,
+        records=tuple(r.name for r in problem.records),
+        parameters=problem.parameters,
+        values=problem.own(optimum.z),
+        errors=known.errors,
+        limits=problem.own(known.limits),
+        covariance=known.covariance,
+        correlation=known.correlation,
+        considered=known.considered,
         prior_weight=known.prior_weight,
-        robust_errors=robust, coloured=coloured, inflation=inflation, record_values=record_values,
-        log_likelihood=optimum.at.value - prior_part, log_posterior=optimum.at.value,
+        robust_errors=robust,
+        coloured=coloured,
+        inflation=inflation,
+        record_values=record_values,
+        log_likelihood=optimum.at.value - prior_part,
+        log_posterior=optimum.at.value,
         n_measured=sum(problem.likelihood.measured(r) for r in problem.records),
-        gradient_norm=known.gradient_norm, gain_left=optimum.gain_left, iterations=optimum.iterations,
-        evaluations=optimum.evaluations, cpu_seconds=cpu_seconds, flags=known.flags, converged=converged,
-        message=message)
+        gradient_norm=known.gradient_norm,
+        gain_left=optimum.gain_left,
+        iterations=optimum.iterations,
+        evaluations=optimum.evaluations,
+        cpu_seconds=cpu_seconds,
+        flags=known.flags,
+        converged=converged,
+        message=message,
+    )

@@ -345,8 +345,14 @@ def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
             what = "a positive mean and standard deviation" if p.transform == "log" else "a positive standard deviation"
             raise ValueError(f"parameter {p.name}: its prior [{mean:g}, {sd:g}] needs {what}")
         prior = mean, sd
-    return replace(p, value=float(row["value"]), free=bool(row["free"]), considered=bool(row.get("considered", False)),
-                   prior=prior, origin=p.origin if estimated else origin)
+    return replace(
+        p,
+        value=float(row["value"]),
+        free=bool(row["free"]),
+        considered=bool(row.get("considered", False)),
+        prior=prior,
+        origin=p.origin if estimated else origin,
+    )
 
 
 def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:

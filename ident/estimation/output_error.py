@@ -51,8 +51,9 @@ def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_
             states.append(state)
             continue
         name = f"x0_{state.name}"
-        new.append(Parameter(name, state.x0, state.unit, f"{state.meaning or state.name} at the start",
-                             per_record=per_record))
+        new.append(
+            Parameter(name, state.x0, state.unit, f"{state.meaning or state.name} at the start", per_record=per_record)
+        )
         states.append(replace(state, x0=name, sd0=0.0, from_output=""))
     return replace(model, states=tuple(states), parameters=model.parameters + tuple(new))
 

@@ -51,8 +51,10 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     where = ", ".join(f"{a:g} m {way}" for a, way in zip(arms[0], ("ahead", "to starboard", "down"), strict=True))
     part = antenna_component(model, arms[0])
     if not model.accepts(part):
-        return model, [f"the rig's antenna ({where}) is not in model {model.name}, which takes "
-                       f"{', '.join(seen)} as that of the origin"]
+        return model, [
+            f"the rig's antenna ({where}) is not in model {model.name}, which takes "
+            f"{', '.join(seen)} as that of the origin"
+        ]
     first = f"the rig places {len(arms)} antennas; model {model.name} takes the first of them ({where}) for all GNSS"
     return model + part, [first] if len(set(arms)) > 1 else []
 
@@ -87,9 +89,7 @@ def _effect_for(model: Model, name: str) -> Effect:
     return fitting[0]
 
 
-def fix_parameters(
-    model: Model, thruster: Path | None, given: Mapping[str, float]
-) -> tuple[Model, list[str]]:
+def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, float]) -> tuple[Model, list[str]]:
     """Parameters that are known: from the bench with their standard uncertainty (statistics and calibration), and fixed
     ones from the command line; and a line for what the bench did not measure. Raises SeatrialError where there is no
     such parameter, or the bench's logs did not tell it."""
@@ -103,8 +103,10 @@ def fix_parameters(
                 origin = ParameterOrigin.MEASURED if p.free else p.origin
                 known[name] = model.parameter(name).known(p.value, bench.uncertainty(name) if p.free else 0.0, origin)
                 if name == "c2" and not p.free:
-                    notes.append(f"{thruster} does not tell c2 from c1, since the shaft turned one way: the thrust "
-                                 f"astern is taken for as large as ahead (c2 = {p.value:g} N)")
+                    notes.append(
+                        f"{thruster} does not tell c2 from c1, since the shaft turned one way: the thrust "
+                        f"astern is taken for as large as ahead (c2 = {p.value:g} N)"
+                    )
     for name, value in given.items():
         if name not in model.values:
             raise SeatrialError(

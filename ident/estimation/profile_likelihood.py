@@ -76,8 +76,9 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
         hint = f"each run has its own: {', '.join(each)}" if each else f"it estimated {', '.join(fit.names)}"
         raise ValueError(f"no profile of {name}: the fit did not estimate it; {hint}")
     problem = _problem(fit, records, threads)
-    estimate = problem.bounds.clip(np.array([p.to_free(v) for p, v in zip(problem.parameters, fit.values,
-                                                                          strict=True)]))
+    estimate = problem.bounds.clip(
+        np.array([p.to_free(v) for p, v in zip(problem.parameters, fit.values, strict=True)])
+    )
     line = ConstrainedObjective(problem, fit.names.index(full), estimate)
     if fit.options.reml:  # its noise is not that of the maximum, and the profile is of the likelihood
         line.release(estimate)
@@ -89,8 +90,10 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
         sides = _sides(line)
     notes = [f"{word} side: {side.note}" for word, side in zip(("lower", "upper"), sides, strict=True) if side.note]
     if line.found[0] > before + MIN_GAIN:
-        notes.append(f"a better fit was found on the way, by {line.found[0] - before:.2g}, and the profile is of that: "
-                     "fit again from there")
+        notes.append(
+            f"a better fit was found on the way, by {line.found[0] - before:.2g}, and the profile is of that: "
+            "fit again from there"
+        )
     error = fit.errors[line.k] / np.abs(line.parameter.slope(fit.values[line.k]))
     return _gathered(line, full, sides, [estimate[line.k] + sign * Z_95 * error for sign in (-1, 1)], notes)
 
@@ -105,8 +108,10 @@ def _problem(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
     free = tuple(dict.fromkeys(p.name for p in fit.parameters))
     problem = Problem(likelihood, [r.for_model(fit.model) for r in records], free, threads)
     if problem.names != fit.names:
-        raise ValueError(f"the fit estimated {len(fit.names)} parameters, these records have "
-                         f"{len(problem.names)}: give the records of the fit")
+        raise ValueError(
+            f"the fit estimated {len(fit.names)} parameters, these records have "
+            f"{len(problem.names)}: give the records of the fit"
+        )
     return problem
 
 
@@ -122,8 +127,17 @@ def _gathered(
     z = [centre - q.s for q in below[::-1]] + [centre] + [centre + q.s for q in above]
     drop = np.array([*[q.drop for q in below[::-1]], 0.0, *[q.drop for q in above]])
     return Profile(
-        name, p.unit, own(centre), np.array([own(v) for v in z]), drop, own(centre - sides[0].limit),
-        own(centre + sides[1].limit), own(wald[0]), own(wald[1]), tuple(notes))
+        name,
+        p.unit,
+        own(centre),
+        np.array([own(v) for v in z]),
+        drop,
+        own(centre - sides[0].limit),
+        own(centre + sides[1].limit),
+        own(wald[0]),
+        own(wald[1]),
+        tuple(notes),
+    )
 
 
 def trace_profile(line: ConstrainedObjective, sign: int) -> ProfileBranch:
@@ -281,8 +295,9 @@ class ConstrainedObjective:
     def __init__(self, problem: Problem, k: int, z: Array) -> None:
         self.problem, self.k, self.bounds, self.parameter = problem, k, problem.bounds, problem.parameters[k]
         self.others = np.delete(np.arange(z.size), k)
-        self.rest = Bounds(self.bounds.low[self.others], self.bounds.high[self.others],
-                           self.bounds.logarithmic[self.others])
+        self.rest = Bounds(
+            self.bounds.low[self.others], self.bounds.high[self.others], self.bounds.logarithmic[self.others]
+        )
         self._centre(z)
 
     def _centre(self, z: Array) -> None:
@@ -305,8 +320,9 @@ class ConstrainedObjective:
         if moving.size:
             scale = np.sqrt(np.maximum(np.diag(H)[moving], 1e-300))
             right = H[moving, self.k] / scale
-            follow[~held] = -np.linalg.lstsq(H[np.ix_(moving, moving)] / np.outer(scale, scale), right,
-                                             rcond=1e-12)[0] / scale
+            follow[~held] = (
+                -np.linalg.lstsq(H[np.ix_(moving, moving)] / np.outer(scale, scale), right, rcond=1e-12)[0] / scale
+            )
         curvature = float(H[self.k, self.k] + H[self.k, self.others] @ follow)
         return (curvature if curvature > NULL_SPACE_TOLERANCE * H[self.k, self.k] else 0.0), follow
 
@@ -337,6 +353,7 @@ class ConstrainedObjective:
 
     def _refitted(self, s: float, z_k: float, starts: Iterable[Array]) -> ProfilePoint:
         """From the best of the starts."""
+
         def whole(rest: Array) -> Array:
             return np.insert(rest, self.k, z_k)
 
@@ -344,8 +361,11 @@ class ConstrainedObjective:
             at, o = self._flattened(whole(rest)), self.others
             return Evaluation(at.value, at.gradient[o], at.information[np.ix_(o, o)], at.curvature[o])
 
-        tried = [(at.value, rest) for rest in (self.rest.clip(z[self.others]) for z in starts)
-                 if (at := evaluate(rest)).finite]
+        tried = [
+            (at.value, rest)
+            for rest in (self.rest.clip(z[self.others]) for z in starts)
+            if (at := evaluate(rest)).finite
+        ]
         if not tried:
             return ProfilePoint(s, np.inf, self.z)
         value, rest = max(tried, key=lambda one: one[0])
@@ -358,5 +378,6 @@ class ConstrainedObjective:
     def _flattened(self, z: Array) -> Evaluation:
         """A coordinate on a plateau has no less information than that gives it: with none it would be flung away."""
         at = self.problem.evaluate(z)
-        return Evaluation(at.value, at.gradient, at.information,
-                          np.maximum(at.curvature, self.flat - np.diag(at.information)))
+        return Evaluation(
+            at.value, at.gradient, at.information, np.maximum(at.curvature, self.flat - np.diag(at.information))
+        )

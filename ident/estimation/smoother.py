@@ -70,7 +70,7 @@ def _backwards(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]
         else:
             P_next = np.concatenate([P_pred[1:], after[2][None]])
             x, P = np.concatenate([x, after[0][None]]), np.concatenate([P, after[1][None]])
-            x_pred = run.x_pred[rows.start:rows.stop + 1]
+            x_pred = run.x_pred[rows.start : rows.stop + 1]
         G = _gains(Phi, P_filt, P_next)
         own = _own_part(G, Phi, P_filt, P_next)
         for k in range(len(G) - 1, -1, -1):
@@ -89,8 +89,8 @@ def smoothed_mean(run: FilterResult) -> Array:
         P_pred, P_filt, Phi = run.covariances(rows)
         first, last = rows.start, min(rows.stop, len(x) - 1)
         n, P_after = last - first, np.concatenate([P_pred, P_after])
-        G = _gains(Phi[:n], P_filt[:n], P_after[1:n + 1])
-        shift = x[first:last] - np.einsum("kij,kj->ki", G, run.x_pred[first + 1:last + 1])
+        G = _gains(Phi[:n], P_filt[:n], P_after[1 : n + 1])
+        shift = x[first:last] - np.einsum("kij,kj->ki", G, run.x_pred[first + 1 : last + 1])
         for k in range(n - 1, -1, -1):
             x[first + k] = back = shift[k] + G[k] @ back
         P_after = P_pred[:1]

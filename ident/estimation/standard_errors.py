@@ -55,8 +55,15 @@ class Uncertainty:
     considered: Array
 
 
-def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slopes: Array, prior: Array,
-           considered: Array | None = None) -> Uncertainty:
+def assess(
+    at: Evaluation,
+    z: Array,
+    bounds: Bounds,
+    names: Sequence[str],
+    slopes: Array,
+    prior: Array,
+    considered: Array | None = None,
+) -> Uncertainty:
     """From the information with the priors'; ``prior`` (n,) is the latter's diagonal.
 
     considered (n, k): information between the estimates and each considered parameter, per its standard deviation: by
@@ -91,8 +98,18 @@ def assess(at: Evaluation, z: Array, bounds: Bounds, names: Sequence[str], slope
     for i in np.flatnonzero(weight > 0.9).tolist():
         flags.append((names[i], f"{100 * weight[i]:.0f} % of what is known of it is its prior"))
     correlation = (P + spread) / np.outer(root, root)
-    return Uncertainty(np.abs(slopes) * root, covariance, correlation, np.minimum(weight, 1.0), norm, tuple(flags), P,
-                       spread, limits, by_considered * np.outer(slopes, slopes))
+    return Uncertainty(
+        np.abs(slopes) * root,
+        covariance,
+        correlation,
+        np.minimum(weight, 1.0),
+        norm,
+        tuple(flags),
+        P,
+        spread,
+        limits,
+        by_considered * np.outer(slopes, slopes),
+    )
 
 
 def _beside_bounds(
@@ -206,8 +223,9 @@ def widened(known: Uncertainty, robust: Array) -> Uncertainty:
     factor = np.fmax(robust / known.errors, 1.0)
     factor = np.where(np.isfinite(factor), factor, 1.0)
     wider = np.outer(factor, factor)
-    return replace(known, errors=known.errors * factor, covariance=known.covariance * wider,
-                   considered=known.considered * wider)
+    return replace(
+        known, errors=known.errors * factor, covariance=known.covariance * wider, considered=known.considered * wider
+    )
 
 
 def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, bool]:
@@ -244,8 +262,10 @@ class LikelihoodInterval:
     @property
     def remark(self) -> str:
         """For a flag."""
-        return (f"flat here: the likelihood falls at {self.low:.4g} and at {self.high:.4g}, and its error is by that, "
-                "all else held")
+        return (
+            f"flat here: the likelihood falls at {self.low:.4g} and at {self.high:.4g}, and its error is by that, "
+            "all else held"
+        )
 
     @property
     def information(self) -> float:
@@ -253,8 +273,9 @@ class LikelihoodInterval:
         return float((2.0 * Z_95 / (self.high - self.low)) ** 2)
 
 
-def flat_coordinates(value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array,
-             bounds: Bounds) -> list[LikelihoodInterval]:
+def flat_coordinates(
+    value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array, bounds: Bounds
+) -> list[LikelihoodInterval]:
     """Coordinates inside their bounds whose error by the ``information`` (n, n) alone is beyond the step that matters,
     though the log-likelihood ``value`` falls within half of it. Logarithms have none: what they stand for is smooth."""
     found = []
@@ -264,8 +285,10 @@ def flat_coordinates(value: Callable[[Array], float], z: Array, parameters: Sequ
         if bounds.logarithmic[i] or not bounds.low[i] < z[i] < bounds.high[i] or error < step:
             continue
         tried, fallen = np.unique(np.minimum(step * TRIED_STEPS, Z_95 * error)), _fallen(value, z, i)
-        sides = [_bracket(fallen, np.clip(z[i] + sign * tried, bounds.low[i], bounds.high[i]), float(z[i]))
-                 for sign in (-1.0, 1.0)]
+        sides = [
+            _bracket(fallen, np.clip(z[i] + sign * tried, bounds.low[i], bounds.high[i]), float(z[i]))
+            for sign in (-1.0, 1.0)
+        ]
         if not any(np.isfinite(outer) for _, outer in sides) or sides[1][0] - sides[0][0] > Z_95 * error:
             continue
         low, high = (_narrowed(fallen, *side) for side in sides)

@@ -53,8 +53,10 @@ class ThrustScale:
     def caveats(self) -> tuple[str, ...]:
         """Lines to read before numbers of the model that stand in kg and N all the same, as other programs need them;
         none where they are right."""
-        thrust = ("Nobody gave the thrust: masses, damping and forces are right as ratios to c1 + c2 only, not in",
-                  "kg and N; the motion that they predict is right.")
+        thrust = (
+            "Nobody gave the thrust: masses, damping and forces are right as ratios to c1 + c2 only, not in",
+            "kg and N; the motion that they predict is right.",
+        )
         arms = ("Nobody gave the arms: inertia and damping in yaw are right as ratios to them only.",)
         return (*(thrust if self.relative else ()), *(arms if self.relative_yaw else ()))
 
@@ -130,8 +132,9 @@ def _with_arms(model: Model) -> Model:
     if not known:
         return symmetric_arms(model)
     if len(known) == 1:
-        return model.replace_parameters(*(replace(known[0], name=p.name, value=-known[0].value)
-                                          for p in arms if p is not known[0]))
+        return model.replace_parameters(
+            *(replace(known[0], name=p.name, value=-known[0].value) for p in arms if p is not known[0])
+        )
     return model
 
 
@@ -211,10 +214,12 @@ class ReportedEstimates:
     def _covariance(self) -> Array:
         parameters = self.fit.parameters
         powers = [self.scale.powers(p.unit) for p in parameters]
-        J = np.array([
-            (np.eye(len(parameters))[i] - self.fit.values[i] * self._log_gradient(*w)) * self.factor(p.unit)
-            for i, (p, w) in enumerate(zip(parameters, powers, strict=True))
-        ])
+        J = np.array(
+            [
+                (np.eye(len(parameters))[i] - self.fit.values[i] * self._log_gradient(*w)) * self.factor(p.unit)
+                for i, (p, w) in enumerate(zip(parameters, powers, strict=True))
+            ]
+        )
         found = J @ self._known_covariance @ J.T
         lost = np.isnan(np.diag(self.fit.covariance))
         found[lost, :] = found[:, lost] = np.nan

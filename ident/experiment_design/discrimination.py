@@ -67,8 +67,10 @@ class HypothesisPair:
         values = np.tile([p.value for p in self.fitted.parameters], (n, 1))
         columns = [list(self.fitted.values).index(name) for name in self.free]
         begin, bounds = values[:, columns].copy(), np.array([self.fitted.parameter(m).bounds for m in self.free]).T
-        u, u_true = (ThrusterResponse(m, self.task.t, self.task.steps.n_max, self.task.slew).inputs(command)
-                     for m in (self.fitted, self.truth))
+        u, u_true = (
+            ThrusterResponse(m, self.task.t, self.task.steps.n_max, self.task.slew).inputs(command)
+            for m in (self.fitted, self.truth)
+        )
         best = np.full(n, np.inf)
         for k in range(refits + 1):
             ee, g, F = self._run(u, u_true, values)
@@ -99,15 +101,23 @@ class HypothesisPair:
             p = in_lanes(values[lanes].T[None], groups, width)[0]
             p_true = in_lanes(np.repeat(truth, lanes.stop - lanes.start, axis=0).T[None], groups, width)[0]
             s = start_in_lanes(self.fitted, p)
-            given = {"s": with_covariance(self.fitted, s, p) if self.task.process_noise else s, "p": p,
-                     "p_true": p_true, "s_true": start_in_lanes(self.truth, p_true), "h": h,
-                     "low": np.full((groups, size, width), np.inf), "high": np.full((groups, size, width), -np.inf)}
+            given = {
+                "s": with_covariance(self.fitted, s, p) if self.task.process_noise else s,
+                "p": p,
+                "p_true": p_true,
+                "s_true": start_in_lanes(self.truth, p_true),
+                "h": h,
+                "low": np.full((groups, size, width), np.inf),
+                "high": np.full((groups, size, width), -np.inf),
+            }
             for name, model, part in (("", self.fitted, u), ("_true", self.truth, u_true)):
                 given[f"u{name}"] = in_lanes(part[:, :, lanes], groups, width)
                 given[f"u_next{name}"] = interval_ends(model, given[f"u{name}"], -2)
             done = kernel(t.size, mask, given, groups=groups)
-            return tuple(a.transpose(0, 2, 1).reshape(groups * width, -1)[: lanes.stop - lanes.start]
-                         for a in (done["ee"], done["score"], done["fisher"]))  # type: ignore[return-value]
+            return tuple(
+                a.transpose(0, 2, 1).reshape(groups * width, -1)[: lanes.stop - lanes.start]
+                for a in (done["ee"], done["score"], done["fisher"])
+            )  # type: ignore[return-value]
 
         chunks = [slice(a, min(a + width * CHUNK, n)) for a in range(0, n, width * CHUNK)]
         ee, g, triangle = (np.concatenate(c) for c in zip(*parallel(work, chunks, 2), strict=True))
@@ -167,8 +177,14 @@ def separation(model_a: Model, model_b: Model, task: DesignProblem, command: Arr
     return first, second
 
 
-def discriminate(model_a: Model, model_b: Model, task: DesignProblem, *, evaluations: int = 4000,
-                 progress: Callable[[int, float], None] | None = None) -> DiscriminationDesign:
+def discriminate(
+    model_a: Model,
+    model_b: Model,
+    task: DesignProblem,
+    *,
+    evaluations: int = 4000,
+    progress: Callable[[int, float], None] | None = None,
+) -> DiscriminationDesign:
     """T-optimal step sequence within the limits of ``task`` for two models.
 
     Both have fitted values, those of their effects included: with both effects at zero the models are equal.
@@ -181,8 +197,9 @@ def discriminate(model_a: Model, model_b: Model, task: DesignProblem, *, evaluat
 
     def judge(z: Array) -> tuple[Array, Array]:
         command = task.commands(z)
-        parts: Sequence[Array] = [np.minimum(*(r(command[:, :, k:k + 32]) for r in pairs))
-                                  for k in range(0, command.shape[2], 32)]
+        parts: Sequence[Array] = [
+            np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)) for k in range(0, command.shape[2], 32)
+        ]
         T = np.concatenate(parts)
         return np.where(np.isfinite(T), np.log(np.maximum(T, 1e-12)), SINGULAR), task.broken(command)
 

@@ -52,8 +52,16 @@ class Experiments:
     (n_rows, n_inputs, n) with time first and the experiments last, or (n_rows, n_inputs): the same in all.
     """
 
-    def __init__(self, model: Model, free: Sequence[str], t: Array, every: Mapping[str, int] | None = None, *,
-                 process_noise: bool = True, threads: int = 2) -> None:
+    def __init__(
+        self,
+        model: Model,
+        free: Sequence[str],
+        t: Array,
+        every: Mapping[str, int] | None = None,
+        *,
+        process_noise: bool = True,
+        threads: int = 2,
+    ) -> None:
         from seatrial.ident.engine import batch_for, extremes
 
         self.model, self.free, self.t, self.threads = model, tuple(free), t, threads
@@ -144,8 +152,13 @@ class Experiments:
         p = in_lanes(np.broadcast_to(rows, (n, rows.shape[1])).T[None], groups, width)[0]
         part = u if u.ndim == 2 else in_lanes(u[:, :, lanes], groups, width)
         ends = interval_ends(self.model, part, -1 if part.ndim == 2 else -2)
-        return {"u": np.ascontiguousarray(part), "u_next": ends, "p": p,
-                "s": start_in_lanes(self.model, p), "h": self.h}
+        return {
+            "u": np.ascontiguousarray(part),
+            "u_next": ends,
+            "p": p,
+            "s": start_in_lanes(self.model, p),
+            "h": self.h,
+        }
 
     def _run(self, kernel: Kernel, given: dict[str, Array], k: int) -> dict[str, Array]:
         groups, _, width = given["p"].shape
@@ -233,8 +246,14 @@ def _flat(a: Array) -> Array:
     return np.asarray(a.transpose(0, 2, 1).reshape(-1, a.shape[1]))
 
 
-def planned_record(model: Model, t: Array, u: Array, every: Mapping[str, int] | None = None,
-                   values: Array | None = None, name: str = "planned") -> Record:
+def planned_record(
+    model: Model,
+    t: Array,
+    u: Array,
+    every: Mapping[str, int] | None = None,
+    values: Array | None = None,
+    name: str = "planned",
+) -> Record:
     """Record of a planned experiment without process noise and measurement noise.
 
     t (n_rows,) s; u (n_rows, n_inputs).
@@ -245,13 +264,14 @@ def planned_record(model: Model, t: Array, u: Array, every: Mapping[str, int] | 
     y = simulate(model, blank, values).y
     mask, first = sensor_mask(model, t.size, every or {}), 0
     for bit, sensor in enumerate(model.sensors):
-        y[(mask & np.uint32(1 << bit)) == 0, first:first + len(sensor.outputs)] = np.nan
+        y[(mask & np.uint32(1 << bit)) == 0, first : first + len(sensor.outputs)] = np.nan
         first += len(sensor.outputs)
     return Record(name, t, u, end, y, *columns)
 
 
-def prediction_information(model: Model, record: Record, values: Array | None = None,
-                           free: Sequence[str] | None = None) -> Array:
+def prediction_information(
+    model: Model, record: Record, values: Array | None = None, free: Sequence[str] | None = None
+) -> Array:
     """Prediction-error information (q, q) of a record by the parameters ``free`` (those free in the model)."""
     values = np.array([p.value for p in model.parameters]) if values is None else values
     return Likelihood(model).scores(record, values, free).information
@@ -307,9 +327,15 @@ class InformationSegment:
     whole: Array
 
 
-def segment_information(model: Model, records: Sequence[Record], names: Sequence[str], *, seconds: float = 30.0,
-                        values: Sequence[Array] | None = None,
-                        inflation: Mapping[str, float] | None = None) -> list[InformationSegment]:
+def segment_information(
+    model: Model,
+    records: Sequence[Record],
+    names: Sequence[str],
+    *,
+    seconds: float = 30.0,
+    values: Sequence[Array] | None = None,
+    inflation: Mapping[str, float] | None = None,
+) -> list[InformationSegment]:
     """Fisher information of each segment of the records about the parameters ``names`` (prediction error).
 
     seconds: length of a segment. values: the parameters in each record, over ``model.parameters``. The information of a
@@ -337,12 +363,15 @@ def segment_information(model: Model, records: Sequence[Record], names: Sequence
     best = errors_of(whole)[:q]
     with np.errstate(invalid="ignore"):  # what nothing tells has no weight
         weights = [errors_of(whole - F)[:q] / best for *_, F in parts]
-    return [InformationSegment(name, a, b, F[:q, :q], weight, errors_of(F + prior)[:q], best)
-            for (name, a, b, F), weight in zip(parts, weights, strict=True)]
+    return [
+        InformationSegment(name, a, b, F[:q, :q], weight, errors_of(F + prior)[:q], best)
+        for (name, a, b, F), weight in zip(parts, weights, strict=True)
+    ]
 
 
-def _increments(model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float
-                ) -> list[tuple[float, float, Array]]:
+def _increments(
+    model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float
+) -> list[tuple[float, float, Array]]:
     """Start and end [s] of each segment, and the information that it adds."""
     starts = np.arange(0.0, max(record.duration - seconds / 2, seconds / 2), seconds)  # of a short record one
     edges = np.append(starts, record.duration) + record.t[0]

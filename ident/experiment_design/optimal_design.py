@@ -297,8 +297,13 @@ def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[st
         value = _criterion(task, command).reshape(n, len(options))
         at = np.unravel_index(int(np.argmax(value)), value.shape)
         best = int(at[0]) * len(options) + int(at[1])
-        found[kind] = BaselineSignal("PRBS" if kind == "PRBS" else "RGS", command[:, :, best], float(value[at]),
-                            options[int(at[1])][0], value.max(axis=1))
+        found[kind] = BaselineSignal(
+            "PRBS" if kind == "PRBS" else "RGS",
+            command[:, :, best],
+            float(value[at]),
+            options[int(at[1])][0],
+            value.max(axis=1),
+        )
     return found
 
 

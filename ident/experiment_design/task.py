@@ -207,8 +207,10 @@ class DesignProblem:
         wanted = self.chosen or self.learned
         lost = [n for n in wanted if n not in self.learned]
         if lost:
-            raise SeatrialError(f"{lost[0]!r} cannot be learned with model {self.model.name} from these sensors; "
-                                f"there is {', '.join(self.learned)}")
+            raise SeatrialError(
+                f"{lost[0]!r} cannot be learned with model {self.model.name} from these sensors; "
+                f"there is {', '.join(self.learned)}"
+            )
         return Criterion(
             self.criterion, tuple(self.free.index(n) for n in wanted), characteristic_steps(self.model, self.free)
         )

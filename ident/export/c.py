@@ -37,17 +37,38 @@ def write(c: Content) -> str:
     """The file."""
     guard = f"{c.name.upper()}_MODEL_H"
     said = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(c, "C99")]
-    return "\n".join([
-        "/*", *(f" * {line}".rstrip() for line in said), " */", f"#ifndef {guard}", f"#define {guard}", "",
-        "#include <math.h>", "", *_names(c), "",
-        *_table(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "what to give for p"),
-        *_table(c, "state_noise", [(v, n) for n, v in zip(c.states, c.state_noise, strict=True)],
-                "diffusion of each state [unit/sqrt(s)]"),
-        *_table(c, "output_noise", [(v, n) for n, v in zip(c.outputs, c.output_noise, strict=True)],
-                "standard deviation of each output's white noise [unit]"),
-        _function(c, "f", "dx", c.programs[0], "Rates of the states [unit/s]."),
-        _function(c, "h", "y", c.programs[1], "Outputs, as the sensors would have them without noise."),
-        STEP.replace("NAME", c.name), "#endif", ""])
+    return "\n".join(
+        [
+            "/*",
+            *(f" * {line}".rstrip() for line in said),
+            " */",
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            "",
+            "#include <math.h>",
+            "",
+            *_names(c),
+            "",
+            *_table(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "what to give for p"),
+            *_table(
+                c,
+                "state_noise",
+                [(v, n) for n, v in zip(c.states, c.state_noise, strict=True)],
+                "diffusion of each state [unit/sqrt(s)]",
+            ),
+            *_table(
+                c,
+                "output_noise",
+                [(v, n) for n, v in zip(c.outputs, c.output_noise, strict=True)],
+                "standard deviation of each output's white noise [unit]",
+            ),
+            _function(c, "f", "dx", c.programs[0], "Rates of the states [unit/s]."),
+            _function(c, "h", "y", c.programs[1], "Outputs, as the sensors would have them without noise."),
+            STEP.replace("NAME", c.name),
+            "#endif",
+            "",
+        ]
+    )
 
 
 def _names(c: Content) -> list[str]:
@@ -70,13 +91,30 @@ def _function(c: Content, name: str, result: str, program: Program, says: str) -
     given = [(s, f"x[{c.name}_x_{n}]") for s, n in zip(c.symbols[0], c.states, strict=True)]
     given += [(s, f"u[{c.name}_u_{n}]") for s, n in zip(c.symbols[1], c.inputs, strict=True)]
     ids = dict(zip([p.name for p in c.own], c.parameters, strict=True))
-    given += [(s, f"p[{c.name}_p_{ids[p.name]}]") for s, p in zip(c.symbols[2], c.model.parameters, strict=True)
-              if p.name in ids]
+    given += [
+        (s, f"p[{c.name}_p_{ids[p.name]}]")
+        for s, p in zip(c.symbols[2], c.model.parameters, strict=True)
+        if p.name in ids
+    ]
     used = [f"    const double {s} = {value};" for s, value in given if s in program.used]
-    idle = [f"    (void){letter};" for letter in "xup" if not any(v.startswith(f"{letter}[") and s in program.used
-                                                                 for s, v in given)]
+    idle = [
+        f"    (void){letter};"
+        for letter in "xup"
+        if not any(v.startswith(f"{letter}[") and s in program.used for s, v in given)
+    ]
     letter, names = ("x", c.states) if name == "f" else ("y", c.outputs)
     out = [f"    {result}[{c.name}_{letter}_{n}] = {end};" for n, end in zip(names, ends, strict=True)]
-    return "\n".join(["", f"/* {says} */",
-                      f"static inline void {c.name}_{name}(const double x[], const double u[], const double p[], "
-                      f"double {result}[])", "{", *used, *idle, *("    " + line for line in lines), *out, "}"])
+    return "\n".join(
+        [
+            "",
+            f"/* {says} */",
+            f"static inline void {c.name}_{name}(const double x[], const double u[], const double p[], "
+            f"double {result}[])",
+            "{",
+            *used,
+            *idle,
+            *("    " + line for line in lines),
+            *out,
+            "}",
+        ]
+    )

@@ -40,17 +40,43 @@ if __name__ == "__main__":
 def write(c: Content) -> str:
     """The file."""
     said = header(c, "CasADi")
-    said += ["", "f(x, u, p), h(x, u, p) and step(x, u, dt, p) are casadi.Functions; DEFAULTS is p in the order of P.",
-             f"Run this file to save them: python FILE [FOLDER] writes {c.name}_f.casadi, {c.name}_h.casadi and",
-             f"{c.name}_step.casadi, which casadi.Function.load reads without this file, also in C++ and Matlab."]
-    return "\n".join([
-        *("# " + line if line else "#" for line in said), "", "import os", "import sys", "", "import casadi as ca", "",
-        *constants(c), "", _function(c, "_f", c.programs[0]), _function(c, "_h", c.programs[1]),
-        END.replace("NAME", c.name)])
+    said += [
+        "",
+        "f(x, u, p), h(x, u, p) and step(x, u, dt, p) are casadi.Functions; DEFAULTS is p in the order of P.",
+        f"Run this file to save them: python FILE [FOLDER] writes {c.name}_f.casadi, {c.name}_h.casadi and",
+        f"{c.name}_step.casadi, which casadi.Function.load reads without this file, also in C++ and Matlab.",
+    ]
+    return "\n".join(
+        [
+            *("# " + line if line else "#" for line in said),
+            "",
+            "import os",
+            "import sys",
+            "",
+            "import casadi as ca",
+            "",
+            *constants(c),
+            "",
+            _function(c, "_f", c.programs[0]),
+            _function(c, "_h", c.programs[1]),
+            END.replace("NAME", c.name),
+        ]
+    )
 
 
 def _function(c: Content, name: str, program: Program) -> str:
     lines, results = write_lines(program, CASADI, [*RESERVED, *program.used])
     named = ["    p = dict(zip(P, ca.vertsplit(p)))"] if any(s in program.used for s in c.symbols[2]) else []
-    return "\n".join(["", f"def {name}(x, u, p):", *named, *unpacked(c, program), *("    " + line for line in lines),
-                      "    return [", *(f"        {r}," for r in results), "    ]", ""])
+    return "\n".join(
+        [
+            "",
+            f"def {name}(x, u, p):",
+            *named,
+            *unpacked(c, program),
+            *("    " + line for line in lines),
+            "    return [",
+            *(f"        {r}," for r in results),
+            "    ]",
+            "",
+        ]
+    )

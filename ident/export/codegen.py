@@ -66,8 +66,11 @@ class Content:
     def symbols(self) -> tuple[list[str], list[str], list[str]]:
         """Identifiers of states, inputs and all parameters of the model in the code."""
         name_of = dict(zip([p.name for p in self.own], self.parameters, strict=True))
-        return ([f"x_{n}" for n in self.states], [f"u_{n}" for n in self.inputs],
-                [f"p_{name_of.get(p.name, f'unused_{i}')}" for i, p in enumerate(self.model.parameters)])
+        return (
+            [f"x_{n}" for n in self.states],
+            [f"u_{n}" for n in self.inputs],
+            [f"p_{name_of.get(p.name, f'unused_{i}')}" for i, p in enumerate(self.model.parameters)],
+        )
 
     @cached_property
     def programs(self) -> tuple[Program, Program]:
@@ -98,14 +101,21 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
     white = [values[o.noise] if o.noise else 0.0 for o in model.outputs]
     outputs = identifiers(o.name for o in model.outputs)
     return Content(
-        prefix(name or model.name), model, saved,
-        identifiers(s.name for s in model.states), identifiers(i.name for i in model.inputs),
-        outputs, identifiers(p.name for p in own),
-        tuple(p.value for p in own), tuple(saved.errors.get(p.name, math.nan) for p in own),
+        prefix(name or model.name),
+        model,
+        saved,
+        identifiers(s.name for s in model.states),
+        identifiers(i.name for i in model.inputs),
+        outputs,
+        identifiers(p.name for p in own),
+        tuple(p.value for p in own),
+        tuple(saved.errors.get(p.name, math.nan) for p in own),
         tuple(math.hypot(a, b) for a, b in zip(noise, extra.process, strict=True)),
         tuple(math.hypot(a, b) for a, b in zip(white, extra.output, strict=True)),
         tuple(s.name for s in gone),
-        {n: tau for n, tau in zip(outputs, extra.lasting, strict=True) if tau > 0.0}, extra.silent)
+        {n: tau for n, tau in zip(outputs, extra.lasting, strict=True) if tau > 0.0},
+        extra.silent,
+    )
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
@@ -133,14 +143,16 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
     states = {s.name for e in effects for s in e.states} | {s.name for s in model.states if s.nuisance}
     parameters = {p.name for e in effects for p in e.parameters}
     parameters |= {p.name for p in model.parameters if p.role is ParameterRole.DISTURBANCE}
-    inputs = {i.name for e in effects for i in e.inputs} - {i.name for e in model.effects for i in e.inputs
-                                                            if not e.kind.nuisance}
+    inputs = {i.name for e in effects for i in e.inputs} - {
+        i.name for e in model.effects for i in e.inputs if not e.kind.nuisance
+    }
     smaller = replace(
         model,
         states=tuple(s for s in model.states if s.name not in states),
         inputs=tuple(i for i in model.inputs if i.name not in inputs),
         parameters=tuple(p for p in model.parameters if p.name not in parameters),
-        effects=tuple(e for e in model.effects if not e.kind.nuisance))
+        effects=tuple(e for e in model.effects if not e.kind.nuisance),
+    )
     return smaller, tuple(s for s in model.states if s.name in states)
 
 
@@ -181,7 +193,9 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     area = -np.einsum("hij,hjk,hik->hi", H, inverse @ covariance, H).mean(axis=0)
     reach = np.abs(np.concatenate([to_rates, H], axis=1) @ inverse).max(axis=(0, 1), initial=0.0)
     return EquivalentNoise(
-        np.sqrt(rates), np.sqrt(outputs), np.divide(area, outputs, out=np.zeros_like(area), where=outputs > 0.0),
+        np.sqrt(rates),
+        np.sqrt(outputs),
+        np.divide(area, outputs, out=np.zeros_like(area), where=outputs > 0.0),
         tuple(names[j] for j, far in zip(gone, reach, strict=True) if far == 0.0),
     )
 
@@ -195,11 +209,15 @@ def header(c: Content, target: str) -> list[str]:
     if c.model.effects:
         lines.append("effects: " + ", ".join(e.name for e in c.model.effects))
     lines += ["", "dx/dt = f(x, u; p), y = h(x, u; p); SI units and radians. States x, inputs u, outputs y:"]
-    lines += [f"  x[{i}] {n} {_unit(s.unit)} {s.meaning}".rstrip()
-              for i, (n, s) in enumerate(zip(c.states, c.model.states, strict=True))]
+    lines += [
+        f"  x[{i}] {n} {_unit(s.unit)} {s.meaning}".rstrip()
+        for i, (n, s) in enumerate(zip(c.states, c.model.states, strict=True))
+    ]
     lines += _inputs(c)
-    lines += [f"  y[{i}] {n} {_unit(o.unit)}" + (", an angle" if o.angle else "")
-              for i, (n, o) in enumerate(zip(c.outputs, c.model.outputs, strict=True))]
+    lines += [
+        f"  y[{i}] {n} {_unit(o.unit)}" + (", an angle" if o.angle else "")
+        for i, (n, o) in enumerate(zip(c.outputs, c.model.outputs, strict=True))
+    ]
     if c.validity:
         lines += ["", "Range of the fitted data (not validated beyond it):"]
         lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in c.validity.items()]
@@ -215,8 +233,10 @@ def _inputs(c: Content) -> list[str]:
             lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(i)}")
     if past:
         step = past[0].delay / past[0].tap
-        lines += [f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {step:g} s ago: keep a",
-                  "  buffer of it; of a held command its mean since the last step is better than its last value.)"]
+        lines += [
+            f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {step:g} s ago: keep a",
+            "  buffer of it; of a held command its mean since the last step is better than its last value.)",
+        ]
     return lines
 
 
@@ -251,8 +271,11 @@ def _remarks(c: Content) -> list[str]:
         lines += ["", *ratios]
     own = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
     if own:
-        lines += ["", f"Different in each run: {', '.join(own)}. Set them; the values here are the means of the",
-                  "fitted runs."]
+        lines += [
+            "",
+            f"Different in each run: {', '.join(own)}. Set them; the values here are the means of the",
+            "fitted runs.",
+        ]
     return lines
 
 
@@ -270,12 +293,35 @@ def comment(c: Content, i: int) -> str:
 
 ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression
 LONGEST = 50  # characters of an expression that stays inside another
-NAMED = {ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_FABS: "abs", ca.OP_SQRT: "root", ca.OP_TANH: "tanh",
-         ca.OP_EXP: "exp", ca.OP_SQ: "square"}
+NAMED = {
+    ca.OP_SIN: "sin",
+    ca.OP_COS: "cos",
+    ca.OP_FABS: "abs",
+    ca.OP_SQRT: "root",
+    ca.OP_TANH: "tanh",
+    ca.OP_EXP: "exp",
+    ca.OP_SQ: "square",
+}
 # One argument or two, named alike in math (Python), math.h (C99) and CasADi.
 SHARED = (
-    "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "sqrt", "exp",
-    "log", "log1p", "expm1", "erf",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "sqrt",
+    "exp",
+    "log",
+    "log1p",
+    "expm1",
+    "erf",
 )
 SHARED_TWO = ["atan2", "hypot", "fmod", "remainder", "copysign"]
 Templates = dict[int, tuple[str, int]]
@@ -297,9 +343,14 @@ class Syntax:
 
 def _arithmetic() -> Templates:
     return {
-        ca.OP_ADD: ("{0} + {1}", SUM), ca.OP_SUB: ("{0} - {1}", SUM), ca.OP_MUL: ("{0} * {1}", PRODUCT),
-        ca.OP_DIV: ("{0} / {1}", PRODUCT), ca.OP_NEG: ("-{0}", UNARY), ca.OP_TWICE: ("2.0 * {0}", PRODUCT),
-        ca.OP_INV: ("1.0 / {0}", PRODUCT), ca.OP_SQ: ("{0} * {0}", PRODUCT),
+        ca.OP_ADD: ("{0} + {1}", SUM),
+        ca.OP_SUB: ("{0} - {1}", SUM),
+        ca.OP_MUL: ("{0} * {1}", PRODUCT),
+        ca.OP_DIV: ("{0} / {1}", PRODUCT),
+        ca.OP_NEG: ("-{0}", UNARY),
+        ca.OP_TWICE: ("2.0 * {0}", PRODUCT),
+        ca.OP_INV: ("1.0 / {0}", PRODUCT),
+        ca.OP_SQ: ("{0} * {0}", PRODUCT),
     }
 
 
@@ -320,19 +371,34 @@ def _truth(template: str, both: str, either: str) -> Templates:
 
 
 PYTHON = Syntax(
-    _arithmetic() | _functions("") | _truth("float({0})", "and", "or") | {
-        ca.OP_POW: ("pow({0}, {1})", ATOM), ca.OP_CONSTPOW: ("pow({0}, {1})", ATOM),
-        ca.OP_FABS: ("abs({0})", ATOM), ca.OP_FMIN: ("min({0}, {1})", ATOM), ca.OP_FMAX: ("max({0}, {1})", ATOM),
-        ca.OP_FLOOR: ("float(floor({0}))", ATOM), ca.OP_CEIL: ("float(ceil({0}))", ATOM),
-        ca.OP_SIGN: ("float(({0} > 0.0) - ({0} < 0.0))", ATOM), ca.OP_IF_ELSE_ZERO: ("({1} if {0} else 0.0)", ATOM),
+    _arithmetic()
+    | _functions("")
+    | _truth("float({0})", "and", "or")
+    | {
+        ca.OP_POW: ("pow({0}, {1})", ATOM),
+        ca.OP_CONSTPOW: ("pow({0}, {1})", ATOM),
+        ca.OP_FABS: ("abs({0})", ATOM),
+        ca.OP_FMIN: ("min({0}, {1})", ATOM),
+        ca.OP_FMAX: ("max({0}, {1})", ATOM),
+        ca.OP_FLOOR: ("float(floor({0}))", ATOM),
+        ca.OP_CEIL: ("float(ceil({0}))", ATOM),
+        ca.OP_SIGN: ("float(({0} > 0.0) - ({0} < 0.0))", ATOM),
+        ca.OP_IF_ELSE_ZERO: ("({1} if {0} else 0.0)", ATOM),
     },
     lambda value: _number(value, "inf", "nan"),
 )
 C = Syntax(
-    _arithmetic() | _functions("") | _truth("(double)({0})", "&&", "||") | {
-        ca.OP_POW: ("pow({0}, {1})", ATOM), ca.OP_CONSTPOW: ("pow({0}, {1})", ATOM),
-        ca.OP_FABS: ("fabs({0})", ATOM), ca.OP_FMIN: ("fmin({0}, {1})", ATOM), ca.OP_FMAX: ("fmax({0}, {1})", ATOM),
-        ca.OP_FLOOR: ("floor({0})", ATOM), ca.OP_CEIL: ("ceil({0})", ATOM),
+    _arithmetic()
+    | _functions("")
+    | _truth("(double)({0})", "&&", "||")
+    | {
+        ca.OP_POW: ("pow({0}, {1})", ATOM),
+        ca.OP_CONSTPOW: ("pow({0}, {1})", ATOM),
+        ca.OP_FABS: ("fabs({0})", ATOM),
+        ca.OP_FMIN: ("fmin({0}, {1})", ATOM),
+        ca.OP_FMAX: ("fmax({0}, {1})", ATOM),
+        ca.OP_FLOOR: ("floor({0})", ATOM),
+        ca.OP_CEIL: ("ceil({0})", ATOM),
         ca.OP_SIGN: ("(double)(({0} > 0.0) - ({0} < 0.0))", ATOM),
         ca.OP_IF_ELSE_ZERO: ("(({0}) != 0.0 ? ({1}) : 0.0)", ATOM),
     },
@@ -340,13 +406,21 @@ C = Syntax(
     "const double {name} = {value};",
 )
 CASADI = Syntax(
-    _arithmetic() | _functions("ca.") | _truth("({0})", "", "") | {
-        ca.OP_NOT: ("ca.logic_not({0})", ATOM), ca.OP_AND: ("ca.logic_and({0}, {1})", ATOM),
+    _arithmetic()
+    | _functions("ca.")
+    | _truth("({0})", "", "")
+    | {
+        ca.OP_NOT: ("ca.logic_not({0})", ATOM),
+        ca.OP_AND: ("ca.logic_and({0}, {1})", ATOM),
         ca.OP_OR: ("ca.logic_or({0}, {1})", ATOM),
-        ca.OP_POW: ("ca.power({0}, {1})", ATOM), ca.OP_CONSTPOW: ("ca.power({0}, {1})", ATOM),
-        ca.OP_FABS: ("ca.fabs({0})", ATOM), ca.OP_FMIN: ("ca.fmin({0}, {1})", ATOM),
-        ca.OP_FMAX: ("ca.fmax({0}, {1})", ATOM), ca.OP_FLOOR: ("ca.floor({0})", ATOM),
-        ca.OP_CEIL: ("ca.ceil({0})", ATOM), ca.OP_SIGN: ("ca.sign({0})", ATOM),
+        ca.OP_POW: ("ca.power({0}, {1})", ATOM),
+        ca.OP_CONSTPOW: ("ca.power({0}, {1})", ATOM),
+        ca.OP_FABS: ("ca.fabs({0})", ATOM),
+        ca.OP_FMIN: ("ca.fmin({0}, {1})", ATOM),
+        ca.OP_FMAX: ("ca.fmax({0}, {1})", ATOM),
+        ca.OP_FLOOR: ("ca.floor({0})", ATOM),
+        ca.OP_CEIL: ("ca.ceil({0})", ATOM),
+        ca.OP_SIGN: ("ca.sign({0})", ATOM),
         ca.OP_IF_ELSE_ZERO: ("ca.if_else({0}, {1}, 0.0)", ATOM),
     },
     lambda value: _number(value, "ca.inf", "ca.nan"),
@@ -382,8 +456,10 @@ def programs(model: Model, names: Sequence[Sequence[str]]) -> tuple[Program, Pro
     labels = dict(_signals(s))
     rates = [ca.SX(s.rate[v.name]) for v in model.states]
     outputs = [ca.SX(s.y[o.name]) for o in model.outputs]
-    return (_program(symbols, rates, labels, [f"rate_{n.partition('_')[2]}" for n in names[0]]),
-            _program(symbols, outputs, labels, names[3]))
+    return (
+        _program(symbols, rates, labels, [f"rate_{n.partition('_')[2]}" for n in names[0]]),
+        _program(symbols, outputs, labels, names[3]),
+    )
 
 
 def parameters_of(model: Model) -> set[str]:
@@ -407,8 +483,7 @@ def _word(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
-def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, Any], names: Sequence[str]
-             ) -> Program:
+def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, Any], names: Sequence[str]) -> Program:
     known = ca.cse([ca.densify(e) for e in [*results, *labels.values()]])
     flat = [one for part in symbols for one in part]
     f = ca.Function("lines", flat, known, {"allow_free": False})
@@ -428,11 +503,11 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
             node = Node(code, tuple(slot[i] for i in given))
         slot[f.instruction_output(k)[0]] = len(nodes)
         nodes.append(node)
-    for name, end in list(zip(labels, ends[len(results):], strict=True))[::-1]:  # the first name of a thing stays
+    for name, end in list(zip(labels, ends[len(results) :], strict=True))[::-1]:  # the first name of a thing stays
         nodes[end].label = name
     for name, end in zip(names, ends, strict=False):
         nodes[end].label = nodes[end].label or name
-    return _counted(nodes, tuple(ends[:len(results)]))
+    return _counted(nodes, tuple(ends[: len(results)]))
 
 
 def _counted(nodes: list[Node], results: tuple[int, ...]) -> Program:
@@ -469,8 +544,9 @@ class _Writer:
         try:
             return self.syntax.templates[node.code]
         except KeyError:
-            raise ValueError(f"the model uses an operation (CasADi's number {node.code}) that cannot be exported"
-                             ) from None
+            raise ValueError(
+                f"the model uses an operation (CasADi's number {node.code}) that cannot be exported"
+            ) from None
 
     def run(self) -> list[str]:
         lines = []

@@ -9,7 +9,10 @@ from seatrial.ident.export import c, casadi_file, python, ros2
 from seatrial.ident.export.codegen import Content, content
 
 TARGETS: dict[str, Callable[[Content], str]] = {
-    "python": python.write, "casadi": casadi_file.write, "c": c.write, "ros2": ros2.write,
+    "python": python.write,
+    "casadi": casadi_file.write,
+    "c": c.write,
+    "ros2": ros2.write,
 }
 
 

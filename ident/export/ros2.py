@@ -17,16 +17,21 @@ def write(c: Content) -> str:
     rows = [f"model: {_text(c.model.name)}"]
     if c.model.effects:
         rows.append(f"effects: {_texts(e.name for e in c.model.effects)}")
-    for kind, names, part in (("state", c.states, c.model.states), ("input", c.inputs, c.model.inputs),
-                              ("output", c.outputs, c.model.outputs)):
+    for kind, names, part in (
+        ("state", c.states, c.model.states),
+        ("input", c.inputs, c.model.inputs),
+        ("output", c.outputs, c.model.outputs),
+    ):
         if names:
             rows += [f"{kind}s: {_texts(names)}", f"{kind}_units: {_texts(one.unit for one in part)}"]
     if c.angles:
         rows.append(f"angles: {_texts(c.angles)}")
     if own:
         said = [comment(c, i) for i in range(len(own))]
-        rows += ["parameters:", *(f"  {_key(n)}: {_number(v)}  # {s}"
-                                  for n, v, s in zip(c.parameters, c.values, said, strict=True))]
+        rows += [
+            "parameters:",
+            *(f"  {_key(n)}: {_number(v)}  # {s}" for n, v, s in zip(c.parameters, c.values, said, strict=True)),
+        ]
         rows += ["units:", *(f"  {_key(n)}: {_text(unit)}" for n, unit in units.items())]
     rows += _group("standard_errors", errors)
     rows += _group("process_noise", dict(zip(c.states, c.state_noise, strict=True)), "diffusion, unit/sqrt(s)")

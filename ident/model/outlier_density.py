@@ -71,9 +71,13 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
     unknown = sorted(set(wanted) - set(known))
     if unknown:
         raise KeyError(f"model {model.name} has no sensor {unknown[0]!r}; it has {', '.join(known)}")
-    return replace(model, sensors=tuple(
-        replace(s, outputs=tuple(replace(o, robust=True) for o in s.outputs)) if s.name in wanted else s
-        for s in model.sensors))
+    return replace(
+        model,
+        sensors=tuple(
+            replace(s, outputs=tuple(replace(o, robust=True) for o in s.outputs)) if s.name in wanted else s
+            for s in model.sensors
+        ),
+    )
 
 
 def robust_sensors(model: Model) -> tuple[str, ...]:

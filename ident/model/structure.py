@@ -122,8 +122,9 @@ class Input:
         """This input ``tap`` steps [s] ago, named ``NAME~tap``; itself for none."""
         if not tap:
             return self
-        return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap,
-                       delay=step * tap).held(self.hold)
+        return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap, delay=step * tap).held(
+            self.hold
+        )
 
     def like(self, source: Input) -> Input:
         """This delayed copy, held and averaged as its source is."""
@@ -350,8 +351,10 @@ class Model:
                 raise ValueError(f"model {self.name}: {what} names no parameter: {name!r}")
         for s in self.states:
             if s.from_output and s.from_output not in seen:
-                raise ValueError(f"model {self.name}: from_output of the state {s.name} names no output: "
-                                 f"{s.from_output!r}; there is {', '.join(sorted(seen))}")
+                raise ValueError(
+                    f"model {self.name}: from_output of the state {s.name} names no output: "
+                    f"{s.from_output!r}; there is {', '.join(sorted(seen))}"
+                )
 
     @property
     def outputs(self) -> tuple[Output, ...]:
@@ -395,9 +398,7 @@ class Model:
                 if place in effect.hooks:
                     effect.hooks[place](s)
 
-    def _until_rates(
-        self, s: Signals, x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]
-    ) -> Signals:
+    def _until_rates(self, s: Signals, x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]) -> Signals:
         """The stages once more, up to the rates, with some states, inputs and parameters other than those of ``s``."""
         x, u, p = vars(s.x) | x, vars(s.u) | u, vars(s.p) | p
         other = Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})

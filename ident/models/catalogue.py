@@ -24,9 +24,31 @@ OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
 
 # Signals that some built-in model takes, with their units; what is said in docs/formats/import.md
 KNOWN_SIGNALS = {
-    "x": "m", "y": "m", "psi": "rad", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "vx": "m/s", "vy": "m/s", "u": "m/s",
-    "v": "m/s", "phi": "rad", "theta": "rad", "p": "rad/s", "q": "rad/s", "n_left": "", "n_right": "", "f_left": "N",
-    "f_right": "N", "X": "N", "N": "N m", "n": "", "n_cmd_left": "", "n_cmd_right": "", "force": "N", "speed": "m/s",
+    "x": "m",
+    "y": "m",
+    "psi": "rad",
+    "r": "rad/s",
+    "ax": "m/s2",
+    "ay": "m/s2",
+    "vx": "m/s",
+    "vy": "m/s",
+    "u": "m/s",
+    "v": "m/s",
+    "phi": "rad",
+    "theta": "rad",
+    "p": "rad/s",
+    "q": "rad/s",
+    "n_left": "",
+    "n_right": "",
+    "f_left": "N",
+    "f_right": "N",
+    "X": "N",
+    "N": "N m",
+    "n": "",
+    "n_cmd_left": "",
+    "n_cmd_right": "",
+    "force": "N",
+    "speed": "m/s",
 }
 
 

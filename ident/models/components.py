@@ -106,8 +106,11 @@ def current_walk() -> Effect:
         CURRENT_WALK,
         "a random-walk current",
         {"rate": drift},
-        parameters=(Parameter("q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01),
-                              scales=False),),
+        parameters=(
+            Parameter(
+                "q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01), scales=False
+            ),
+        ),
         states=(
             State("drift_x", "m/s", "current to the north, beyond V_x", "q_V", sd0=0.0),
             State("drift_y", "m/s", "current to the east, beyond V_y", "q_V", sd0=0.0),
@@ -130,8 +133,16 @@ def telemetry_age() -> Effect:
         "shaft speeds that arrive late",
         {"shaft": earlier},
         parameters=(
-            Parameter("tau_age", 0.02, "s", "age of the shaft speeds at their time stamp, beyond that of the sensors",
-                      prior=(0.0, 0.1), bounds=(-0.03, 0.4), step=0.01, scales=False),
+            Parameter(
+                "tau_age",
+                0.02,
+                "s",
+                "age of the shaft speeds at their time stamp, beyond that of the sensors",
+                prior=(0.0, 0.1),
+                bounds=(-0.03, 0.4),
+                step=0.01,
+                scales=False,
+            ),
         ),
         inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_AHEAD + 1) if k),
         place="sensor",
@@ -155,8 +166,15 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
         "the calibration of the thrust curve",
         {"thrust_loss": scale_each} if "f_input" in model.provides else {"force": scale_sum},
         parameters=(
-            Parameter("k_thrust", 1.0, "", "true thrust over that of the curve", "log", prior=(1.0, sd),
-                      origin=ParameterOrigin.MEASURED),
+            Parameter(
+                "k_thrust",
+                1.0,
+                "",
+                "true thrust over that of the curve",
+                "log",
+                prior=(1.0, sd),
+                origin=ParameterOrigin.MEASURED,
+            ),
         ),
         place="actuator",
     )
@@ -230,17 +248,40 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
             p
             for e in errors.values()
             for p in (
-                Parameter(f"A_{e.name}", e.sd, e.unit, f"error of the estimator's {e.of} that lasts, its own part",
-                          "log", prior=(e.sd, 3 * e.sd), role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
-                Parameter(f"tau_{e.name}", e.tau, "s", f"correlation time of the error of the estimator's {e.of}",
-                          "log", prior=(e.tau, 3 * e.tau), bounds=(e.shortest, 200.0),
-                          role=ParameterRole.DISTURBANCE, origin=BUILT_IN),
+                Parameter(
+                    f"A_{e.name}",
+                    e.sd,
+                    e.unit,
+                    f"error of the estimator's {e.of} that lasts, its own part",
+                    "log",
+                    prior=(e.sd, 3 * e.sd),
+                    role=ParameterRole.DISTURBANCE,
+                    origin=BUILT_IN,
+                ),
+                Parameter(
+                    f"tau_{e.name}",
+                    e.tau,
+                    "s",
+                    f"correlation time of the error of the estimator's {e.of}",
+                    "log",
+                    prior=(e.tau, 3 * e.tau),
+                    bounds=(e.shortest, 200.0),
+                    role=ParameterRole.DISTURBANCE,
+                    origin=BUILT_IN,
+                ),
             )
         ),
         states=tuple(
-            State(f"error_{axis}", "", f"error of the estimator's {e.of} ({axis}) that lasts, scaled", 1.0,
-                  sd0=UNCERTAIN * e.whole / e.sd * float(np.sqrt(e.tau / 2)), nuisance=True)
-            for e in errors.values() for axis in e.axes
+            State(
+                f"error_{axis}",
+                "",
+                f"error of the estimator's {e.of} ({axis}) that lasts, scaled",
+                1.0,
+                sd0=UNCERTAIN * e.whole / e.sd * float(np.sqrt(e.tau / 2)),
+                nuisance=True,
+            )
+            for e in errors.values()
+            for axis in e.axes
         ),
         place="sensor",
         requires=("heading",),

@@ -26,8 +26,7 @@ from seatrial.ident.model import (
 )
 
 # stationary standard deviations of the disturbances [N, N, N m, rad/s], and the units of their diffusions
-SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)"),
-         "r_ref": (0.05, "rad/s/sqrt(s)")}
+SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)"), "r_ref": (0.05, "rad/s/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
 
 
@@ -58,8 +57,16 @@ def _reader(name: str) -> Callable[[Signals, Any], None]:
 # What a sensor may get wrong: a compass by the heading and by the motors' currents, the others by what shakes or turns
 READINGS = tuple(
     Residual(
-        name, unit, f"bias_{name}", scale, f"the reading of the {what}", _reader(name), "reading", of,
-        place="sensor", requires=("hull",),
+        name,
+        unit,
+        f"bias_{name}",
+        scale,
+        f"the reading of the {what}",
+        _reader(name),
+        "reading",
+        of,
+        place="sensor",
+        requires=("hull",),
     )
     for name, what, unit, scale, of in (
         ("psi", "heading", "rad", 0.1, ("psi", "n_sum", "n_diff")),
@@ -83,7 +90,16 @@ def _factor(*sides: str) -> Callable[[Signals, Any], None]:
 # What a stalled propeller does: it acts on surge and yaw at once, as no curve of one force can
 THRUST_LOSSES = tuple(
     Residual(
-        name, "", "", 0.3, title, _factor(*sides), "thrust_loss", ("v", "r"), place="actuator", requires=("hull", "f"),
+        name,
+        "",
+        "",
+        0.3,
+        title,
+        _factor(*sides),
+        "thrust_loss",
+        ("v", "r"),
+        place="actuator",
+        requires=("hull", "f"),
         relative=True,
     )
     for name, title, sides in (
@@ -146,7 +162,12 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
         parameters=(
             *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
             Parameter(
-                "tau_b", tau, "s", "correlation time of the disturbance forces", "log", prior=(tau, tau),
+                "tau_b",
+                tau,
+                "s",
+                "correlation time of the disturbance forces",
+                "log",
+                prior=(tau, tau),
                 bounds=(0.2, 10.0),
                 role=ParameterRole.DISTURBANCE,
             ),
@@ -188,8 +209,14 @@ def shaft_disturbance() -> Effect:
         parameters=(
             Parameter("q_n", q, "1/s/sqrt(s)", "diffusion of the unexplained acceleration", "log", prior=(q, 3 * q)),
             Parameter(
-                "tau_n", tau, "s", "memory of the unexplained acceleration", "log", prior=(tau, tau),
-                bounds=(0.05, 5.0), role=ParameterRole.DISTURBANCE,
+                "tau_n",
+                tau,
+                "s",
+                "memory of the unexplained acceleration",
+                "log",
+                prior=(tau, tau),
+                bounds=(0.05, 5.0),
+                role=ParameterRole.DISTURBANCE,
             ),
         ),
         states=(State("b_n", "1/s", "unexplained acceleration of the shaft", "q_n", sd0=sd),),

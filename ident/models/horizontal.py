@@ -77,10 +77,12 @@ SHORTEST_LAG = 0.05  # s, and
 DRIVEN_STEP = 0.05  # s: longer Runge-Kutta steps do not follow so quick a state
 SHAFT = (
     Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),
-    Parameter("tau_n", 0.1, "s", "delay of the shafts behind the command", prior=(0.1, 0.3), bounds=(0.0, 0.8),
-              step=0.02),
-    Parameter("dead_zone", 0.03, "", "command below which the shafts stand", prior=(0.0, 0.1), bounds=(0.0, 0.5),
-              step=0.01),
+    Parameter(
+        "tau_n", 0.1, "s", "delay of the shafts behind the command", prior=(0.1, 0.3), bounds=(0.0, 0.8), step=0.02
+    ),
+    Parameter(
+        "dead_zone", 0.03, "", "command below which the shafts stand", prior=(0.0, 0.1), bounds=(0.0, 0.5), step=0.01
+    ),
 )
 DEAD_ZONES = StartGrid(("dead_zone",), ((0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4),), 0.03, gaining=True)
 SHAFT_STATES = tuple(State(f"n_{side}", "", f"shaft speed {side}, normalised", 1e-3, sd0=0.1) for side in SIDES)
@@ -90,7 +92,13 @@ ARMS = (
 )
 UNKNOWN_ARM = (
     Parameter(
-        "y_arm", 0.3, "m", "arm of both thrusters, by the Munk moment", "log", prior=(0.3, 0.3), step=0.01,
+        "y_arm",
+        0.3,
+        "m",
+        "arm of both thrusters, by the Munk moment",
+        "log",
+        prior=(0.3, 0.3),
+        step=0.01,
         origin=BUILT_IN,
     ),
 )
@@ -239,7 +247,10 @@ def thrust(s: Signals) -> None:
 
 
 CHAIN: tuple[tuple[str, ModelFunction], ...] = (
-    ("shaft", shaft), ("dead_band", unchanged), ("thrust_lag", unchanged), ("thrust", thrust)
+    ("shaft", shaft),
+    ("dead_band", unchanged),
+    ("thrust_lag", unchanged),
+    ("thrust", thrust),
 )
 
 

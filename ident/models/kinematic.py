@@ -93,8 +93,12 @@ def kinematic_model(
         tuple(chosen),
         (*(p for p in own if p.name not in unused), *noise),
         (*first, ("force", turning if yaw else force), ("rate", rate), ("output", output)),
-        provides=("plane", "attitude", *(["turn"] if yaw else []),
-                  *(["n_input", "n_stamp"] if propulsion == "shaft" else [])),
+        provides=(
+            "plane",
+            "attitude",
+            *(["turn"] if yaw else []),
+            *(["n_input", "n_stamp"] if propulsion == "shaft" else []),
+        ),
         source=":".join(["kinematic", *options]),
     )
 

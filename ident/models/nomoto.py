@@ -86,13 +86,34 @@ STEERING = (
     Parameter("T", 0.0, "s", "time constant of the yaw rate", bounds=(0.0, 10.0), free=False, step=0.02),
 )
 TIMING = (
-    Parameter("tau_n", 0.0, "s", "delay of thrust and steering behind the inputs' time stamps", prior=(0.0, 0.1),
-              bounds=(-AHEAD, LONGEST / 2), step=0.01),
+    Parameter(
+        "tau_n",
+        0.0,
+        "s",
+        "delay of thrust and steering behind the inputs' time stamps",
+        prior=(0.0, 0.1),
+        bounds=(-AHEAD, LONGEST / 2),
+        step=0.01,
+    ),
     Parameter("T_r", 0.06, "s", "delay of the gyro's filter", prior=(0.0, 0.1), bounds=(0.0, LONGEST), step=0.01),
-    Parameter("tau_gnss", 0.1, "s", "age of the GNSS fix at its time stamp", prior=(0.1, 0.2), bounds=(0.0, LONGEST),
-              step=0.02),
-    Parameter("sigma_gnss", 0.05, "s", "spread in time of what a fix is the mean of, standard deviation",
-              prior=(0.0, 0.1), bounds=(0.0, WIDEST), step=0.01),
+    Parameter(
+        "tau_gnss",
+        0.1,
+        "s",
+        "age of the GNSS fix at its time stamp",
+        prior=(0.1, 0.2),
+        bounds=(0.0, LONGEST),
+        step=0.02,
+    ),
+    Parameter(
+        "sigma_gnss",
+        0.05,
+        "s",
+        "spread in time of what a fix is the mean of, standard deviation",
+        prior=(0.0, 0.1),
+        bounds=(0.0, WIDEST),
+        step=0.01,
+    ),
 )
 # What a fit cannot tell, since nothing else measures it as well: a calibrated AHRS has 0.1 % (a bare chip ten times
 # that: --prior k_r=0:0.01), and stamps are in whole milliseconds.
@@ -107,8 +128,16 @@ DIFFUSION = (
     Parameter("s_r", 0.03, "rad/s/sqrt(s)", "process noise of yaw rate", "log"),
     Parameter("s_psi", 0.01, "rad/sqrt(s)", "process noise of the heading", "log"),
     Parameter("q_v", 0.02, "m/s/sqrt(s)", "diffusion of the sideslip", "log", prior=(0.02, 0.06)),
-    Parameter("tau_v", 5.0, "s", "correlation time of the sideslip", "log", prior=(5.0, 10.0), bounds=(0.5, 1000.0),
-              role=ParameterRole.DISTURBANCE),
+    Parameter(
+        "tau_v",
+        5.0,
+        "s",
+        "correlation time of the sideslip",
+        "log",
+        prior=(5.0, 10.0),
+        bounds=(0.5, 1000.0),
+        role=ParameterRole.DISTURBANCE,
+    ),
 )
 STATES = (
     State("x", "m", "north", from_output="x", sd0=1.0),
@@ -130,8 +159,16 @@ LATE = Parameter("sigma_n", 0.01, "s", "error of the inputs' time stamps, standa
                  prior=(0.01, 0.03), role=ParameterRole.DISTURBANCE)  # fmt: skip
 RESIDUALS = (
     Residual("X", "N", "b_X", 10.0, "the force X", adder("X"), of=("u", "r", "psi", "t"), requires=("nomoto",)),
-    Residual("r_ref", "rad/s", "b_r_ref", 0.3, "the steady yaw rate", adder("r_ref"), of=("u", "psi", "t"),
-             requires=("nomoto",)),
+    Residual(
+        "r_ref",
+        "rad/s",
+        "b_r_ref",
+        0.3,
+        "the steady yaw rate",
+        adder("r_ref"),
+        of=("u", "psi", "t"),
+        requires=("nomoto",),
+    ),
 )
 
 SEEN = ("attitude", "gyro", "position", "ground_velocity")
@@ -162,8 +199,15 @@ def nomoto_model(
         (*now, *past),
         chosen,
         (*parameters, *(NOISE[s.name] for s in chosen)),
-        (("shaft", delayed), ("dead_band", unchanged), ("thrust_lag", unchanged), ("thrust", thrust), ("force", force),
-         ("rate", rate), ("output", output)),
+        (
+            ("shaft", delayed),
+            ("dead_band", unchanged),
+            ("thrust_lag", unchanged),
+            ("thrust", thrust),
+            ("force", force),
+            ("rate", rate),
+            ("output", output),
+        ),
         provides=("n", "f", "n_input", "plane", "heading", "nomoto"),
         source="nomoto" + ":sampled" * sampled + ":no-current" * (not current),
         residuals=RESIDUALS,

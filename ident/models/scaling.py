@@ -91,11 +91,7 @@ def is_moment(unit: str) -> bool:
 
 def _lengths(unit: str) -> int:
     above, _, below = unit.partition("/")
-    return (
-        len(re.findall(r"\bm\b", above))
-        + 2 * len(re.findall(r"\bm2\b", above))
-        - len(re.findall(r"\bm2?\b", below))
-    )
+    return len(re.findall(r"\bm\b", above)) + 2 * len(re.findall(r"\bm2\b", above)) - len(re.findall(r"\bm2?\b", below))
 
 
 def size_of(model: Model) -> VesselScale:

@@ -53,11 +53,15 @@ FORCE = (
     Parameter("e_f", 0.5, "N", "noise of the load cell", "log"),
 )
 SWING = (
+    Parameter("q_f", 0.5, "N/sqrt(s)", "diffusion of the disturbance force", "log", role=ParameterRole.DISTURBANCE),
     Parameter(
-        "q_f", 0.5, "N/sqrt(s)", "diffusion of the disturbance force", "log", role=ParameterRole.DISTURBANCE
-    ),
-    Parameter(
-        "tau_f", 0.5, "s", "correlation time of the disturbance force", "log", prior=(0.5, 0.5), bounds=(0.05, 20.0),
+        "tau_f",
+        0.5,
+        "s",
+        "correlation time of the disturbance force",
+        "log",
+        prior=(0.5, 0.5),
+        bounds=(0.05, 20.0),
         role=ParameterRole.DISTURBANCE,
     ),
 )

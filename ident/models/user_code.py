@@ -25,7 +25,7 @@ from seatrial.ident.model import Effect, Model
 # What libraries say of a symbol, and what to write instead
 ADVICE = {
     "truth value": "`if`, `and`, `or`, `max` and `min` cannot decide on a symbol; write np.where(condition, a, b), "
-                   "np.maximum(a, b) or x * (x > 0)",
+    "np.maximum(a, b) or x * (x > 0)",
     "new_SX": "one of the rates or outputs that it gives is no number",
     "to_int not defined": "`int` and `range` cannot take a symbol; write np.floor(x)",
 }

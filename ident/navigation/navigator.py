@@ -92,7 +92,7 @@ class Navigation:
     def position(self, of: Estimate) -> tuple[Array, Array]:
         """North and east of the antenna: means (n_rows, 2), covariances (n_rows, 2, 2) without measurement noise."""
         j = self._columns
-        y = self._rowwise(of.x, self.record.u, self.values)[:, len(self.states):][:, j]
+        y = self._rowwise(of.x, self.record.u, self.values)[:, len(self.states) :][:, j]
         H = self._rowwise.output_jacobian(of.x, self.record.u, self.values)[:, j]
         return y, np.einsum("kij,kjl,kml->kim", H, of.P, H)
 
@@ -160,16 +160,23 @@ def navigate(
     seen, withheld = _withhold(model, record, without_gnss)
     run = likelihood.filter(seen, values)
     if not np.isfinite(run.value):
-        raise ValueError(f"{record.name}: the filter of model {model.name} diverges on this record; was it fitted to "
-                         "this boat?")
+        raise ValueError(
+            f"{record.name}: the filter of model {model.name} diverges on this record; was it fitted to this boat?"
+        )
     x, P = _best(run, smoothed)
     d_pred, d_best = _consider_covariance(likelihood, seen, values, run, x, known, smoothed)
     kind: Kind = "smoothed" if smoothed else "filtered"
     at = [o.name for o in model.outputs].index(POSITION[0])
     return Navigation(
-        model, record, values, kind,
-        Estimate(run.x_pred, run.P_pred + d_pred), Estimate(x, P + d_best),
-        run, np.isfinite(seen.y[:, at]), withheld,
+        model,
+        record,
+        values,
+        kind,
+        Estimate(run.x_pred, run.P_pred + d_pred),
+        Estimate(x, P + d_best),
+        run,
+        np.isfinite(seen.y[:, at]),
+        withheld,
     )
 
 

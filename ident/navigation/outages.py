@@ -141,20 +141,33 @@ class _View:
     def outage(self, first: int, last: int, is_open: bool) -> Outage:
         """Between the rows of two fixes, from the first row to a fix, or from a fix to the last row."""
         n, t = self.of, self.of.t
-        lost = first + np.flatnonzero(n.withheld[first:last + 1])
+        lost = first + np.flatnonzero(n.withheld[first : last + 1])
         judged = last if not is_open else int(lost[-1]) if lost.size else None
         error, allowed, inside = None, None, None
         if judged is not None:
             distance, within = self._misses(self.predicted, np.array([judged]))
             error, inside = float(distance[0]), bool(within[0])
             allowed = ellipse(self.predicted[1][judged] + np.diag(n.fix_variance)).radius
-        inner = self.best[1][first:last + 1]
+        inner = self.best[1][first : last + 1]
         widest = inner[int(np.argmax(np.trace(inner, axis1=1, axis2=2)))]
         north, east = self.predicted[0][last].tolist()
         leading = not n.used[first]
-        return Outage(float(t[first]), float(t[last]), is_open, leading, bool(lost.size), north, east,
-                      ellipse(self.predicted[1][last]), error, allowed, inside, ellipse(widest).radius,
-                      self._summary(self.predicted, lost), self._summary(self.best, lost))
+        return Outage(
+            float(t[first]),
+            float(t[last]),
+            is_open,
+            leading,
+            bool(lost.size),
+            north,
+            east,
+            ellipse(self.predicted[1][last]),
+            error,
+            allowed,
+            inside,
+            ellipse(widest).radius,
+            self._summary(self.predicted, lost),
+            self._summary(self.best, lost),
+        )
 
     def _misses(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
         e = estimate[0][rows] - self.of.fixes[rows]

@@ -112,7 +112,7 @@ def effective_sample_size(z: Array) -> float:
         return float(n)
     rho = autocovariance(z)[1:] / power
     small = np.flatnonzero(np.abs(rho) < 2.0 / np.sqrt(n))
-    rho = rho[:small[0]] if small.size else rho
+    rho = rho[: small[0]] if small.size else rho
     return float(max(n / (1.0 + 2.0 * np.sum(rho**2)), 1.0))
 
 

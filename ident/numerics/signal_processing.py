@@ -53,8 +53,13 @@ class LagFit(NamedTuple):
 
 
 def fit_first_order_lag(
-    data: Sequence[LagData], delays: Sequence[float], time_constants: Sequence[float], dt: float,
-    *, hold: Hold = "forward", start: Start = "zero",
+    data: Sequence[LagData],
+    delays: Sequence[float],
+    time_constants: Sequence[float],
+    dt: float,
+    *,
+    hold: Hold = "forward",
+    start: Start = "zero",
 ) -> LagFit:
     """Delay and time constant of a first-order response, by grid search: a search from one start stops at a slow lag
     where the delay is long.

@@ -105,24 +105,58 @@ def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
     """One section for each kind of curve, with a tab a log; without tabs where there is one log."""
     measured = ("measured", "measured")
     return [
-        _section(canvas, logs, "push", "Does the boat go where its thrusters push?", _push, 170, [
-            measured, ("line", "as the thrusters push, through a first-order lag and to scale")],
-            "Two curves that go together: sides and signs are right. Mirror images: swapped, or a wrong sign."),
-        _section(canvas, logs, "shafts", "Do the shafts do what they are told?", _shafts, 132, [
-            ("before", "what it is told"), ("line", "what the shaft does")]),
-        _section(canvas, logs, "sensors", "Do the sensors agree?", _sensors, 132, [
-            ("measured", "change of heading in 1 s, of position in 5 s"), ("line", "gyro, velocity as received")],
-            "One motion by two sensors. A factor between them is a unit; a shift in time, a sensor that comes late."),
+        _section(
+            canvas,
+            logs,
+            "push",
+            "Does the boat go where its thrusters push?",
+            _push,
+            170,
+            [measured, ("line", "as the thrusters push, through a first-order lag and to scale")],
+            "Two curves that go together: sides and signs are right. Mirror images: swapped, or a wrong sign.",
+        ),
+        _section(
+            canvas,
+            logs,
+            "shafts",
+            "Do the shafts do what they are told?",
+            _shafts,
+            132,
+            [("before", "what it is told"), ("line", "what the shaft does")],
+        ),
+        _section(
+            canvas,
+            logs,
+            "sensors",
+            "Do the sensors agree?",
+            _sensors,
+            132,
+            [("measured", "change of heading in 1 s, of position in 5 s"), ("line", "gyro, velocity as received")],
+            "One motion by two sensors. A factor between them is a unit; a shift in time, a sensor that comes late.",
+        ),
         _section(canvas, logs, "signals", "What the sensors said", _signals, 100),
-        _section(canvas, logs, "intervals", "Time between samples", _intervals, 90, [
-            ("line", "from sample to sample"), ("before", "by the rig's rate_hz")],
-            "A peak is a pause; a level above the dashed line, a device that is slower than the rig says."),
+        _section(
+            canvas,
+            logs,
+            "intervals",
+            "Time between samples",
+            _intervals,
+            90,
+            [("line", "from sample to sample"), ("before", "by the rig's rate_hz")],
+            "A peak is a pause; a level above the dashed line, a device that is slower than the rig says.",
+        ),
     ]
 
 
 def _section(
-    canvas: Canvas, logs: Sequence[CheckEvidence], key: str, title: str, make: Make, height: int,
-    items: Sequence[tuple[str, str]] = (), lead: str = "",
+    canvas: Canvas,
+    logs: Sequence[CheckEvidence],
+    key: str,
+    title: str,
+    make: Make,
+    height: int,
+    items: Sequence[tuple[str, str]] = (),
+    lead: str = "",
 ) -> Section:
     found = []
     for log in logs:
@@ -139,8 +173,10 @@ def _push(log: CheckEvidence, limit: int) -> list[Panel]:
     panels = []
     for row in log.push:
         factor, unit = formatting.degrees_for(row.unit)
-        traces = [dots(row.t, factor * row.measured, "measured", limit),
-                  line_trace(row.t, factor * row.expected, "as pushed", limit)]
+        traces = [
+            dots(row.t, factor * row.measured, "measured", limit),
+            line_trace(row.t, factor * row.expected, "as pushed", limit),
+        ]
         panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
     return panels
 
@@ -203,15 +239,22 @@ def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
         return Section("mission", "", [])
     panels = []
     for column, name in enumerate(mission.thrusters):
-        told = line_trace(*_held(mission.t, mission.n[:, column], mission.end, canvas.budget.points), name,
-                          canvas.budget.points)
+        told = line_trace(
+            *_held(mission.t, mission.n[:, column], mission.end, canvas.budget.points), name, canvas.budget.points
+        )
         panels.append(Panel(f"{_capital(name)}: command, part of full speed", [told], {"range": [-1.08, 1.08]}))
     figure, high = stacked(panels, "time since the start of the mission [s]")
     blocks: list[Any] = [Grid([canvas.plot(figure, high, "Commands of the mission")], 320)]
     if mission.track is not None:
-        track = single(_way(mission.track, mission.fence), "east of the start [m]", "north of the start [m]",
-                       hovermode="closest", yaxis={"scaleanchor": "x"}, showlegend=True,
-                       legend={"orientation": "h", "y": 1.08})
+        track = single(
+            _way(mission.track, mission.fence),
+            "east of the start [m]",
+            "north of the start [m]",
+            hovermode="closest",
+            yaxis={"scaleanchor": "x"},
+            showlegend=True,
+            legend={"orientation": "h", "y": 1.08},
+        )
         words = f"Predicted by {mission.track.source}, from rest, heading north. Wind and current add to it."
         blocks += [Grid([canvas.plot(track, 540, "Predicted track and fence")], 320, "narrow"), Prose(words, "caption")]
     return Section("mission", f"The mission, run dry: {mission.name}", blocks)

@@ -130,9 +130,7 @@ def _broken(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
     return np.insert(x, at, x[at]), np.insert(y, at, np.nan)
 
 
-def dots(
-    x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, turn: float | None = None
-) -> Trace:
+def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, turn: float | None = None) -> Trace:
     """Measured values: dots where they are few, a thin line (broken at gaps) where they are many."""
     x, y = x[np.isfinite(y)], y[np.isfinite(y)]
     if x.size <= 700:
@@ -145,7 +143,13 @@ def dots(
 
 
 def band(
-    x: Array, middle: Array, half: Array, limit: int, *, color: str = MODEL, opacity: float = 0.18,
+    x: Array,
+    middle: Array,
+    half: Array,
+    limit: int,
+    *,
+    color: str = MODEL,
+    opacity: float = 0.18,
     turn: float | None = None,
 ) -> Trace:
     """What is between middle - half and middle + half, filled; in pieces where an angle jumps by a ``turn``."""

@@ -134,8 +134,7 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
 
 
 def noise_level(value: float, se: float | None, limit: float | None, factor: float, unit: str = "") -> str:
-    """A noise times a factor, with its standard error; ``< 0.0021 deg``, where none was found and more would have been.
-    """
+    """Return a noise times a factor with its standard error, or its upper limit (``< 0.0021 deg``) if it is zero."""
     if se is None and limit is not None:
         return f"< {plain(factor * limit, 2)} {unit}".strip()
     return with_error(factor * value, None if se is None else factor * se, unit)

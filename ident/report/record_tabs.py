@@ -56,8 +56,10 @@ def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
     lines = []
     for (latitude, longitude, first), names in origins.items():
         of = ", ".join(names) if len(origins) > 1 or len(names) < len(logs) else ""
-        lines.append(f"x and y{' of ' * bool(of)}{of} count from {latitude:.7f}, {longitude:.7f} (latitude, longitude)"
-                     f"{', the first fix of ' * bool(first)}{first}")
+        lines.append(
+            f"x and y{' of ' * bool(of)}{of} count from {latitude:.7f}, {longitude:.7f} (latitude, longitude)"
+            f"{', the first fix of ' * bool(first)}{first}"
+        )
     return lines
 
 

@@ -211,8 +211,7 @@ def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
     for row in found:
         factor, unit = formatting.degrees_for(row.unit)
         spans = [
-            interval(*formatting.scaled(factor, *ends))
-            for ends in ((row.low, row.high), (row.wald_low, row.wald_high))
+            interval(*formatting.scaled(factor, *ends)) for ends in ((row.low, row.high), (row.wald_low, row.wald_high))
         ]
         words = [row.name, formatting.plain(factor * row.value), *spans, unit, "; ".join(row.notes)]
         table.add_row(*(Text(word) for word in words))
@@ -237,9 +236,7 @@ def _candidates(result: DiagnosisResult) -> Table | None:
     for row in shown:
         won = row.name in chosen
         style = "bold green" if won else "" if row.passed else "dim"
-        numbers = (
-            formatting.plain(row.lm), formatting.plain(row.threshold), formatting.probability(row.p_block)
-        )
+        numbers = (formatting.plain(row.lm), formatting.plain(row.threshold), formatting.probability(row.p_block))
         mark = "✓" if won else "−" if row.name in removed else "·" if row.passed else " "
         table.add_row(*(Text(part) for part in (mark, row.title or row.name, *numbers)), style=style)
     return table

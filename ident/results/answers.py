@@ -177,16 +177,23 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
     if table is None:
         role, table = "estimation", calibration.estimation
     kinds = (
-        ("one step ahead", table.one_step), (f"{horizon:g} s ahead", table.horizon), ("simulated", table.simulation)
+        ("one step ahead", table.one_step),
+        (f"{horizon:g} s ahead", table.horizon),
+        ("simulated", table.simulation),
     )
     notes = []
     for verdict, what in (("overconfident", "larger"), ("underconfident", "smaller")):
         for words, channels in kinds:
-            wrong = [f"{n} {'diverged' if c.scale is None else format(c.scale, '.2g')}" for n, c in channels.items()
-                     if c.verdict == verdict]
+            wrong = [
+                f"{n} {'diverged' if c.scale is None else format(c.scale, '.2g')}"
+                for n, c in channels.items()
+                if c.verdict == verdict
+            ]
             if wrong:
-                notes.append(f"On {role} data, {words}, errors are {what} than the model says, by these factors: "
-                             f"{', '.join(wrong)}.")
+                notes.append(
+                    f"On {role} data, {words}, errors are {what} than the model says, by these factors: "
+                    f"{', '.join(wrong)}."
+                )
     return notes
 
 
@@ -311,8 +318,14 @@ def frame_warnings(model: Model, unplaced: Sequence[str], *, unsaid: bool = Fals
     points = [e.name for e in model.effects if e.fixed_point]
     if not points or not (unplaced or unsaid):
         return []
-    why = "the model does not say from where its x and y counted" if unsaid else (
-        f"{_listed(list(unplaced))} {'gives' if len(unplaced) == 1 else 'give'} x and y without latitude and longitude")
+    why = (
+        "the model does not say from where its x and y counted"
+        if unsaid
+        else (
+            f"{_listed(list(unplaced))} {'gives' if len(unplaced) == 1 else 'give'} x and y "
+            "without latitude and longitude"
+        )
+    )
     text = (
         f"The fixed point of {_listed(points)} is one for all logs, and {why}: all x and y are taken to count from one "
         "place. Where they do not, the point and its force are wrong."
@@ -394,10 +407,10 @@ def thruster_answer(
     measured force, None where nobody gave it; ``smallest``: command that was tried, as the dead zone is unknown below
     it."""
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
-    shaft = (
-        f"the shaft follows its command {1e3 * tau[0]:.0f} ms late with a time constant of {1e3 / a[0]:.0f} ms "
-        + (f"and does not turn below {100 * d[0]:.1f} % of full command" if d[0] >= NO_DEAD_ZONE else
-           f"and has no dead zone above the smallest command tried, {format_number(100 * smallest)} %")
+    shaft = f"the shaft follows its command {1e3 * tau[0]:.0f} ms late with a time constant of {1e3 / a[0]:.0f} ms " + (
+        f"and does not turn below {100 * d[0]:.1f} % of full command"
+        if d[0] >= NO_DEAD_ZONE
+        else f"and has no dead zone above the smallest command tried, {format_number(100 * smallest)} %"
     )
     if not has_force:
         return shaft[0].upper() + shaft[1:] + "; without a load cell nothing is known of its thrust."
@@ -442,17 +455,20 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
     curve, known = measured.curve, measured.calibration
     errors = np.sqrt(np.diag(quadratic.covariance))
     c2 = (
-        "c2 not told by commands of one sign" if quadratic.c2 is None
+        "c2 not told by commands of one sign"
+        if quadratic.c2 is None
         else f"c2 = {plus_minus(quadratic.c2, errors[1])} N"
     )
     test = f"F with {quadratic.df} and {levels.dof}" if levels.dof else f"chi-squared with {quadratic.df}"
     between = (
         f"with a scatter between visits to one level of {levels.scatter:.2g} N ({levels.dof} degrees of freedom)"
-        if levels.dof else "but not the scatter between visits, since no level was visited twice"
+        if levels.dof
+        else "but not the scatter between visits, since no level was visited twice"
     )
     zero = (
         f"The load cell's {plus_minus(levels.offset, levels.offset_se)} N at rest are taken off all levels."
-        if levels.offset is not None else ""
+        if levels.offset is not None
+        else ""
     )
     notes = [
         *filter(None, [zero]),

@@ -134,9 +134,8 @@ def thruster_result(
     bands, ways = calibration_tables(evaluation), directions(stage.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
-        answer=not_converged(stage.fit) or thruster_answer(
-            stage.fit, static is not None, ways, calibration, smallest_command(stage.records)
-        ),
+        answer=not_converged(stage.fit)
+        or thruster_answer(stage.fit, static is not None, ways, calibration, smallest_command(stage.records)),
         warnings=(
             *(thruster_warnings(ways) if static is not None else ()),
             *estimation_warnings(stage.fit, stage.records),
@@ -320,9 +319,7 @@ class ChannelNoise(Part, frozen=True, kw_only=True):
     ] = None
     accepted: Annotated[bool, Meta(description="whether the channel is white noise plus a random walk")]
     p: Annotated[float | None, Meta(description="p value of the Ljung-Box test of the innovations")]
-    predictable: Annotated[
-        float | None, Meta(description="share of the innovations' variance that could be predicted")
-    ]
+    predictable: Annotated[float | None, Meta(description="share of the innovations' variance that could be predicted")]
     reason: Annotated[str | None, Meta(description="why it is not accepted")]
     frequency: Annotated[Array, Meta(description="[Hz]")]
     psd: Annotated[Array, Meta(description="power spectral density that was measured (Welch) [unit^2/Hz]")]

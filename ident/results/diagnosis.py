@@ -186,9 +186,13 @@ def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> s
 def _too_short(diagnosis: Diagnosis) -> str:
     """What could not be tested; empty where all could."""
     short = diagnosis.short
-    return "" if short is None else (
-        f"No effect is seen, but {short.seconds:.0f} s of estimation data are too short to test "
-        f"{short.untestable} of {short.candidates} candidates: give {short.needed:.0f} s or more."
+    return (
+        ""
+        if short is None
+        else (
+            f"No effect is seen, but {short.seconds:.0f} s of estimation data are too short to test "
+            f"{short.untestable} of {short.candidates} candidates: give {short.needed:.0f} s or more."
+        )
     )
 
 
@@ -409,7 +413,11 @@ def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
             (a, sa), (b, sb) = before.estimate(p), after.estimate(p)
             rows.append(
                 parts.ParameterChange(
-                    name=scale.name(p.name, p.unit), unit=scale.unit(p.unit), before=a, before_se=finite(sa), after=b,
+                    name=scale.name(p.name, p.unit),
+                    unit=scale.unit(p.unit),
+                    before=a,
+                    before_se=finite(sa),
+                    after=b,
                     after_se=finite(sb),
                 )
             )

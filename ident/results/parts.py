@@ -460,9 +460,9 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
         Array,
         Meta(description="of the log-likelihood there, all others fitted again; with priors, of the posterior"),
     ]
-    low: Annotated[
-        float | None, Meta(description="95 % interval, where the drop is 1.92; null: open on that side")
-    ] = None
+    low: Annotated[float | None, Meta(description="95 % interval, where the drop is 1.92; null: open on that side")] = (
+        None
+    )
     high: float | None = None
     wald_low: Annotated[float | None, Meta(description="1.96 standard errors either way")] = None
     wald_high: float | None = None
@@ -561,9 +561,7 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
 
     prediction: Annotated[PredictionFit | None, Meta(description="null: nothing was predicted over the horizon")] = None
     profiles: Annotated[tuple[ProfileCurve, ...], Meta(description="with `--profile`: one a parameter")] = ()
-    homogeneity: Annotated[
-        tuple[Homogeneity, ...], Meta(description="with `--test-homogeneity`: one a parameter")
-    ] = ()
+    homogeneity: Annotated[tuple[Homogeneity, ...], Meta(description="with `--test-homogeneity`: one a parameter")] = ()
 
 
 class ThrusterResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="thruster"):

@@ -283,9 +283,7 @@ def _pairs(
     for role in roles:
         new, old = getattr(after, role), getattr(before, role, None)
         if new is not None:
-            found += [
-                (role, now, None if old is None else old.records[k]) for k, now in enumerate(new.records)
-            ]
+            found += [(role, now, None if old is None else old.records[k]) for k, now in enumerate(new.records)]
     return found
 
 
@@ -307,9 +305,7 @@ def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
     )
 
 
-def residual_rows(
-    before: PredictionEvaluation, after: PredictionEvaluation | None = None
-) -> tuple[ResidualTests, ...]:
+def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | None = None) -> tuple[ResidualTests, ...]:
     """Whether the residuals are white; ``after``: of another model, beside it."""
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
@@ -395,9 +391,18 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
     k = reported.factor(a.unit)
     low, high = a.interval
     return replace(
-        a, name=reported.scale.name(a.name, a.unit), unit=reported.scale.unit(a.unit), value=k * a.value,
-        error=k * a.error, robust_error=k * a.robust_error, values=k * a.values, errors=k * a.errors,
-        scatter=k * a.scatter, mean=k * a.mean, mean_error=k * a.mean_error, interval=(k * low, k * high),
+        a,
+        name=reported.scale.name(a.name, a.unit),
+        unit=reported.scale.unit(a.unit),
+        value=k * a.value,
+        error=k * a.error,
+        robust_error=k * a.robust_error,
+        values=k * a.values,
+        errors=k * a.errors,
+        scatter=k * a.scatter,
+        mean=k * a.mean,
+        mean_error=k * a.mean_error,
+        interval=(k * low, k * high),
     )
 
 

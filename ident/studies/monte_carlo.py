@@ -54,7 +54,15 @@ Z95 = 1.96
 N_DRAWS = 400  # samples of an efficient estimate near bounds, for each replicate
 # The wings that a study's results hang on.
 HASHED_WINGS = (
-    "characterisation", "data", "effects", "engine", "estimation", "experiment_design", "model", "models", "numerics",
+    "characterisation",
+    "data",
+    "effects",
+    "engine",
+    "estimation",
+    "experiment_design",
+    "model",
+    "models",
+    "numerics",
     "studies",
 )
 
@@ -181,10 +189,12 @@ def _coordinates(parameters: Sequence[Parameter], values: Array) -> Array:
 def _draw(model: Model, rng: np.random.Generator) -> Array:
     """The true values; what each record has for itself comes from its prior, and so does what is considered."""
     own = {p.name for p in model.parameters if p.free and p.per_record} | {*model.considered}
-    return np.array([
-        p.prior[0] + p.prior[1] * rng.standard_normal() if p.name in own and p.prior else p.value
-        for p in model.parameters
-    ])
+    return np.array(
+        [
+            p.prior[0] + p.prior[1] * rng.standard_normal() if p.name in own and p.prior else p.value
+            for p in model.parameters
+        ]
+    )
 
 
 def _finite(names: Sequence[str], values: Array) -> dict[str, float | None]:
@@ -225,8 +235,11 @@ class ParameterCoverage:
         found = [
             _miss("bias", abs(self.bias) > BIAS, bias > BIAS),
             _miss("variance", abs(self.bound_ratio - 1) > VARIANCE, low > 1 + VARIANCE or high < 1 - VARIANCE),
-            _miss("coverage", not COVERAGE[0] <= self.coverage <= COVERAGE[1],
-                  self.coverage_interval[1] < COVERAGE[0] or self.coverage_interval[0] > COVERAGE[1]),
+            _miss(
+                "coverage",
+                not COVERAGE[0] <= self.coverage <= COVERAGE[1],
+                self.coverage_interval[1] < COVERAGE[0] or self.coverage_interval[0] > COVERAGE[1],
+            ),
         ]
         return tuple(f for f in found if f)
 
@@ -255,9 +268,19 @@ def _statistics(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
     low, high = (float((n - 1) / stats.chi2.ppf(q, n - 1)) for q in (0.975, 0.025))
     interval = stats.binomtest(inside, n).proportion_ci(method="exact")
     return ParameterCoverage(
-        name, n, int(at_bound.sum()), float(np.sqrt(variance)), float(d.mean() / np.sqrt(variance)),
-        1 / float(np.sqrt(n)), ratio, (ratio * low, ratio * high), bound_ratio, (bound_ratio * low, bound_ratio * high),
-        inside / n, (float(interval.low), float(interval.high)))
+        name,
+        n,
+        int(at_bound.sum()),
+        float(np.sqrt(variance)),
+        float(d.mean() / np.sqrt(variance)),
+        1 / float(np.sqrt(n)),
+        ratio,
+        (ratio * low, ratio * high),
+        bound_ratio,
+        (bound_ratio * low, bound_ratio * high),
+        inside / n,
+        (float(interval.low), float(interval.high)),
+    )
 
 
 @dataclass(frozen=True)

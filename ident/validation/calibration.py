@@ -74,8 +74,16 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
     square = float(np.mean(z**2))
     low, high = (np.sqrt(square * effective / stats.chi2.ppf(q, effective)) for q in (0.975, 0.025))
     pit = np.histogram(stats.norm.cdf(z), BINS, (0.0, 1.0))[0] / z.size
-    return Calibration(z.size, effective, float(np.mean(np.abs(z) < HALF)), float(np.mean(np.abs(z) < NEARLY_ALL)),
-                       float(np.sqrt(square)), float(low), float(high), pit)
+    return Calibration(
+        z.size,
+        effective,
+        float(np.mean(np.abs(z) < HALF)),
+        float(np.mean(np.abs(z) < NEARLY_ALL)),
+        float(np.sqrt(square)),
+        float(low),
+        float(high),
+        pit,
+    )
 
 
 def _effective(z: Array) -> float:
@@ -159,8 +167,10 @@ def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> 
     blind = record.t > record.t[0] + WARM_UP
     with np.errstate(invalid="ignore"):  # an angle that is infinite
         e = [wrap(record.y[blind, j] - run.y[blind, j], o.angle) for j, o in enumerate(model.outputs)]
-    return {o.name: _standardised(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
-            for j, o in enumerate(model.outputs)}
+    return {
+        o.name: _standardised(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
+        for j, o in enumerate(model.outputs)
+    }
 
 
 def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:

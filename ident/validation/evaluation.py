@@ -200,10 +200,14 @@ def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
 def prediction_changes(before: PredictionEvaluation, after: PredictionEvaluation) -> dict[str, PredictionChange]:
     """By role, the change of the prediction errors over the horizon from one model to the other, on the records that
     both could be evaluated on."""
-    of_role = [{role: {r.record.name: r.errors for r in one.records} for role, one in of.sets.items()}
-               for of in (before, after)]
-    return {role: prediction_change_by_record(of, of_role[1].get(role, {}), after.horizon)
-            for role, of in of_role[0].items()}
+    of_role = [
+        {role: {r.record.name: r.errors for r in one.records} for role, one in of.sets.items()}
+        for of in (before, after)
+    ]
+    return {
+        role: prediction_change_by_record(of, of_role[1].get(role, {}), after.horizon)
+        for role, of in of_role[0].items()
+    }
 
 
 @dataclass(frozen=True)

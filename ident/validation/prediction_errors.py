@@ -197,7 +197,8 @@ class PredictionChange(ErrorRatio):
 
 
 def prediction_change_by_record(
-    before: Mapping[str, Mapping[str, PredictionErrors]], after: Mapping[str, Mapping[str, PredictionErrors]],
+    before: Mapping[str, Mapping[str, PredictionErrors]],
+    after: Mapping[str, Mapping[str, PredictionErrors]],
     horizon: float,
 ) -> PredictionChange:
     """The change on the records, by their names, that both models have: one that a model could not be evaluated on is

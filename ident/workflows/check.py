@@ -106,9 +106,11 @@ def with_estimator_errors(
     if not any(estimated(log.run.channels) for log in logs):
         return model, []
     sensors = [s.name for s in model.sensors]
-    line = (f"Position by an estimator (its noise is less than a receiver's): errors of its "
-            f"{', '.join(e.of for e in navigation_errors(sensors))} that last are states; "
-            f"--fix {position}=... gives white noise instead.")
+    line = (
+        f"Position by an estimator (its noise is less than a receiver's): errors of its "
+        f"{', '.join(e.of for e in navigation_errors(sensors))} that last are states; "
+        f"--fix {position}=... gives white noise instead."
+    )
     return model + estimator_error(sensors), [line]
 
 

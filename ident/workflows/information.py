@@ -94,9 +94,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
         reporter.progress(f"{rows.name}: its own current and offsets")
         values.append(own_values(model, rows))
     reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in segments of {seconds:g} s")
-    segments = segment_information(
-        model, records, names, seconds=seconds, values=values, inflation=saved.inflation
-    )
+    segments = segment_information(model, records, names, seconds=seconds, values=values, inflation=saved.inflation)
     found = _rows(segments, loaded, records)
     parameters = tuple(_parameter(model, name, k, segments, found) for k, name in enumerate(names))
     made = provenance(loaded, command)

@@ -102,12 +102,15 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
 OTHER_NAMES = {
     "speed_x": "velocity over ground to the north is called vx",
     "speed_y": "velocity over ground to the east is called vy",
-    "lat": "positions are x, y in metres north and east", "lon": "positions are x, y in metres north and east",
+    "lat": "positions are x, y in metres north and east",
+    "lon": "positions are x, y in metres north and east",
     "sog": "velocity over ground is called vx, vy (m/s, north and east)",
     "cog": "velocity over ground is called vx, vy (m/s, north and east)",
     "pwm": "a pulse is no shaft speed: map it to n_left, n_right (-1..1) by scale and offset",
     "servo": "a pulse is no shaft speed: map it to n_left, n_right (-1..1) by scale and offset",
-    "yaw": "the heading is called psi", "heading": "the heading is called psi", "yaw_rate": "the yaw rate is called r",
+    "yaw": "the heading is called psi",
+    "heading": "the heading is called psi",
+    "yaw_rate": "the yaw rate is called r",
 }
 
 
@@ -168,11 +171,15 @@ def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
 def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
     """A line on what the thrust of a model follows in these logs, ``completed``; empty where it is given as such."""
     if "n_state" in model.provides:
-        return ("thrust from the commands: no shaft speed is measured in time, so the shafts are states with a dead "
-                "zone, a delay and a time constant (--model horizontal:shaft takes the signals as shaft speeds)")
+        return (
+            "thrust from the commands: no shaft speed is measured in time, so the shafts are states with a dead "
+            "zone, a delay and a time constant (--model horizontal:shaft takes the signals as shaft speeds)"
+        )
     if any(e.name == TELEMETRY_AGE for e in model.effects):
-        return ("thrust from the shaft speeds that the autopilot relays, of an age that is estimated, with the sign of "
-                "the delayed output (--model horizontal:shaft takes them as they are, horizontal:command the outputs)")
+        return (
+            "thrust from the shaft speeds that the autopilot relays, of an age that is estimated, with the sign of "
+            "the delayed output (--model horizontal:shaft takes them as they are, horizontal:command the outputs)"
+        )
     if "n_input" not in model.provides:
         return ""
     told = [_told_only(x) for x in loaded]
@@ -225,9 +232,7 @@ def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameO
             )
 
 
-def saved_frame_warnings(
-    model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None
-) -> list[ResultWarning]:
+def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None) -> list[ResultWarning]:
     """What is assumed of the x and y of logs that a saved model is used on as it is (``require_one_frame``)."""
     require_one_frame(model, logs, reference)
     return frame_warnings(model, [one.run.name for one in logs if one.unplaced], unsaid=reference is None)

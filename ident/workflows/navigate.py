@@ -119,9 +119,7 @@ def _write(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -
     write_report(result, out / "report.html")
 
 
-def _outages_of(
-    parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]
-) -> list[list[tuple[float, float]]]:
+def _outages_of(parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]) -> list[list[tuple[float, float]]]:
     """Return the outages [s of the log] of each part of a log. Between two parts it belongs to the later."""
     ends = [max(float(c.t[-1]) for c in one.run.channels.values()) for one in parts[:-1]]
     own: list[list[tuple[float, float]]] = [[] for _ in parts]

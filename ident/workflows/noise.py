@@ -59,8 +59,10 @@ class NoiseEstimate:
         size = np.abs(f.innovations)
         beyond, k = int(np.sum(size > OUTLYING)), int(np.argmax(size))
         if beyond or f.heavy_tailed:
-            tails = f"{beyond} of {f.n} innovations beyond {OUTLYING:g} standard deviations" if beyond else (
-                f"heavy tails (kurtosis {f.kurtosis:.2g})"
+            tails = (
+                f"{beyond} of {f.n} innovations beyond {OUTLYING:g} standard deviations"
+                if beyond
+                else (f"heavy tails (kurtosis {f.kurtosis:.2g})")
             )
             said += [(f"{tails}, the largest {size[k]:.2g} at {f.t[k]:.4g} s", SPIKES)]
         if f.coarse:
@@ -85,9 +87,7 @@ class NoiseEstimate:
         return said
 
 
-def noise(
-    logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter
-) -> NoiseResult:
+def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> NoiseResult:
     """White noise and random walk of each channel of logs of sensors at rest."""
     loaded = load_runs(logs, "estimation", cut=False)
     notes: list[str] = []
@@ -187,9 +187,7 @@ def _percent(share: float) -> str:
 
 
 def _notes(found: Sequence[NoiseEstimate]) -> list[str]:
-    lines = [
-        f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected
-    ]
+    lines = [f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected]
     lines += [
         f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "
         "variance could be predicted and their density is nowhere off by a factor of two: let pass."

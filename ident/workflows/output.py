@@ -28,11 +28,23 @@ def write_all(
     out.mkdir(parents=True, exist_ok=True)
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
-    origin = next((FrameOrigin(x.origin.latitude, x.origin.longitude, x.origin.log)
-                   for x in result.logs if x.role == "estimation" and x.origin is not None), None)
+    origin = next(
+        (
+            FrameOrigin(x.origin.latitude, x.origin.longitude, x.origin.log)
+            for x in result.logs
+            if x.role == "estimation" and x.origin is not None
+        ),
+        None,
+    )
     save_model(
-        out / "model.toml", fit, validity=ranges, provenance=made, effects_file=effects_file, calibration=calibration,
-        origin=origin, rates=rates,
+        out / "model.toml",
+        fit,
+        validity=ranges,
+        provenance=made,
+        effects_file=effects_file,
+        calibration=calibration,
+        origin=origin,
+        rates=rates,
     )
     write_result(result, out / "result.json")
     write_report(result, out / "report.html")

@@ -88,9 +88,7 @@ class ThrusterRequest:
     despite_faults: bool = False
 
 
-def characterise(
-    request: ThrusterRequest, command: str, reporter: Reporter
-) -> ThrusterResult | ThrustCurveResult:
+def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> ThrusterResult | ThrustCurveResult:
     """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft;
     ``command``: what was typed."""
     name, profiles = request.name, request.profiles

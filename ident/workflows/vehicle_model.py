@@ -123,8 +123,10 @@ def considered_notes(model: Model) -> list[str]:
         f"{' (built in)' * (p.origin is ParameterOrigin.BUILT_IN)}"
         for p in held
     ]
-    return [f"The standard errors have in them what no log tells of its own sensors: {', '.join(words)}. "
-            f"`ident vehicle --prior {held[0].name}={held[0].value:g}:SD` gives yours."]
+    return [
+        f"The standard errors have in them what no log tells of its own sensors: {', '.join(words)}. "
+        f"`ident vehicle --prior {held[0].name}={held[0].value:g}:SD` gives yours."
+    ]
 
 
 def vehicle_problem(

@@ -81,8 +81,10 @@ def test_a_log_that_is_no_bench_run_is_one_line(tmp_path: Path, capsys: pytest.C
 
 def test_a_page_of_figures_holds_its_curves(tmp_path: Path) -> None:
     x = np.linspace(1.0, 10.0, 30)
-    charts = [Chart("one <b>", [Curve("a", x, x, "measured"), Curve("b", x, -x, "band", x)]),
-              Chart("two", [Curve("a", x, x**2)], log=True)]
+    charts = [
+        Chart("one <b>", [Curve("a", x, x, "measured"), Curve("b", x, -x, "band", x)]),
+        Chart("two", [Curve("a", x, x**2)], log=True),
+    ]
     parts = [Part("p", "Part", [Drawing("d", "s", charts)])]
     write_figures(tmp_path / "a.html", "kind", "what it shows", "lead", parts)
     page = (tmp_path / "a.html").read_text(encoding="utf-8")

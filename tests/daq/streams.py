@@ -26,8 +26,7 @@ GARBAGE = (
 
 # One second of a receiver that has never had a fix: it knows neither time nor place.
 COLD = b"".join(
-    sentence(body)
-    for body in ("GNRMC,,V,,,,,,,,,,N", "GNVTG,,,,,,,,,N", "GNGGA,,,,,,0,00,99.9,,,,,,", "GPGSV,1,1,00")
+    sentence(body) for body in ("GNRMC,,V,,,,,,,,,,N", "GNVTG,,,,,,,,,N", "GNGGA,,,,,,0,00,99.9,,,,,,", "GPGSV,1,1,00")
 )
 
 

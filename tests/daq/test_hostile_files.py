@@ -80,9 +80,7 @@ def test_too_much_memory_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.filterwarnings("default")  # of the command: a line for the user
 @pytest.mark.parametrize("attack", [one for one in dict.fromkeys(ATTACKS) if one.__name__ in QUICK])
-def test_quick_attacks_are_refused(
-    tmp_path: Path, attack: Callable[[Path, random.Random], tuple[Step, ...]]
-) -> None:
+def test_quick_attacks_are_refused(tmp_path: Path, attack: Callable[[Path, random.Random], tuple[Step, ...]]) -> None:
     box = tmp_path / "box"
     for name in ("out", "outside", "home"):
         (box / name).mkdir(parents=True)

@@ -240,9 +240,7 @@ def _is_attitude(own: Frame, words: dict[str, Any], name: str) -> bool:
 
 def _fixes(frames: list[Frame]) -> list[Fix]:
     samples = (f.sample for f in frames)
-    return [
-        Fix(s.utc, s.lat, s.lon, s.speed, s.dimensions) for s in samples if isinstance(s, Gnss) and s.lat == s.lat
-    ]
+    return [Fix(s.utc, s.lat, s.lon, s.speed, s.dimensions) for s in samples if isinstance(s, Gnss) and s.lat == s.lat]
 
 
 def _by_sentence(data: bytes, near: float) -> list[Fix]:

@@ -56,20 +56,30 @@ def with_effects(propulsion: Any) -> Model:
 
 def odd() -> Model:
     """Names that are no identifiers, or are taken, and every kind of operation."""
+
     def f(x: Any, u: Any, p: Any) -> dict[str, Any]:
         a, lam = x.a, getattr(p, "lambda")
         wild = np.sign(a) * np.minimum(a * a, 2.0) - np.maximum(np.floor(3 * a), -5.0) + np.arctan2(a, 2.0) / (1 + a)
         logic = ca.logic_and(a > 0, x.x > 0) + ca.logic_or(a > 0, x.x > 0) + ca.logic_not(a > 0) + (a == 0) + (a != 0)
-        return {"a": lam - (a - (u.N - lam)) + (a <= 0.3) * wild - (-a) / (a * a + 1) - 1 / (2 + a * a),
-                "x": np.sqrt(1 + abs(a)) ** 1.5 + np.hypot(a, x.x) + np.log1p(a * a) + np.tanh(x.x) * np.cosh(0.1 * a),
-                "k1": (a * a + 0.1) ** p.int + np.fmod(a, 0.7) + ca.if_else(a > 0.1, a * a, -a) + logic}
+        return {
+            "a": lam - (a - (u.N - lam)) + (a <= 0.3) * wild - (-a) / (a * a + 1) - 1 / (2 + a * a),
+            "x": np.sqrt(1 + abs(a)) ** 1.5 + np.hypot(a, x.x) + np.log1p(a * a) + np.tanh(x.x) * np.cosh(0.1 * a),
+            "k1": (a * a + 0.1) ** p.int + np.fmod(a, 0.7) + ca.if_else(a > 0.1, a * a, -a) + logic,
+        }
 
     return plain_model(
-        "odd boat 2!", f=f, h=lambda x, u, p: {"y 1": 2.0, "y~1": x.a * getattr(u, "N~2"), "y-1": u.N},
-        states=(State("a"), State("x"), State("k1")), inputs=(Input("N"), Input("N").delayed(2)),
+        "odd boat 2!",
+        f=f,
+        h=lambda x, u, p: {"y 1": 2.0, "y~1": x.a * getattr(u, "N~2"), "y-1": u.N},
+        states=(State("a"), State("x"), State("k1")),
+        inputs=(Input("N"), Input("N").delayed(2)),
         sensors=(Sensor("s", (Output("y 1", noise="e"), Output("y~1", noise="e"), Output("y-1", noise="e"))),),
-        parameters=(Parameter("lambda", 0.7, meaning='odd */ /* "name"\nin C'), Parameter("int", 1.3),
-                    Parameter("e", 0.1)))
+        parameters=(
+            Parameter("lambda", 0.7, meaning='odd */ /* "name"\nin C'),
+            Parameter("int", 1.3),
+            Parameter("e", 0.1),
+        ),
+    )
 
 
 MODELS = {
@@ -88,8 +98,12 @@ ALONE = {n: vehicle_for(e) + e for n, e in catalogue().items() if "bench" not in
 
 
 def saved(model: Model) -> SavedModel:
-    return SavedModel(model, {p.name: 0.1 for p in model.parameters[:2]}, {"u": (-0.5, 1.2), "gone": (0.0, 1.0)}, {
-        "made_by": "seatrial ident vehicle a.mcap\n--x", "created": "2026-05-01", "logs": ["a.mcap sha256:12"]})
+    return SavedModel(
+        model,
+        {p.name: 0.1 for p in model.parameters[:2]},
+        {"u": (-0.5, 1.2), "gone": (0.0, 1.0)},
+        {"made_by": "seatrial ident vehicle a.mcap\n--x", "created": "2026-05-01", "logs": ["a.mcap sha256:12"]},
+    )
 
 
 def points(model: Model, n: int = 12) -> tuple[np.ndarray, np.ndarray]:
@@ -106,6 +120,7 @@ def compare(model: Model, functions: Functions, values: list[float], nuisance: b
     p = np.array(list(kept.values.values()))
     rowwise, n = VectorisedModel(kept), len(kept.states)
     for x, u in zip(*points(kept), strict=True):
+
         def rate(z: np.ndarray, u: np.ndarray = u) -> np.ndarray:
             return rowwise(z[None], u[None], p)[0, :n]
 
@@ -130,9 +145,11 @@ def run_python(text: str, folder: Path) -> tuple[Functions, dict[str, Any]]:
     def named(values: list[float]) -> dict[str, float]:
         return dict(zip(space["P"], values, strict=True))
 
-    return (lambda x, u, p: space["f"](x.tolist(), u.tolist(), named(p)),
-            lambda x, u, p: space["h"](x.tolist(), u.tolist(), named(p)),
-            lambda x, u, dt, p: space["step"](x.tolist(), u.tolist(), dt, named(p))), space
+    return (
+        lambda x, u, p: space["f"](x.tolist(), u.tolist(), named(p)),
+        lambda x, u, p: space["h"](x.tolist(), u.tolist(), named(p)),
+        lambda x, u, dt, p: space["step"](x.tolist(), u.tolist(), dt, named(p)),
+    ), space
 
 
 def run_casadi(text: str, folder: Path) -> tuple[Functions, dict[str, Any]]:
@@ -191,5 +208,8 @@ def run_c(text: str, folder: Path, name: str) -> tuple[Functions, list[float]]:
         return [float(word) for word in ran.stdout.split()]
 
     defaults = subprocess.run([folder / "boat"], input="", capture_output=True, text=True, check=True).stderr.split()
-    return (lambda x, u, p: call(0, x, u, p), lambda x, u, p: call(1, x, u, p),
-            lambda x, u, dt, p: call(2, x, u, p, dt)), [float(word) for word in defaults]
+    return (
+        lambda x, u, p: call(0, x, u, p),
+        lambda x, u, p: call(1, x, u, p),
+        lambda x, u, dt, p: call(2, x, u, p, dt),
+    ), [float(word) for word in defaults]

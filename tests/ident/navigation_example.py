@@ -30,8 +30,14 @@ def navigation(seed: int = 4) -> NavigationResult:
     t = np.arange(0.0, 240.0, 0.1)
     angle = t / 20.0
     unexplained = np.convolve(rng.normal(size=t.size), np.ones(30) / 30, "same")
-    values = {"x": 20.0 * np.sin(angle), "y": 20.0 * (1 - np.cos(angle)), "psi": angle, "u": np.full(t.size, 1.0),
-              "b_X": unexplained, "V_x": 0.05 * (1 - np.exp(-t / 40))}
+    values = {
+        "x": 20.0 * np.sin(angle),
+        "y": 20.0 * (1 - np.cos(angle)),
+        "psi": angle,
+        "u": np.full(t.size, 1.0),
+        "b_X": unexplained,
+        "V_x": 0.05 * (1 - np.exp(-t / 40)),
+    }
     lost = ((t > 60) & (t < 90)) | (t > 228)
     sd = {n: (0.03 + 0.02 * lost) * np.ones(t.size) for n in values}
     measured = {n: values[n] + 0.15 * rng.normal(size=t.size) for n in ("x", "y")}
@@ -39,14 +45,48 @@ def navigation(seed: int = 4) -> NavigationResult:
     used = np.where(lost, 0.0, 1.0)
     ellipse = {"major": 1.4, "minor": 0.4, "azimuth": 0.7, "radius": 1.2}
     misses = {"rms": 0.31, "largest": 0.8, "inside": 0.94, "n": 150}
-    one = {"record": "lake", "start": 60.0, "end": 90.0, "duration": 30.0, "open": False, "leading": False,
-           "withheld": True, "north": float(values["x"][900]), "east": float(values["y"][900]), "at_end": ellipse,
-           "error": 0.9, "allowed": 1.3, "inside": True, "widest": 0.2, "predicted": misses,
-           "best": misses | {"rms": 0.22}}
-    tail = one | {"start": 228.0, "end": 240.0, "duration": 12.0, "open": True, "withheld": False, "error": None,
-                  "allowed": None, "inside": None, "predicted": None, "best": None}
-    states = [{"name": n, "unit": unit, "meaning": meaning, "angle": turns, "value": values[n], "sd": sd[n],
-               "measured": measured.get(n)} for n, unit, meaning, turns in STATES]
+    one = {
+        "record": "lake",
+        "start": 60.0,
+        "end": 90.0,
+        "duration": 30.0,
+        "open": False,
+        "leading": False,
+        "withheld": True,
+        "north": float(values["x"][900]),
+        "east": float(values["y"][900]),
+        "at_end": ellipse,
+        "error": 0.9,
+        "allowed": 1.3,
+        "inside": True,
+        "widest": 0.2,
+        "predicted": misses,
+        "best": misses | {"rms": 0.22},
+    }
+    tail = one | {
+        "start": 228.0,
+        "end": 240.0,
+        "duration": 12.0,
+        "open": True,
+        "withheld": False,
+        "error": None,
+        "allowed": None,
+        "inside": None,
+        "predicted": None,
+        "best": None,
+    }
+    states = [
+        {
+            "name": n,
+            "unit": unit,
+            "meaning": meaning,
+            "angle": turns,
+            "value": values[n],
+            "sd": sd[n],
+            "measured": measured.get(n),
+        }
+        for n, unit, meaning, turns in STATES
+    ]
     content = {
         "format": "seatrial-result 2",
         "kind": "navigation",
@@ -54,10 +94,27 @@ def navigation(seed: int = 4) -> NavigationResult:
         "created": "2026-02-03T04:05:06+00:00",
         "seatrial": "0.1.0",
         "command": "seatrial ident navigate model.toml lake.mcap --gnss-outage 60:90",
-        "logs": [{"path": "lake.mcap", "sha256": "ab" * 32, "role": "navigated", "name": "lake", "duration": 240.0,
-                  "rig": "boat", "mission": None, "warnings": []}],
-        "navigation": [{"record": "lake", "kind": "smoothed", "t": t, "states": states,
-                        "fixes": {"t": t, "x": measured["x"], "y": measured["y"], "used": used}}],
+        "logs": [
+            {
+                "path": "lake.mcap",
+                "sha256": "ab" * 32,
+                "role": "navigated",
+                "name": "lake",
+                "duration": 240.0,
+                "rig": "boat",
+                "mission": None,
+                "warnings": [],
+            }
+        ],
+        "navigation": [
+            {
+                "record": "lake",
+                "kind": "smoothed",
+                "t": t,
+                "states": states,
+                "fixes": {"t": t, "x": measured["x"], "y": measured["y"], "used": used},
+            }
+        ],
         "outages": [one, tail],
         "inputs": [{"record": "lake", "name": "n_left", "unit": "", "t": t, "value": np.where(t % 20 < 10, 0.4, 0.6)}],
         "notes": ["lake: not in the log, so done without: ground_velocity."],

@@ -132,8 +132,10 @@ def study(path: Path) -> None:
 def figures(path: Path) -> None:
     """Curves by groups, as the page of the paper's figures has them."""
     x = np.linspace(1.0, 10.0, 200)
-    charts = [Chart("linear [N]", [Curve("measured", x, x, "measured"), Curve("95 %", x, x - 1, "band", x + 1)]),
-              Chart("logarithmic", [Curve("axis", x, x**2, "axis"), Curve("truth", x, x**3, "truth")], log=True)]
+    charts = [
+        Chart("linear [N]", [Curve("measured", x, x, "measured"), Curve("95 %", x, x - 1, "band", x + 1)]),
+        Chart("logarithmic", [Curve("axis", x, x**2, "axis"), Curve("truth", x, x**3, "truth")], log=True),
+    ]
     drawings = [Drawing("A drawing", "frequency [Hz]", charts, "Its caption.")]
     write_figures(path, "Figures", "What they show.", "And how.", [Part("one", "One part", drawings)])
 

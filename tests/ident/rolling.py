@@ -17,8 +17,20 @@ Array = NDArray[np.float64]
 STEP, OUT, FIX = 0.005, 10, 4  # s; steps between AHRS samples; AHRS samples to a fix
 M_U, M_V, M_R, D_U, D_UU, D_V, D_R, D_RR, C1, ARM = 37.0, 47.0, 9.69, 4.0, 25.0, 50.0, 4.14, 6.23, 40.05, 0.15
 TRUTH = {"m_u": M_U, "m_v": M_V, "m_r": M_R, "d_u": D_U, "d_uu": D_UU, "d_v": D_V, "d_r": D_R, "d_rr": D_RR}
-NOISE = {"psi": 0.002, "phi": 0.002, "theta": 0.002, "p": 0.002, "q": 0.002, "r": 0.002, "ax": 0.03, "ay": 0.03,
-         "x": 0.02, "y": 0.02, "vx": 0.02, "vy": 0.02}
+NOISE = {
+    "psi": 0.002,
+    "phi": 0.002,
+    "theta": 0.002,
+    "p": 0.002,
+    "q": 0.002,
+    "r": 0.002,
+    "ax": 0.03,
+    "ay": 0.03,
+    "x": 0.02,
+    "y": 0.02,
+    "vx": 0.02,
+    "vy": 0.02,
+}
 # amplitude [rad] and frequency [rad/s] of rolling and pitching
 ROLL, PITCH = ((0.12, 2.1), (0.08, 3.3)), ((0.08, 1.7), (0.05, 2.9))
 
@@ -74,14 +86,23 @@ def sail(boat: Fitted, seconds: float, seed: int) -> tuple[dict[str, Channel], A
     S = R @ M
     spin = np.swapaxes(S, 1, 2) @ np.gradient(S, STEP, axis=0)
     seen = {
-        "phi": np.arctan2(S[:, 2, 1], S[:, 2, 2]), "theta": -np.arcsin(S[:, 2, 0]),
+        "phi": np.arctan2(S[:, 2, 1], S[:, 2, 2]),
+        "theta": -np.arcsin(S[:, 2, 0]),
         "psi": np.arctan2(S[:, 1, 0], S[:, 0, 0]),
-        "p": spin[:, 2, 1], "q": spin[:, 0, 2], "r": spin[:, 1, 0],
+        "p": spin[:, 2, 1],
+        "q": spin[:, 0, 2],
+        "r": spin[:, 1, 0],
     }
     force = np.einsum("kji,kj->ki", S, felt)
     speed = np.gradient(antenna, STEP, axis=0)
-    seen |= {"ax": force[:, 0], "ay": force[:, 1], "x": antenna[:, 0], "y": antenna[:, 1], "vx": speed[:, 0],
-             "vy": speed[:, 1]}
+    seen |= {
+        "ax": force[:, 0],
+        "ay": force[:, 1],
+        "x": antenna[:, 0],
+        "y": antenna[:, 1],
+        "vx": speed[:, 0],
+        "vy": speed[:, 1],
+    }
     channels = {f"n_{side}": Channel(t[::OUT], n[k, ::OUT]) for k, side in enumerate(("left", "right"))}
     for name, value in seen.items():
         every = OUT * (FIX if name in ("x", "y", "vx", "vy") else 1)
@@ -102,12 +123,14 @@ def _moved(t: Array, n: Array) -> tuple[Array, Array, Array]:
         about = q * np.sin(phi) + r * np.cos(phi)
         p = phi_rate - np.tan(theta) * about
         w = (np.tan(theta) * u - np.sin(phi) * v) / np.cos(phi)
-        return np.array([
-            about / np.cos(theta),
-            (N[k] + (M_U - M_V) * u * v - D_R * r - D_RR * abs(r) * r) / M_R,
-            (X[k] + M_V * (v * r - w * q) - D_U * u - D_UU * abs(u) * u) / M_U,
-            (-M_U * u * r + M_V * w * p - D_V * v) / M_V,
-        ])
+        return np.array(
+            [
+                about / np.cos(theta),
+                (N[k] + (M_U - M_V) * u * v - D_R * r - D_RR * abs(r) * r) / M_R,
+                (X[k] + M_V * (v * r - w * q) - D_U * u - D_UU * abs(u) * u) / M_U,
+                (-M_U * u * r + M_V * w * p - D_V * v) / M_V,
+            ]
+        )
 
     z = np.zeros((t.size, 4))
     for k in range(t.size - 1):

@@ -32,5 +32,8 @@ def stepped_record(dead_zone: float, seed: int = 1) -> Record:
 def steps(dead_zone: float) -> Fit:
     """A fit to them with the end of the dead zone free."""
     model = thruster_model()
-    return fit(model.with_free([*model.free, "d"]), [stepped_record(dead_zone)],
-               start={"d": 0.09, "tau": 0.1, "a": 3.0, "c1": 40.0})
+    return fit(
+        model.with_free([*model.free, "d"]),
+        [stepped_record(dead_zone)],
+        start={"d": 0.09, "tau": 0.1, "a": 3.0, "c1": 40.0},
+    )

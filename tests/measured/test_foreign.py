@@ -240,6 +240,7 @@ def test_kingfisher(tmp_path: Path, form: str) -> None:
     cmd, vel = (columns(file) for file in files)
     t_cmd, t_vel = cmd["t_s"] + 1.0, vel["t_s"] + 1.0  # stamps of zero are no stamps
     if form == "bag":
+
         def velocity(k: int) -> object:
             linear = T["geometry_msgs/msg/Vector3"](vel["vel_x"][k], vel["vel_y"][k], 0.0)
             return T["geometry_msgs/msg/Vector3Stamped"](header(t_vel[k], "odom"), linear)

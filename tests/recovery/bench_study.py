@@ -158,8 +158,11 @@ def summary(rows: Sequence[Row]) -> list[list[str]]:
         some = [r for r in good if r["scale"] == scale and r["effect"] != "none"]
         if not some:
             continue
-        for what, kinds in (("named first", ("exact", "first")), ("that and nothing else", ("exact",)),
-                            ("another name first, as sure", ("wrong",))):
+        for what, kinds in (
+            ("named first", ("exact", "first")),
+            ("that and nothing else", ("exact",)),
+            ("another name first, as sure", ("wrong",)),
+        ):
             lines.append([f"{what}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
         lines.append([f"another name anywhere, as sure, size {scale:g}", f"{sum(map(false_name, some))}/{len(some)}"])
     clean = [r for r in good if r["effect"] == "none"]
@@ -173,8 +176,12 @@ def report(rows: Sequence[Row], form: Any) -> str:
     head = "## " if form is as_markdown else ""
     parts = [("Together", summary(rows))]
     for scale in sorted({r["scale"] for r in rows}, reverse=True):
-        parts.append((f"By effect, size {scale:g} (errors: medians, simulation on validation data)",
-                      rates([r for r in rows if r["scale"] == scale])))
+        parts.append(
+            (
+                f"By effect, size {scale:g} (errors: medians, simulation on validation data)",
+                rates([r for r in rows if r["scale"] == scale]),
+            )
+        )
     text = "\n\n".join(f"{head}{title}\n\n{form(lines)}" for title, lines in parts)
     words = (
         "exact: this name and no other; first: this name first, and others; likened: another name, not as sure; "
@@ -201,11 +208,12 @@ def main(words: Sequence[str] | None = None) -> int:
     # one clean bench a seed and scale, all of them different ones
     cases = [
         BenchCase(e, s + (1000 * k if e == "none" else 0), scale)
-        for s in seeds for k, scale in enumerate(given.scales) for e in given.effects
+        for s in seeds
+        for k, scale in enumerate(given.scales)
+        for e in given.effects
     ]
     try:
-        rows = list(read(given.out).values()) if given.report else resume(
-            cases, run_case, line, given.jobs, given.out)
+        rows = list(read(given.out).values()) if given.report else resume(cases, run_case, line, given.jobs, given.out)
     except KeyboardInterrupt:
         print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
         return 130

@@ -130,8 +130,12 @@ def with_gaps(channels: dict[str, Channel], seed: int) -> dict[str, Channel]:
     """The GNSS silent for up to 20 s and the AHRS for up to 3 s, about once a minute; one sample in twenty lost."""
     rng = np.random.default_rng([seed, 78])
     found = dict(channels)
-    for names, longest in ((("x", "y", "vx", "vy"), 20.0), (("psi", "r", "ax", "ay"), 3.0), (("n_left",), 0.5),
-                           (("n_right",), 0.5)):
+    for names, longest in (
+        (("x", "y", "vx", "vy"), 20.0),
+        (("psi", "r", "ax", "ay"), 3.0),
+        (("n_left",), 0.5),
+        (("n_right",), 0.5),
+    ):
         t = channels[names[0]].t
         keep = rng.uniform(size=t.size) > 0.05
         for start in np.arange(30.0, t[-1] - longest, 60.0) + rng.uniform(0.0, 20.0):

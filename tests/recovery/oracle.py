@@ -44,8 +44,13 @@ def oracle(case: Case, runs: Sequence[LogSegment]) -> FittedModel | None:
 def _near_the_truth(effect: Effect, case: Case) -> Effect:
     """Where a size of zero has no gradient, or a frequency has several optima, start near the truth: it may know."""
     true = make_effect(effect.name, case.seed, case.how.scale).parameters
-    known = {"f_p": true.get("frequency_hz"), "f_wave": true.get("frequency_hz"), "A_X": true.get("surge"),
-             "A_Y": true.get("sway"), "A_N": true.get("yaw")}
+    known = {
+        "f_p": true.get("frequency_hz"),
+        "f_wave": true.get("frequency_hz"),
+        "A_X": true.get("surge"),
+        "A_Y": true.get("sway"),
+        "A_N": true.get("yaw"),
+    }
     start = [p.at(value) if (value := known.get(p.name)) is not None else p for p in effect.parameters]
     return replace(effect, parameters=tuple(start))
 

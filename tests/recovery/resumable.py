@@ -60,6 +60,7 @@ def read(out: Path) -> dict[str, Row]:
 
 def listed(word: str, known: Sequence[str]) -> Callable[[str], list[str]]:
     """A type for argparse: names between commas, each one of the ``known``."""
+
     def parse(text: str) -> list[str]:
         names = text.split(",")
         for name in names:

@@ -283,29 +283,55 @@ RIGS: dict[str, Rig] = {
     rig.name: rig
     for rig in (
         VESC,
-        Rig("mavlink-signed", "an autopilot, and signed shaft speeds from a DroneCAN bus",
-            partial(autopilot_log, signed=True), AUTOPILOT),
-        Rig("mavlink-unsigned", "an autopilot, and its unsigned ESC telemetry at the time of arrival",
-            partial(autopilot_log, signed=False), AUTOPILOT),
+        Rig(
+            "mavlink-signed",
+            "an autopilot, and signed shaft speeds from a DroneCAN bus",
+            partial(autopilot_log, signed=True),
+            AUTOPILOT,
+        ),
+        Rig(
+            "mavlink-unsigned",
+            "an autopilot, and its unsigned ESC telemetry at the time of arrival",
+            partial(autopilot_log, signed=False),
+            AUTOPILOT,
+        ),
         *(
-            Rig(f"commands-{rate}hz", f"CSV: commands held at {rate} Hz, no shaft speed",
-                partial(csv_log, of=partial(commands_only, rate=float(rate)), hold="zero"), blind=SHAFT)
+            Rig(
+                f"commands-{rate}hz",
+                f"CSV: commands held at {rate} Hz, no shaft speed",
+                partial(csv_log, of=partial(commands_only, rate=float(rate)), hold="zero"),
+                blind=SHAFT,
+            )
             for rate in (5, 10, 20, 50)
         ),
-        Rig("gnss-compass", "CSV: GNSS and compass at 10 Hz, no gyro, shaft speeds measured",
-            partial(csv_log, of=position_and_compass), TEN_HERTZ, blind=NO_RATES),
-        Rig("ekf", "CSV: position, heading, yaw rate and body velocities smoothed by an estimator, 10 Hz",
-            partial(csv_log, of=navigation_filter), blind=NO_RATES | {"gnss-latency"},
+        Rig(
+            "gnss-compass",
+            "CSV: GNSS and compass at 10 Hz, no gyro, shaft speeds measured",
+            partial(csv_log, of=position_and_compass),
+            TEN_HERTZ,
+            blind=NO_RATES,
+        ),
+        Rig(
+            "ekf",
+            "CSV: position, heading, yaw rate and body velocities smoothed by an estimator, 10 Hz",
+            partial(csv_log, of=navigation_filter),
+            blind=NO_RATES | {"gnss-latency"},
             there=frozenset({"filter-lag"}),  # its yaw rate is late by 50 ms
             brings={"lever-arm": frozenset({"velocity-point"})},  # it draws its velocity to that of the antenna
-            called={"compass-filtered": "compass"}),  # its heading is drawn to the compass in two seconds
+            called={"compass-filtered": "compass"},
+        ),  # its heading is drawn to the compass in two seconds
         replace(VESC, name="noise-third", says="sensor noise declared a third of the true one", declared=1 / 3),
         replace(VESC, name="noise-triple", says="sensor noise declared three times the true one", declared=3.0),
         replace(VESC, name="scale-unknown", says="thrust known to nobody", scale_known=False),
         replace(VESC, name="no-validation", says="one log, none to validate", validation=()),
         replace(VESC, name="short", says="60 s to estimate, 60 s to validate", estimation=(60.0,), validation=(60.0,)),
-        replace(VESC, name="payload", says="5 kg more on board in the second of two runs, and 20 kg to validate",
-                estimation=(300.0, 300.0), payload=(0.0, 5.0, 20.0)),
+        replace(
+            VESC,
+            name="payload",
+            says="5 kg more on board in the second of two runs, and 20 kg to validate",
+            estimation=(300.0, 300.0),
+            payload=(0.0, 5.0, 20.0),
+        ),
         replace(VESC, name="eight-runs", says="eight runs of 100 s", estimation=(100.0,) * 8),
         replace(VESC, name="thirty-two-runs", says="thirty-two runs of 60 s", estimation=(60.0,) * 32),
     )

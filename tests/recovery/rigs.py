@@ -130,12 +130,16 @@ def _identified(
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", *logs, "--out", "found")
     found = read_result(folder / "found" / "result.json")
     assert isinstance(found, DiagnosisResult)
-    return row | ({"fit": found.fit} if judged_with_effects else {}) | {
-        "found": [e.name for e in found.effects],
-        "attribution": [e.attribution for e in found.effects],
-        "not_excluded": [list(e.not_excluded) for e in found.effects],
-        "answer": found.answer,
-    }
+    return (
+        row
+        | ({"fit": found.fit} if judged_with_effects else {})
+        | {
+            "found": [e.name for e in found.effects],
+            "attribution": [e.attribution for e in found.effects],
+            "not_excluded": [list(e.not_excluded) for e in found.effects],
+            "answer": found.answer,
+        }
+    )
 
 
 def truth_of(boat: Boat) -> dict[str, float]:
@@ -238,8 +242,9 @@ def asked(rows: Sequence[Row]) -> tables.Lines:
     for says, k, n, sign, limit in lines:
         if n:
             met = k / n >= limit if sign == ">=" else k / n <= limit
-            table.append([says, f"{sign} {limit:.0%}", f"{k / n:.1%}", tables.interval(k, n), f"{k}/{n}",
-                          "yes" if met else "no"])
+            table.append(
+                [says, f"{sign} {limit:.0%}", f"{k / n:.1%}", tables.interval(k, n), f"{k}/{n}", "yes" if met else "no"]
+            )
     return table
 
 
@@ -287,8 +292,14 @@ def by_effect(rows: Sequence[Row]) -> tables.Lines:
     for effect in dict.fromkeys(r["effect"] for r in rows if r["effect"] != NONE):
         own = [r for r in rows if r["effect"] == effect]
         count = Counter(verdict(r) for r in own)
-        lines.append([effect, str(len(own)), *(str(count[w]) for w in LACK_WORDS),
-                      tables.interval(count[NAMED] + count[LIKENED], len(own))])
+        lines.append(
+            [
+                effect,
+                str(len(own)),
+                *(str(count[w]) for w in LACK_WORDS),
+                tables.interval(count[NAMED] + count[LIKENED], len(own)),
+            ]
+        )
     return lines
 
 
@@ -301,8 +312,17 @@ def parameters(rows: Sequence[Row]) -> tables.Lines:
         own = [(r["rig"], r["z"][name]) for r in clean if name in r["z"]]
         z, beyond = np.array([v for _, v in own]), Counter(rig for rig, v in own if abs(v) > 3)
         within = f"{z.size - beyond.total()}/{z.size}"
-        lines.append([name, str(z.size), f"{z.mean():+.2f}", f"{z.std():.2f}", _in_interval(z), within,
-                      ", ".join(f"{rig} {n}" for rig, n in beyond.most_common())])
+        lines.append(
+            [
+                name,
+                str(z.size),
+                f"{z.mean():+.2f}",
+                f"{z.std():.2f}",
+                _in_interval(z),
+                within,
+                ", ".join(f"{rig} {n}" for rig, n in beyond.most_common()),
+            ]
+        )
     return lines
 
 
@@ -434,8 +454,10 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
             f"    python -m tests.recovery.rigs --rigs {names}\n\n{len(rows)} cases. Estimates are of `ident vehicle`, "
             "whose model lacks what is in the plant's equations besides."
         )
-    rigs, effects = ([n for n in every if any(r[key] == n for r in own)]
-                     for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE))))
+    rigs, effects = (
+        [n for n in every if any(r[key] == n for r in own)]
+        for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE)))
+    )
     blocks = list[list[int]]()  # of seeds that follow each other
     for seed in sorted({r["seed"] for r in own}):
         if not blocks or seed != blocks[-1][-1] + 1:
@@ -450,8 +472,10 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
     far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
     far += ", each a boat of its own" if len({r.get("boat", r["seed"]) for r in own}) == len(own) else ""
     words = ([] if names == [*RIGS] else ["--rigs", ",".join(names)] for names in there)
-    commands = (" ".join([*own_words, "--effects", ",".join(effects), "--seed", str(b[0]), "--seeds", str(n)])
-                for own_words, b, n in zip(words, blocks, sizes, strict=True))
+    commands = (
+        " ".join([*own_words, "--effects", ",".join(effects), "--seed", str(b[0]), "--seeds", str(n)])
+        for own_words, b, n in zip(words, blocks, sizes, strict=True)
+    )
     return "\n".join(f"    python -m tests.recovery.rigs {command}" for command in commands) + f"\n\n{far}."
 
 
@@ -459,15 +483,23 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser("python -m tests.recovery.rigs", description="The study on other rigs.")
     every = [*RIGS, *PLANTS]
     parser.add_argument("--rigs", type=listed("rig", every), default=every, help=", ".join(every))
-    parser.add_argument("--effects", type=listed("effect", (NONE, *EFFECTS, *OUTSIDE)), default=list(CHOSEN),
-                        help=f"by default {','.join(CHOSEN)}")
+    parser.add_argument(
+        "--effects",
+        type=listed("effect", (NONE, *EFFECTS, *OUTSIDE)),
+        default=list(CHOSEN),
+        help=f"by default {','.join(CHOSEN)}",
+    )
     parser.add_argument("--seed", type=int, default=1, help="the first boat's")
     parser.add_argument("--seeds", type=int, default=10, help="boats in each cell")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, default=OUT, help="results, a JSON line a case")
     parser.add_argument("--report", action="store_true", help="run nothing, show what the out file holds")
-    parser.add_argument("--again", type=int, metavar="N",
-                        help="run N of its cases anew, drawn at random, and say which verdicts changed")
+    parser.add_argument(
+        "--again",
+        type=int,
+        metavar="N",
+        help="run N of its cases anew, drawn at random, and say which verdicts changed",
+    )
     parser.add_argument("--docs", action="store_true", help="write its part of docs/recovery.md")
     return parser
 

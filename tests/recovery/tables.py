@@ -24,20 +24,44 @@ def by_effect(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 def rates(rows: Sequence[Row]) -> Lines:
     """One line an effect: named first, among all named, nothing, unknown, another; extra names; errors; CPU."""
-    lines = [["truth", "cases", "first", "among", "none", "unknown", "likened", "wrong", "extra a case",
-              "10 s position error, m", "free heading error, deg", "oracle ratio", "CPU s"]]
+    lines = [
+        [
+            "truth",
+            "cases",
+            "first",
+            "among",
+            "none",
+            "unknown",
+            "likened",
+            "wrong",
+            "extra a case",
+            "10 s position error, m",
+            "free heading error, deg",
+            "oracle ratio",
+            "CPU s",
+        ]
+    ]
     for name, cases in by_effect(rows).items():
         answers = [first_answer(r) for r in cases]
         n = len(cases)
         ratios = [r["ratio"]["simulation"] for r in cases if "ratio" in r]
-        lines.append([
-            name, str(n), share(sum(map(first_right, cases)), n), share(sum(map(all_right, cases)), n),
-            share(answers.count(NONE), n), share(answers.count(UNKNOWN), n), share(sum(map(likened, cases)), n),
-            share(sum(map(wrong_as_sure, cases)), n), f"{sum(map(extra, cases)) / n:.2f}",
-            change([position(r["before"]) for r in cases], [position(r["after"]) for r in cases]),
-            change([heading(r["before"]) for r in cases], [heading(r["after"]) for r in cases]),
-            f"{np.median(ratios):.3f}" if ratios else "", f"{np.median([r['cpu'] for r in cases]):.1f}",
-        ])
+        lines.append(
+            [
+                name,
+                str(n),
+                share(sum(map(first_right, cases)), n),
+                share(sum(map(all_right, cases)), n),
+                share(answers.count(NONE), n),
+                share(answers.count(UNKNOWN), n),
+                share(sum(map(likened, cases)), n),
+                share(sum(map(wrong_as_sure, cases)), n),
+                f"{sum(map(extra, cases)) / n:.2f}",
+                change([position(r["before"]) for r in cases], [position(r["after"]) for r in cases]),
+                change([heading(r["before"]) for r in cases], [heading(r["after"]) for r in cases]),
+                f"{np.median(ratios):.3f}" if ratios else "",
+                f"{np.median([r['cpu'] for r in cases]):.1f}",
+            ]
+        )
     return lines
 
 
@@ -58,8 +82,9 @@ def coverage(rows: Sequence[Row]) -> Lines:
     clean = [r["z"] for r in rows if r["effect"] == NONE and "error" not in r]
     for name in dict.fromkeys(n for z in clean for n in z):
         z = np.array([c[name] for c in clean if name in c])
-        lines.append([name, str(z.size), f"{z.mean():+.2f}", f"{z.std():.2f}", share(int(np.sum(np.abs(z) < 1.96)),
-                                                                                      z.size)])
+        lines.append(
+            [name, str(z.size), f"{z.mean():+.2f}", f"{z.std():.2f}", share(int(np.sum(np.abs(z) < 1.96)), z.size)]
+        )
     return lines
 
 

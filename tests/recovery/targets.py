@@ -60,8 +60,7 @@ TARGETS = (
 def good(rows: Sequence[Row], *kinds: str, lacking: bool | None = None) -> list[Row]:
     """The cases of some kinds that did not fail; only those with an effect, or only those without."""
     return [
-        r for r in rows
-        if r["kind"] in kinds and "error" not in r and (lacking is None or bool(truths(r)) == lacking)
+        r for r in rows if r["kind"] in kinds and "error" not in r and (lacking is None or bool(truths(r)) == lacking)
     ]
 
 
@@ -77,8 +76,16 @@ def targets(rows: Sequence[Row]) -> Lines:
         met = share >= target.share if target.least else share <= target.share
         sign = ">=" if target.least else "<="
         kind = ", ".join(k for k in target.kinds if good(rows, k, lacking=target.lacking))
-        lines.append([kind, target.says, f"{sign} {target.share:.0%}", f"{share:.1%}", f"{count}/{len(cases)}",
-                      "yes" if met else "no"])
+        lines.append(
+            [
+                kind,
+                target.says,
+                f"{sign} {target.share:.0%}",
+                f"{share:.1%}",
+                f"{count}/{len(cases)}",
+                "yes" if met else "no",
+            ]
+        )
     return lines + _oracle_line(rows)
 
 
@@ -87,23 +94,54 @@ def _oracle_line(rows: Sequence[Row]) -> Lines:
     if not ratios:
         return []
     middle = float(np.median(ratios))
-    return [["single", "validation error over the oracle's, simulation, median", "<= 1.03", f"{middle:.3f}",
-             f"{len(ratios)}", "yes" if middle <= 1.03 else "no"]]
+    return [
+        [
+            "single",
+            "validation error over the oracle's, simulation, median",
+            "<= 1.03",
+            f"{middle:.3f}",
+            f"{len(ratios)}",
+            "yes" if middle <= 1.03 else "no",
+        ]
+    ]
 
 
 def kinds(rows: Sequence[Row]) -> Lines:
     """One line a kind: what was said, over all its cases with an effect, and over those without."""
-    lines = [["kind", "what it is", "seeds", "cases", "first", "all found", "wrong as sure", "unknown", "nothing",
-              "clean cases", "false alarms"]]
+    lines = [
+        [
+            "kind",
+            "what it is",
+            "seeds",
+            "cases",
+            "first",
+            "all found",
+            "wrong as sure",
+            "unknown",
+            "nothing",
+            "clean cases",
+            "false alarms",
+        ]
+    ]
     for name, kind in KINDS.items():
         some, none = good(rows, name, lacking=True), good(rows, name, lacking=False)
         if not some and not none:
             continue
-        lines.append([
-            name, kind.says, _seeds(some + none), str(len(some)), _share(some, first_right), _share(some, all_right),
-            _share(some, wrong_as_sure), _share(some, _unknown), _share(some, lambda r: not r["found"]),
-            str(len(none)), _share(none, false_alarm),
-        ])
+        lines.append(
+            [
+                name,
+                kind.says,
+                _seeds(some + none),
+                str(len(some)),
+                _share(some, first_right),
+                _share(some, all_right),
+                _share(some, wrong_as_sure),
+                _share(some, _unknown),
+                _share(some, lambda r: not r["found"]),
+                str(len(none)),
+                _share(none, false_alarm),
+            ]
+        )
     return lines
 
 
@@ -161,6 +199,13 @@ def shapes(rows: Sequence[Row]) -> Lines:
     for name in dict.fromkeys(r["effect"] for r in good(rows, "outside")):
         cases = [r for r in good(rows, "outside") if r["effect"] == name]
         held = [r["shape"] for r in cases if "shape" in r]
-        lines.append([name, str(len(cases)), f"{sum(map(first_right, cases))}/{len(cases)}", str(len(held)),
-                      f"{np.median(held):.2f}" if held else ""])
+        lines.append(
+            [
+                name,
+                str(len(cases)),
+                f"{sum(map(first_right, cases))}/{len(cases)}",
+                str(len(held)),
+                f"{np.median(held):.2f}" if held else "",
+            ]
+        )
     return lines

@@ -127,12 +127,21 @@ def fake(effect: str, seed: int, found: list[str], kind: str = "single", **more:
     errors = {"horizon": dict.fromkeys(("x", "y", "r"), 3.0), "simulation": {"psi": 0.1}}
     sure = ["nonparametric" if name.startswith("unknown") else "identified" for name in found]
     return {
-        "key": Case(effect, seed, kind).key, "effect": effect, "seed": seed, "kind": kind, "found": found,
+        "key": Case(effect, seed, kind).key,
+        "effect": effect,
+        "seed": seed,
+        "kind": kind,
+        "found": found,
         "remaining_candidates": [],
         "attribution": sure,
         "nonparametric_effects": [n.removeprefix("unknown ") for n in found if n.startswith("unknown")],
-        "z": {"m_u": 2.5}, "before": errors, "after": errors, "cpu": 1.0, "code": code_state(),
-        "ratio": {"horizon": 1.0, "simulation": 1.02}, **more,
+        "z": {"m_u": 2.5},
+        "before": errors,
+        "after": errors,
+        "cpu": 1.0,
+        "code": code_state(),
+        "ratio": {"horizon": 1.0, "simulation": 1.02},
+        **more,
     }
 
 
@@ -142,8 +151,13 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
     def pretend(case: Case) -> Row:
         ran.append(case.key)
         if case.key == "single/wind/2":
-            return {"key": case.key, "effect": "wind", "kind": "single", "code": code_state(),
-                    "error": "ValueError: no"}
+            return {
+                "key": case.key,
+                "effect": "wind",
+                "kind": "single",
+                "code": code_state(),
+                "error": "ValueError: no",
+            }
         return fake(case.effect, case.seed, list(case.truths), case.kind)
 
     monkeypatch.setattr(study, "run_case", pretend)
@@ -169,8 +183,11 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
 
 def test_the_tables_count_what_was_named() -> None:
     rows = [
-        fake("wind", 1, ["wind"]), fake("wind", 2, ["compass", "wind"]), fake("wind", 3, []),
-        fake("wind", 4, ["unknown N(psi)"]), fake("wind", 5, ["wind"], attribution=["ambiguous"]),
+        fake("wind", 1, ["wind"]),
+        fake("wind", 2, ["compass", "wind"]),
+        fake("wind", 3, []),
+        fake("wind", 4, ["unknown N(psi)"]),
+        fake("wind", 5, ["wind"], attribution=["ambiguous"]),
     ]
     head, line = tables.rates(rows)
     wind = dict(zip(head, line, strict=True))
@@ -186,12 +203,17 @@ def test_the_tables_count_what_was_named() -> None:
 
 def test_the_targets_are_shares_of_the_right_cases() -> None:
     rows = [
-        fake("none", 1, [], "clean"), fake("none", 2, ["wind"], "clean"), fake("none", 3, [], "noise-gps"),
-        fake("wind+lag", 1, ["lag", "wind"], "pair"), fake("wind+lag", 2, ["lag"], "pair"),
-        fake("yaw-saddle", 1, ["unknown N(u)"], "outside", shape=0.95), fake("yaw-saddle", 2, ["lift"], "outside"),
+        fake("none", 1, [], "clean"),
+        fake("none", 2, ["wind"], "clean"),
+        fake("none", 3, [], "noise-gps"),
+        fake("wind+lag", 1, ["lag", "wind"], "pair"),
+        fake("wind+lag", 2, ["lag"], "pair"),
+        fake("yaw-saddle", 1, ["unknown N(u)"], "outside", shape=0.95),
+        fake("yaw-saddle", 2, ["lift"], "outside"),
         fake("surge-step", 1, ["hump", "unknown X(u)"], "outside", attribution=["ambiguous", "nonparametric"]),
         fake("yaw-saddle+lag", 1, ["lag", "unknown N(u)"], "beside", attribution=["ambiguous", "nonparametric"]),
-        fake("yaw-saddle+lag", 2, ["unknown N(u)"], "beside"), fake("yaw-saddle+lag", 3, ["lag"], "beside"),
+        fake("yaw-saddle+lag", 2, ["unknown N(u)"], "beside"),
+        fake("yaw-saddle+lag", 3, ["lag"], "beside"),
         fake("wind", 1, ["current-drift"], "leave-one-out"),
         fake("wind", 2, ["current-drift"], "leave-one-out", attribution=["ambiguous"]),
     ]

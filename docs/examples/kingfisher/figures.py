@@ -41,8 +41,14 @@ def dots(x: Any, y: Any, name: str, colour: str, symbol: str = "circle", size: f
 
 def page(figure: go.Figure, path: Path, width: int, height: int) -> None:
     legend = {"orientation": "h", "yanchor": "bottom", "y": 1.07}
-    figure.update_layout(template="plotly_white", width=width, height=height, font={"size": 13}, legend=legend,
-                         margin={"l": 70, "r": 20, "t": 70, "b": 55})
+    figure.update_layout(
+        template="plotly_white",
+        width=width,
+        height=height,
+        font={"size": 13},
+        legend=legend,
+        margin={"l": 70, "r": 20, "t": 70, "b": 55},
+    )
     figure.write_html(path, include_plotlyjs=True, config={"displayModeBar": False})
 
 
@@ -50,10 +56,13 @@ def curve(folder: Path, path: Path) -> None:
     """Force against command: levels of the load cell, the quadratic and the monotone curve."""
     static = load(folder, "thruster")["static"]
     bars = {"type": "data", "array": 2 * np.array(static["sd"]), "thickness": 1.2, "width": 0}
-    figure = go.Figure([
-        line(static["n_model"], static["force_quadratic"], "c1 n|n| + c2 n²", POOR, "dash"),
-        line(static["n_model"], static["force_model"], "monotone curve", MODEL),
-        dots(static["n"], static["force"], "levels, ± 2 s.e.", MEASURED, error_y=bars)])
+    figure = go.Figure(
+        [
+            line(static["n_model"], static["force_quadratic"], "c1 n|n| + c2 n²", POOR, "dash"),
+            line(static["n_model"], static["force_model"], "monotone curve", MODEL),
+            dots(static["n"], static["force"], "levels, ± 2 s.e.", MEASURED, error_y=bars),
+        ]
+    )
     figure.update_xaxes(title_text="command, part of full")
     figure.update_yaxes(title_text="force of both thrusters [N]")
     page(figure, path, 720, 420)
@@ -62,8 +71,13 @@ def curve(folder: Path, path: Path) -> None:
 def prediction(folder: Path, path: Path) -> None:
     """Speed on runs that no fit has seen: measured, with a delay alone, and with loss of thrust and cubic drag."""
     good, poor = traces(load(folder, "both")), traces(load(folder, "delayed"))
-    figure = make_subplots(2, 3, subplot_titles=[f"{run}: command {said}" for run, said in RUNS.items()],
-                           vertical_spacing=0.2, horizontal_spacing=0.07)
+    figure = make_subplots(
+        2,
+        3,
+        subplot_titles=[f"{run}: command {said}" for run, said in RUNS.items()],
+        vertical_spacing=0.2,
+        horizontal_spacing=0.07,
+    )
     for k, run in enumerate(RUNS):
         one, first = good[run], k == 0
         found = [dots(one["t"], one["measured"], "measured", MEASURED, size=2.5, showlegend=first)]

@@ -18,8 +18,10 @@ def main() -> None:
         found = load_run(path, "estimation").run.channels
         told, n = found["n_cmd_pod"], found["reported"]
         gaps = np.diff(n.t)
-        print(f"{path.stem}: {n.t.size} news in {n.t[-1] - n.t[0]:.0f} s, {np.median(gaps):.1f} s apart in the median, "
-              f"{np.percentile(gaps, 95):.1f} s in one of twenty")
+        print(
+            f"{path.stem}: {n.t.size} news in {n.t[-1] - n.t[0]:.0f} s, {np.median(gaps):.1f} s apart in the median, "
+            f"{np.percentile(gaps, 95):.1f} s in one of twenty"
+        )
         changes = np.flatnonzero(np.diff(told.value, prepend=np.nan) != 0)
         ends = np.append(told.t[changes[1:]], n.t[-1])
         first, rows = [], {}

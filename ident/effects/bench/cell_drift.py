@@ -18,8 +18,16 @@ EFFECT = Effect(
     hooks={"output": creep},
     parameters=(
         Parameter("F_creep", 0.0, "N", "final value of the drift", prior=(0.0, 3.0), step=0.05, per_record=True),
-        Parameter("T_creep", 60.0, "s", "time constant of the drift", "log", prior=(60.0, 60.0), bounds=(5.0, 2000.0),
-                  scales=False),
+        Parameter(
+            "T_creep",
+            60.0,
+            "s",
+            "time constant of the drift",
+            "log",
+            prior=(60.0, 60.0),
+            bounds=(5.0, 2000.0),
+            scales=False,
+        ),
     ),
     inputs=(Input("t", "s", "linear"),),
     scan={"T_creep": (20.0, 60.0, 300.0)},

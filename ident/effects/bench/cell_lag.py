@@ -22,8 +22,16 @@ EFFECT = Effect(
         Parameter(
             "k_cell", 0.0, "", "share of the force behind the filter", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
         ),
-        Parameter("T_cell", 0.05, "s", "time constant of the filter", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0),
-                  scales=False),
+        Parameter(
+            "T_cell",
+            0.05,
+            "s",
+            "time constant of the filter",
+            "log",
+            prior=(0.05, 0.05),
+            bounds=(0.01, 2.0),
+            scales=False,
+        ),
     ),
     states=(State("cell", "N", "filtered force", 0.0, sd0=0.1),),
     scan={"T_cell": (0.02, 0.05, 0.1, 0.2)},

@@ -16,8 +16,13 @@ EFFECT = Effect(
     hooks={"thrust": lose},
     parameters=(
         Parameter(
-            "rho_astern", 0.0, "", "relative loss of thrust at full reverse", prior=(0.0, 0.3),
-            bounds=(-0.9, 0.9), step=0.01,
+            "rho_astern",
+            0.0,
+            "",
+            "relative loss of thrust at full reverse",
+            prior=(0.0, 0.3),
+            bounds=(-0.9, 0.9),
+            step=0.01,
         ),
     ),
     formula="f *= 1 - rho |n| for n < 0; what is constant belongs to c2",

@@ -25,11 +25,24 @@ EFFECT = Effect(
     hooks={"thrust": pass_on, "rate": swing},
     parameters=(
         Parameter(
-            "g_rod", 0.0, "", "share of the force that passes the resonance", prior=(0.5, 0.5), bounds=(0.0, 2.0),
+            "g_rod",
+            0.0,
+            "",
+            "share of the force that passes the resonance",
+            prior=(0.5, 0.5),
+            bounds=(0.0, 2.0),
             step=0.02,
         ),
-        Parameter("f_rod", 6.0, "Hz", "natural frequency of the rod", "log", prior=(6.0, 6.0), bounds=(1.0, 25.0),
-                  scales=False),
+        Parameter(
+            "f_rod",
+            6.0,
+            "Hz",
+            "natural frequency of the rod",
+            "log",
+            prior=(6.0, 6.0),
+            bounds=(1.0, 25.0),
+            scales=False,
+        ),
         Parameter("zeta_rod", 0.05, "", "damping ratio of the rod", "log", prior=(0.05, 0.05), bounds=(0.003, 0.7)),
     ),
     states=(

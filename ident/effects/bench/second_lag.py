@@ -23,8 +23,9 @@ EFFECT = Effect(
         Parameter(
             "k_lag", 0.0, "", "share of the command that passes the lag", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
         ),
-        Parameter("T_late", 0.05, "s", "time constant of the lag", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0),
-                  scales=False),
+        Parameter(
+            "T_late", 0.05, "s", "time constant of the lag", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0), scales=False
+        ),
     ),
     states=(State("n_late", "", "command behind the lag", 0.0, sd0=0.01),),
     scan={"T_late": (0.02, 0.04, 0.08, 0.15, 0.3)},

@@ -22,11 +22,15 @@ EFFECT = Effect(
     hooks={"rate": limit},
     parameters=(
         Parameter(
-            "k_slew", 0.0, "", "share of the excess over the limit that is cut", prior=(1.0, 0.25), bounds=(0.0, 1.2),
+            "k_slew",
+            0.0,
+            "",
+            "share of the excess over the limit that is cut",
+            prior=(1.0, 0.25),
+            bounds=(0.0, 1.2),
             step=0.02,
         ),
-        Parameter("n_slew", 2.0, "1/s", "slew-rate limit", "log", prior=(2.0, 2.0), bounds=(0.1, 20.0),
-                  scales=False),
+        Parameter("n_slew", 2.0, "1/s", "slew-rate limit", "log", prior=(2.0, 2.0), bounds=(0.1, 20.0), scales=False),
     ),
     scan={"n_slew": (0.15, 0.3, 0.5, 0.8, 1.2, 1.8, 2.5, 3.5)},
     formula="n' = w / (1 + (w / S)^8)^(1/8), w = a (n_ref - n)",

@@ -22,7 +22,12 @@ EFFECT = Effect(
     hooks={"shaft": cap},
     parameters=(
         Parameter(
-            "k_top", 0.0, "", "share of the excess over the limit that is cut", prior=(1.0, 0.25), bounds=(0.0, 1.2),
+            "k_top",
+            0.0,
+            "",
+            "share of the excess over the limit that is cut",
+            prior=(1.0, 0.25),
+            bounds=(0.0, 1.2),
             step=0.02,
         ),
         Parameter("n_top", 0.8, "", "saturation limit", "log", prior=(0.8, 0.4), bounds=(0.1, 1.5)),

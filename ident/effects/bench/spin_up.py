@@ -21,8 +21,13 @@ EFFECT = Effect(
     hooks={"rate": favour},
     parameters=(
         Parameter(
-            "k_up", 0.0, "", "relative change of the pole: + in acceleration, - in deceleration", prior=(0.0, 0.3),
-            bounds=(-0.9, 0.9), step=0.01,
+            "k_up",
+            0.0,
+            "",
+            "relative change of the pole: + in acceleration, - in deceleration",
+            prior=(0.0, 0.3),
+            bounds=(-0.9, 0.9),
+            step=0.01,
         ),
     ),
     formula="n' = a (1 + k_up s) (n_ref - n), s = 1 in acceleration and -1 in deceleration",

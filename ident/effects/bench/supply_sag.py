@@ -22,8 +22,13 @@ EFFECT = Effect(
     hooks={"shaft": fade, "rate": use},
     parameters=(
         Parameter(
-            "k_sag", 0.0, "", "relative loss of shaft speed after 30 s at full power", prior=(0.0, 0.3),
-            bounds=(0.0, 0.9), step=0.005,
+            "k_sag",
+            0.0,
+            "",
+            "relative loss of shaft speed after 30 s at full power",
+            prior=(0.0, 0.3),
+            bounds=(0.0, 0.9),
+            step=0.005,
         ),
     ),
     states=(State("used", "", "work done, over 30 s at full power", 0.0, sd0=1e-4),),

@@ -17,7 +17,12 @@ EFFECT = Effect(
     hooks={"shaft": cut},
     parameters=(
         Parameter(
-            "n_band", 0.0, "", "shaft speed below which there is no thrust", prior=(0.0, 0.1), bounds=(0.0, 0.5),
+            "n_band",
+            0.0,
+            "",
+            "shaft speed below which there is no thrust",
+            prior=(0.0, 0.1),
+            bounds=(0.0, 0.5),
             step=0.01,
         ),
     ),

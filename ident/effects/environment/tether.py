@@ -25,7 +25,12 @@ EFFECT = Effect(
     hooks={"force": drag},
     parameters=(
         Parameter(
-            "k_tether", 0.0, "kg/m2", "drag coefficient per metre of line", prior=(0.0, 0.15), bounds=(0.0, INF),
+            "k_tether",
+            0.0,
+            "kg/m2",
+            "drag coefficient per metre of line",
+            prior=(0.0, 0.15),
+            bounds=(0.0, INF),
             step=5e-3,
         ),
         *(

@@ -40,15 +40,26 @@ EFFECT = Effect(
     parameters=(
         *(
             Parameter(
-                f"A_{force}", 0.0, unit, f"standard deviation of the wave force {force}", prior=(0.0, 2 * size),
-                bounds=(0.0, INF), step=0.1 * size,
+                f"A_{force}",
+                0.0,
+                unit,
+                f"standard deviation of the wave force {force}",
+                prior=(0.0, 2 * size),
+                bounds=(0.0, INF),
+                step=0.1 * size,
             )
             for force, (unit, size) in FORCES.items()
         ),
-        Parameter("f_wave", 0.5, "Hz", "peak frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5),
-                  scales=False),
-        Parameter("zeta_wave", 0.1, "", "relative width of the peak, a damping ratio", "log", prior=(0.1, 0.1),
-                  bounds=(0.01, 0.7)),
+        Parameter("f_wave", 0.5, "Hz", "peak frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5), scales=False),
+        Parameter(
+            "zeta_wave",
+            0.1,
+            "",
+            "relative width of the peak, a damping ratio",
+            "log",
+            prior=(0.1, 0.1),
+            bounds=(0.01, 0.7),
+        ),
     ),
     states=tuple(
         state

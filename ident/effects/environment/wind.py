@@ -42,8 +42,16 @@ EFFECT = Effect(
         Parameter("w_x", 0.5, "", "frontal area over lateral area", prior=(0.5, 0.3), step=0.05),
         Parameter("w_n", 0.1, "m", "lever arm of the lateral force", prior=(0.1, 0.3), step=0.02),
         Parameter("w_nn", 0.0, "m", "lever arm of the oblique part", prior=(0.0, 0.3), step=0.02),
-        Parameter("k_air", 0.28, "N s2/m2", "wind force on the broadside per squared wind speed", "log", free=False,
-                  prior=(0.28, 0.1), step=0.02),
+        Parameter(
+            "k_air",
+            0.28,
+            "N s2/m2",
+            "wind force on the broadside per squared wind speed",
+            "log",
+            free=False,
+            prior=(0.28, 0.1),
+            step=0.02,
+        ),
     ),
     # the moment of the lateral force is what shows best, and it may be of either sign
     scan={"w_n": (-0.4, -0.15, -0.05, 0.0, 0.05, 0.15, 0.4)},

@@ -14,8 +14,15 @@ EFFECT = Effect(
     title="sideslip in turns, and the speed that it costs",
     hooks={"force": slide},
     parameters=(
-        Parameter("tau_s", 0.0, "s", "sideslip per speed and yaw rate: the time constant of sway", prior=(0.0, 1.0),
-                  bounds=(0.0, INF), step=0.02),
+        Parameter(
+            "tau_s",
+            0.0,
+            "s",
+            "sideslip per speed and yaw rate: the time constant of sway",
+            prior=(0.0, 1.0),
+            bounds=(0.0, INF),
+            step=0.02,
+        ),
     ),
     formula="v -= tau_s u r, m_u (u' - v r) = X",
     source="steady sway with linear drag, 0 = -m_u u r - d_v v, tau_s = m_u / d_v: Fossen 2011, section 7.1; half a"

@@ -18,8 +18,13 @@ EFFECT = Effect(
     hooks={"thrust": lose},
     parameters=(
         Parameter(
-            "k_J", 0.0, "kg/s", "loss of thrust per inflow velocity at full speed", prior=(0.0, 10.0),
-            bounds=(0.0, INF), step=0.5,
+            "k_J",
+            0.0,
+            "kg/s",
+            "loss of thrust per inflow velocity at full speed",
+            prior=(0.0, 10.0),
+            bounds=(0.0, INF),
+            step=0.5,
         ),
     ),
     formula="f_i -= k_J |n_i| (u - y_i r)",

@@ -17,7 +17,12 @@ EFFECT = Effect(
     hooks={"thrust_loss": sag},
     parameters=(
         Parameter(
-            "beta_E", 0.0, "", "relative loss of thrust per unit of work", prior=(0.0, 0.4), bounds=(0.0, INF),
+            "beta_E",
+            0.0,
+            "",
+            "relative loss of thrust per unit of work",
+            prior=(0.0, 0.4),
+            bounds=(0.0, INF),
             step=0.02,
         ),
     ),

@@ -16,8 +16,9 @@ EFFECT = Effect(
     place="actuator",
     hooks={"force": steer},
     parameters=(
-        Parameter("N_delta", 0.0, "kg", "moment at full difference of the sides, a speed squared", prior=(0.0, 50.0),
-                  step=0.5),
+        Parameter(
+            "N_delta", 0.0, "kg", "moment at full difference of the sides, a speed squared", prior=(0.0, 50.0), step=0.5
+        ),
     ),
     formula="N += N_delta |u| u (n_left - n_right) / 2",
     source="lift of a rudder: Fossen 2011, eq. 9.82; jets with a common nozzle",

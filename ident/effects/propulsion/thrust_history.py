@@ -31,8 +31,18 @@ def _delay(name: str, quantity: Quantity, requires: tuple[str, ...], **described
         name,
         "a thrust delay",
         {"shaft": late},
-        (Parameter("tau_delay", 0.0, "s", "delay of the thrust", prior=(0.0, 0.5), bounds=(0.0, 0.75), step=0.05,
-                   scales=False),),
+        (
+            Parameter(
+                "tau_delay",
+                0.0,
+                "s",
+                "delay of the thrust",
+                prior=(0.0, 0.5),
+                bounds=(0.0, 0.75),
+                step=0.05,
+                scales=False,
+            ),
+        ),
         inputs=tuple(i.delayed(k) for i in now for k in range(1, N_DELAY + 1)),
         place="actuator",
         formula="n_eff(t) = n(t - tau)",
@@ -55,8 +65,18 @@ def _lag(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], *
         name,
         title,
         {"thrust_lag": lagged},
-        (Parameter("T_lag", 0.0, "s", "time constant of the thrust", prior=(0.0, 0.5), bounds=(0.0, 1.2), step=0.05,
-                   scales=False),),
+        (
+            Parameter(
+                "T_lag",
+                0.0,
+                "s",
+                "time constant of the thrust",
+                prior=(0.0, 0.5),
+                bounds=(0.0, 1.2),
+                step=0.05,
+                scales=False,
+            ),
+        ),
         states=tuple(
             State(f"late_{side}", unit, f"{side}, behind its lag", 1e-3 * full, sd0=0.1 * full) for side in SIDES
         ),

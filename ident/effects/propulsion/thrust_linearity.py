@@ -16,8 +16,9 @@ EFFECT = Effect(
     place="actuator",
     hooks={"thrust": bend},
     parameters=(
-        Parameter("lambda_n", 0.0, "", "share of the thrust that is linear", prior=(0.0, 0.5), bounds=(-1.0, 1.5),
-                  step=0.02),
+        Parameter(
+            "lambda_n", 0.0, "", "share of the thrust that is linear", prior=(0.0, 0.5), bounds=(-1.0, 1.5), step=0.02
+        ),
     ),
     formula="f_i = c1 ((1 - lambda_n) n_i |n_i| + lambda_n n_i) + c2 n_i^2",
     source="ArduPilot's MOT_THST_EXPO, whose exponent is 1 - lambda_n; jets; controllers that are linearised in thrust",

@@ -18,8 +18,13 @@ EFFECT = Effect(
     hooks={"thrust_loss": lose},
     parameters=(
         Parameter(
-            "kappa", 0.0, "", "relative loss of thrust while the other runs at full speed", prior=(0.0, 0.4),
-            bounds=(0.0, INF), step=0.02,
+            "kappa",
+            0.0,
+            "",
+            "relative loss of thrust while the other runs at full speed",
+            prior=(0.0, 0.4),
+            bounds=(0.0, INF),
+            step=0.02,
         ),
     ),
     formula="f_L *= 1 - kappa |n_R| and the reverse",

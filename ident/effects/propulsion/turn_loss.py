@@ -40,8 +40,20 @@ BY_SWAY = Parameter(
     "loss_v", 0.0, "s/m", "relative loss of thrust per sway speed", prior=(0.0, 3.0), bounds=(0.0, INF), step=0.05
 )
 EFFECTS = (
-    _effect("turn-loss", "the loss of thrust with yaw rate", "r", BY_YAW, ("f",),
-            ("inflow-loss", "turning-resistance", "sideslip", "advance-ratio", "cg-offset")),
-    _effect("inflow-loss", "the loss of thrust in sway inflow", "v", BY_SWAY, ("f", "hull"),
-            ("turn-loss", "turning-resistance", "cross-flow")),
+    _effect(
+        "turn-loss",
+        "the loss of thrust with yaw rate",
+        "r",
+        BY_YAW,
+        ("f",),
+        ("inflow-loss", "turning-resistance", "sideslip", "advance-ratio", "cg-offset"),
+    ),
+    _effect(
+        "inflow-loss",
+        "the loss of thrust in sway inflow",
+        "v",
+        BY_SWAY,
+        ("f", "hull"),
+        ("turn-loss", "turning-resistance", "cross-flow"),
+    ),
 )

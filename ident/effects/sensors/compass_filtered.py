@@ -38,16 +38,20 @@ EFFECT = Effect(
     place="sensor",
     hooks={"rate": _behind, "axes": _deviate},
     parameters=(
-        *(
-            Parameter(f"dev_f{name}", 0.0, "rad", f"of {f}", prior=(0.0, sd), step=0.01)
-            for name, f, sd in TERMS
+        *(Parameter(f"dev_f{name}", 0.0, "rad", f"of {f}", prior=(0.0, sd), step=0.01) for name, f, sd in TERMS),
+        Parameter(
+            "T_head",
+            3.0,
+            "s",
+            "time constant of the heading filter",
+            "log",
+            prior=(3.0, 3.0),
+            bounds=(0.3, 100.0),
+            scales=False,
         ),
-        Parameter("T_head", 3.0, "s", "time constant of the heading filter", "log", prior=(3.0, 3.0),
-                  bounds=(0.3, 100.0), scales=False),
     ),
     states=tuple(
-        State(f"behind_{name}", "", f"{f} less that behind the heading filter", 0.0, sd0=0.05)
-        for name, f, _ in TERMS
+        State(f"behind_{name}", "", f"{f} less that behind the heading filter", 0.0, sd0=0.05) for name, f, _ in TERMS
     ),
     formula="psi_measured = psi + delta, T delta' = dev_f1s sin psi + dev_f1c cos psi + dev_f2s sin 2psi "
     "+ dev_f2c cos 2psi - delta; (u, v) rotated by delta",

@@ -82,7 +82,13 @@ def _lagging(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]:
 
 
 TAU = Parameter(
-    "tau_gnss", 0.0, "s", "age of the GNSS fix at its time stamp", prior=(0.0, 0.8), bounds=(0.0, INF), step=0.05,
+    "tau_gnss",
+    0.0,
+    "s",
+    "age of the GNSS fix at its time stamp",
+    prior=(0.0, 0.8),
+    bounds=(0.0, INF),
+    step=0.05,
     scales=False,
 )
 # the thrust of half the latency earlier is known as far back as the inputs go
@@ -95,9 +101,7 @@ COMMON: dict[str, Any] = {
     "one_sided": True,
     "alternatives": ("lever-arm", "delay"),
 }
-PAST = tuple(
-    Input(f"n_{side}", "", "linear").delayed(k) for side in ("left", "right") for k in range(1, N_PAST + 1)
-)
+PAST = tuple(Input(f"n_{side}", "", "linear").delayed(k) for side in ("left", "right") for k in range(1, N_PAST + 1))
 EFFECTS = (
     Effect(
         "gnss-latency",

@@ -123,8 +123,10 @@ def how_sure(effect: EffectRow) -> str:
         others = [formatting.titled(name) for name in effect.not_excluded]
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(others)}"] if others else [])]
         return "it resembles this; " + "; ".join(reasons)
-    return {"identified": "nothing is left that this should explain, and no competing model comes close",
-            "nonparametric": "no known effect explains it; the curve is what the data draw"}[effect.attribution]
+    return {
+        "identified": "nothing is left that this should explain, and no competing model comes close",
+        "nonparametric": "no known effect explains it; the curve is what the data draw",
+    }[effect.attribution]
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:

@@ -23,8 +23,15 @@ def outages_section(result: NavigationResult) -> Section:
     if not found:
         return Section("outages", "", [])
     withheld = any(o.best is not None for o in found)
-    columns = [("record", ""), ("from", "num"), ("duration", "num"), ("95 % radius", "num"), ("off by", "num"),
-               ("allowed", "num"), ("", "")]
+    columns = [
+        ("record", ""),
+        ("from", "num"),
+        ("duration", "num"),
+        ("95 % radius", "num"),
+        ("off by", "num"),
+        ("allowed", "num"),
+        ("", ""),
+    ]
     if withheld:
         columns += [("rms without GNSS", "num"), ("rms by the best estimate", "num")]
     lead = (
@@ -112,8 +119,16 @@ def _track(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage], 
     traces = _fixes(one.fixes, canvas.budget.points)
     at = drawing.strided(one.t.size, canvas.budget.points)
     line = {"color": drawing.MODEL, "width": 1.8}
-    traces.append({"type": "scatter", "mode": "lines", "name": "estimate", "x": drawing.packed(values["y"][at]),
-                   "y": drawing.packed(values["x"][at]), "line": line})
+    traces.append(
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": "estimate",
+            "x": drawing.packed(values["y"][at]),
+            "y": drawing.packed(values["x"][at]),
+            "line": line,
+        }
+    )
     for o in outages:
         if not o.leading:  # its ellipse is wider than the track
             traces.append(_ellipse(o))
@@ -128,8 +143,16 @@ def _fixes(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
         chosen = np.flatnonzero(fixes.used == wanted)
         at = chosen[drawing.strided(chosen.size, limit)]
         if at.size:
-            traces.append({"type": "scatter", "mode": "markers", "name": name, "x": drawing.packed(fixes.y[at]),
-                           "y": drawing.packed(fixes.x[at]), "marker": {"color": color, "size": 3, "opacity": 0.6}})
+            traces.append(
+                {
+                    "type": "scatter",
+                    "mode": "markers",
+                    "name": name,
+                    "x": drawing.packed(fixes.y[at]),
+                    "y": drawing.packed(fixes.x[at]),
+                    "marker": {"color": color, "size": 3, "opacity": 0.6},
+                }
+            )
     return traces
 
 
@@ -138,5 +161,11 @@ def _ellipse(o: GnssOutage) -> drawing.Trace:
     e = o.at_end
     a, b, (c, s) = e.major * np.cos(TURN), e.minor * np.sin(TURN), (np.cos(e.azimuth), np.sin(e.azimuth))
     name = f"95 % after {formatting.plain(o.duration)} s"
-    return {"type": "scatter", "mode": "lines", "name": drawing.said(name), "x": drawing.packed(o.east + s * a + c * b),
-            "y": drawing.packed(o.north + c * a - s * b), "line": {"color": drawing.INK, "width": 1.4}}
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": drawing.said(name),
+        "x": drawing.packed(o.east + s * a + c * b),
+        "y": drawing.packed(o.north + c * a - s * b),
+        "line": {"color": drawing.INK, "width": 1.4},
+    }

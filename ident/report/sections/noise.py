@@ -14,8 +14,14 @@ from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
     """A table of all channels, and the densities of each."""
-    columns = (("channel", ""), ("white noise", "num"), ("random walk", "num"), ("model holds", ""),
-               ("predictable", "num"), ("p", "num"))
+    columns = (
+        ("channel", ""),
+        ("white noise", "num"),
+        ("random walk", "num"),
+        ("model holds", ""),
+        ("predictable", "num"),
+        ("p", "num"),
+    )
     blocks: list[Any] = [Table(columns, [_row(c) for c in result.noise])] if result.noise else []
     plots = [plot for c in result.noise if (plot := _density(canvas, c)) is not None]
     if plots:

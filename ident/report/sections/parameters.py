@@ -162,8 +162,10 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
     blocks: list[Any] = [shown]
     plots = [plot for row in table if (plot := _curve(canvas, row)) is not None]
     if plots:
-        blocks += [Key([("line", "profile"), ("before", "as the standard error has it"), ("bar weak", "95 %")]),
-                   Grid(plots, 240)]
+        blocks += [
+            Key([("line", "profile"), ("before", "as the standard error has it"), ("bar weak", "95 %")]),
+            Grid(plots, 240),
+        ]
     lead = "The drop of the log-likelihood as one parameter is moved and all others are fitted again; 1.92 is 95 %."
     return Section("profiles", "Profile likelihoods", blocks, lead)
 
@@ -200,8 +202,16 @@ def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
         # the parabola of the standard error, each side by its own end: in a logarithm they differ
         fine = np.linspace(x.min(), x.max(), 60)
         half = factor * np.where(fine < factor * value, value - low, high - value)
-        traces.append(drawing.line_trace(fine, DROP * ((fine - factor * value) / half) ** 2, "standard error", 60,
-                                   color=drawing.BEFORE, dash="dash"))
+        traces.append(
+            drawing.line_trace(
+                fine,
+                DROP * ((fine - factor * value) / half) ** 2,
+                "standard error",
+                60,
+                color=drawing.BEFORE,
+                dash="dash",
+            )
+        )
     ends = [row.low, row.high]
     a, b = (x.min() if ends[0] is None else factor * ends[0]), (x.max() if ends[1] is None else factor * ends[1])
     traces.append(drawing.between(np.array([a, b]), np.zeros(2), np.full(2, DROP), opacity=0.1))
@@ -219,10 +229,18 @@ ROW_HEIGHT, AROUND, LEFT = 26, 104, 74  # px
 def information_section(result: InformationResult) -> Section:
     """A row a parameter: what is known of it, and the segment that it hangs on."""
     found = result.information.parameters
-    columns = [("parameter", ""), ("value", "num"), ("± from all logs", "num"), ("hangs most on", ""),
-               ("± without it", "num"), ("± from it alone", "num")]
-    lead = ("Standard errors by prediction error with the model's own noise; the current and the offsets of each log "
-            "count as unknown.")
+    columns = [
+        ("parameter", ""),
+        ("value", "num"),
+        ("± from all logs", "num"),
+        ("hangs most on", ""),
+        ("± without it", "num"),
+        ("± from it alone", "num"),
+    ]
+    lead = (
+        "Standard errors by prediction error with the model's own noise; the current and the offsets of each log "
+        "count as unknown."
+    )
     rows = [_information_row(p) for p in found]
     return Section("known", "What these logs tell", [Table(columns, rows)] if rows else [], lead)
 
@@ -233,11 +251,15 @@ def _information_row(p: InformedParameter) -> list[Cell | str]:
     if p.se is None:
         return [name, shown, Cell("nothing", "num"), "", Cell("–", "num"), Cell("–", "num")]
     se, alone = factor * p.se, None if p.alone is None else factor * p.alone
-    without = (
-        "unknown" if p.weight is None else f"{formatting.plain(se * p.weight)} (× {formatting.plain(p.weight)})"
-    )
-    return [name, shown, Cell(formatting.plain(se), "num"), place(p), Cell(without, "num"),
-            Cell(formatting.plain(alone), "num")]
+    without = "unknown" if p.weight is None else f"{formatting.plain(se * p.weight)} (× {formatting.plain(p.weight)})"
+    return [
+        name,
+        shown,
+        Cell(formatting.plain(se), "num"),
+        place(p),
+        Cell(without, "num"),
+        Cell(formatting.plain(alone), "num"),
+    ]
 
 
 def place(segment: LogSpan) -> str:
@@ -255,8 +277,10 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
         tabs.append((record, _record(canvas, result.information.names, found, inputs)))
     if not any(blocks for _, blocks in tabs):
         return Section("segments", "", [])
-    lead = ("Dark: of what all logs tell of the parameter, so much would be lost without this segment (1 − the square "
-            "of the standard error with it over that without it). What others tell as well is not lost.")
+    lead = (
+        "Dark: of what all logs tell of the parameter, so much would be lost without this segment (1 − the square "
+        "of the standard error with it over that without it). What others tell as well is not lost."
+    )
     return Section("segments", "Segment by segment", tabbed(tabs), lead)
 
 
@@ -271,12 +295,23 @@ def _record(
     z = np.clip(np.column_stack([row.lost for row in good]), 0.0, 1.0)
     words = [[place(row) for row in good]] * len(names)
     every = {"autorange": "reversed", "type": "category", "dtick": 1}
-    figure = drawing.single([_map(edges, z, names, words)], TIME, yaxis=every, hovermode="closest",
-                            margin={"l": LEFT, "r": 8, "t": 56, "b": 44})
-    blocks: list[Any] = [Grid([canvas.plot(figure, ROW_HEIGHT * len(names) + AROUND,
-                                           f"Lost without each segment, {record}")], 600)]
-    panels = [drawing.Panel(formatting.titled(row.name) + formatting.bracket(row.unit), [
-        drawing.line_trace(row.t, row.value, "input", canvas.budget.points, color=drawing.MEASURED)]) for row in inputs]
+    figure = drawing.single(
+        [_map(edges, z, names, words)],
+        TIME,
+        yaxis=every,
+        hovermode="closest",
+        margin={"l": LEFT, "r": 8, "t": 56, "b": 44},
+    )
+    blocks: list[Any] = [
+        Grid([canvas.plot(figure, ROW_HEIGHT * len(names) + AROUND, f"Lost without each segment, {record}")], 600)
+    ]
+    panels = [
+        drawing.Panel(
+            formatting.titled(row.name) + formatting.bracket(row.unit),
+            [drawing.line_trace(row.t, row.value, "input", canvas.budget.points, color=drawing.MEASURED)],
+        )
+        for row in inputs
+    ]
     if panels:
         shown, height = drawing.stacked(panels, TIME, panel_height=70)
         shown["layout"]["margin"]["l"] = LEFT  # below the same times of the map

@@ -1,5 +1,4 @@
-"""Error before and after, whether the predicted bands are right, and the end of the page.
-"""
+"""Error before and after, whether the predicted bands are right, and the end of the page."""
 
 from __future__ import annotations
 
@@ -136,8 +135,15 @@ def made_section(made: Provenance) -> Section:
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])
 
 
-COLUMNS = (("channel", ""), ("inside 50 %", "num"), ("inside 95 %", "num"), ("error / claimed", "num"),
-           ("95 %", "num"), ("independent", "num"), ("", ""))
+COLUMNS = (
+    ("channel", ""),
+    ("inside 50 %", "num"),
+    ("inside 95 %", "num"),
+    ("error / claimed", "num"),
+    ("95 %", "num"),
+    ("independent", "num"),
+    ("", ""),
+)
 VERDICTS: dict[Verdict, Cell] = {
     "right": Cell("✓ right", "good"),
     "overconfident": Cell("▲ too sure", "bad"),

@@ -58,9 +58,7 @@ def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> lis
         for i, row in enumerate(members):
             if drawing.drawable(row.value) is not None:
                 color, dash = drawing.LINES[i % 6], ("solid", "dot")[i % 2]
-                name = (
-                    formatting.symbol(row.name) if len(members) > 1 else formatting.titled(row.name)
-                )
+                name = formatting.symbol(row.name) if len(members) > 1 else formatting.titled(row.name)
                 value, limit = factor * row.value, canvas.budget.points
                 traces.append(drawing.line_trace(row.t, value, name, limit, color=color, dash=dash))
                 names.append(f"{name} ({('solid', 'dotted')[i % 2]})" if len(members) > 1 else name)

@@ -295,9 +295,7 @@ def test_one_impossible_speed_is_no_violation(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("lat", "lon"), [(0.0, 0.0), (60.0, 10.0), (-60.0, 179.9999), (41.0, -180.0)])
 @pytest.mark.parametrize("bearing", [0.0, 90.0, 180.0, 270.0, 45.0])
-def test_the_fence_is_a_circle_in_metres_wherever_it_is(
-    tmp_path: Path, lat: float, lon: float, bearing: float
-) -> None:
+def test_the_fence_is_a_circle_in_metres_wherever_it_is(tmp_path: Path, lat: float, lon: float, bearing: float) -> None:
     """A boat on a great circle away from the start is stopped between 99 and 101 m."""
     guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
     heading = math.radians(bearing)
@@ -985,9 +983,7 @@ def test_a_wrong_output_says_what_may_be_wrong(put_out: float, commanded: float,
 
 @pytest.mark.parametrize("first", ["gnss", "ahrs"])
 @pytest.mark.parametrize("age", [0.0, 0.08])
-def test_a_second_receiver_stands_in_for_one_that_repeats_its_position(
-    tmp_path: Path, first: str, age: float
-) -> None:
+def test_a_second_receiver_stands_in_for_one_that_repeats_its_position(tmp_path: Path, first: str, age: float) -> None:
     """In whatever order they report; where both repeat themselves nothing watches the fence."""
     for n_frozen in (1, 2):
         guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))

@@ -72,9 +72,7 @@ class Drive:
         self.now, self.status = 99.9, GOOD
 
     def until(self, t: float, keys: str = "") -> None:
-        while self.now < t and (
-            not self.course.is_over(self.now) or self.course.must_repeat(self.now, self.status)
-        ):
+        while self.now < t and (not self.course.is_over(self.now) or self.course.must_repeat(self.now, self.status)):
             self.acquisition.now = self.now
             self.course.step(self.now, 0.5, self.status, keys)
             self.now, keys = self.now + 0.05, ""

@@ -258,8 +258,11 @@ def test_the_file_comes_back(tmp_path: Path) -> None:
     other.write_text('format = "seatrial-model 1"\n')
     assert load_curve(other) is None
     text = (tmp_path / "model.toml").read_text()
-    for bad in (text.replace("thrusters = 2", "thrusters = 0"), text.replace("[curve]", "[curves]"),
-                text.replace("calibration = 0.02", "calibration = 2")):
+    for bad in (
+        text.replace("thrusters = 2", "thrusters = 0"),
+        text.replace("[curve]", "[curves]"),
+        text.replace("calibration = 0.02", "calibration = 2"),
+    ):
         other.write_text(bad)
         with pytest.raises(SeatrialError, match=r"other\.toml: "):
             load_curve(other)

@@ -64,8 +64,16 @@ def fitted(logs: Path) -> Path:
     """The folder of a thruster fit and a vehicle fit, made by the commands."""
     for words in (
         ["thruster", logs / "bench.mcap", "--out", logs / "thruster"],
-        ["vehicle", logs / "estimation.mcap", "--thruster", logs / "thruster" / "model.toml",
-         "--validate", logs / "validation.mcap", "--out", logs / "vehicle"],
+        [
+            "vehicle",
+            logs / "estimation.mcap",
+            "--thruster",
+            logs / "thruster" / "model.toml",
+            "--validate",
+            logs / "validation.mcap",
+            "--out",
+            logs / "vehicle",
+        ],
     ):
         with pytest.raises(SystemExit) as leaving:
             command_line.main(["ident", *map(str, words)])
@@ -97,7 +105,9 @@ def test_vehicle(fitted: Path) -> None:
     result = result_of(fitted / "vehicle")
     assert result["kind"] == "vehicle"
     assert [(log["path"], log["role"]) for log in result["logs"]] == [
-        ("estimation.mcap", "estimation"), ("validation.mcap", "validation")]
+        ("estimation.mcap", "estimation"),
+        ("validation.mcap", "validation"),
+    ]
     assert result["logs"][0]["mission"] == "mixed, seed 101"
     assert len(result["logs"][0]["sha256"]) == 64
     bench = {r["name"]: r for r in result_of(fitted / "thruster")["fit"]["parameters"]}
@@ -122,8 +132,14 @@ def test_vehicle(fitted: Path) -> None:
 
 def test_diagnose(fitted: Path, run: Run) -> None:
     status, out, err = run(
-        "ident", "diagnose", fitted / "vehicle" / "model.toml", fitted / "estimation.mcap",
-        "--validate", fitted / "validation.mcap", "--out", fitted / "diagnosis",
+        "ident",
+        "diagnose",
+        fitted / "vehicle" / "model.toml",
+        fitted / "estimation.mcap",
+        "--validate",
+        fitted / "validation.mcap",
+        "--out",
+        fitted / "diagnosis",
     )
     assert (status, err) == (0, "")
     result = result_of(fitted / "diagnosis")
@@ -143,8 +159,16 @@ def test_a_diagnosed_model_is_where_the_next_diagnosis_starts(fitted: Path, run:
     model = fitted / "diagnosis" / "model.toml"
     if not model.exists():
         test_diagnose(fitted, run)
-    status, _, err = run("ident", "diagnose", model, fitted / "estimation.mcap", "--validate",
-                         fitted / "validation.mcap", "--out", fitted / "again")
+    status, _, err = run(
+        "ident",
+        "diagnose",
+        model,
+        fitted / "estimation.mcap",
+        "--validate",
+        fitted / "validation.mcap",
+        "--out",
+        fitted / "again",
+    )
     assert (status, err) == (0, "")
     assert EFFECT not in [e["name"] for e in result_of(fitted / "again")["effects"]]
 
@@ -164,8 +188,9 @@ def swapped_sides(path: Path) -> Boat:
 
 def test_a_diagnosis_refuses_what_a_fit_refuses(fitted: Path, tmp_path: Path, run: Run) -> None:
     swapped_sides(tmp_path / "swapped.mcap")
-    status, _, err = run("ident", "diagnose", fitted / "vehicle" / "model.toml", tmp_path / "swapped.mcap",
-                         "--out", tmp_path / "refused")
+    status, _, err = run(
+        "ident", "diagnose", fitted / "vehicle" / "model.toml", tmp_path / "swapped.mcap", "--out", tmp_path / "refused"
+    )
     assert status == 1
     assert "[thruster-sides-swapped]" in err
     assert "--despite-faults" in err
@@ -220,8 +245,21 @@ def test_results_are_replaced_only_when_that_is_asked_for(fitted: Path, tmp_path
 
 
 def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Run) -> None:
-    status, _, err = run("ident", "vehicle", fitted / "estimation.mcap", "--fix", "m_u=36.5", "--initial", "d_v=40",
-                         "--rate", 5, "--model", "horizontal:shaft:no-current", "--out", tmp_path)
+    status, _, err = run(
+        "ident",
+        "vehicle",
+        fitted / "estimation.mcap",
+        "--fix",
+        "m_u=36.5",
+        "--initial",
+        "d_v=40",
+        "--rate",
+        5,
+        "--model",
+        "horizontal:shaft:no-current",
+        "--out",
+        tmp_path,
+    )
     assert (status, err) == (0, "")
     rows = {r["name"]: r for r in result_of(tmp_path)["fit"]["parameters"]}
     assert rows["m_u"]["value"] == 36.5
@@ -252,8 +290,10 @@ def test_what_cannot_be_done_is_one_line(fitted: Path, tmp_path: Path, run: Run,
     rig = tmp_path / "rig.toml"
     rig.write_text('format = "seatrial-rig 1"\n', encoding="utf-8")
     places = {
-        "estimation": fitted / "estimation.mcap", "bench": fitted / "bench.mcap",
-        "model": fitted / "vehicle" / "model.toml", "rig": rig,
+        "estimation": fitted / "estimation.mcap",
+        "bench": fitted / "bench.mcap",
+        "model": fitted / "vehicle" / "model.toml",
+        "rig": rig,
     }
     out = tmp_path / "out"
     status, _, err = run("ident", *(w.format(**places) for w in words.split()), "--out", out)

@@ -156,7 +156,7 @@ def test_samples_that_do_not_keep_time_make_no_rows_without_any() -> None:
     t = np.arange(101) / 10 + late
     record = build_record(model(), channels() | {"psi": Channel(t, np.sin(t))}, rate=10.0, max_step=0.1)
     rows = record.t[~np.isfinite(record.y).any(axis=1)]
-    np.testing.assert_allclose(rows, [2.04, 10.0 - record.meta["t0"]][:rows.size], atol=0.01)  # the input's alone
+    np.testing.assert_allclose(rows, [2.04, 10.0 - record.meta["t0"]][: rows.size], atol=0.01)  # the input's alone
 
 
 def test_a_zero_hold_switches_at_its_own_times_and_a_linear_one_runs_between() -> None:

@@ -52,7 +52,12 @@ def a_fit(
         return float(found[i]), float(errors[i])
 
     return SimpleNamespace(
-        names=tuple(names), values=found, errors=errors, covariance=covariance, flags=flags, model=model,
+        names=tuple(names),
+        values=found,
+        errors=errors,
+        covariance=covariance,
+        flags=flags,
+        model=model,
         estimate=estimate,
     )
 

@@ -169,7 +169,11 @@ def test_the_driven_pendulum_against_an_independent_integration(frequency: float
 
     swing = solve_ivp(
         lambda at, z: [z[1], -2 * zeta * omega * z[1] - omega**2 * z[0] - acceleration(at)],
-        (0.0, t[-1]), [0.0, 0.0], t_eval=t, rtol=1e-9, atol=1e-12,
+        (0.0, t[-1]),
+        [0.0, 0.0],
+        t_eval=t,
+        rtol=1e-9,
+        atol=1e-12,
     ).y
     spring = (2 * zeta * omega * swing[1] + omega**2 * swing[0]) / p["m_u"]
     wanted = spring + [acceleration(at) / p["m_u"] for at in t]  # the mass no longer goes with the hull
@@ -201,9 +205,18 @@ def test_generic_columns_push_the_boat_along_one_force() -> None:
     assert len([n for n in curves if n[0] in "XYN"]) == 3 * 10
     losses = {f"{thrust}({of})" for thrust in ("T", "T_left", "T_right") for of in "vr"}
     assert curves - {n for n in curves if n[0] in "XYN"} == losses | {
-        "psi(psi)", "psi(n_sum)", "psi(n_diff)", "r(r)", "ax(u)", "ax(r)", "ay(v)", "ay(r)"}
-    assert set(found) - curves == {f"{force}({how} {of})" for force, of in (("X", "n_sum"), ("N", "n_diff"))
-                                   for how in ("past of", "swing after")}
+        "psi(psi)",
+        "psi(n_sum)",
+        "psi(n_diff)",
+        "r(r)",
+        "ax(u)",
+        "ax(r)",
+        "ay(v)",
+        "ay(r)",
+    }
+    assert set(found) - curves == {
+        f"{force}({how} {of})" for force, of in (("X", "n_sum"), ("N", "n_diff")) for how in ("past of", "swing after")
+    }
     table = generic_features(path.model, path.own, path.x)
     for force, state, mass in (("X", "u", p["m_u"]), ("Y", "v", p["m_v"]), ("N", "r", p["m_r"])):
         column = whole(path, found[f"{force}(u)"])
@@ -236,8 +249,9 @@ def test_the_columns_of_a_steady_wind_are_those_of_its_force() -> None:
         for columns in path.effect(effect):
             assert columns.parameters[:2] == ("F_wx", "F_wy")
             delta = whole(path, columns)
-            surge, sway, yaw = (delta[:, states.index(s), :2] * p[m] for s, m in (("u", "m_u"), ("v", "m_v"),
-                                                                                   ("r", "m_r")))
+            surge, sway, yaw = (
+                delta[:, states.index(s), :2] * p[m] for s, m in (("u", "m_u"), ("v", "m_v"), ("r", "m_r"))
+            )
             across = np.column_stack([-np.sin(psi), np.cos(psi)])
             np.testing.assert_allclose(surge, w_x * np.column_stack([np.cos(psi), np.sin(psi)]), atol=0.01)
             np.testing.assert_allclose(sway, across, atol=0.02)

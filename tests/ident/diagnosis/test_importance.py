@@ -29,8 +29,10 @@ MOMENT = chosen("heading-moment", nonparametric_of=ForceCurve("N", "psi"))
     [
         # the search took the delay first; without the other the prediction loses more
         ([(chosen("delay"), 1.02), (chosen("yaw-bias"), 1.4)], ["yaw-bias", "delay"]),
-        ([(chosen("yaw-bias"), 1.0), (chosen("delay"), 1.1), (chosen("unknown N(u)"), 1.9)],
-         ["delay", "yaw-bias", "unknown N(u)"]),
+        (
+            [(chosen("yaw-bias"), 1.0), (chosen("delay"), 1.1), (chosen("unknown N(u)"), 1.9)],
+            ["delay", "yaw-bias", "unknown N(u)"],
+        ),
         # a table that was found before a name gives way to it only where the name weighs more
         ([(chosen("unknown N(psi)"), 1.6), (chosen("dead-band"), 1.3)], ["unknown N(psi)", "dead-band"]),
         ([(chosen("unknown N(psi)"), 1.2), (chosen("dead-band"), 1.3)], ["dead-band", "unknown N(psi)"]),

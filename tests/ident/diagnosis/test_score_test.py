@@ -146,11 +146,16 @@ def test_scores_do_not_depend_on_units_and_copies_add_no_freedom() -> None:
     path, run, own = path_of(record)
     drag = whole(path, next(path.effect(DRAG)))
     cube = whole(path, next(path.effect(CUBE)))
-    thousand, twice, plain = scores_of_columns(path, run, own, [
-        SensitivityColumns("thousand", np.concatenate([1e3 * drag, 1e-3 * cube], axis=2), ("a", "b")),
-        SensitivityColumns("twice", np.concatenate([drag, cube, drag], axis=2)),
-        SensitivityColumns("plain", np.concatenate([drag, cube], axis=2), ("a", "b")),
-    ])
+    thousand, twice, plain = scores_of_columns(
+        path,
+        run,
+        own,
+        [
+            SensitivityColumns("thousand", np.concatenate([1e3 * drag, 1e-3 * cube], axis=2), ("a", "b")),
+            SensitivityColumns("twice", np.concatenate([drag, cube, drag], axis=2)),
+            SensitivityColumns("plain", np.concatenate([drag, cube], axis=2), ("a", "b")),
+        ],
+    )
     assert thousand.lm == pytest.approx(plain.lm, rel=1e-6)
     assert thousand.step["a"] == pytest.approx(plain.step["a"] * 1e-3, rel=1e-6)
     assert (plain.df, twice.df) == (2, 2)

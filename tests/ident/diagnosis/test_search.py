@@ -245,10 +245,9 @@ def test_a_nonparametric_effect_has_to_predict_beside_the_others_and_any_to_matt
     monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
     monkeypatch.setattr(search, "fit_without", lambda *_: blank())
     monkeypatch.setattr(
-        search, "effect_importance",
-        lambda _b, _c, chosen, *_: tuple(
-            EffectImportance(c.effect.name, 10.0, error, 20.0, 6.0, SAME) for c in chosen
-        ),
+        search,
+        "effect_importance",
+        lambda _b, _c, chosen, *_: tuple(EffectImportance(c.effect.name, 10.0, error, 20.0, 6.0, SAME) for c in chosen),
     )
     assert [r.effect.name for r in mine.without_what_does_not_pay(blank(), blank())[2]] == removed
 
@@ -271,7 +270,10 @@ def test_what_is_small_by_its_likelihood_may_matter(
 
 
 SCANNED = Effect(
-    "scanned", "scanned", {}, (Parameter("A", 0.0, bounds=(-1.0, 1.0), prior=(0.0, 2.0)), Parameter("w", 1.0)),
+    "scanned",
+    "scanned",
+    {},
+    (Parameter("A", 0.0, bounds=(-1.0, 1.0), prior=(0.0, 2.0)), Parameter("w", 1.0)),
     scan={"w": (0.5, 1.0, 2.0)},
 )
 SCORE = Score("scanned", 100.0, 1, 50.0, {"A": 5.0}, {"w": 1.0})
@@ -279,7 +281,12 @@ SCORE = Score("scanned", 100.0, 1, 50.0, {"A": 5.0}, {"w": 1.0})
 
 def test_a_refit_begins_at_the_score_test_then_nearer_then_at_its_neighbours_and_at_last_at_nothing() -> None:
     assert [tuple(p.value for p in e.parameters) for e in _starts(SCANNED, SCORE)] == [
-        (1.0, 1.0), (0.6, 1.0), (1.0, 0.5), (1.0, 2.0), (-0.6, 1.0), (0.0, 1.0),
+        (1.0, 1.0),
+        (0.6, 1.0),
+        (1.0, 0.5),
+        (1.0, 2.0),
+        (-0.6, 1.0),
+        (0.0, 1.0),
     ]
 
 
@@ -378,11 +385,18 @@ def test_the_picture_of_a_doubt_is_left_out_where_it_cannot_be_fitted(monkeypatc
     assert (drawn, undrawn) == ([], "hump: x0")
     judged = (EffectAttribution("hump", "ambiguous"),)
     found = Diagnosis(
-        blank(), blank(), tuple(rounds), (), (), judged, (EffectImportance("hump", NAN, NAN, untested="y0"),),
+        blank(),
+        blank(),
+        tuple(rounds),
+        (),
+        (),
+        judged,
+        (EffectImportance("hump", NAN, NAN, untested="y0"),),
         undrawn=undrawn,
     )
     assert [(w.code, w.text.rpartition(": ")[2]) for w in _untested_warnings(found)] == [
-        ("effect-untested", "y0."), ("curve-not-drawn", "x0."),
+        ("effect-untested", "y0."),
+        ("curve-not-drawn", "x0."),
     ]
 
 
@@ -442,7 +456,11 @@ def test_what_the_validation_data_support_and_no_prediction_needs_is_named() -> 
     gone = RemovedEffect(catalogue()["filter-lag"], 662.0, 6.6, SAME)
     score = Score("filter-lag", 1862.0, 2, 0.0, {}, {})
     found = Diagnosis(
-        blank(), blank(cross_validated=False), (Round((score,), ("filter-lag",), (chosen,), chosen),), (), (),
+        blank(),
+        blank(cross_validated=False),
+        (Round((score,), ("filter-lag",), (chosen,), chosen),),
+        (),
+        (),
         removed=(gone,),
     )
     assert "lag of filtered velocities" in diagnosis_answer(found, None, 10.0)
@@ -461,9 +479,7 @@ def loaded(boat: Boat, kg: float) -> Boat:
 
 def segments(*boats: Boat, seconds: float = 150.0) -> list[LogSegment]:
     """A run of each boat, on missions of their own."""
-    return [
-        LogSegment(f"run{k}", channels_of(sail(boat, seconds, 100 + k, k)[0])) for k, boat in enumerate(boats, 1)
-    ]
+    return [LogSegment(f"run{k}", channels_of(sail(boat, seconds, 100 + k, k)[0])) for k, boat in enumerate(boats, 1)]
 
 
 @pytest.mark.study

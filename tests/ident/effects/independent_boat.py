@@ -147,8 +147,10 @@ def _measured(rows: np.ndarray, rng: np.random.Generator, gyro: bool, seed: int)
     t = rows[:, 0]
     names = ("psi", "r", "ax", "ay")
     noise = dict(zip(names, (0.01, 0.004, 0.04, 0.04), strict=True))
-    channels = {f"n_{side}": Channel(t, rows[:, 1 + i] + 0.001 * rng.normal(size=t.size))
-                for i, side in enumerate(("left", "right"))}
+    channels = {
+        f"n_{side}": Channel(t, rows[:, 1 + i] + 0.001 * rng.normal(size=t.size))
+        for i, side in enumerate(("left", "right"))
+    }
     for i, name in enumerate(names):
         if gyro or name == "psi":
             channels[name] = Channel(t, rows[:, 3 + i] + noise[name] * rng.normal(size=t.size))

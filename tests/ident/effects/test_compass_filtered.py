@@ -43,8 +43,9 @@ def test_the_error_is_the_deviation_behind_a_first_order_filter() -> None:
     record = blank(model, 1)
     x, y = predicted(model, record)
     psi = x[:, [s.name for s in model.states].index("psi")]
-    deviation = sum(TRUTH[k] * f for k, f in zip(
-        TERMS, (np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi)), strict=True))
+    deviation = sum(
+        TRUTH[k] * f for k, f in zip(TERMS, (np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi)), strict=True)
+    )
     filtered, dt = np.full(psi.size, deviation[0]), 0.1  # it has followed before the log begins
     for k in range(psi.size - 1):  # exact for a deviation that is linear between rows
         decay = np.exp(-dt / TRUTH["T_head"])

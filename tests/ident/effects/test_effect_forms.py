@@ -56,8 +56,9 @@ def test_a_line_drags_with_its_length_against_the_motion_over_ground() -> None:
     assert drag(40.0, 1.0) == pytest.approx(-2.0, rel=1e-4)
     assert drag(20.0, 1.0) == pytest.approx(-1.0, rel=1e-4)
     assert drag(40.0, -0.5) == pytest.approx(0.5, rel=1e-4)
-    against = force("tether", {"x": 40.0, "u": 1.0}, k_tether=0.05, V_x=-1.0) - force("tether", {"x": 40.0, "u": 1.0},
-                                                                                     V_x=-1.0)
+    against = force("tether", {"x": 40.0, "u": 1.0}, k_tether=0.05, V_x=-1.0) - force(
+        "tether", {"x": 40.0, "u": 1.0}, V_x=-1.0
+    )
     assert against == pytest.approx(0.0, abs=1e-4)  # at rest over ground
 
 
@@ -92,9 +93,7 @@ def test_the_waves_have_the_size_that_their_parameters_say() -> None:
 @pytest.mark.study
 def test_waves_are_seen_in_the_innovations_and_fitted() -> None:
     """And on a boat without waves nothing is seen."""
-    runs = {
-        name: LogSegment("run", channels_of(sail(boat_with(name, 4), 130.0, 3)[0])) for name in ("waves", None)
-    }
+    runs = {name: LogSegment("run", channels_of(sail(boat_with(name, 4), 130.0, 3)[0])) for name in ("waves", None)}
     assert wave_peak_score(fit_nominal_model(horizontal_model(), [runs[None]], [])) is None
     before = fit_nominal_model(horizontal_model(), [runs["waves"]], [])
     score = wave_peak_score(before)

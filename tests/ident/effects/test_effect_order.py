@@ -50,6 +50,7 @@ def drawn(kind: str, name: str, low: float, high: float, n: int) -> np.ndarray:
 
 def at_random(model: Model) -> dict[str, np.ndarray]:
     """Rates and outputs by name, at states, inputs and parameters that go with their names alone."""
+
     def value(name: str) -> float:
         p = model.parameter(name)
         width = p.prior[1] if p.prior is not None else 0.3 * abs(p.value) + p.step
@@ -69,10 +70,19 @@ def differences(base: Model, effects: Sequence[Effect]) -> list[str]:
     return [n for n in one if not np.allclose(one[n], other[n], rtol=1e-12, atol=1e-12)]
 
 
-@pytest.mark.parametrize("source", [
-    "horizontal:shaft", "horizontal:command", "horizontal:force", "horizontal:general", "nomoto", "nomoto:sampled",
-    "kinematic:shaft:yaw", "kinematic:force",
-])
+@pytest.mark.parametrize(
+    "source",
+    [
+        "horizontal:shaft",
+        "horizontal:command",
+        "horizontal:force",
+        "horizontal:general",
+        "nomoto",
+        "nomoto:sampled",
+        "kinematic:shaft:yaw",
+        "kinematic:force",
+    ],
+)
 def test_effects_make_the_same_model_in_any_order(source: str) -> None:
     base = make_model(source, tuple(SENSORS))
     effects = all_effects(base)

@@ -51,10 +51,19 @@ def test_an_effect_is_neutral_at_its_given_values(name: str) -> None:
     np.testing.assert_allclose(with_it, evaluate(base, x[:, :n], u[:, own]), rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("source", [
-    "horizontal:shaft", "horizontal:command", "horizontal:force", "horizontal:general", "nomoto", "nomoto:sampled",
-    "kinematic:shaft", "kinematic:force:yaw",
-])
+@pytest.mark.parametrize(
+    "source",
+    [
+        "horizontal:shaft",
+        "horizontal:command",
+        "horizontal:force",
+        "horizontal:general",
+        "nomoto",
+        "nomoto:sampled",
+        "kinematic:shaft",
+        "kinematic:force:yaw",
+    ],
+)
 def test_what_a_model_accepts_is_neutral_on_it_whatever_its_inputs_were_before(source: str) -> None:
     base = make_model(source, tuple(SENSORS))
     accepted = [e for e in (*catalogue().values(), nothing_late()) if base.accepts(e)]
@@ -117,9 +126,9 @@ def test_the_thrust_is_known_for_every_latency() -> None:
     assert _before(past, latest / 4) == pytest.approx(past[-1] / 2)
 
 
-def driven(names: Sequence[str], values: dict[str, float], command: Callable[[np.ndarray], np.ndarray], hold: str) -> (
-    tuple[np.ndarray, np.ndarray]
-):
+def driven(
+    names: Sequence[str], values: dict[str, float], command: Callable[[np.ndarray], np.ndarray], hold: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Rates of surge at rest, and their times, of a boat whose thrust is late: shaft speeds, and all else at zero."""
     model = horizontal_model("shaft", hold=hold)  # type: ignore[arg-type]
     for name in names:
@@ -149,16 +158,22 @@ def test_delay_dead_band_and_lag_compose_in_any_order(hold: str) -> None:
 
 
 @pytest.mark.parametrize("hold", ["zero", "linear"])
-@pytest.mark.parametrize(("names", "values", "late"), [
-    (("delay",), {"tau_delay": 0.23}, 0.23), (("lag",), {"T_lag": 0.3}, 0.3), (("lag",), {"T_lag": 0.04}, 0.04),
-    (("lag", "delay"), {"tau_delay": 0.5, "T_lag": 0.3}, 0.8),
-])
+@pytest.mark.parametrize(
+    ("names", "values", "late"),
+    [
+        (("delay",), {"tau_delay": 0.23}, 0.23),
+        (("lag",), {"T_lag": 0.3}, 0.3),
+        (("lag",), {"T_lag": 0.04}, 0.04),
+        (("lag", "delay"), {"tau_delay": 0.5, "T_lag": 0.3}, 0.8),
+    ],
+)
 def test_a_change_is_as_late_as_its_delay_and_its_lag_together(
     names: tuple[str, ...], values: dict[str, float], late: float, hold: str
 ) -> None:
     """Thrust that is linear in the shaft speed about a working point: what is lost of speed is the delay times the
     change of thrust, whatever the hold."""
     small = 0.01
+
     def step(t: np.ndarray) -> np.ndarray:
         return 0.5 + small * (t > 4.05)
 
@@ -176,8 +191,14 @@ def test_a_dead_band_has_a_gradient_beyond_it() -> None:
     model = carrier(effect) + replace(effect, parameters=(effect.parameters[0].at(0.1),))
     x, u = np.zeros((3, len(model.states))), np.array([[0.05, 0.05], [0.3, 0.3], [-0.3, -0.3]])
     surge = evaluate(model, x, u)[:, 3]
-    thrust = 2 * (40.05 * np.sign(u[:, 0]) * np.maximum(np.abs(u[:, 0]) - 0.1, 0) ** 2
-                  + 1.11 * np.maximum(np.abs(u[:, 0]) - 0.1, 0) ** 2) / 37.0
+    thrust = (
+        2
+        * (
+            40.05 * np.sign(u[:, 0]) * np.maximum(np.abs(u[:, 0]) - 0.1, 0) ** 2
+            + 1.11 * np.maximum(np.abs(u[:, 0]) - 0.1, 0) ** 2
+        )
+        / 37.0
+    )
     np.testing.assert_allclose(surge, thrust, atol=1e-9)
 
 

@@ -16,8 +16,19 @@ from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
 
 DT, LATE, ARM = 0.002, 0.2, 0.15  # s, s, m
-HULL = {"m_u": 37.0, "m_v": 47.0, "m_r": 9.69, "d_u": 2.0, "d_uu": 0.0, "d_v": 20.0, "d_vv": 0.0, "d_r": 4.0,
-        "d_rr": 0.0, "V_x": 0.2, "V_y": -0.1}
+HULL = {
+    "m_u": 37.0,
+    "m_v": 47.0,
+    "m_r": 9.69,
+    "d_u": 2.0,
+    "d_uu": 0.0,
+    "d_v": 20.0,
+    "d_vv": 0.0,
+    "d_r": 4.0,
+    "d_rr": 0.0,
+    "V_x": 0.2,
+    "V_y": -0.1,
+}
 TIMES = np.arange(1.0, 5.0, 0.17)
 Values = Mapping[str, float]
 
@@ -44,11 +55,17 @@ def rates(t: float, x: np.ndarray, p: Values) -> np.ndarray:
     f = forces(x[6:] if "T_lag" in p else n, x, p)
     psi, u, v, r = x[2:6]
     c, s, h = np.cos(psi), np.sin(psi), HULL
-    return np.array([
-        c * u - s * v + h["V_x"], s * u + c * v + h["V_y"], r,
-        (f.sum() - h["d_u"] * u + h["m_v"] * v * r) / h["m_u"],
-        (-h["d_v"] * v - h["m_u"] * u * r) / h["m_v"],
-        (ARM * (f[0] - f[1]) - h["d_r"] * r + (h["m_u"] - h["m_v"]) * u * v) / h["m_r"], *slow])
+    return np.array(
+        [
+            c * u - s * v + h["V_x"],
+            s * u + c * v + h["V_y"],
+            r,
+            (f.sum() - h["d_u"] * u + h["m_v"] * v * r) / h["m_u"],
+            (-h["d_v"] * v - h["m_u"] * u * r) / h["m_v"],
+            (ARM * (f[0] - f[1]) - h["d_r"] * r + (h["m_u"] - h["m_v"]) * u * v) / h["m_r"],
+            *slow,
+        ]
+    )
 
 
 def sailed(p: Values) -> np.ndarray:
@@ -90,8 +107,10 @@ def errors(names: Sequence[str], values: Values, late: float = LATE) -> np.ndarr
     model = model.with_values({**HULL, **{k: v for k, v in values.items() if k != "r_0"}, "tau_gnss": late})
     path = sailed(values)
     back = round(late / DT)
-    off = [predicted(model, t, path[k]) - fix(t - late, path[k - back], values)
-           for t, k in zip(TIMES, np.round(TIMES / DT).astype(int), strict=True)]
+    off = [
+        predicted(model, t, path[k]) - fix(t - late, path[k - back], values)
+        for t, k in zip(TIMES, np.round(TIMES / DT).astype(int), strict=True)
+    ]
     return np.abs(off).max(axis=0)
 
 
@@ -106,8 +125,12 @@ CHAIN: dict[tuple[str, ...], dict[str, float]] = {
     ("thrust-linearity",): {"lambda_n": 0.8},
     ("thruster-interaction",): {"kappa": 0.8},
     ("advance-ratio",): {"k_J": 9.0},
-    ("delay", "lag", "dead-band", "thrust-linearity"):
-        {"tau_delay": 0.25, "T_lag": 0.2, "n_dead": 0.1, "lambda_n": 0.5},
+    ("delay", "lag", "dead-band", "thrust-linearity"): {
+        "tau_delay": 0.25,
+        "T_lag": 0.2,
+        "n_dead": 0.1,
+        "lambda_n": 0.5,
+    },
 }
 
 

@@ -42,7 +42,8 @@ def test_nothing_acts_while_the_input_rests_and_all_has_settled(name: str) -> No
     n = len(base.states)
     np.testing.assert_allclose(full[:, :n], plain[:, :n], atol=1e-9)
     np.testing.assert_allclose(full[:, n : n + len(rest)], 0.0, atol=1e-9)
-    moved = VectorisedModel(model)(np.column_stack([x, [[drive + 1.0] + [0.0] * (len(rest) - 1)]]), u,
-                           np.array(list(model.values.values())))
+    moved = VectorisedModel(model)(
+        np.column_stack([x, [[drive + 1.0] + [0.0] * (len(rest) - 1)]]), u, np.array(list(model.values.values()))
+    )
     at = [s.name for s in base.states].index("u" if "X" in name else "r")
     assert abs(moved[0, at] - plain[0, at]) > 0.01

@@ -108,14 +108,26 @@ def rudder(k: float) -> Force:
 
 SMALL = 0.6  # times the length: 9 kg
 FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
-    "spring": (IndependentBoat(force=spring(0.9, 6.0, 4.0, -3.0)), True, "mooring",
-               {"k_m": 0.9, "l_slack": 6.0, "F_mx": 3.6, "F_my": -2.7}),
-    "line": (IndependentBoat(force=line(0.08, 8.0, -6.0)), True, "tether",
-             {"k_tether": 0.08, "x_tether": 8.0, "y_tether": -6.0}),
+    "spring": (
+        IndependentBoat(force=spring(0.9, 6.0, 4.0, -3.0)),
+        True,
+        "mooring",
+        {"k_m": 0.9, "l_slack": 6.0, "F_mx": 3.6, "F_my": -2.7},
+    ),
+    "line": (
+        IndependentBoat(force=line(0.08, 8.0, -6.0)),
+        True,
+        "tether",
+        {"k_tether": 0.08, "x_tether": 8.0, "y_tether": -6.0},
+    ),
     "surge": (IndependentBoat(force=lambda now: (-6.4, 0.0, 0.0)), True, "steady-force", {"X_0": -6.4, "Y_0": 0.0}),
     "sway": (IndependentBoat(force=lambda now: (0.0, 4.0, 0.0)), True, "steady-force", {"X_0": 0.0, "Y_0": 4.0}),
-    "pull": (IndependentBoat(force=lambda now: (*now.into_body(3.0, -4.0), 0.0)), True, "steady-pull",
-             {"F_north": 3.0, "F_east": -4.0}),
+    "pull": (
+        IndependentBoat(force=lambda now: (*now.into_body(3.0, -4.0), 0.0)),
+        True,
+        "steady-pull",
+        {"F_north": 3.0, "F_east": -4.0},
+    ),
     "wind": (IndependentBoat(SMALL, wind(3.0, -2.5, 0.1, -0.15)), False, "wind", {"w_x": 0.9, "w_n": -0.15}),
     "linear": (IndependentBoat(loss=partly_linear(0.6)), True, "thrust-linearity", {"lambda_n": 0.6}),
     "power": (IndependentBoat(loss=powered(1.6)), True, "thrust-power", {"p_n": -0.4}),

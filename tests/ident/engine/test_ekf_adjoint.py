@@ -28,9 +28,21 @@ from tests.ident.toys import turning
 
 needs_llvm = pytest.mark.skipif(not jit.AVAILABLE, reason="llvmlite is not installed")
 MODELS: dict[str, Callable[[], Model]] = {
-    **{name: lambda name=name: make_model(name) for name in (
-        "surge", "surge:shaft:both", "yaw", "yaw:both", "thruster", "thruster:slow", "horizontal:shaft",
-        "horizontal:force:no-current", "kinematic:shaft", "kinematic:shaft:yaw")},
+    **{
+        name: lambda name=name: make_model(name)
+        for name in (
+            "surge",
+            "surge:shaft:both",
+            "yaw",
+            "yaw:both",
+            "thruster",
+            "thruster:slow",
+            "horizontal:shaft",
+            "horizontal:force:no-current",
+            "kinematic:shaft",
+            "kinematic:shaft:yaw",
+        )
+    },
     "turning": turning,
     "robust": lambda: with_outlier_model(turning()),
     "second order": lambda: replace(make_model("horizontal:shaft"), second_order=True),
@@ -85,11 +97,18 @@ def test_adjoints_are_those_of_the_stages_as_they_stand(width: int, monkeypatch:
     rng = np.random.default_rng(width)
     root = rng.normal(size=(g.n, g.n))
     s = np.append(rng.normal(size=g.n), np.array(pack(ca.SX(root @ root.T)).elements(), float))
-    given = {"s": s, "h": 0.1, "p": list(g.model.values.values()), "bar": rng.normal(size=s.size),
-             **{name: rng.normal(size=v.numel()) for name, v in g.inputs.items() if name in ("u", "u_next", "y")}}
+    given = {
+        "s": s,
+        "h": 0.1,
+        "p": list(g.model.values.values()),
+        "bar": rng.normal(size=s.size),
+        **{name: rng.normal(size=v.numel()) for name, v in g.inputs.items() if name in ("u", "u_next", "y")},
+    }
     update, predicted = g.updates[-1], {"s": g.predict[0]}
-    pairs = [(ekf_adjoint.of_update(g, update, "tape", bar), {"s": update.s, "ll": update.ll}),
-             (ekf_adjoint.of_prediction(g, "tape", bar), predicted)]
+    pairs = [
+        (ekf_adjoint.of_update(g, update, "tape", bar), {"s": update.s, "ll": update.ll}),
+        (ekf_adjoint.of_prediction(g, "tape", bar), predicted),
+    ]
     for ours, effect in pairs:
         plain = ekf_adjoint.of_stage(g, effect, "tape", bar)
         np.testing.assert_allclose(_run(ours, g, bar, given), _run(plain, g, bar, given), rtol=1e-9, atol=1e-9)
@@ -114,8 +133,14 @@ def _run(found: ekf_adjoint.Adjoint, g: EkfGraphs, bar: ca.SX, given: dict[str, 
 def test_products_are_compiled_as_they_are_interpreted(width: int) -> None:
     a, kept, b = ca.SX.sym("a", 3), ca.SX.sym("kept", 2 * width), ca.SX.sym("b", 2)
     left = ((Factor("a", 0), Factor("b", 1, twice=True)), (Factor("a", 2, twice=True), Factor("a", 1)))
-    plan = Plan((stage({"a": a}, {"b": a[:2] * a[1:]}, 1), Product(left, "kept", "made", width, width, 0),
-                 stage({"made": kept, "b": b}, {"sum": ca.sum1(kept), "b": -b})), frozenset({"a", "kept"}))
+    plan = Plan(
+        (
+            stage({"a": a}, {"b": a[:2] * a[1:]}, 1),
+            Product(left, "kept", "made", width, width, 0),
+            stage({"made": kept, "b": b}, {"sum": ca.sum1(kept), "b": -b}),
+        ),
+        frozenset({"a", "kept"}),
+    )
     rng = np.random.default_rng(1)
     given = {"a": rng.normal(size=(7, 3)), "kept": rng.normal(size=(7, 2 * width))}
     mask = np.array([3, 1, 2, 3, 0, 2, 1], np.uint32)
@@ -134,18 +159,22 @@ def test_every_operation_is_differentiated_backwards() -> None:
     for j, name in enumerate(table):
         for point in np.transpose([a.ravel() for a in points()])[3:40]:
             unit = np.eye(len(table))[j]
-            np.testing.assert_allclose(np.array(ours(point, unit)), np.array(casadi(point, unit)), rtol=1e-9,
-                                       atol=1e-12, err_msg=name)
+            np.testing.assert_allclose(
+                np.array(ours(point, unit)), np.array(casadi(point, unit)), rtol=1e-9, atol=1e-12, err_msg=name
+            )
 
 
 def test_quotients_by_one_number_take_a_product_each() -> None:
     x, m, bar = ca.SX.sym("x", 4), ca.SX.sym("m"), ca.SX.sym("bar", 4)
-    ours, casadi = (ca.Function("f", [x, m, bar], [e]) for e in (
-        reverse_mode(x / m, m, bar), ca.jtimes(x / m, m, bar, True)))
+    ours, casadi = (
+        ca.Function("f", [x, m, bar], [e]) for e in (reverse_mode(x / m, m, bar), ca.jtimes(x / m, m, bar, True))
+    )
     point = np.arange(1.0, 5.0), 2.0, np.array([1.0, -3.0, 0.5, 2.0])
     assert float(ours(*point)) == pytest.approx(float(casadi(*point)))
-    products = [sum(f.instruction_id(k) in (ca.OP_MUL, ca.OP_DIV, ca.OP_SQ) for k in range(f.n_instructions()))
-                for f in (ours, casadi)]
+    products = [
+        sum(f.instruction_id(k) in (ca.OP_MUL, ca.OP_DIV, ca.OP_SQ) for k in range(f.n_instructions()))
+        for f in (ours, casadi)
+    ]
     assert products[0] < products[1]
 
 

@@ -29,8 +29,9 @@ def operations() -> dict[str, ca.SX]:
     one = "sin cos tan tanh sinh cosh arctan arcsinh exp floor ceil abs sign square negative expm1 rint sinc"
     inside = "arcsin arccos arctanh"
     positive = "sqrt log log10 log1p arccosh cbrt"
-    two = ("hypot arctan2 minimum maximum fmod copysign add multiply divide less less_equal equal not_equal "
-           "logaddexp mod")
+    two = (
+        "hypot arctan2 minimum maximum fmod copysign add multiply divide less less_equal equal not_equal logaddexp mod"
+    )
     found = {n: getattr(np, n)(x) for n in one.split()}
     found |= {n: getattr(np, n)(0.9 * ca.sin(x)) for n in inside.split()}
     found |= {n: getattr(np, n)(1 + x * x) for n in positive.split()}
@@ -206,9 +207,14 @@ def test_a_cache_that_cannot_be_written_is_no_error(tmp_path: Path, monkeypatch:
 
 def bad_model(rate: object) -> Model:
     return plain_model(
-        "bad", f=lambda x, u, p: {"a": rate(x.a)}, h=lambda x, u, p: {"y": x.a},  # type: ignore[operator]
-        states=(State("a"),), inputs=(), sensors=(Sensor("s", (Output("y", noise="e"),)),),
-        parameters=(Parameter("e", 1.0),))
+        "bad",
+        f=lambda x, u, p: {"a": rate(x.a)},
+        h=lambda x, u, p: {"y": x.a},  # type: ignore[operator]
+        states=(State("a"),),
+        inputs=(),
+        sensors=(Sensor("s", (Output("y", noise="e"),)),),
+        parameters=(Parameter("e", 1.0),),
+    )
 
 
 @pytest.mark.parametrize("rate", [math.sin, float, lambda a: np.array([0.0, float(a)])[1]])
@@ -220,8 +226,15 @@ def test_numbers_made_of_symbols_are_named(rate: object) -> None:
 def test_missing_and_misshapen_results_are_named() -> None:
     with pytest.raises(ValueError, match="model bad: the rate of the state a is not a scalar"):
         programs_for(bad_model(lambda a: ca.vertcat(a, a)))
-    model = plain_model("empty", f=lambda x, u, p: {}, h=lambda x, u, p: {"y": x.a}, states=(State("a"),), inputs=(),
-                        sensors=(Sensor("s", (Output("y", noise="e"),)),), parameters=(Parameter("e", 1.0),))
+    model = plain_model(
+        "empty",
+        f=lambda x, u, p: {},
+        h=lambda x, u, p: {"y": x.a},
+        states=(State("a"),),
+        inputs=(),
+        sensors=(Sensor("s", (Output("y", noise="e"),)),),
+        parameters=(Parameter("e", 1.0),),
+    )
     with pytest.raises(ValueError, match="model empty gives no rate of the state a"):
         programs_for(model)
 

@@ -44,7 +44,8 @@ print("casadi" in sys.modules, value.hex(), *(float(g).hex() for g in [*gradient
 
 def one(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
     given: dict[str, Any] = {
-        "states": (State("a", noise="q", x0=0.1),), "inputs": (Input("w"),),
+        "states": (State("a", noise="q", x0=0.1),),
+        "inputs": (Input("w"),),
         "sensors": (Sensor("s", (Output("y", noise="e"),)),),
         "parameters": (Parameter("k", 2.0), Parameter("q", 0.1), Parameter("e", 0.2)),
     }
@@ -83,14 +84,19 @@ def test_a_key_is_the_same_in_every_process() -> None:
 @needs_llvm
 def test_a_second_process_has_the_same_numbers_without_casadi(tmp_path: Path) -> None:
     environment = {**os.environ, "SEATRIAL_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}
-    runs = [subprocess.run([sys.executable, "-c", WORK], env=environment, cwd=ROOT, capture_output=True, text=True,
-                           check=True).stdout.split() for _ in range(2)]
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", WORK], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for _ in range(2)
+    ]
     assert [run[0] for run in runs] == ["True", "False"]
     assert runs[0][1:] == runs[1][1:]
     for path in tmp_path.glob("*.o"):
         path.write_bytes(path.read_bytes()[:-1])  # damaged: made anew
-    again = subprocess.run([sys.executable, "-c", WORK], env=environment, cwd=ROOT, capture_output=True, text=True,
-                           check=True).stdout.split()
+    again = subprocess.run(
+        [sys.executable, "-c", WORK], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.split()
     assert again == runs[0]
 
 
@@ -129,8 +135,17 @@ for plan in [*made, Plan((stage({str(v): v for v in around.values()}, around),))
 def test_every_process_writes_the_same_code() -> None:
     """Or none would find another's in the cache: sets come in another order in each."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    runs = {subprocess.run([sys.executable, "-c", IR], env={**environment, "PYTHONHASHSEED": seed}, cwd=ROOT,
-                           capture_output=True, text=True, check=True).stdout for seed in "123"}
+    runs = {
+        subprocess.run(
+            [sys.executable, "-c", IR],
+            env={**environment, "PYTHONHASHSEED": seed},
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for seed in "123"
+    }
     assert len(runs) == 1
     assert "held.carried4" in runs.pop()
 
@@ -226,9 +241,7 @@ def test_the_files_are_counted_once_and_then_by_what_was_written(
 
 
 @pytest.mark.parametrize("what", ["folder", "file"])
-def test_what_others_may_have_written_is_not_run(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_others_may_have_written_is_not_run(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / "kernels"))
     jit.write_cache("a.o", b"code")
     assert jit.read_cache("a.o") == b"code"

@@ -61,6 +61,7 @@ def test_a_newton_step_finds_what_a_fit_to_the_others_finds(data: list[Record]) 
 
 def drifting() -> Effect:
     """A push of each record's own, more than the known one."""
+
     def add(s) -> None:
         s.u.X = s.u.X + s.p.extra
 

@@ -58,6 +58,7 @@ def test_where_the_information_tells_the_truth_there_is_none() -> None:
 
 def test_a_far_fall_is_found_but_the_end_of_the_numbers_is_none() -> None:
     """One that acts by its square, with hardly any information where it stands; and one that ends in no number."""
+
     def even(z: np.ndarray) -> float:
         return float(-1e-8 * z[0] ** 4 if abs(z[1]) < 300.0 else np.nan)
 

@@ -111,8 +111,8 @@ def joint_gaussian(record: Record, v: np.ndarray) -> float:
     for i in range(n):
         block = covariances[i]
         for j in range(i, n):
-            C[2 * j:2 * j + 2, 2 * i:2 * i + 2] = block
-            C[2 * i:2 * i + 2, 2 * j:2 * j + 2] = block.T
+            C[2 * j : 2 * j + 2, 2 * i : 2 * i + 2] = block
+            C[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = block.T
             block = gains[j] @ block if j + 1 < n else block
     H = np.kron(np.eye(n), np.array([[1.0, 0.0], [0.3, 1.0]]))
     there = np.isfinite(record.y).ravel()
@@ -133,6 +133,7 @@ def test_gradient_agrees_with_finite_differences(second_order: bool) -> None:
     value, gradient = likelihood.gradient(record, v)
     assert value == pytest.approx(likelihood.value(record, v), rel=1e-13)
     for i, name in enumerate(FREE):
+
         def central(e: float, i: int = i) -> float:
             d = np.zeros(v.size)
             d[i] = e * max(abs(v[i]), 0.1)
@@ -312,9 +313,14 @@ def test_initial_state_from_the_first_measurement() -> None:
 def drifting(unit: float, sd0: float) -> Model:
     """A position that moves at a speed nobody knows, in metres over ``unit``."""
     return plain_model(
-        "drift", f=lambda x, u, p: {"x": p.V}, h=lambda x, u, p: {"y": x.x},
-        states=(State("x", sd0=sd0, from_output="y"),), inputs=(), sensors=(Sensor("gnss", (Output("y", noise="e"),)),),
-        parameters=(Parameter("V", 0.0), Parameter("e", 3.0 / unit, transform="log", free=False)))
+        "drift",
+        f=lambda x, u, p: {"x": p.V},
+        h=lambda x, u, p: {"y": x.x},
+        states=(State("x", sd0=sd0, from_output="y"),),
+        inputs=(),
+        sensors=(Sensor("gnss", (Output("y", noise="e"),)),),
+        parameters=(Parameter("V", 0.0), Parameter("e", 3.0 / unit, transform="log", free=False)),
+    )
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3])

@@ -95,10 +95,14 @@ def test_columns_are_found_by_name() -> None:
 def test_the_gradient_of_a_model_whose_rates_do_not_depend_on_its_state(process_noise: bool) -> None:
     """Nothing of the state is kept for the adjoint of such a step."""
     model = plain_model(
-        "integrator", f=lambda x, u, p: {"a": p.k * u.w}, h=lambda x, u, p: {"y": x.a},
-        states=(State("a", noise="q", x0=0.1),), inputs=(Input("w"),),
+        "integrator",
+        f=lambda x, u, p: {"a": p.k * u.w},
+        h=lambda x, u, p: {"y": x.a},
+        states=(State("a", noise="q", x0=0.1),),
+        inputs=(Input("w"),),
         sensors=(Sensor("s", (Output("y", noise="e"),)),),
-        parameters=(Parameter("k", 1.0), Parameter("q", 0.1), Parameter("e", 0.2)))
+        parameters=(Parameter("k", 1.0), Parameter("q", 0.1), Parameter("e", 0.2)),
+    )
     rng = np.random.default_rng(3)
     w, t = rng.normal(size=(29, 1)), 0.1 * np.arange(29.0)
     record = Record("record", t, w, w, rng.normal(size=(29, 1)), ("w",), ("y",))

@@ -160,9 +160,12 @@ def redundant() -> Model:
         inputs=(Input("N", hold="linear"),),
         sensors=(Sensor("gyro", (Output("y", noise="e"),)),),
         parameters=(
-            Parameter("m", 9.7, transform="log"), Parameter("d", 4.0, transform="log"),
-            Parameter("gain", 1.0, transform="log"), Parameter("nothing", 1.0),
-            Parameter("q", 0.05, transform="log"), Parameter("e", 0.01, transform="log"),
+            Parameter("m", 9.7, transform="log"),
+            Parameter("d", 4.0, transform="log"),
+            Parameter("gain", 1.0, transform="log"),
+            Parameter("nothing", 1.0),
+            Parameter("q", 0.05, transform="log"),
+            Parameter("e", 0.01, transform="log"),
         ),
     )
 
@@ -183,18 +186,28 @@ def test_what_the_data_do_not_tell_is_named() -> None:
 
 def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
     record = turning_record(0, 400)
-    quiet = replace(turning(), states=(turning().states[0], replace(turning().states[1], noise="q2")),
-                    parameters=(*turning().parameters, Parameter("q2", 0.05, transform="log")))
+    quiet = replace(
+        turning(),
+        states=(turning().states[0], replace(turning().states[1], noise="q2")),
+        parameters=(*turning().parameters, Parameter("q2", 0.05, transform="log")),
+    )
     y = record.y.copy()
     y[:, 1:] = np.nan
     psi0 = 0.1 * record.t
     y[:, 0] = np.where(np.isfinite(y[:, 0]), psi0 + 0.02 * np.random.default_rng(0).normal(size=psi0.size), np.nan)
     still = plain_model(
-        "still", f=lambda x, u, p: {"psi": p.rate}, h=lambda x, u, p: {"psi": x.psi},
-        states=(State("psi", noise="q2", sd0=0.5),), inputs=(),
+        "still",
+        f=lambda x, u, p: {"psi": p.rate},
+        h=lambda x, u, p: {"psi": x.psi},
+        states=(State("psi", noise="q2", sd0=0.5),),
+        inputs=(),
         sensors=quiet.sensors[:1],
-        parameters=(Parameter("rate", 0.2), Parameter("q2", 0.05, transform="log"),
-                    Parameter("e_psi", 0.05, transform="log")))
+        parameters=(
+            Parameter("rate", 0.2),
+            Parameter("q2", 0.05, transform="log"),
+            Parameter("e_psi", 0.05, transform="log"),
+        ),
+    )
     result = fit(still, [replace(record, y=y[:, :1], outputs=("psi",))])
     assert result.converged
     assert abs(result.estimate("rate")[0] - 0.1) < 4 * result.estimate("rate")[1]
@@ -204,13 +217,21 @@ def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
 def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
     """Uncertain by 8.5 orders more than the sensor: the shorter form loses some of the difference to rounding, and 3 %
     of the error. At nine orders Joseph's form converges on one processor and not on the next."""
+
     def slide(sd0: float) -> Model:
         return plain_model(
-            "slide", f=lambda x, u, p: {"s": x.v, "v": -p.d * x.v}, h=lambda x, u, p: {"y": x.s},
-            states=(State("s", sd0=sd0), State("v", sd0=sd0, noise="q")), inputs=(),
+            "slide",
+            f=lambda x, u, p: {"s": x.v, "v": -p.d * x.v},
+            h=lambda x, u, p: {"y": x.s},
+            states=(State("s", sd0=sd0), State("v", sd0=sd0, noise="q")),
+            inputs=(),
             sensors=(Sensor("one", (Output("y", noise="e"),)),),
-            parameters=(Parameter("d", 0.5, transform="log"), Parameter("q", 0.01, free=False),
-                        Parameter("e", 0.001, free=False)))
+            parameters=(
+                Parameter("d", 0.5, transform="log"),
+                Parameter("q", 0.01, free=False),
+                Parameter("e", 0.001, free=False),
+            ),
+        )
 
     t = 0.1 * np.arange(100)
     y = 3.0 + (1.0 - np.exp(-0.3 * t)) / 0.3 + 0.001 * np.random.default_rng(0).normal(size=100)

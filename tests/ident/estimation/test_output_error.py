@@ -117,8 +117,9 @@ def test_a_noisy_first_sample_is_not_the_start() -> None:
     """The start is estimated with the rest, and errors hold; taken for exact, the whole record carries its noise."""
     model = turning().with_values({"e_psi": 0.05, "e_r": 0.05}).with_free(("d", "dd", "e_psi", "e_r"))
     record, rng, z = turning_record(n_rows=400), np.random.default_rng(3), []
-    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
-                                        for s in model.states))
+    model = replace(
+        model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "") for s in model.states)
+    )
     noise, seen = np.array([0.05, 0.05, 0.05]), np.isfinite(record.y)
     for _ in range(40):
         clean = simulate(model, record, x0=np.array([3.0, rng.normal(0.0, 0.3)])).y
@@ -127,8 +128,12 @@ def test_a_noisy_first_sample_is_not_the_start() -> None:
         given = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, SearchSettings(initial_state="given"))
         assert "x0_psi@0" in found.names
         assert "x0_psi@0" not in given.names
-        z.append([[(f.estimate(n)[0] - model.values[n]) / f.estimate(n)[1] for n in ("d", "dd", "e_r")]
-                  for f in (found, given)])
+        z.append(
+            [
+                [(f.estimate(n)[0] - model.values[n]) / f.estimate(n)[1] for n in ("d", "dd", "e_r")]
+                for f in (found, given)
+            ]
+        )
     spread = np.sqrt(np.mean(np.square(z), axis=0))
     np.testing.assert_allclose(spread[0], 1.0, atol=0.35)
     assert np.nanmax(spread[1]) > 2.0
@@ -137,8 +142,9 @@ def test_a_noisy_first_sample_is_not_the_start() -> None:
 @pytest.mark.parametrize("initial_state", ["free", "given"])
 def test_outliers_are_allowed_whatever_the_start(initial_state: Literal["free", "given"]) -> None:
     model = turning().with_free(("d", "dd", "e_psi", "e_r"))
-    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
-                                        for s in model.states))
+    model = replace(
+        model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "") for s in model.states)
+    )
     record, settings = turning_record(n_rows=200), SearchSettings(initial_state=initial_state, robust_errors=False)
     found = fit(model, [record], replace(OUTPUT_ERROR, outlier_model=True), settings)
     assert ("x0_psi@0" in found.names) == (initial_state == "free")
@@ -148,8 +154,9 @@ def test_outliers_are_allowed_whatever_the_start(initial_state: Literal["free", 
 def test_starts_of_each_record_begin_at_its_first_samples() -> None:
     """Headings on both sides of pi: a search from one start for all would end a turn off in one of them."""
     model = turning().with_free(("d",))
-    model = replace(model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "")
-                                        for s in model.states))
+    model = replace(
+        model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "") for s in model.states)
+    )
     records = [turning_record(k, name=f"run {k}") for k in range(2)]
     shifted = replace(records[1], y=records[1].y - [1.5, 0.0, 0.0])
     found = fit(model, [records[0], shifted], OUTPUT_ERROR)

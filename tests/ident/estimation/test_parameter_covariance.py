@@ -50,10 +50,14 @@ def test_it_is_the_variance_over_drawn_parameters() -> None:
 def test_a_block_begins_as_it_says() -> None:
     """A state that no measurement gives, in a block from the middle of a run."""
     model = plain_model(
-        "behind", f=lambda x, u, p: {"n": 0.02 * (1.0 - x.n), "v": p.k * x.n - x.v}, h=lambda x, u, p: {"y": x.v},
-        states=(State("n", sd0=1e-3), State("v", noise=1e-3, sd0=1.0)), inputs=(),
+        "behind",
+        f=lambda x, u, p: {"n": 0.02 * (1.0 - x.n), "v": p.k * x.n - x.v},
+        h=lambda x, u, p: {"y": x.v},
+        states=(State("n", sd0=1e-3), State("v", noise=1e-3, sd0=1.0)),
+        inputs=(),
         sensors=(Sensor("one", (Output("y", noise="e"),)),),
-        parameters=(Parameter("k", 1.0), Parameter("e", 0.02, transform="log")))
+        parameters=(Parameter("k", 1.0), Parameter("e", 0.02, transform="log")),
+    )
     t = 0.1 * np.arange(600)
     n = 1.0 - np.exp(-0.02 * t)
     y = (n + 0.02 * np.random.default_rng(0).normal(size=t.size))[:, None]
@@ -69,9 +73,14 @@ def test_a_block_begins_as_it_says() -> None:
 def test_it_is_infinite_where_a_prediction_runs_away_within_its_error() -> None:
     """Without a bare numerical warning, which pytest takes for an error."""
     model = plain_model(
-        "grows", f=lambda x, u, p: {"v": p.k * x.v}, h=lambda x, u, p: {"y": x.v}, states=(State("v", sd0=1.0),),
-        inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
-        parameters=(Parameter("k", -0.05), Parameter("e", 0.02, transform="log")))
+        "grows",
+        f=lambda x, u, p: {"v": p.k * x.v},
+        h=lambda x, u, p: {"y": x.v},
+        states=(State("v", sd0=1.0),),
+        inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("k", -0.05), Parameter("e", 0.02, transform="log")),
+    )
     t = 0.1 * np.arange(2000)
     empty, y = np.zeros((t.size, 0)), np.exp(-0.05 * t)[:, None]
     run = Record("run", t, empty, empty, y, (), ("y",))

@@ -38,10 +38,14 @@ FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
 def scatter(*, logarithmic: bool = True) -> Model:
     """A constant measured with noise: mean and standard deviation of a normal sample."""
     return plain_model(
-        "scatter", f=lambda x, u, p: {"a": 0.0 * x.a}, h=lambda x, u, p: {"y": x.a},
-        states=(State("a", x0="mean", sd0=0.0),), inputs=(),
+        "scatter",
+        f=lambda x, u, p: {"a": 0.0 * x.a},
+        h=lambda x, u, p: {"y": x.a},
+        states=(State("a", x0="mean", sd0=0.0),),
+        inputs=(),
         sensors=(Sensor("one", (Output("y", noise="e"),)),),
-        parameters=(Parameter("mean", 0.3), Parameter("e", 1.5, transform="log" if logarithmic else "none")))
+        parameters=(Parameter("mean", 0.3), Parameter("e", 1.5, transform="log" if logarithmic else "none")),
+    )
 
 
 def sample(n: int = 9) -> Record:
@@ -114,8 +118,11 @@ def test_a_parameter_at_its_bound_has_one_side() -> None:
 def test_what_the_data_do_not_limit_is_open() -> None:
     """Process noise that is not there: its logarithm may go down for ever."""
     record = sample(60)
-    walk = replace(scatter(), states=(State("a", noise="q", x0="mean", sd0=0.0),),
-                   parameters=(*scatter().parameters, Parameter("q", 0.3, transform="log")))
+    walk = replace(
+        scatter(),
+        states=(State("a", noise="q", x0="mean", sd0=0.0),),
+        parameters=(*scatter().parameters, Parameter("q", 0.3, transform="log")),
+    )
     one = profile(fit(walk, [record]), [record], "q")
     assert math.isnan(one.low)
     assert one.high > one.value
@@ -127,9 +134,14 @@ def test_what_the_data_do_not_limit_is_open() -> None:
 def curve(mean: Callable[[Any], Any], *parameters: Parameter) -> Model:
     """A constant that is a function of parameters, measured with noise."""
     return plain_model(
-        "curve", f=lambda x, u, p: {"a": 0.0 * x.a}, h=lambda x, u, p: {"y": x.a + mean(p)},
-        states=(State("a", x0=0.0, sd0=0.0),), inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
-        parameters=(*parameters, Parameter("e", 1.5, transform="log")))
+        "curve",
+        f=lambda x, u, p: {"a": 0.0 * x.a},
+        h=lambda x, u, p: {"y": x.a + mean(p)},
+        states=(State("a", x0=0.0, sd0=0.0),),
+        inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(*parameters, Parameter("e", 1.5, transform="log")),
+    )
 
 
 def scattered(mean: float, s: float, n: int = 9) -> tuple[Record, float]:
@@ -178,11 +190,14 @@ def test_where_the_likelihood_is_not_a_number_it_says_so() -> None:
 def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: float) -> None:
     """Two summits, the fit on the lower one; between them the likelihood drops by less than 1.92."""
     model = plain_model(
-        "summits", f=lambda x, u, p: {"a": 0.0 * x.a},
+        "summits",
+        f=lambda x, u, p: {"a": 0.0 * x.a},
         h=lambda x, u, p: {"y": x.a + 0.6 * np.cos(3 * p.b), "z": x.a + p.b},
-        states=(State("a", x0=0.0, sd0=0.0),), inputs=(),
+        states=(State("a", x0=0.0, sd0=0.0),),
+        inputs=(),
         sensors=(Sensor("one", (Output("y", noise="e"), Output("z", noise="e"))),),
-        parameters=(Parameter("b", 0.9), Parameter("e", 1.5, transform="log")))
+        parameters=(Parameter("b", 0.9), Parameter("e", 1.5, transform="log")),
+    )
     few, _ = scattered(y, s)
     record = replace(few, y=np.hstack([few.y, few.y[::-1] - y + z]), outputs=("y", "z"))
     found, other = (fit(model, [record], start={"b": b}) for b in (0.9, -0.9))
@@ -194,8 +209,9 @@ def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: floa
     assert (one.low, one.high) == pytest.approx((same.low, same.high), rel=0.02)
     assert one.drop.min() == 0.0
     gain = other.log_likelihood - found.log_likelihood
-    assert one.notes == (f"a better fit was found on the way, by {gain:.2g}, and the profile is of that: fit again "
-                         "from there",)
+    assert one.notes == (
+        f"a better fit was found on the way, by {gain:.2g}, and the profile is of that: fit again from there",
+    )
     assert same.notes == ()
 
 
@@ -231,7 +247,8 @@ def test_one_parameter_alone(few: tuple[Fit, Record]) -> None:
     one = profile(fit(model, [record]), [record], "mean")
     assert (one.low, one.high) == pytest.approx((one.wald_low, one.wald_high), rel=1e-4)  # quadratic, known noise
     assert output_error(model).value(record, np.array([one.high, 1.0])) == pytest.approx(
-        output_error(model).value(record, np.array([one.value, 1.0])) - DROP_95, abs=1e-4)
+        output_error(model).value(record, np.array([one.value, 1.0])) - DROP_95, abs=1e-4
+    )
 
 
 def test_the_report_draws_it(few: tuple[Fit, Record], tmp_path: Path) -> None:

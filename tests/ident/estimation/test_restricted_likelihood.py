@@ -23,9 +23,14 @@ FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
 def lines() -> Model:
     """A constant and a slope in time, measured with noise."""
     return plain_model(
-        "lines", f=lambda x, u, p: {"t": 1.0}, h=lambda x, u, p: {"y": p.mean + p.slope * x.t},
-        states=(State("t", sd0=0.0),), inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
-        parameters=(Parameter("mean", 0.3), Parameter("slope", 0.0), Parameter("e", 1.5, transform="log")))
+        "lines",
+        f=lambda x, u, p: {"t": 1.0},
+        h=lambda x, u, p: {"y": p.mean + p.slope * x.t},
+        states=(State("t", sd0=0.0),),
+        inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("mean", 0.3), Parameter("slope", 0.0), Parameter("e", 1.5, transform="log")),
+    )
 
 
 def sample(n: int) -> Record:
@@ -100,12 +105,20 @@ def test_the_process_noise_of_short_missions_has_no_bias_left() -> None:
 def scaled() -> Model:
     """A force and a mass with one scale between them, which a faint prior alone tells."""
     return plain_model(
-        "scaled", f=lambda x, u, p: {"v": (p.c * u.n - p.d * x.v) / p.m}, h=lambda x, u, p: {"v": x.v},
-        states=(State("v", noise="q", sd0=0.1),), inputs=(Input("n"),),
+        "scaled",
+        f=lambda x, u, p: {"v": (p.c * u.n - p.d * x.v) / p.m},
+        h=lambda x, u, p: {"v": x.v},
+        states=(State("v", noise="q", sd0=0.1),),
+        inputs=(Input("n"),),
         sensors=(Sensor("one", (Output("v", noise="e"),)),),
-        parameters=(Parameter("m", 20.0, transform="log"), Parameter("d", 8.0, transform="log"),
-                    Parameter("c", 10.0, transform="log", prior=(10.0, 30.0)), Parameter("q", 0.05, transform="log"),
-                    Parameter("e", 0.05, transform="log")))
+        parameters=(
+            Parameter("m", 20.0, transform="log"),
+            Parameter("d", 8.0, transform="log"),
+            Parameter("c", 10.0, transform="log", prior=(10.0, 30.0)),
+            Parameter("q", 0.05, transform="log"),
+            Parameter("e", 0.05, transform="log"),
+        ),
+    )
 
 
 def test_noise_is_not_restricted_along_what_the_data_hardly_see() -> None:

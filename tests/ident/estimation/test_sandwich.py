@@ -139,9 +139,14 @@ def test_errors_are_the_larger_and_correlations_stay() -> None:
 
 def line() -> Model:
     return plain_model(
-        "line", f=lambda x, u, p: {"t": 1.0}, h=lambda x, u, p: {"y": p.mean + p.slope * x.t},
-        states=(State("t", sd0=0.0),), inputs=(), sensors=(Sensor("one", (Output("y", noise="e"),)),),
-        parameters=(Parameter("mean", 0.3), Parameter("slope", 0.0), Parameter("e", 1.5, transform="log")))
+        "line",
+        f=lambda x, u, p: {"t": 1.0},
+        h=lambda x, u, p: {"y": p.mean + p.slope * x.t},
+        states=(State("t", sd0=0.0),),
+        inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("mean", 0.3), Parameter("slope", 0.0), Parameter("e", 1.5, transform="log")),
+    )
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8])

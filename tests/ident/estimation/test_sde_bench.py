@@ -24,11 +24,23 @@ from tests.measured.data import measured
 
 pytestmark = pytest.mark.measured
 # estimate, standard error and what half a unit of the last printed digit is
-YAW = {"m_r": (9.692, 0.069, 5e-4), "d_r": (4.217, 0.104, 5e-4), "d_rr": (6.130, 0.142, 5e-4),
-       "s_r": (0.02032, 0.00057, 5e-6), "e_r": (0.00999, 0.00008, 5e-6)}
-HORIZONTAL = {"m_u": (37.21, 0.12, 5e-3), "m_v": (47.30, 0.13, 5e-3), "m_r": (9.656, 0.035, 5e-4),
-              "d_u": (0.205, 0.107, 5e-4), "d_v": (50.27, 0.45, 5e-3), "d_r": (4.116, 0.049, 5e-4),
-              "d_uu": (24.99, 0.13, 5e-3), "d_rr": (6.292, 0.082, 5e-4)}
+YAW = {
+    "m_r": (9.692, 0.069, 5e-4),
+    "d_r": (4.217, 0.104, 5e-4),
+    "d_rr": (6.130, 0.142, 5e-4),
+    "s_r": (0.02032, 0.00057, 5e-6),
+    "e_r": (0.00999, 0.00008, 5e-6),
+}
+HORIZONTAL = {
+    "m_u": (37.21, 0.12, 5e-3),
+    "m_v": (47.30, 0.13, 5e-3),
+    "m_r": (9.656, 0.035, 5e-4),
+    "d_u": (0.205, 0.107, 5e-4),
+    "d_v": (50.27, 0.45, 5e-3),
+    "d_r": (4.116, 0.049, 5e-4),
+    "d_uu": (24.99, 0.13, 5e-3),
+    "d_rr": (6.292, 0.082, 5e-4),
+}
 
 
 def known_start(model: Model) -> Model:
@@ -38,8 +50,11 @@ def known_start(model: Model) -> Model:
 
 def columns(file: str, inputs: str, outputs: str) -> tuple[np.ndarray, ...]:
     data = np.genfromtxt(measured("sde_bench") / file, delimiter=",", names=True)
-    return data["t"], np.column_stack([data[n] for n in inputs.split()]), np.column_stack(
-        [data[n] for n in outputs.split()])
+    return (
+        data["t"],
+        np.column_stack([data[n] for n in inputs.split()]),
+        np.column_stack([data[n] for n in outputs.split()]),
+    )
 
 
 def yaw_case() -> tuple[Model, Record]:
@@ -92,24 +107,36 @@ def test_speed_of_one_evaluation() -> None:
     model, record = horizontal_case()
     likelihood = Likelihood(model)
     v = np.array([p.value for p in model.parameters])
-    for name, call in (("likelihood", likelihood.value), ("gradient", likelihood.gradient),
-                       ("scores", likelihood.scores)):
+    for name, call in (
+        ("likelihood", likelihood.value),
+        ("gradient", likelihood.gradient),
+        ("scores", likelihood.scores),
+    ):
         call(record, v)
         assert cpu_seconds(partial(call, record, v), 0.1) < 0.1, name  # `python -m benchmarks --only sde` prints them
 
 
 def test_cold_run_from_process_start_to_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    program = ("from tests.ident.estimation.test_sde_bench import horizontal_case, fit\n"
-               "model, record = horizontal_case()\n"
-               "print(fit(model, [record], start={'m_u': 60.0, 'd_v': 30.0}).log_likelihood)")
+    program = (
+        "from tests.ident.estimation.test_sde_bench import horizontal_case, fit\n"
+        "model, record = horizontal_case()\n"
+        "print(fit(model, [record], start={'m_u': 60.0, 'd_v': 30.0}).log_likelihood)"
+    )
     horizontal_case()  # skips, with the reason, where the data are not
     environment = {**os.environ, "SEATRIAL_CACHE": str(tmp_path)}
     root = Path(__file__).parents[3]
     took = []
     for _ in range(2):
         began = time.perf_counter()
-        done = subprocess.run([sys.executable, "-c", program], cwd=root, env=environment, capture_output=True,
-                              text=True, timeout=120, check=True)
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            cwd=root,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+            check=True,
+        )
         took.append(time.perf_counter() - began)
         assert float(done.stdout) == pytest.approx(119375.396, abs=0.01)
     with capsys.disabled():

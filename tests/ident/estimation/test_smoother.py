@@ -60,8 +60,8 @@ def test_smoothed_states_are_the_conditional_mean_of_the_joint_gaussian(still: b
     for i in range(n):
         block = free.P_pred[i]
         for j in range(i, n):
-            C[m * j:m * j + m, m * i:m * i + m] = block
-            C[m * i:m * i + m, m * j:m * j + m] = block.T
+            C[m * j : m * j + m, m * i : m * i + m] = block
+            C[m * i : m * i + m, m * j : m * j + m] = block.T
             block = free.Phi[j] @ block
     H = np.kron(np.eye(n), [[1.0, 0.0, 1.0]])[np.isfinite(record.y[:, 0])]
     S = H @ C @ H.T + 0.04 * np.eye(len(H))
@@ -72,9 +72,9 @@ def test_smoothed_states_are_the_conditional_mean_of_the_joint_gaussian(still: b
     found = smooth(run)
     np.testing.assert_allclose(found.x.ravel(), mean, rtol=1e-9, atol=1e-10)
     for k in range(n):
-        np.testing.assert_allclose(found.P[k], P[m * k:m * k + m, m * k:m * k + m], rtol=1e-8, atol=1e-11)
+        np.testing.assert_allclose(found.P[k], P[m * k : m * k + m, m * k : m * k + m], rtol=1e-8, atol=1e-11)
     for k in range(n - 1):
-        wanted = P[m * k + m:m * k + 2 * m, m * k:m * k + m]
+        wanted = P[m * k + m : m * k + 2 * m, m * k : m * k + m]
         np.testing.assert_allclose(found.lag_one[k], wanted, rtol=1e-8, atol=1e-10)
 
 
@@ -106,8 +106,9 @@ def test_a_singular_covariance_is_no_obstacle() -> None:
     Phi = np.zeros((record.n_rows, 4, 4))
     Phi[:, :3, :3], Phi[:, 3, 3], Phi[:, 3, 1] = run.Phi, 1.0, run.Phi[:, 0, 1]
     covariances = Covariances(doubled(run.P_pred), doubled(run.P_filt), Phi)
-    twin = FilterResult(run.t, doubled(run.x_pred), doubled(run.x_filt), of_rows(covariances), run.e, run.R, run.eps,
-                        run.S, run.ll)
+    twin = FilterResult(
+        run.t, doubled(run.x_pred), doubled(run.x_filt), of_rows(covariances), run.e, run.R, run.eps, run.S, run.ll
+    )
     found, single = smooth(twin), smooth(run)
     np.testing.assert_allclose(found.x[:, :3], single.x, rtol=1e-7, atol=1e-8)
     np.testing.assert_allclose(found.x[:, 3], single.x[:, 0], rtol=1e-7, atol=1e-8)

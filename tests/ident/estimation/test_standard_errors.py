@@ -41,8 +41,9 @@ def test_a_step_that_ends_on_a_bound_but_for_its_rounding_is_at_it() -> None:
 
 
 def test_the_harder_it_is_pushed_against_the_less_it_widens() -> None:
-    errors, limits = zip(*[(f.errors[0], f.limits[1]) for f in (assessed(0.95, (3.0, b))[1] for b in (-0.5, -3, -30))],
-                         strict=True)
+    errors, limits = zip(
+        *[(f.errors[0], f.limits[1]) for f in (assessed(0.95, (3.0, b))[1] for b in (-0.5, -3, -30))], strict=True
+    )
     assert 1.0 > errors[0] > errors[1] > errors[2]
     assert errors[2] == pytest.approx(np.sqrt(1 - 0.95**2), abs=0.01)
     # drop of the profile: ((d - b)^2 - b^2) / 2 = 1.92
@@ -74,23 +75,39 @@ def test_intervals_cover_wherever_the_truth_lies(correlation: float, true_b: flo
 
 
 @pytest.mark.parametrize("size", [np.ones(6), np.array([1.0, 2.0, 0.5, 3.0, 1.0, 0.01])])
-@pytest.mark.parametrize(("unseen", "said"), [
-    ([[1, -1, 0, 0, 0, 0], [0, 0, 1, 2, 0, 0]], {"a": {"a", "b"}, "b": {"a", "b"}, "c": {"c", "d"}, "d": {"c", "d"}}),
-    ([[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 1, -1], [0, 0, 0, 0, 0, 1]], {n: {"a", "b", "c"} for n in "abc"}),
-])
-def test_each_combination_that_is_not_seen_is_named_by_itself(unseen: list[list[int]], said: dict[str, set[str]],
-                                                              size: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    ("unseen", "said"),
+    [
+        (
+            [[1, -1, 0, 0, 0, 0], [0, 0, 1, 2, 0, 0]],
+            {"a": {"a", "b"}, "b": {"a", "b"}, "c": {"c", "d"}, "d": {"c", "d"}},
+        ),
+        ([[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 1, -1], [0, 0, 0, 0, 0, 1]], {n: {"a", "b", "c"} for n in "abc"}),
+    ],
+)
+def test_each_combination_that_is_not_seen_is_named_by_itself(
+    unseen: list[list[int]], said: dict[str, set[str]], size: np.ndarray
+) -> None:
     """Eigenvectors of a null space of several dimensions are any mixture; what is said must not depend on it."""
     rng = np.random.default_rng(5)
-    J = np.linalg.svd(np.array(unseen) * size)[2][len(unseen):] * size  # nothing but the unseen gives J z = 0
+    J = np.linalg.svd(np.array(unseen) * size)[2][len(unseen) :] * size  # nothing but the unseen gives J z = 0
     J = rng.standard_normal((9, len(J))) @ J
     information = J.T @ J
     free = Bounds(np.full(6, -np.inf), np.full(6, np.inf), np.zeros(6, dtype=bool))
     information[np.abs(information) < 1e-12 * np.abs(information).max()] = 0.0
-    found = assess(Evaluation(0.0, np.zeros(6), information, np.zeros(6)), np.zeros(6), free, tuple("abcdef"),
-                   np.ones(6), np.zeros(6))
-    combinations = {name: set(text.rpartition(" of ")[2].split()[1::2]) for name, text in found.flags
-                    if text.startswith("not identified")}
+    found = assess(
+        Evaluation(0.0, np.zeros(6), information, np.zeros(6)),
+        np.zeros(6),
+        free,
+        tuple("abcdef"),
+        np.ones(6),
+        np.zeros(6),
+    )
+    combinations = {
+        name: set(text.rpartition(" of ")[2].split()[1::2])
+        for name, text in found.flags
+        if text.startswith("not identified")
+    }
     assert combinations == said
     lost = {name for name, _ in found.flags}
     assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]

@@ -48,8 +48,10 @@ def test_output_error_is_the_expected_curvature_by_finite_differences() -> None:
         h = 1e-4 * max(1.0, at[column])
         high, low = at.copy(), at.copy()
         high[column], low[column] = at[column] + h, at[column] - h
-        slopes.append((predicted_measurements(model, t, u[:, :, 0], high)
-                       - predicted_measurements(model, t, u[:, :, 0], low)) / (2 * h))
+        slopes.append(
+            (predicted_measurements(model, t, u[:, :, 0], high) - predicted_measurements(model, t, u[:, :, 0], low))
+            / (2 * h)
+        )
     noise = np.array([model.parameter(o.noise).value for o in model.outputs])
     G = (np.stack(slopes) / noise).reshape(len(HULL), -1)
     np.testing.assert_allclose(F, G @ G.T, rtol=2e-3, atol=1e-4 * np.abs(F).max() * 1e-3)

@@ -44,8 +44,12 @@ def boat_task(seconds: float = 100.0, n_steps: int = 20, **how) -> DesignProblem
 def gain_and_offset() -> Model:
     """y = a n + b: the best inputs are the extremes, half of the time each; det = N^2 then."""
     return plain_model(
-        "line", f=lambda x, u, p: {"z": 0.0}, h=lambda x, u, p: {"y": p.a * u.n_cmd + p.b},
-        states=(State("z"),), inputs=(Input("n_cmd"),), sensors=(Sensor("meter", (Output("y", "", "e"),)),),
+        "line",
+        f=lambda x, u, p: {"z": 0.0},
+        h=lambda x, u, p: {"y": p.a * u.n_cmd + p.b},
+        states=(State("z"),),
+        inputs=(Input("n_cmd"),),
+        sensors=(Sensor("meter", (Output("y", "", "e"),)),),
         parameters=(Parameter("a", 2.0, step=1.0), Parameter("b", 0.5, step=1.0), Parameter("e", 1.0, free=False)),
     )
 
@@ -367,8 +371,10 @@ def test_delay_and_lag_are_told_apart_better_than_by_random_missions() -> None:
     task = boat_task(20.0, 8)
     a, b = late(task.model, "delay"), late(task.model, "lag")
     found = discriminate(a, b, task, evaluations=500)
-    random = [min(separation(a, b, task, task.commands(z[None])[:, :, 0]))
-              for z in task.steps.random(4, np.random.default_rng(8))]
+    random = [
+        min(separation(a, b, task, task.commands(z[None])[:, :, 0]))
+        for z in task.steps.random(4, np.random.default_rng(8))
+    ]
     assert found.clear
     assert min(found.apart) > 2 * max(random)
     with pytest.raises(SeatrialError, match="different sensors"):
@@ -408,7 +414,13 @@ def test_the_band_of_the_track_is_that_of_the_sampled_boats() -> None:
     away = np.hypot(track.others[:, :, 0] - track.x, track.others[:, :, 1] - track.y)
     share = np.mean(away <= track.radius, axis=0)[1:]
     assert np.all((share > 0.9) & (share < 0.97))
-    fresh, _ = simulate_stochastic(model, SampledInputs.linear(record.t, record.u), made.task.samples(20, 9),
-                              [np.random.default_rng([5, k]) for k in range(20)], x0=np.zeros((20, 6)), substep=0.2)
+    fresh, _ = simulate_stochastic(
+        model,
+        SampledInputs.linear(record.t, record.u),
+        made.task.samples(20, 9),
+        [np.random.default_rng([5, k]) for k in range(20)],
+        x0=np.zeros((20, 6)),
+        substep=0.2,
+    )
     far = np.hypot(fresh[:, at, 0] - track.x, fresh[:, at, 1] - track.y)
     assert np.mean(far <= track.radius) > 0.75

@@ -129,9 +129,7 @@ def test_the_area_holds_the_rest_before_and_the_coasting_after() -> None:
     """A current takes the boat along for the whole mission, and thrust ends with the steps, not with the motion."""
     model = horizontal_model().with_values({"s_u": 1e-9, "s_v": 1e-9, "s_r": 1e-9})
     limits = DesignLimits(area=(9.0, 9.0), current=0.2)
-    task = DesignProblem(
-        model, StepInput(2, 2, 20.0, 1.0, GRID), limits=limits, belief=ParameterPrior((), 0.0), seed=2
-    )
+    task = DesignProblem(model, StepInput(2, 2, 20.0, 1.0, GRID), limits=limits, belief=ParameterPrior((), 0.0), seed=2)
     command = np.zeros((task.t.size, 2, 2))
     command[:, :, 1] = 0.5
     fastest = max(np.abs(task.boats(N_TRACKS, 2)[:, list(model.values).index("V_x")]))
@@ -162,7 +160,10 @@ def test_noise_and_current_cost_room() -> None:
 
 def test_a_model_without_process_noise_has_no_inputs_for_it() -> None:
     model = surge_model("force", "position").with_values({})
-    quiet, names = with_noise_inputs(type(model)(**{**model.__dict__, "states": tuple(
-        type(s)(**{**s.__dict__, "noise": 0.0}) for s in model.states)}))
+    quiet, names = with_noise_inputs(
+        type(model)(
+            **{**model.__dict__, "states": tuple(type(s)(**{**s.__dict__, "noise": 0.0}) for s in model.states)}
+        )
+    )
     assert names == []
     assert [i.name for i in quiet.inputs] == [i.name for i in model.inputs]

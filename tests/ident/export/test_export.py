@@ -120,9 +120,18 @@ def test_the_header_says_what_a_reader_needs(target: str) -> None:
     for name in ("delay", "battery-sag", "current-drift"):
         model = model + catalogue()[name]
     text = export(saved(model), target)
-    for words in ("made by: seatrial ident vehicle a.mcap --x", "a.mcap sha256:12", "n_left_ago_3: n_left, 0.3 s ago",
-                  "NAME~K", "u from -0.5 to 1.2", "Left out, as a controller does not need them: b_X, b_Y, b_N, bias_",
-                  "|n_left|^3", "the time since the start of the run", "V_x, V_y, V_dx, V_dy", "psi [rad], an angle"):
+    for words in (
+        "made by: seatrial ident vehicle a.mcap --x",
+        "a.mcap sha256:12",
+        "n_left_ago_3: n_left, 0.3 s ago",
+        "NAME~K",
+        "u from -0.5 to 1.2",
+        "Left out, as a controller does not need them: b_X, b_Y, b_N, bias_",
+        "|n_left|^3",
+        "the time since the start of the run",
+        "V_x, V_y, V_dx, V_dy",
+        "psi [rad], an angle",
+    ):
         assert words in text, words
     assert "gone" not in text
     kept = export(saved(model), target, nuisance=True)
@@ -211,8 +220,10 @@ def test_what_is_right_as_a_ratio_only_is_said_to_be(target: str) -> None:
     assert "Nobody gave the thrust: masses, damping and forces are right as ratios to c1 + c2 only" in text
     assert "Nobody gave the arms" in text
     assert "[N] built-in, thrust" in text
-    given = (model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN)
-             for n, v in (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2)))
+    given = (
+        model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN)
+        for n, v in (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2))
+    )
     text = export(saved(model.replace_parameters(*given)), target)
     assert "Nobody" not in text
     assert "[N] given, thrust" in text
@@ -235,9 +246,15 @@ def test_identifiers_are_valid_and_different() -> None:
 
 
 def test_what_cannot_be_written_is_said() -> None:
-    strange = plain_model("strange", f=lambda x, u, p: {"a": ca.erfinv(x.a)}, h=lambda x, u, p: {"y": x.a},
-                          states=(State("a"),), inputs=(), sensors=(Sensor("s", (Output("y", noise="e"),)),),
-                          parameters=(Parameter("e", 1.0),))
+    strange = plain_model(
+        "strange",
+        f=lambda x, u, p: {"a": ca.erfinv(x.a)},
+        h=lambda x, u, p: {"y": x.a},
+        states=(State("a"),),
+        inputs=(),
+        sensors=(Sensor("s", (Output("y", noise="e"),)),),
+        parameters=(Parameter("e", 1.0),),
+    )
     with pytest.raises(ValueError, match=r"an operation .* that cannot be exported"):
         export(saved(strange), "python")
 

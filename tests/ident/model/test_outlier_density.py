@@ -27,8 +27,10 @@ ROBUST = EstimationOptions(outlier_model=True)
 
 
 def mean_of(g: object, density: object) -> float:
-    return sum(integrate.quad(lambda z: float(g(z) * density(z)), a, b, epsabs=1e-13)[0]  # type: ignore[operator]
-               for a, b in pairwise(EDGES))
+    return sum(
+        integrate.quad(lambda z: float(g(z) * density(z)), a, b, epsabs=1e-13)[0]  # type: ignore[operator]
+        for a, b in pairwise(EDGES)
+    )
 
 
 def density(z: float) -> float:
@@ -76,9 +78,14 @@ def test_little_is_lost_on_normal_noise() -> None:
 def level() -> Model:
     """A constant that is measured."""
     return plain_model(
-        "level", f=lambda x, u, p: {"a": 0.0 * x.a}, h=lambda x, u, p: {"y": x.a},
-        states=(State("a", x0=0.5, sd0=0.7),), inputs=(),
-        sensors=(Sensor("one", (Output("y", noise="e"),)),), parameters=(Parameter("e", 0.3, transform="log"),))
+        "level",
+        f=lambda x, u, p: {"a": 0.0 * x.a},
+        h=lambda x, u, p: {"y": x.a},
+        states=(State("a", x0=0.5, sd0=0.7),),
+        inputs=(),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("e", 0.3, transform="log"),),
+    )
 
 
 @pytest.mark.parametrize("y", [0.6, 2.5, 3.4, 4.0, 9.0, -30.0])
@@ -128,6 +135,7 @@ def test_gradient_and_tangents_are_exact(process_noise: bool) -> None:
     np.testing.assert_allclose(scores.gradient, gradient, rtol=1e-9, atol=1e-8)
     assert (np.linalg.eigvalsh(scores.information) > -1e-6).all()
     for i in range(v.size):
+
         def central(e: float, i: int = i) -> float:
             d = np.zeros(v.size)
             d[i] = e * max(abs(v[i]), 0.1)
@@ -225,8 +233,9 @@ def uncertain() -> tuple[Model, Record, Fit]:
 
 
 @pytest.mark.parametrize("hit", [(0,), (1,), (2,), (3,), (4,), (0, 1), (0, 2), (0, 4)])
-def test_outliers_among_the_first_samples_do_not_matter(uncertain: tuple[Model, Record, Fit], hit: tuple[int, ...]
-                                                        ) -> None:
+def test_outliers_among_the_first_samples_do_not_matter(
+    uncertain: tuple[Model, Record, Fit], hit: tuple[int, ...]
+) -> None:
     """While nothing is known an outlier looks likely: taken in full, it would make outliers of the good ones."""
     model, record, clean = uncertain
     y, rows = record.y.copy(), np.flatnonzero(np.isfinite(record.y[:, 0]))[list(hit)]

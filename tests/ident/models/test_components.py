@@ -112,9 +112,7 @@ def test_the_errors_of_an_estimator_are_gauss_markov_of_the_size_that_it_says() 
         (("attitude", "accelerometer", "position"), "psi x y"),
     ],
 )
-def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(
-    sensors: tuple[str, ...], wanted: str
-) -> None:
+def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(sensors: tuple[str, ...], wanted: str) -> None:
     """Against the error equations of a strapdown navigator in the plane: its heading integrates its gyro, its velocity
     its accelerations turned to the north, its position its velocity; the body's velocity is turned by its heading."""
     model = horizontal_model("shaft", sensors) + estimator_error(sensors)
@@ -123,13 +121,13 @@ def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(
     model = model.with_values({n: factor * model.values[n] for n, factor in apart.items()})
     plain, values = horizontal_model("shaft", sensors), model.values
     names, outs = [s.name for s in model.states], [o.name for o in model.outputs]
-    assert " ".join(n.removeprefix("error_") for n in names[len(plain.states):]) == wanted
+    assert " ".join(n.removeprefix("error_") for n in names[len(plain.states) :]) == wanted
     x = np.random.default_rng(4).normal(size=(10, len(names)))
     found = outputs(model, x, np.full((10, len(model.inputs)), 0.4))
     at = dict(zip(names, x.T, strict=True))
-    rate = dict(zip(names, found[:, :len(names)].T, strict=True))
-    y = dict(zip(outs, found[:, len(names):].T, strict=True))
-    still = outputs(plain, x[:, :len(plain.states)], np.full((10, len(plain.inputs)), 0.4))[:, len(plain.states):]
+    rate = dict(zip(names, found[:, : len(names)].T, strict=True))
+    y = dict(zip(outs, found[:, len(names) :].T, strict=True))
+    still = outputs(plain, x[:, : len(plain.states)], np.full((10, len(plain.inputs)), 0.4))[:, len(plain.states) :]
     true = dict(zip(outs, still.T, strict=True))
     has = wanted.split()
     of = {"r": "r", "psi": "psi", "ax": "axy", "ay": "axy", "vx": "vxy", "vy": "vxy", "x": "xy", "y": "xy"}

@@ -52,6 +52,7 @@ def test_a_level_boat_is_the_horizontal_model() -> None:
 
 def rotation(phi: float, theta: float, psi: float) -> np.ndarray:
     """Body to NED, as a product of three turns."""
+
     def turn(axis: int, a: float) -> np.ndarray:
         i, j = [(1, 2), (2, 0), (0, 1)][axis]
         out = np.eye(3)

@@ -194,12 +194,15 @@ def test_gnss_sees_a_current_that_moves_as_it_sees_a_constant_one(psi: float, dr
         assert moving.y[name] == pytest.approx(constant.y[name], abs=1e-12), name
 
 
-@pytest.mark.parametrize(("name", "values", "share"), [
-    ("dead-band", {"n_dead": 0.1}, (0.5 / 0.6) ** 2),
-    ("thruster-interaction", {"kappa": 0.2}, 1 - 0.2 * 0.6),
-    ("battery-sag", {"beta_E": 0.3}, 0.7),
-    ("turn-loss", {"loss_r": 0.5}, 0.8),
-])
+@pytest.mark.parametrize(
+    ("name", "values", "share"),
+    [
+        ("dead-band", {"n_dead": 0.1}, (0.5 / 0.6) ** 2),
+        ("thruster-interaction", {"kappa": 0.2}, 1 - 0.2 * 0.6),
+        ("battery-sag", {"beta_E": 0.3}, 0.7),
+        ("turn-loss", {"loss_r": 0.5}, 0.8),
+    ],
+)
 def test_a_steady_speed_was_the_same_a_moment_ago(name: str, values: dict[str, float], share: float) -> None:
     """Also where an effect takes a share of the thrust, which the inputs of then and of now both lack."""
     u = (2 * 40.0 * 0.6**2 * share / 25.0) ** 0.5

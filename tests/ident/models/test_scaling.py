@@ -25,15 +25,48 @@ FERRY = 50.0  # times the mass, inertia, damping and thrust
 
 # Exponents of kg, m and s by hand, of every unit in the catalogue; a radian is none.
 DIMENSIONS = {
-    "": (0, 0, 0), "rad": (0, 0, 0), "kg": (1, 0, 0), "m": (0, 1, 0), "s": (0, 0, 1), "Hz": (0, 0, -1),
-    "1/s": (0, 0, -1), "m/s": (0, 1, -1), "s/m": (0, -1, 1), "s/rad": (0, 0, 1), "rad s2/m": (0, -1, 2),
-    "N": (1, 1, -2), "N m": (1, 2, -2), "N/m": (1, 0, -2), "rad/N": (-1, -1, 2), "N s2/m2": (1, -1, 0),
-    "kg m": (1, 1, 0), "kg/m": (1, -1, 0), "kg/m2": (1, -2, 0), "kg/s": (1, 0, -1), "kg m/s": (1, 1, -1),
+    "": (0, 0, 0),
+    "rad": (0, 0, 0),
+    "kg": (1, 0, 0),
+    "m": (0, 1, 0),
+    "s": (0, 0, 1),
+    "Hz": (0, 0, -1),
+    "1/s": (0, 0, -1),
+    "m/s": (0, 1, -1),
+    "s/m": (0, -1, 1),
+    "s/rad": (0, 0, 1),
+    "rad s2/m": (0, -1, 2),
+    "N": (1, 1, -2),
+    "N m": (1, 2, -2),
+    "N/m": (1, 0, -2),
+    "rad/N": (-1, -1, 2),
+    "N s2/m2": (1, -1, 0),
+    "kg m": (1, 1, 0),
+    "kg/m": (1, -1, 0),
+    "kg/m2": (1, -2, 0),
+    "kg/s": (1, 0, -1),
+    "kg m/s": (1, 1, -1),
     "kg s/m2": (1, -2, 1),
 }
 # What is not the boat's: of a sensor, a link, a shaft, a bench, the water
-OTHERS = {"T_creep", "T_cell", "T_wash", "T_late", "n_slew", "f_rod", "T_dev", "T_head", "tau_delay", "T_lag", "T_r",
-          "T_uv", "tau_gnss", "V_dx", "V_dy", "f_wave"}
+OTHERS = {
+    "T_creep",
+    "T_cell",
+    "T_wash",
+    "T_late",
+    "n_slew",
+    "f_rod",
+    "T_dev",
+    "T_head",
+    "tau_delay",
+    "T_lag",
+    "T_r",
+    "T_uv",
+    "tau_gnss",
+    "V_dx",
+    "V_dy",
+    "f_wave",
+}
 LENGTH = 4.0  # times that of the catalogue's boat
 COPY = VesselScale(LENGTH**3, LENGTH)
 
@@ -68,8 +101,10 @@ def test_the_catalogues_boat_keeps_every_number(name: str) -> None:
     assert scale_priors(catalogue()[name], size_of(horizontal_model())) == catalogue()[name]
 
 
-@pytest.mark.parametrize("name", [
-    n for n, e in catalogue().items() if "bench" not in e.requires and not OTHERS & {p.name for p in e.parameters}])
+@pytest.mark.parametrize(
+    "name",
+    [n for n, e in catalogue().items() if "bench" not in e.requires and not OTHERS & {p.name for p in e.parameters}],
+)
 def test_a_copy_moves_like_the_boat(name: str) -> None:
     """So the units are those of what the effects do with their parameters: N_delta [kg] is of a moment."""
     rng, effect = np.random.default_rng(1), catalogue()[name]
@@ -104,8 +139,13 @@ def test_the_response_to_an_input_has_its_thrust_once(propulsion: str) -> None:
 
 def test_products_have_the_unit_of_their_coefficient() -> None:
     model = nominal(horizontal_model())
-    wanted = {("X", "u", "v"): "kg/m", ("X", "u", "r"): "kg", ("N", "u", "v"): "kg", ("N", "u", "r"): "kg m",
-              ("N", "v", "r"): "kg m"}
+    wanted = {
+        ("X", "u", "v"): "kg/m",
+        ("X", "u", "r"): "kg",
+        ("N", "u", "v"): "kg",
+        ("N", "u", "r"): "kg m",
+        ("N", "v", "r"): "kg m",
+    }
     for (force, one, other), unit in wanted.items():
         effect = nonparametric_effect(model, ForceCurve(force, one, other), (-1.0, 1.0))
         assert {p.unit for p in effect.parameters} == {unit}

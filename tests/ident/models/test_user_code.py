@@ -124,8 +124,12 @@ def test_a_misspelt_name_of_a_state_is_said(tmp_path: Path, state: str, said: st
 
 def test_what_the_advice_says_to_write_goes(tmp_path: Path) -> None:
     file = tmp_path / "tank.py"
-    for rate in ("np.where(x.level > 0, p.k, p.c)", "np.maximum(x.level, 0.0)", "x.level * (x.level > 0)",
-                 "np.floor(x.level)"):
+    for rate in (
+        "np.where(x.level > 0, p.k, p.c)",
+        "np.maximum(x.level, 0.0)",
+        "x.level * (x.level > 0)",
+        "np.floor(x.level)",
+    ):
         text = TANK.replace("import math", "import numpy as np").replace("STATE", STATE)
         file.write_text(text.replace("RATE", f'return {{"level": {rate}}}'))
         assert make_model(f"{file}:tank").name == "tank"
@@ -191,4 +195,5 @@ def test_the_decay_test_of_the_how_to_is_fitted_by_its_command(
     with pytest.raises(SystemExit):
         command_line.main([*words[1:], "--force"])
     assert [line for line in capsys.readouterr().err.splitlines() if line.startswith("seatrial:")] == blocks(
-        "own-model", "text")[0].splitlines()
+        "own-model", "text"
+    )[0].splitlines()

@@ -232,8 +232,19 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_command_writes_a_table_a_result_and_a_report(logs: Path) -> None:
-    words = ["navigate", str(logs / "vehicle/model.toml"), str(logs / "log.mcap"), "--gnss-outage", "60:90",
-             "--from", "20", "--to", "140", "--out", str(logs / "out")]
+    words = [
+        "navigate",
+        str(logs / "vehicle/model.toml"),
+        str(logs / "log.mcap"),
+        "--gnss-outage",
+        "60:90",
+        "--from",
+        "20",
+        "--to",
+        "140",
+        "--out",
+        str(logs / "out"),
+    ]
     done = CliRunner().invoke(ident, words)
     assert done.exit_code == 0, done.output
     assert "1 GNSS outage, the worst of 30 s" in done.output

@@ -263,10 +263,13 @@ def test_the_terminal_says_the_units_of_outages() -> None:
 
 
 def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
-    told = {"answer": "Done.", "warnings": [
-        {"code": "arm-unknown", "text": "Nobody gave the arms."},
-        {"code": "stuck-sensor", "text": "gauge: a stuck sensor?"},
-    ]}
+    told = {
+        "answer": "Done.",
+        "warnings": [
+            {"code": "arm-unknown", "text": "Nobody gave the arms."},
+            {"code": "stuck-sensor", "text": "gauge: a stuck sensor?"},
+        ],
+    }
     words = printed(KINDS["thruster"]() | told)
     assert words.index("⚠ Nobody gave the arms.") < words.index("⚠ gauge: a stuck sensor?")
     assert words.index("⚠ gauge") < words.index("Done.")

@@ -57,8 +57,11 @@ def test_the_picture_has_a_mark_for_every_number_and_the_bands() -> None:
 def test_the_bands_of_chance_hold_what_chance_makes() -> None:
     rng, n = np.random.default_rng(3), 200
     z = rng.normal(size=(4000, n))
-    found = {"bias": z.mean(axis=1) / z.std(axis=1, ddof=1), "ratio": z.var(axis=1, ddof=1),
-             "coverage": np.mean(np.abs(z) < 1.96, axis=1)}
+    found = {
+        "bias": z.mean(axis=1) / z.std(axis=1, ddof=1),
+        "ratio": z.var(axis=1, ddof=1),
+        "coverage": np.mean(np.abs(z) < 1.96, axis=1),
+    }
     for key, values in found.items():
         low, high = by_chance(key, n)
         assert np.mean((low <= values) & (values <= high)) == pytest.approx(0.95, abs=0.02), key

@@ -58,12 +58,15 @@ def test_what_was_written_is_read_again(kind: str, tmp_path: Path) -> None:
     assert next(iter(json.loads(to_json(result)))) == "kind"
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    ({"anwser": "Done."}, "unknown field `anwser`"),
-    ({"answer": 3}, "Expected `str`, got `int` - at `$.answer`"),
-    ({"format": "seatrial-result 1"}, "Invalid enum value"),
-    ({"kind": "thurster"}, "Invalid value 'thurster' - at `$.kind`"),
-])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"anwser": "Done."}, "unknown field `anwser`"),
+        ({"answer": 3}, "Expected `str`, got `int` - at `$.answer`"),
+        ({"format": "seatrial-result 1"}, "Invalid enum value"),
+        ({"kind": "thurster"}, "Invalid value 'thurster' - at `$.kind`"),
+    ],
+)
 def test_what_is_wrong_is_named(change: dict[str, Any], words: str, tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text(json.dumps(shortened(report_example_bench.thruster()) | change), encoding="utf-8")

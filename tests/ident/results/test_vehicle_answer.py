@@ -107,9 +107,24 @@ def said(
 ) -> str:
     none = np.empty(0)
     rows = [
-        ResidualTests(record="r", channel="x", unit="m", t=none, e=none, lags=none, acf=none, band=0.1, ljung_box_p=p,
-                      periodogram_p=0.5, frequency=none, cumulative=none, normal_p=0.5, white=p > 0.01, outliers=0,
-                      largest=3.0)
+        ResidualTests(
+            record="r",
+            channel="x",
+            unit="m",
+            t=none,
+            e=none,
+            lags=none,
+            acf=none,
+            band=0.1,
+            ljung_box_p=p,
+            periodogram_p=0.5,
+            frequency=none,
+            cumulative=none,
+            normal_p=0.5,
+            white=p > 0.01,
+            outliers=0,
+            largest=3.0,
+        )
         for p in residuals
     ]
     with_inputs = [
@@ -160,8 +175,9 @@ def test_no_sentence_says_falls_where_the_yardstick_does_not_fall_beyond_its_int
 
 
 def test_a_change_is_said_with_its_interval_and_its_channels() -> None:
-    change = PredictionChange(role="validation", ratio=0.58, low=0.54, high=0.63, verdict="fell",
-                              better=("psi", "x"), worse=("ax",))
+    change = PredictionChange(
+        role="validation", ratio=0.58, low=0.54, high=0.63, verdict="fell", better=("psi", "x"), worse=("ax",)
+    )
     assert change_sentence(change, 10.0) == (
         "10 s ahead on validation data, all channels: prediction error falls by 42 % (95 %: 37 to 46 %); "
         "better: heading, north; worse: surge specific force."
@@ -182,9 +198,18 @@ def test_a_change_is_said_with_its_interval_and_its_channels() -> None:
     assert "is 120 times as large (95 %: 100 to 150)" in change_sentence(far, 1.0)
 
 
-@pytest.mark.parametrize(("value", "said"), [
-    (99.4, "99"), (99.6, "100"), (-99.6, "-100"), (113.2, "113"), (9.96, "10"), (8.4, "8.4"), (0.0312, "0.031"),
-])
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (99.4, "99"),
+        (99.6, "100"),
+        (-99.6, "-100"),
+        (113.2, "113"),
+        (9.96, "10"),
+        (8.4, "8.4"),
+        (0.0312, "0.031"),
+    ],
+)
 def test_a_number_in_a_sentence_has_two_digits_and_no_exponent_below_a_hundred(value: float, said: str) -> None:
     assert format_number(value) == said
 
@@ -222,8 +247,10 @@ def test_many_tests_are_weighed_together() -> None:
 def test_how_much_of_an_input_is_left_is_said_and_nothing_is_promised() -> None:
     """A long record shows correlations that do not matter, and the noise of a filter is no lack of the model."""
     known = said([0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True)
-    assert known == ("The residuals still know the inputs (correlation up to 0.071, north): run `seatrial ident "
-                     "diagnose` to see whether an effect is missing.")
+    assert known == (
+        "The residuals still know the inputs (correlation up to 0.071, north): run `seatrial ident "
+        "diagnose` to see whether an effect is missing."
+    )
     assert said([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
     assert said([1e-9], []).endswith(": the model lacks something, or the noise of a sensor is correlated.")
 

@@ -82,8 +82,15 @@ def test_without_noise_it_is_the_engines_simulation(name: str) -> None:
     model = replace(model, states=tuple(still))
     x0 = np.zeros((1, len(model.states)))
     x, y = simulate_stochastic(model, case.inputs, values_of(model), [np.random.default_rng(0)], x0=x0)
-    record = Record(name, case.inputs.t, case.inputs.u, case.inputs.u_next, np.full(y[0].shape, np.nan),
-                    tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs))
+    record = Record(
+        name,
+        case.inputs.t,
+        case.inputs.u,
+        case.inputs.u_next,
+        np.full(y[0].shape, np.nan),
+        tuple(i.name for i in model.inputs),
+        tuple(o.name for o in model.outputs),
+    )
     engine = simulate(model, record, x0=x0[0])
     np.testing.assert_allclose(x[0], engine.x, atol=2e-4)
     np.testing.assert_allclose(y[0], engine.y, atol=1e-3)
@@ -126,8 +133,18 @@ def test_what_is_considered_is_drawn_for_each_replicate() -> None:
 
 
 def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
-    return [{"converged": True, "cpu": 1.0, "simulation": 2.0, "d": {"a": float(x), "b": 0.0},
-             "se": {"a": se, "b": None}, "far": {"a": None, "b": None}, "bound": {"a": bound, "b": None}} for x in d]
+    return [
+        {
+            "converged": True,
+            "cpu": 1.0,
+            "simulation": 2.0,
+            "d": {"a": float(x), "b": 0.0},
+            "se": {"a": se, "b": None},
+            "far": {"a": None, "b": None},
+            "bound": {"a": bound, "b": None},
+        }
+        for x in d
+    ]
 
 
 @pytest.mark.study
@@ -198,8 +215,17 @@ def test_an_estimate_at_its_bound_has_a_one_sided_interval() -> None:
     for free in rng.normal(size=4000):
         stuck = free < -1.3
         far = -1.3 + 3.8415 / (-(free + 1.3) + np.sqrt((free + 1.3) ** 2 + 3.8415)) if stuck else None
-        rows.append({"converged": True, "cpu": 1.0, "simulation": 2.0, "d": {"a": max(float(free), -1.3)},
-                     "se": {"a": None if stuck else 1.0}, "far": {"a": far}, "bound": {"a": 0.918}})
+        rows.append(
+            {
+                "converged": True,
+                "cpu": 1.0,
+                "simulation": 2.0,
+                "d": {"a": max(float(free), -1.3)},
+                "se": {"a": None if stuck else 1.0},
+                "far": {"a": far},
+                "bound": {"a": 0.918},
+            }
+        )
     (j,) = summarise(rows)
     assert (j.n, j.at_bound) == (4000, sum(r["se"]["a"] is None for r in rows))
     assert j.misses == ()
@@ -229,8 +255,11 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     lines = out.read_text().splitlines()
     out.write_text("\n".join([lines[0], lines[1], json.dumps({**json.loads(lines[2]), "error": "x"}), lines[3][:50]]))
     done: list[int] = []
-    monkeypatch.setattr(study, "run_replicates", lambda case, numbers, *rest: done.extend(numbers)
-                        or run_replicates(case, numbers, *rest))
+    monkeypatch.setattr(
+        study,
+        "run_replicates",
+        lambda case, numbers, *rest: done.extend(numbers) or run_replicates(case, numbers, *rest),
+    )
     out.write_text(out.read_text() + "\n")
     again = study.run_study(case, 4, 2, out, jobs=1)
     assert done == [2, 3]
@@ -342,8 +371,11 @@ def test_the_attitude_of_a_case_is_that_of_its_rates() -> None:
     case = make_case("kinematic", seconds=60.0)
     t, u = case.inputs.t, case.inputs.u
     phi, theta, psi, p, q, r = u[:, 2:].T
-    rates = (p + np.tan(theta) * (np.sin(phi) * q + np.cos(phi) * r), np.cos(phi) * q - np.sin(phi) * r,
-             (np.sin(phi) * q + np.cos(phi) * r) / np.cos(theta))
+    rates = (
+        p + np.tan(theta) * (np.sin(phi) * q + np.cos(phi) * r),
+        np.cos(phi) * q - np.sin(phi) * r,
+        (np.sin(phi) * q + np.cos(phi) * r) / np.cos(theta),
+    )
     for angle, rate in zip((phi, theta, psi), rates, strict=True):
         travelled = np.append(0.0, np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(t)))
         np.testing.assert_allclose(travelled, angle - angle[0], atol=0.02 * np.ptp(angle) + 0.005)
@@ -365,7 +397,8 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
     assert page.read_text().startswith("# Monte Carlo study")
     assert "](pictures/study-surge.svg)" in page.read_text()
     assert page.read_text().replace(f" --docs {page}", "") == (tmp_path / "study.md").read_text().replace(
-        f" --docs {page}", "")
+        f" --docs {page}", ""
+    )
     drawn = (tmp_path / "docs/pictures/study-surge.svg").read_text()
     assert drawn == (tmp_path / "pictures/study-surge.svg").read_text()
     result = json.loads((tmp_path / "result.json").read_text())
@@ -375,12 +408,15 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
     assert len((tmp_path / "surge.jsonl").read_text().splitlines()) == 6
 
 
-@pytest.mark.parametrize(("words", "says"), [
-    ("boat", "no study of 'boat': there are surge, yaw, horizontal, kinematic, thruster, noise"),
-    ("surge --truth m_x=1", "has no parameter 'm_x'"),
-    ("surge --truth d_u=-1", "outside its bounds"),
-    ("surge --free nothing", "has no parameter 'nothing'"),
-])
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("boat", "no study of 'boat': there are surge, yaw, horizontal, kinematic, thruster, noise"),
+        ("surge --truth m_x=1", "has no parameter 'm_x'"),
+        ("surge --truth d_u=-1", "outside its bounds"),
+        ("surge --free nothing", "has no parameter 'nothing'"),
+    ],
+)
 def test_what_cannot_be_done_is_one_line(
     words: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -149,9 +149,14 @@ def test_a_prediction_that_diverged_is_not_right_until_it_broke() -> None:
 def test_a_simulation_that_diverged_is_not_calibrated() -> None:
     """v' = 0.3 v^2 + u leaves every bound in finite time: rows without a measurement stay without an error."""
     model = plain_model(
-        "runaway", f=lambda x, u, p: {"v": 0.3 * x.v * x.v + u.c}, h=lambda x, u, p: {"y": x.v},
-        states=(State("v", noise=0.05, sd0=0.1),), inputs=(Input("c"),),
-        sensors=(Sensor("one", (Output("y", noise="e"),)),), parameters=(Parameter("e", 0.05, transform="log"),))
+        "runaway",
+        f=lambda x, u, p: {"v": 0.3 * x.v * x.v + u.c},
+        h=lambda x, u, p: {"y": x.v},
+        states=(State("v", noise=0.05, sd0=0.1),),
+        inputs=(Input("c"),),
+        sensors=(Sensor("one", (Output("y", noise="e"),)),),
+        parameters=(Parameter("e", 0.05, transform="log"),),
+    )
     n, rng = 1500, np.random.default_rng(0)
     y, c = (0.3 + 0.05 * rng.normal(size=n))[:, None], np.full((n, 1), -0.017)
     y[::2] = np.nan

@@ -33,16 +33,41 @@ sensors = ["attitude", "gyro", "accelerometer", "position", "ground_velocity"]
 effects = []
 [validity]
 """
-TRUE = {"m_u": 37.0, "m_v": 47.0, "m_r": 9.69, "d_u": 0.2, "d_v": 50.0, "d_r": 4.14, "d_uu": 25.0, "d_vv": 20.0,
-        "d_rr": 6.23, "V_x": 0.0, "V_y": 0.0, "c1": 40.05, "c2": 1.11, "y_left": -0.15, "y_right": 0.15, "s_u": 0.01,
-        "s_v": 0.01, "s_r": 0.01, "e_psi": 0.01, "e_r": 0.005, "e_a": 0.05, "e_xy": 0.05, "e_vxy": 0.05}
+TRUE = {
+    "m_u": 37.0,
+    "m_v": 47.0,
+    "m_r": 9.69,
+    "d_u": 0.2,
+    "d_v": 50.0,
+    "d_r": 4.14,
+    "d_uu": 25.0,
+    "d_vv": 20.0,
+    "d_rr": 6.23,
+    "V_x": 0.0,
+    "V_y": 0.0,
+    "c1": 40.05,
+    "c2": 1.11,
+    "y_left": -0.15,
+    "y_right": 0.15,
+    "s_u": 0.01,
+    "s_v": 0.01,
+    "s_r": 0.01,
+    "e_psi": 0.01,
+    "e_r": 0.005,
+    "e_a": 0.05,
+    "e_xy": 0.05,
+    "e_vxy": 0.05,
+}
 FIXED = ("c1", "c2", "y_left", "y_right", "d_u")
 STEPS = ((0.0, "static"), (30.0, "straight ahead"), (60.0, "turns"))
 
 
 def write_model(path: Path) -> Path:
-    rows = [f'[[parameter]]\nname = "{n}"\nvalue = {v}\nunit = ""\nfree = {str(n not in FIXED).lower()}\n'
-            + ("per_record = true\nprior = [0.0, 0.5]\n" if n in ("V_x", "V_y") else "") for n, v in TRUE.items()]
+    rows = [
+        f'[[parameter]]\nname = "{n}"\nvalue = {v}\nunit = ""\nfree = {str(n not in FIXED).lower()}\n'
+        + ("per_record = true\nprior = [0.0, 0.5]\n" if n in ("V_x", "V_y") else "")
+        for n, v in TRUE.items()
+    ]
     path.write_text(MODEL + "".join(rows), encoding="utf-8")
     return path
 
@@ -51,8 +76,9 @@ def write_run(path: Path, seed: int) -> Path:
     """At rest, straight ahead at two speeds, then turning to both sides: recorded with the names of the steps."""
     t = np.array([0.0, 30.0, 45.0, *np.arange(60.0, SECONDS, 5.0)])
     turns = [[0.5 + 0.3 * (-1) ** k, 0.5 - 0.3 * (-1) ** k] for k in range(t.size - 3)]
-    readings = simulate(boat_with(None, seed), t, np.array([[0.0, 0.0], [0.4, 0.4], [0.8, 0.8], *turns]), SECONDS,
-                        1).readings
+    readings = simulate(
+        boat_with(None, seed), t, np.array([[0.0, 0.0], [0.4, 0.4], [0.8, 0.8], *turns]), SECONDS, 1
+    ).readings
     recorder = Recorder(path, rig=rig_of("boat"), clock=StandingClock())
     steps = list(STEPS)
     for device, sample, at in readings:

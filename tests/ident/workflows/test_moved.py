@@ -188,6 +188,7 @@ def test_effects_of_ones_own_are_found_from_anywhere_and_stay_with_the_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
     """Also by a diagnosis that is told of no file, after one that was."""
+
     def diagnosed(model: str, out: str, more: Sequence[str] = ()) -> dict[str, object]:
         words = ("ident", "diagnose", model, "a.mcap", "--validate", "b.mcap", "--max-effects", 1, "--out", out)
         assert run(*words, *more) == 0

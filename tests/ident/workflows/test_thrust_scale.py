@@ -124,7 +124,10 @@ def test_a_signal_that_no_sensor_takes_is_named_with_its_reason(bare: tuple[dict
     result, said, _ = bare
     unused = {s["signal"]: s for s in result["unused_signals"]}
     assert {name: s["code"] for name, s in unused.items()} == {
-        "u": "incomplete-sensor", "lat": "other-name", "mystery": "unknown-name"}
+        "u": "incomplete-sensor",
+        "lat": "other-name",
+        "mystery": "unknown-name",
+    }
     assert "not used: u: the model takes it together with v" in said
 
 

@@ -38,15 +38,16 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def after(code: str) -> str:
     """What the page says a block prints: the text block behind it."""
     text = PAGE.read_text(encoding="utf-8")
-    found = re.search(r"^```text\n(.*?)^```$", text[text.index(code):], re.MULTILINE | re.DOTALL)
+    found = re.search(r"^```text\n(.*?)^```$", text[text.index(code) :], re.MULTILINE | re.DOTALL)
     assert found
     return found[1]
 
 
 def run(code: str, folder: Path) -> str:
     environment = {**os.environ, "PYTHONPATH": str(folder)}
-    done = subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True,
-                          timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -77,11 +77,14 @@ def test_the_thrust_follows_the_best_that_all_logs_have(
     assert (chosen.source, "tau_age" in chosen.values) == ("horizontal:shaft", False)
 
 
-@pytest.mark.parametrize(("names", "way", "says"), [
-    (("n_left", "n_right"), PropulsionInput.MEASURED, "thrust from the measured shaft speeds"),
-    (("n_cmd_left", "n_cmd_right"), PropulsionInput.COMMAND, "no shaft speed is measured"),
-    (("n_left", "n_right", "n_cmd_left", "n_cmd_right"), PropulsionInput.MEASURED, "the measured shaft speeds"),
-])
+@pytest.mark.parametrize(
+    ("names", "way", "says"),
+    [
+        (("n_left", "n_right"), PropulsionInput.MEASURED, "thrust from the measured shaft speeds"),
+        (("n_cmd_left", "n_cmd_right"), PropulsionInput.COMMAND, "no shaft speed is measured"),
+        (("n_left", "n_right", "n_cmd_left", "n_cmd_right"), PropulsionInput.MEASURED, "the measured shaft speeds"),
+    ],
+)
 def test_commands_are_not_called_measured_speeds(names: tuple[str, ...], way: PropulsionInput, says: str) -> None:
     log = completed(replace(loaded(*names, *AHRS, *GNSS), propulsion=way), "nomoto", None)
     assert says in thrust_from(make_model("nomoto"), [log])

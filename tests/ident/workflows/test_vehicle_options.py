@@ -71,8 +71,10 @@ def test_a_wrong_name_of_a_sensor_in_the_file_is_said(out: Path, tmp_path: Path)
         load_model(tmp_path / "model.toml")
 
 
-@pytest.mark.parametrize(("name", "says"), [("mass", "--profile mass: model horizontal has"),
-                                            ("c1", "--profile c1: it is given, not estimated")])
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [("mass", "--profile mass: model horizontal has"), ("c1", "--profile c1: it is given, not estimated")],
+)
 def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, logs: tuple[Path, Path]) -> None:
     done = CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--fix", "c1=40", "--profile", name])
     assert isinstance(done.exception, SeatrialError)
@@ -115,7 +117,9 @@ def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_withou
 def test_a_mean_of_second_order_is_left_out_of_a_model_of_ones_own(logs: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(
         "from dataclasses import replace\nfrom seatrial.ident.models.horizontal import horizontal_model\n\n\n"
-        "def bent():\n    return replace(horizontal_model(), second_order=True)\n", encoding="utf-8")
+        "def bent():\n    return replace(horizontal_model(), second_order=True)\n",
+        encoding="utf-8",
+    )
     model, out = f"{tmp_path / 'own.py'}:bent", str(tmp_path / "out")
     words = ["vehicle", str(logs[0]), "--model", model, "--out", out, "--force"]
     for more, there in ([], True), (["--no-second-order"], False):

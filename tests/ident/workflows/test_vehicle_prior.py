@@ -56,8 +56,7 @@ def test_a_prior_that_is_none_is_wrong_usage(log: Path, said: str) -> None:
 def test_declared_noise_is_trusted_only_where_the_residuals_do_not_say_that_there_is_more(
     log: Path, times: float
 ) -> None:
-    """Taken for true, a third of the noise puts the estimates ten standard errors off and finds effects on clean boats.
-    """
+    """A noise fixed at a third of its value puts the estimates ten standard errors off."""
     noise = {"e_psi": 0.0039, "e_r": 0.0045, "e_a": 0.045, "e_xy": 0.15, "e_vxy": 0.05}
     given = [word for n, sd in noise.items() for word in ("--fix", f"{n}={times * sd}")]
     out = log.parent / f"noise{times}"

@@ -68,6 +68,8 @@ def test_a_mixture_has_everything_else_small() -> None:
     assert effects[0].name == "wind"
     assert {e.name for e in effects} == set(EFFECTS)
     assert effects[0].parameters == make_effect("wind", 3).parameters
-    small, full = (next(e for e in group if e.name == "cubic-drag").parameters["k"] for group in
-                   (effects, (make_effect("cubic-drag", 3),)))
+    small, full = (
+        next(e for e in group if e.name == "cubic-drag").parameters["k"]
+        for group in (effects, (make_effect("cubic-drag", 3),))
+    )
     assert small == pytest.approx(0.05 * full)

@@ -126,9 +126,7 @@ def test_the_shaft_is_late_brisk_or_limited() -> None:
 
 def test_what_slow_blades_and_cells_lose() -> None:
     for name, low, high in (("thrust-dead-band", 0.3, 0.85), ("thrust-exponent", 0.7, 0.85)):
-        slow, fast = (
-            forces(make_effect(name, 1), n, 5.0)[-1] / thrust(ThrusterTruth(), n) for n in (0.1, 0.9)
-        )
+        slow, fast = (forces(make_effect(name, 1), n, 5.0)[-1] / thrust(ThrusterTruth(), n) for n in (0.1, 0.9))
         assert low < slow < high < fast
     droop = shaft(make_effect("speed-curve", 1), [(0.0, 0.9)], 3.0)[-1]
     assert 0.8 < droop / 0.9 < 0.96
@@ -140,8 +138,9 @@ def test_what_slow_blades_and_cells_lose() -> None:
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_half_an_effect_is_less_of_it(name: str) -> None:
-    plain, full, half = (forces(e, 0.7, 4.0) + forces(e, -0.7, 4.0) for e in
-                         (NONE, make_effect(name, 2), make_effect(name, 2, 0.5)))
+    plain, full, half = (
+        forces(e, 0.7, 4.0) + forces(e, -0.7, 4.0) for e in (NONE, make_effect(name, 2), make_effect(name, 2, 0.5))
+    )
     whole, part = np.sqrt(np.mean((full - plain) ** 2)), np.sqrt(np.mean((half - plain) ** 2))
     assert 0.05 * whole < part < 0.8 * whole
 
