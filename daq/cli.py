@@ -18,7 +18,6 @@ import click
 from seatrial.daq.bounds import bounded
 from seatrial.daq.errors import SeatrialError, counted, printable
 from seatrial.daq.options import FiniteRange
-from seatrial.daq.protocol import SERIAL_PROTOCOLS
 
 if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
@@ -311,15 +310,23 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
     click.echo(f"{path}: {said}")
 
 
+def _serial_protocol(context: click.Context, parameter: click.Parameter, name: str) -> str:
+    """Check the name of a serial protocol. The names are listed only now: other packages may add some."""
+    from seatrial.daq.protocol import serial_protocols
+
+    return str(click.Choice(serial_protocols()).convert(name, parameter, context))
+
+
 @import_.command("raw", short_help="Recorded bytes of a device, decoded by its protocol.")
-@click.argument("protocol", type=click.Choice(SERIAL_PROTOCOLS))
+@click.argument("protocol", callback=_serial_protocol)
 @click.argument("file", type=_EXISTING)
 @click.option("--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, for the times.")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
 @click.option("--force", is_flag=True, help="Replace the log where it exists.")
 @bounded("file")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
-    """Decode FILE, recorded bytes of a device, as PROTOCOL.
+    """Decode FILE, recorded bytes of a device, as PROTOCOL: vectornav, mip, nmea, ubx, loadcell, openscale,
+    mantracourt, or a serial protocol that another installed package adds.
 
     A capture has no times of receipt: with --rate the samples are evenly spaced; without it they get the times
     that the device itself sends, if any.

@@ -128,6 +128,8 @@ class Device:
     query: str = ""  # request for each sample, of a device that sends only on request
     own_node: int = OWN_NODE  # ours on a DroneCAN bus
     index_offset: int = 0  # index of a controller in its DroneCAN telemetry, less its place in the command
+    # Options of a protocol of another package: key of [[device]] -> value in the rig file.
+    settings: Mapping[str, str | float | bool] = field(default_factory=dict, hash=False)
 
     @property
     def sends_many_kinds(self) -> bool:

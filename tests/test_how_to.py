@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import importlib.util
 import re
+import subprocess
 import sys
-import textwrap
 import types
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,16 +14,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import seatrial.daq.protocol
 import seatrial.ident.effects.hull
 from seatrial import command_line
-from seatrial.daq.protocol import catalogue as device_table
+from seatrial.daq.config import parse_rig
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.log import open_log
+from seatrial.daq.plugins import plugins
+from seatrial.daq.protocol import make_decoder, serial_protocols
 from seatrial.ident.data.record import Channel, LogSegment, Record
 from seatrial.ident.diagnosis.search import diagnose
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.structure import Model
+from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -108,27 +112,128 @@ def test_the_effect_of_the_how_to_is_found_if_and_only_if_it_is_there(weed: None
         assert abs(value - d_weed) < 4.0 * error < 0.5 * d_weed
 
 
-def test_the_sensor_of_the_how_to_passes_its_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    protocol, tests = blocks("add-a-sensor", "python")
-    module_from(protocol, "os5000", tmp_path, seatrial.daq.protocol, monkeypatch)
-    try:
-        assert run_tests(tests) == 3
-    finally:
-        sys.modules.pop("seatrial.daq.protocol.os5000", None)
-    (capture,) = blocks("add-a-sensor", "text")
+@pytest.fixture(scope="module")
+def lab_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package of the how-tos with a sensor, an effect and a model, installed into a folder."""
+    folder = tmp_path_factory.mktemp("lab-boat")
+    source, site = folder / "lab-boat", folder / "site"
+    (source / "lab_boat").mkdir(parents=True)
+    points = [next(b for b in blocks(page, "toml") if "entry-points" in b) for page in ("add-an-effect", "own-model")]
+    files = {
+        "pyproject.toml": "\n".join([blocks("add-a-sensor", "toml")[0], *points]),
+        "lab_boat/__init__.py": "",
+        "lab_boat/os5000.py": blocks("add-a-sensor", "python")[0],
+        "lab_boat/weed.py": blocks("add-an-effect", "python")[0],
+        "lab_boat/rudder.py": (ROOT / "docs/examples/own_model.py").read_text(encoding="utf-8"),
+    }
+    for name, text in files.items():
+        (source / name).write_text(text, encoding="utf-8")
+    words = [
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-deps",
+        "--no-build-isolation",
+        "--no-index",
+        "--target",
+        str(site),
+    ]
+    subprocess.run([sys.executable, *words, str(source)], check=True, capture_output=True, timeout=120)
+    return site
+
+
+@pytest.fixture
+def installed(lab_package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The package of the how-tos, importable in this process and in its children."""
+    monkeypatch.syspath_prepend(str(lab_package))
+    monkeypatch.setenv("PYTHONPATH", str(lab_package))
+    plugins.cache_clear()
+    catalogue.cache_clear()
+    yield lab_package
+    for name in [name for name in sys.modules if name.startswith("lab_boat")]:
+        del sys.modules[name]
+    plugins.cache_clear()
+    catalogue.cache_clear()
+
+
+RIG = 'format = "seatrial-rig 1"\nname = "pool"\n'
+
+
+def test_the_sensor_of_the_how_to_passes_its_tests(installed: Path) -> None:
+    _, tests = blocks("add-a-sensor", "python")
+    assert run_tests(tests) == 3
+    capture = blocks("add-a-sensor", "text")[1]
     for line in [line for line in capture.splitlines() if not line.startswith("# ")]:
         assert line in tests
 
 
-def test_the_row_of_the_new_sensor_is_one_of_the_table_of_devices() -> None:
-    text = how_to("add-a-sensor").read_text(encoding="utf-8")
-    (row,) = re.findall(r'^    "os5000": (DeviceType\(.*\)),$', text, re.MULTILINE)
-    (function,) = re.findall(r"^    (def _os5000.*?)^\S", text, re.MULTILINE | re.DOTALL)
-    scope = dict(vars(device_table))
-    exec(textwrap.dedent("    " + function), scope)
-    row_of = eval(row, scope)
-    assert row_of.bus == device_table.SERIAL
-    assert row_of.make is scope["_os5000"]
+def test_a_sensor_of_another_package_is_in_the_rig_and_in_the_commands(installed: Path, tmp_path: Path) -> None:
+    rig = parse_rig(RIG + blocks("add-a-sensor", "toml")[1], tmp_path / "rig.toml")
+    assert rig.devices[0].settings == {"mount_yaw_deg": 90.0}
+    decoder = make_decoder(rig.devices[0], rig)
+    (frame,) = decoder.feed(b"$C320.5P1.4R-0.5T20.1*0F\r\n", 0.0)
+    assert np.degrees(frame.sample.yaw) == pytest.approx(50.5)
+    (tmp_path / "capture.txt").write_text(blocks("add-a-sensor", "text")[1], encoding="utf-8")
+    words = f"import raw os5000 {tmp_path}/capture.txt --rate 10 -o {tmp_path}/a.mcap".split()
+    with pytest.raises(SystemExit) as left:
+        command_line.main(words)
+    assert not left.value.code
+    with open_log(tmp_path / "a.mcap") as log:
+        assert sum(log.counts.values()) >= 2
+
+
+def test_an_unknown_option_of_a_plugin_is_an_error(installed: Path, tmp_path: Path) -> None:
+    text = RIG + blocks("add-a-sensor", "toml")[1].replace("mount_yaw_deg", "mount_yaw")
+    with pytest.raises(SeatrialError, match="mount_yaw"):
+        parse_rig(text, tmp_path / "rig.toml")
+
+
+def test_the_rig_of_a_log_is_read_without_the_package(tmp_path: Path) -> None:
+    text = RIG + blocks("add-a-sensor", "toml")[1]
+    with pytest.raises(SeatrialError, match=r"must be one of .*, not 'os5000'"):
+        parse_rig(text, tmp_path / "rig.toml")
+    rig = parse_rig(text, tmp_path / "a.mcap:rig.toml", recorded=True)
+    assert (rig.devices[0].name, rig.devices[0].rate_hz) == ("compass", 10.0)
+
+
+def test_an_effect_of_another_package_is_in_the_catalogue(installed: Path) -> None:
+    assert catalogue()["weed"].parameters[0].name == "d_weed"
+    assert len(catalogue()) > 60
+
+
+def test_a_model_of_another_package_has_a_name(installed: Path) -> None:
+    model = make_model("rudder-boat")
+    assert model.source == "rudder-boat"
+    assert [i.name for i in model.inputs] == ["n_main", "rudder"]
+    with pytest.raises(SeatrialError, match=r"model 'rudder-boat:wide' .*TypeError"):
+        make_model("rudder-boat:wide")
+    with pytest.raises(SeatrialError, match=r"there are horizontal, .*rudder-boat, or FILE.py:NAME"):
+        make_model("sailboat")
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("raise OSError('no such library')", r"cannot be imported: OSError: no such library; it is left out"),
+        ("DEVICE = 3", r"has the type int; seatrial.protocols needs a DeviceType; it is left out"),
+    ],
+)
+def test_a_broken_package_is_named_and_hides_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, message: str
+) -> None:
+    (tmp_path / "broken_lab.py").write_text(source, encoding="utf-8")
+    info = tmp_path / "broken_lab-2.1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken-lab\nVersion: 2.1\n", encoding="utf-8")
+    (info / "entry_points.txt").write_text("[seatrial.protocols]\nsonar = broken_lab:DEVICE\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugins.cache_clear()
+    with pytest.warns(SeatrialWarning, match=rf"'sonar' of the package broken-lab 2.1 \(broken_lab:DEVICE\) {message}"):
+        assert "nmea" in serial_protocols()
+    monkeypatch.undo()
+    sys.modules.pop("broken_lab", None)
+    plugins.cache_clear()
 
 
 def test_the_models_of_the_how_to_are_the_examples() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from seatrial.daq.config.toml_reader import TomlTable, parse_toml, read_text
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol import CAN, DEVICES, Decoder, loadcell, make_decoder
 from seatrial.daq.rig import (
     DEFAULT_PATTERN,
@@ -36,7 +37,6 @@ from seatrial.daq.rig import (
 )
 
 FORMAT = "seatrial-rig 1"
-PROTOCOLS = tuple(DEVICES)
 LEAST_SEGMENTS = 3  # the first, the one being written, and one that is whole
 HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
 
@@ -47,8 +47,22 @@ def load_rig(path: Path | str) -> Rig:
     return parse_rig(read_text(path), path)
 
 
-def parse_rig(text: str, source: Path | str) -> Rig:
-    """As `load_rig`, from text; relative paths in it count from the folder of `source`."""
+def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
+    """Check a rig file given as text.
+
+    Parameters
+    ----------
+    source
+        Path that error messages name. Relative paths in the text count from its folder.
+    recorded
+        The rig is that of a log. A protocol that is not installed here is accepted, because the log contains its
+        samples.
+
+    Raises
+    ------
+    SeatrialError
+        If a key is missing, unknown or has a wrong value; the message names file and key.
+    """
     path = Path(source)
     folder = path.absolute().parent
     root = parse_toml(text, path)
@@ -58,7 +72,7 @@ def parse_rig(text: str, source: Path | str) -> Rig:
     directory, segments = _log(root)
     live = _live(root.table("live"))
     ros2 = _ros2(root.table("ros2"))
-    devices = tuple(_device(table, folder) for table in root.tables("device"))
+    devices = tuple(_device(table, folder, recorded) for table in root.tables("device"))
     if not devices:
         raise root.error("device", "missing; a rig needs at least one [[device]]")
     _unique(root, "device", [device.name for device in devices])
@@ -168,23 +182,38 @@ def _name(table: TomlTable) -> str:
     return name
 
 
-def _device(table: TomlTable, folder: Path) -> Device:
+def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
+    """Read one [[device]]; with `recorded` its protocol need not be installed (`parse_rig`)."""
     name = _name(table)
-    protocol = table.text("protocol", choices=PROTOCOLS)
-    port = _port(table, protocol, folder)
+    protocol = table.text("protocol", choices=() if recorded else tuple(DEVICES))
+    try:
+        row = DEVICES[protocol]
+    except (KeyError, SeatrialError):
+        if not recorded:
+            raise
+        return _device_without_protocol(name, protocol, table)
+    port = _port(table, protocol, row.bus, folder)
     baud = table.integer("baud", 115200, low=1)
     rate = table.number("rate_hz", positive=True)
     forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
     lever_arm = (forward, starboard, down)
-    options = {"bitrate": 0, **read_options(table, DEVICES[protocol].options, folder)}
+    options = {"bitrate": 0, **read_options(table, row.options, folder)}
     table.done()
     return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
 
 
-def _port(table: TomlTable, protocol: str, folder: Path) -> str:
+def _device_without_protocol(name: str, protocol: str, table: TomlTable) -> Device:
+    """Return a device of a log whose protocol is not installed; keys of the protocol are not checked."""
+    rate = table.number("rate_hz", positive=True)
+    forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
+    port, baud = table.text("port"), table.integer("baud", 115200, low=1)
+    return Device(name, protocol, port, baud, 0, rate, lever_arm_m=(forward, starboard, down))
+
+
+def _port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
     port = table.text("port")
     kind, colon, rest = port.partition(":")
-    if DEVICES[protocol].bus == CAN:
+    if bus == CAN:
         if kind not in ("slcan", "socketcan") or not rest:
             raise table.error("port", f"must be slcan:SERIAL or socketcan:NAME, not '{port}'")
         return port if kind == "socketcan" else f"slcan:{folder / rest}"
@@ -206,9 +235,13 @@ def _address(table: TomlTable, port: str) -> str:
 def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
     """The fields of `seatrial.daq.rig.Device` that these keys of a device's table give. Raises SeatrialError."""
     found: dict[str, Any] = {}
+    settings: dict[str, str | float | bool] = {}  # of a protocol of another package, which checks them itself
     for name in names:
-        found |= _READ[name](table, folder)
-    return found
+        if name in _READ:
+            found |= _READ[name](table, folder)
+        elif name in table.values:
+            settings[name] = table.scalar(name)
+    return {**found, "settings": settings} if settings else found
 
 
 def _bitrate(table: TomlTable, folder: Path) -> dict[str, Any]:

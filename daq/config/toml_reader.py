@@ -126,6 +126,13 @@ class TomlTable:
         self._check_range(key, number, low, high)
         return number
 
+    def scalar(self, key: str, default: object = _MISSING) -> str | float | bool:
+        """Return a text, a finite number, true or false."""
+        value = self._take(key, default)
+        if isinstance(value, (str, bool)):
+            return value
+        return self._finite(key, value)
+
     def maybe_number(self, key: str, low: float | None = None, high: float | None = None) -> float | None:
         """As `number`, or None where the key is absent."""
         return self.number(key, low=low, high=high) if key in self.values else None

@@ -139,7 +139,7 @@ class Log:
         if data is None:
             return None
         try:
-            return parse_rig(data.decode(), self.path.parent / f"{self.path.name}:rig.toml")
+            return parse_rig(data.decode(), self.path.parent / f"{self.path.name}:rig.toml", recorded=True)
         except UnicodeDecodeError as error:
             raise self._error("the rig.toml inside is not UTF-8 text") from error
 

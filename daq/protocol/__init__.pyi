@@ -14,8 +14,10 @@ from .canframe import FRAME_BYTES as FRAME_BYTES
 from .canframe import pack_can as pack_can
 from .catalogue import CAN as CAN
 from .catalogue import DEVICES as DEVICES
-from .catalogue import SERIAL_PROTOCOLS as SERIAL_PROTOCOLS
+from .catalogue import SERIAL as SERIAL
+from .catalogue import DeviceType as DeviceType
 from .catalogue import make_decoder as make_decoder
+from .catalogue import serial_protocols as serial_protocols
 from .decoder import DatagramDecoder as DatagramDecoder
 from .decoder import Decoder as Decoder
 from .dronecan import NUMBERS as NUMBERS

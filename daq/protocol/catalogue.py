@@ -5,11 +5,16 @@ A decoder's module is imported when the decoder is made, so that reading a rig f
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
+from seatrial.daq.errors import SeatrialWarning
+from seatrial.daq.plugins import load_or_warn, load_plugin, plugins
 from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.rig import Device, Rig
+
+GROUP = "seatrial.protocols"  # entry points by which other packages add protocols
 
 SERIAL, CAN, NET = "serial", "can", "net"  # NET: a serial device or a socket
 GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
@@ -18,10 +23,12 @@ GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
 class DeviceType(NamedTuple):
     """One protocol: its description, its bus, its keys in the rig file, its decoder."""
 
-    says: str
-    bus: str  # SERIAL, CAN or NET: what its port may be
+    says: str  # description, for lists of devices
+    bus: str  # SERIAL, CAN or NET: the kind of its port
     make: Callable[[Device, Rig], Decoder]
-    options: tuple[str, ...] = ()  # keys of [[device]], read by seatrial.daq.config.rig_file
+    # Keys of [[device]] that the protocol has beside the common ones. The built-in ones are checked by
+    # seatrial.daq.config.rig_file; others are passed on in `Device.settings`.
+    options: tuple[str, ...] = ()
     bauds: tuple[int, ...] = ()  # what `seatrial devices` tries, the commonest first; none: it cannot be recognised
 
 
@@ -105,7 +112,7 @@ def _nmea2000(device: Device, rig: Rig) -> Decoder:
     return nmea2000.Decoder(device.declination)
 
 
-DEVICES: dict[str, DeviceType] = {
+BUILT_IN: dict[str, DeviceType] = {
     "vectornav": DeviceType(
         "VectorNav AHRS, ASCII and binary", SERIAL, _vectornav, (), (115200, 921600, 460800, 230400)
     ),
@@ -131,9 +138,48 @@ DEVICES: dict[str, DeviceType] = {
         "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600)
     ),
 }  # fmt: skip
-SERIAL_PROTOCOLS = tuple(name for name, row in DEVICES.items() if row.bus == SERIAL)
+
+
+class DeviceTypes(Mapping[str, DeviceType]):
+    """Protocols by name: the built-in ones, then those of other packages.
+
+    The package of a protocol is imported when its row is asked for. `SeatrialError` is raised if that fails.
+    """
+
+    def __getitem__(self, name: str) -> DeviceType:
+        if name in BUILT_IN:
+            return BUILT_IN[name]
+        return load_plugin(plugins(GROUP)[name], DeviceType)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from BUILT_IN
+        for name in plugins(GROUP):
+            if name in BUILT_IN:
+                warnings.warn(
+                    f"a package adds a protocol {name!r} to {GROUP}, which is built in; it is left out: rename it",
+                    SeatrialWarning,
+                    stacklevel=2,
+                )
+            else:
+                yield name
+
+    def __len__(self) -> int:
+        return len(set(BUILT_IN) | set(plugins(GROUP)))
+
+    def usable(self) -> dict[str, DeviceType]:
+        """Return all rows. A package that cannot be imported is left out with a warning."""
+        rows = {name: BUILT_IN.get(name) or load_or_warn(plugins(GROUP)[name], DeviceType) for name in self}
+        return {name: row for name, row in rows.items() if row is not None}
+
+
+DEVICES = DeviceTypes()
+
+
+def serial_protocols() -> tuple[str, ...]:
+    """Return the names of the protocols of serial devices."""
+    return tuple(name for name, row in DEVICES.usable().items() if row.bus == SERIAL)
 
 
 def make_decoder(device: Device, rig: Rig) -> Decoder:
-    """The decoder for a device of the rig."""
+    """Return a new decoder for a device of the rig."""
     return DEVICES[device.protocol].make(device, rig)

@@ -128,7 +128,7 @@ def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
     """The baud rates to try, the likeliest first."""
     if wanted:
         return list(wanted)
-    rows = [row.bauds for row in DEVICES.values() if row.bauds] + [SLCAN_BAUDS]
+    rows = [row.bauds for row in DEVICES.usable().values() if row.bauds] + [SLCAN_BAUDS]
     places: dict[int, float] = {}
     for bauds in rows:
         for k, baud in enumerate(bauds):
@@ -140,12 +140,13 @@ def identify_protocol(
     path: str, description: str = "", *, bauds: Sequence[int] = (), listen: float = LISTEN_S
 ) -> DiscoveredDevice:
     """Listen on a port at one baud rate after the other. Nothing is ever sent: the device is unknown."""
+    types = DEVICES.usable()
     answered_at: list[int] = []
     framed: list[str] = []  # protocols whose checksums were right, without one sample
     hint = ""
     for baud in baud_rates(bauds):
         # A rate that the user names is tried with every protocol: devices are set to other rates than their usual ones.
-        candidates = [_Listener(name) for name, row in DEVICES.items() if baud in row.bauds or (bauds and row.bauds)]
+        candidates = [_Listener(name) for name, row in types.items() if baud in row.bauds or (bauds and row.bauds)]
         candidates += [_Listener(SLCAN)] if baud in SLCAN_BAUDS or bauds else []
         port = SerialPort(path, baud)
         try:
@@ -161,7 +162,7 @@ def identify_protocol(
         framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= LINES]
         best = max(candidates, key=_Listener.score, default=None)
         if best is not None and best.score() > (0.0, 0):
-            says = "CAN adapter (slcan), its channel open" if best.protocol == SLCAN else DEVICES[best.protocol].says
+            says = "CAN adapter (slcan), its channel open" if best.protocol == SLCAN else types[best.protocol].says
             says += best.condition
             return DiscoveredDevice(path, description, best.protocol, baud, best.rate(), says, hint)
     if framed:

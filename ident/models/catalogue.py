@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.plugins import load_plugin, plugins
 from seatrial.ident.model import Model
 from seatrial.ident.models.components import current_walk
 from seatrial.ident.models.user_code import check_user_model, load_object
 
 BUILT_IN = ("horizontal", "nomoto", "kinematic", "surge", "yaw", "thruster")
+GROUP = "seatrial.models"  # entry points by which other packages add models
 # What may follow the name, each in its place: surge:shaft:speed, yaw:both.
 OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "surge": (("force", "shaft"), ("position", "speed", "both")),
@@ -72,7 +74,7 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     """
     kind, *options = source.split(":")
     if kind not in BUILT_IN:
-        raise SeatrialError(f"no model {source!r}: there are {', '.join(BUILT_IN)}, or FILE.py:NAME for your own")
+        return _plugin_model(source, kind, options)
     if kind == "horizontal":
         return _horizontal(source, options, sensors)
     if kind == "thruster" and (options in ([], ["slow"]) or _is_step(options)):
@@ -91,6 +93,28 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
             known = f"there is {', '.join(allowed)}" if allowed else "it takes no more"
             raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} there; {known}")
     return maker(*options)
+
+
+def _plugin_model(source: str, kind: str, options: Sequence[str]) -> Model:
+    """Return a model of another package: the result of its function, called with the options behind the name.
+
+    Raises
+    ------
+    SeatrialError
+        If no package has such a model, or if its function fails or does not return a Model.
+    """
+    point = plugins(GROUP).get(kind)
+    if point is None:
+        names = ", ".join((*BUILT_IN, *plugins(GROUP)))
+        raise SeatrialError(f"no model {source!r}: there are {names}, or FILE.py:NAME for your own")
+    make: Callable[..., Any] = load_plugin(point, Callable)  # type: ignore[arg-type]
+    try:
+        model = make(*options)
+    except Exception as error:  # code of others may raise anything
+        raise SeatrialError(f"model {source!r} ({point.value}): {type(error).__name__}: {error}") from error
+    if not isinstance(model, Model):
+        raise SeatrialError(f"model {source!r} ({point.value}) is a {type(model).__name__}, not a seatrial Model")
+    return replace(model, source=source)  # model.toml finds the model again by its source
 
 
 def _is_step(options: Sequence[str]) -> bool:
