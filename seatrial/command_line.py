@@ -64,6 +64,11 @@ COMMANDS = {
     "ident": Row("seatrial.ident.cli.commands:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
     "mock": Row("seatrial.mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
 }
+# The modules that an extra of the installation brings (pyproject.toml).
+EXTRAS = {
+    "ident": ("casadi", "jinja2", "joblib", "llvmlite", "plotly", "scipy"),
+    "mavlink": ("pymavlink",),
+}
 # Commands of one part in the group of another: the parts do not import each other.
 ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}
 
@@ -104,11 +109,9 @@ class LazyGroup(click.Group):
 
 
 def _needs(what: str, missing: str) -> str:
-    """The line for a library that this installation lacks, as a lean one does."""
-    return (
-        f"{what} needs the Python module {missing}, which is not installed; "
-        "a lean installation only logs and runs: install seatrial with all its dependencies"
-    )
+    """Return the line for a library that is not installed, with the extra that installs it."""
+    extra = next((extra for extra, modules in EXTRAS.items() if missing.partition(".")[0] in modules), "all")
+    return f"{what} needs the Python module {missing}, which is not installed: pip install 'seatrial[{extra}]'"
 
 
 def _load(name: str, target: str) -> click.Command:

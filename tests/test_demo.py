@@ -147,7 +147,8 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
 
 # The demo as it is installed, but with missions of 70 and 50 s: `make study` runs it at full length.
 SHORT_DEMO = """
-import sys, seatrial
+import sys
+from seatrial import command_line
 from seatrial.bench import demo
 demo.ESTIMATION_S, demo.VALIDATION_S = 70.0, 50.0
 command_line.main(sys.argv[1:])

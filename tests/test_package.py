@@ -19,6 +19,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from seatrial import command_line
+
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
 BESIDE = ("docs", "tests", "benchmarks")
@@ -129,18 +131,28 @@ def names_of(requirements: Sequence[str]) -> set[str]:
     return {match.group() for match in found if match}
 
 
-def needed_to_explain() -> set[str]:
-    """The dependencies that logging and running do without; each is imported by the name it is installed by."""
+def extra(name: str) -> set[str]:
+    """Return the libraries of an extra; each is imported by the name it is installed by."""
     table = project()
-    whole, core = table["project"]["dependencies"], table["dependency-groups"]["core"]  # type: ignore[index]
-    assert set(core) <= set(whole), "the group core repeats lines of the dependencies"
-    return names_of(whole) - names_of(core)
+    return names_of(table["project"]["optional-dependencies"][name])  # type: ignore[index]
 
 
-def test_the_lean_group_leaves_out_what_only_explains() -> None:
-    extra = needed_to_explain()
-    assert {"scipy", "casadi", "plotly", "llvmlite"} <= extra
-    assert all(importlib.util.find_spec(name) for name in extra)
+def test_the_default_installation_has_no_library_of_an_extra() -> None:
+    default = names_of(project()["project"]["dependencies"])  # type: ignore[index]
+    assert not default & (extra("ident") | extra("mavlink"))
+    assert all(importlib.util.find_spec(name) for name in extra("ident") | extra("mavlink"))
+
+
+def test_an_error_line_names_the_extra_of_every_library() -> None:
+    assert {name: set(modules) for name, modules in command_line.EXTRAS.items()} == {
+        name: extra(name) for name in ("ident", "mavlink")
+    }
+
+
+def test_all_has_every_extra_but_those_of_development() -> None:
+    table = project()["project"]["optional-dependencies"]  # type: ignore[index]
+    (line,) = table["all"]
+    assert line == f"seatrial[{','.join(sorted(set(table) - {'all', 'dev', 'docs'}))}]"
 
 
 # Blocks the libraries in argv[1], imports every module of what measures and excites, then runs command lines.
@@ -149,12 +161,16 @@ import importlib, json, pkgutil, sys
 
 blocked = set(json.loads(sys.argv[1]))
 
-class Missing:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in blocked:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+class Without:
+    # A finder of modules that does not find the blocked ones.
 
-sys.meta_path.insert(0, Missing())
+    def __init__(self, finder):
+        self.finder = finder
+
+    def find_spec(self, name, path=None, target=None):
+        return None if name.partition(".")[0] in blocked else self.finder.find_spec(name, path, target)
+
+sys.meta_path[:] = [Without(finder) for finder in sys.meta_path]
 from seatrial import command_line
 
 for part in ("daq", "bench", "mocks"):
@@ -167,6 +183,14 @@ for line in json.loads(sys.argv[2]):
     except SystemExit as left:
         print("status", left.code, flush=True)
 """
+AUTOPILOT = """format = "seatrial-rig 1"
+name = "rover"
+[[device]]
+name = "autopilot"
+protocol = "mavlink"
+port = "udpin:127.0.0.1:14550"
+rate_hz = 10.0
+"""
 MAP = """format = "seatrial-import-csv 1"
 [time]
 column = "t"
@@ -177,7 +201,7 @@ unit = "m/s"
 """
 
 
-def test_measuring_and_exciting_work_without_the_libraries_of_explaining(tmp_path: Path) -> None:
+def test_measuring_and_exciting_work_in_the_default_installation(tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(MAP, encoding="utf-8")
     (tmp_path / "run.csv").write_text("t,u\n" + "".join(f"{k},{0.1 * k}\n" for k in range(9)), encoding="utf-8")
     lines = [
@@ -188,12 +212,20 @@ def test_measuring_and_exciting_work_without_the_libraries_of_explaining(tmp_pat
         ["mission", "show", "mission.toml"],
         *([*words, "--help"] for words in (["log"], ["check"], ["bench", "all"], ["mission", "run"], ["mock", "boat"])),
         ["ident", "vehicle", "run.mcap", "--out", "vehicle"],
+        ["check", "autopilot.toml"],
+        ["export", "mat", "run.mcap", "--out", "run.mat"],
     ]
-    words = ["-W", "ignore", "-c", LEAN, json.dumps(sorted(needed_to_explain())), json.dumps(lines)]
+    (tmp_path / "autopilot.toml").write_text(AUTOPILOT, encoding="utf-8")
+    blocked = extra("ident") | extra("mavlink") | extra("matlab")
+    words = ["-W", "ignore", "-c", LEAN, json.dumps(sorted(blocked)), json.dumps(lines)]
     done = python(words, tmp_path, PYTHONPATH=str(ROOT))
     statuses = [line for line in done.stdout.splitlines() if line.startswith("status")]
-    assert statuses == ["status 0"] * (len(lines) - 1) + ["status 1"], done.stdout + done.stderr
-    assert re.search(r"needs the Python module \w+, which is not installed; a lean installation", done.stderr)
+    assert statuses == ["status 0"] * (len(lines) - 3) + ["status 1"] * 3, done.stdout + done.stderr
+    assert re.search(
+        r"needs the Python module \w+, which is not installed: pip install 'seatrial\[ident\]'", done.stderr
+    )
+    assert "protocol: mavlink needs the Python module pymavlink: pip install 'seatrial[mavlink]'" in done.stderr
+    assert "MATLAB files need the package scipy: pip install 'seatrial[matlab]'" in done.stderr
     assert "Traceback" not in done.stderr
 
 
@@ -226,7 +258,7 @@ class Environment:
 @pytest.mark.timeout(1800)
 def test_the_wheel_in_an_empty_environment_runs_the_demo(built: Built, tmp_path: Path) -> None:
     environment = Environment(tmp_path / "environment")
-    environment.pip(str(built.wheel))
+    environment.pip(f"{built.wheel}[ident]")
     ran = environment.seatrial(tmp_path, "demo", "--seed", "1", "--speed", "8", "--out", "demo")
     assert ran.returncode == 0, ran.stdout + ran.stderr
     assert (tmp_path / "demo/diagnosis/report.html").is_file()
@@ -235,12 +267,9 @@ def test_the_wheel_in_an_empty_environment_runs_the_demo(built: Built, tmp_path:
 
 @pytest.mark.study
 @pytest.mark.timeout(900)
-def test_the_lean_installation_of_the_docs_runs_what_it_says(built: Built, tmp_path: Path) -> None:
+def test_the_default_installation_of_the_docs_runs_what_it_says(built: Built, tmp_path: Path) -> None:
     environment = Environment(tmp_path / "environment")
-    (source,) = (built.wheel.parent / "unpacked").iterdir()
-    environment.pip("--upgrade", "pip")  # groups are known since 25.1
-    environment.pip("--group", f"{source / 'pyproject.toml'}:core")
-    environment.pip("--no-deps", str(built.wheel))
+    environment.pip(str(built.wheel))
     assert environment.seatrial(tmp_path, "mission", "generate", "--seed", "1", "-o", "m.toml").returncode == 0
     shutil.copy(ROOT / "mocks/rigs/boat.toml", tmp_path)
     checked = environment.seatrial(tmp_path, "check", "boat.toml", "--seconds", "0.5")
@@ -249,4 +278,4 @@ def test_the_lean_installation_of_the_docs_runs_what_it_says(built: Built, tmp_p
     assert faults == [["fault", device] for device in ("ahrs", "gnss", "esc")]
     refused = environment.seatrial(tmp_path, "mission", "design", "horizontal:shaft", "--out", "designed.toml")
     assert refused.returncode == 1
-    assert "is not installed; a lean installation only logs and runs" in refused.stderr
+    assert "which is not installed: pip install 'seatrial[ident]'" in refused.stderr

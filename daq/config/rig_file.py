@@ -192,6 +192,10 @@ def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
         if not recorded:
             raise
         return _device_without_protocol(name, protocol, table)
+    if not row.installed and not recorded:
+        raise table.error(
+            "protocol", f"{protocol} needs the Python module {row.module}: pip install 'seatrial[{protocol}]'"
+        )
     port = _port(table, protocol, row.bus, folder)
     baud = table.integer("baud", 115200, low=1)
     rate = table.number("rate_hz", positive=True)

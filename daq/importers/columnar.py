@@ -14,6 +14,7 @@ from seatrial.daq.importers.matlab_values import Hdf5Variables, MatlabObject, Ve
 from seatrial.daq.importers.own_hdf5 import refuse_data_of_other_files
 from seatrial.daq.importers.table import Column, SourceOptions, Table
 
+_SCIPY = "MATLAB files need the package scipy: pip install 'seatrial[matlab]'"
 _H5PY = "MATLAB files of version 7.3 need the package h5py: pip install 'seatrial[matlab]'"
 _PYARROW = "Parquet needs the package pyarrow: pip install 'seatrial[parquet]'"
 WIDEST = 16  # columns of a matrix that are taken
@@ -108,7 +109,10 @@ def _workspace(path: Path) -> Iterator[tuple[str, Any]]:
             refuse_data_of_other_files(path, file)
             yield from Hdf5Variables(file).items()
         return
-    from scipy.io import loadmat
+    try:
+        from scipy.io import loadmat
+    except ModuleNotFoundError as error:
+        raise SeatrialError(_SCIPY) from error
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of objects that it cannot read; they are left out

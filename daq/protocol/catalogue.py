@@ -5,6 +5,7 @@ A decoder's module is imported when the decoder is made, so that reading a rig f
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
@@ -29,7 +30,14 @@ class DeviceType(NamedTuple):
     # Keys of [[device]] that the protocol has beside the common ones. The built-in ones are checked by
     # seatrial.daq.config.rig_file; others are passed on in `Device.settings`.
     options: tuple[str, ...] = ()
-    bauds: tuple[int, ...] = ()  # what `seatrial devices` tries, the commonest first; none: it cannot be recognised
+    bauds: tuple[int, ...] = ()  # that `seatrial devices` tries, the commonest first; empty if it cannot be recognised
+    # Python module that an extra named like the protocol installs; "" if the protocol needs none.
+    module: str = ""
+
+    @property
+    def installed(self) -> bool:
+        """Whether the Python module that the protocol needs is installed."""
+        return not self.module or importlib.util.find_spec(self.module) is not None
 
 
 def _vectornav(device: Device, rig: Rig) -> Decoder:
@@ -135,7 +143,7 @@ BUILT_IN: dict[str, DeviceType] = {
     "dronecan": DeviceType("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node", "index_offset")),
     "nmea2000": DeviceType("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
     "mavlink": DeviceType(
-        "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600)
+        "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600), "pymavlink",
     ),
 }  # fmt: skip
 
@@ -167,9 +175,12 @@ class DeviceTypes(Mapping[str, DeviceType]):
         return len(set(BUILT_IN) | set(plugins(GROUP)))
 
     def usable(self) -> dict[str, DeviceType]:
-        """Return all rows. A package that cannot be imported is left out with a warning."""
+        """Return the rows of protocols whose libraries are installed.
+
+        A package that cannot be imported is left out with a warning.
+        """
         rows = {name: BUILT_IN.get(name) or load_or_warn(plugins(GROUP)[name], DeviceType) for name in self}
-        return {name: row for name, row in rows.items() if row is not None}
+        return {name: row for name, row in rows.items() if row is not None and row.installed}
 
 
 DEVICES = DeviceTypes()

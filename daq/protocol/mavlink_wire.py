@@ -11,6 +11,8 @@ import struct
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import fastcrc
+
 from seatrial.daq.errors import SeatrialError
 
 MARKER_1, MARKER_2 = 0xFE, 0xFD
@@ -22,26 +24,9 @@ ESC_STATUS = 291  # the message's number
 ESC_STATUS_SEED = 10  # of its checksum
 
 
-def _table() -> list[int]:
-    """CRC-16/MCRF4XX a byte at a time."""
-    out = []
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0x8408 if crc & 1 else 0)
-        out.append(crc)
-    return out
-
-
-_CRC = _table()
-
-
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
-    """CRC-16/MCRF4XX, MAVLink's checksum."""
-    table = _CRC
-    for byte in data:
-        crc = crc >> 8 ^ table[(crc ^ byte) & 0xFF]
-    return crc
+    """Return CRC-16/MCRF4XX, the checksum of MAVLink; `crc` is that of the bytes before."""
+    return int(fastcrc.crc16.mcrf4xx(data, crc))
 
 
 @functools.cache
@@ -132,7 +117,7 @@ def is_whole(frame: bytes, found: Head) -> bool:
     known = _known(found.message_id)
     if known is not None:
         return crc16(bytes([known[0]]), crc) == int(said)
-    return any(crc >> 8 ^ entry == said for entry in _CRC)
+    return any(crc16(bytes([seed]), crc) == said for seed in range(256))
 
 
 class Codec:

@@ -81,7 +81,10 @@ def _rows_of(table: Resampled, name: str) -> LogTable:
 
 
 def _mat(path: Path, table: Resampled) -> None:
-    from scipy.io import savemat
+    try:
+        from scipy.io import savemat
+    except ModuleNotFoundError as error:
+        raise SeatrialError("MATLAB files need the package scipy: pip install 'seatrial[matlab]'") from error
 
     names = _identifiers(table.columns, 63)  # as MATLAB has them
     columns = {names[name]: values for name, values in table.columns.items()}
@@ -90,7 +93,10 @@ def _mat(path: Path, table: Resampled) -> None:
 
 
 def _netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
-    from scipy.io import netcdf_file
+    try:
+        from scipy.io import netcdf_file
+    except ModuleNotFoundError as error:
+        raise SeatrialError("NetCDF needs the package scipy: pip install 'seatrial[matlab]'") from error
 
     names = _identifiers(table.columns, 255)
     with netcdf_file(path, "w") as file:
