@@ -20,7 +20,7 @@ from seatrial.ident.models.catalogue import KNOWN_SIGNALS, make_model
 from seatrial.ident.models.horizontal import SENSORS
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 SCRIPTS = sorted((ROOT / "docs").rglob("*.sh"))
 FOLDERS = ("daq/", "bench/", "ident/", "mocks/", "tests/", "docs/")
 # What a reader of a how-to is to write, and what the commands of the docs write.

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
 BESIDE = ("docs", "tests", "benchmarks")
 SINGLE = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md", "Makefile")
-LOCKED = ("constraints.txt", "mkdocs.yml")
+LOCKED = ("constraints.txt", "mkdocs.yml", "CONTRIBUTING.md", "SECURITY.md", "CITATION.cff")
 DATA = {".typed", ".dbc", ".msg", ".toml", ".css", ".js", ".j2"}
 BUILD = """
 import sys
