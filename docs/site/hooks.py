@@ -1,10 +1,13 @@
-"""What MkDocs does not do by itself: a page that the navigation does not name goes into the section of its folder."""
+"""Hooks of MkDocs: pages that the navigation does not name go into the section of their folder; equations to MathML."""
 
 from __future__ import annotations
 
+import html
+import re
 from pathlib import Path
 from typing import Any
 
+from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
@@ -36,6 +39,20 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
                 raise ValueError(f"mkdocs.yml: no section {title!r} for docs/{page.src_uri}")
             section.append(page.src_uri)
     return files
+
+
+EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+
+
+def on_page_content(text: str, **_: Any) -> str:
+    """Replace each equation in TeX by MathML, which browsers draw without a script and without the network."""
+
+    def mathml(found: re.Match[str]) -> str:
+        # The converter knows the environment align*, GitHub knows aligned inside of $$; they look the same.
+        tex = html.unescape(found[2]).strip().replace("{aligned}", "{align*}")
+        return str(convert(tex, display="block" if found[1] == "div" else "inline"))
+
+    return EQUATION.sub(mathml, text)
 
 
 def _paths(nav: Any) -> list[str]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from itertools import product
-from typing import Any
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -70,81 +73,16 @@ def turning_record(seed: int = 0, n_rows: int = 120, name: str = "run") -> Recor
     return Record(name, t, u, u_next, y, ("N",), ("psi", "gyro", "second"))
 
 
-class NumpyFilter:
-    """The extended Kalman filter once more, with plain numpy, joint updates and finite-difference Jacobians.
-
-    f(x, u) and h(x, u) are the model's; the sensors of a row come one after the other, as they do in
-    ``seatrial.ident.estimation.likelihood``.
-    """
-
-    def __init__(
-        self,
-        f: Callable[[Any, Any], Any],
-        h: Callable[[Any, Any], Any],
-        Q: np.ndarray,
-        R: np.ndarray,
-        sensors: list[list[int]],
-        angles: set[int],
-        second_order: bool = False,
-    ) -> None:
-        self.f, self.h, self.Q, self.R, self.sensors, self.angles = f, h, Q, R, sensors, angles
-        self.second_order = second_order
-
-    @staticmethod
-    def jacobian(f: Callable[[Any], Any], x: np.ndarray) -> np.ndarray:
-        """Central differences with a complex-free step, Richardson-extrapolated."""
-
-        def central(e: float) -> np.ndarray:
-            return np.column_stack([(f(x + e * d) - f(x - e * d)) / (2 * e) for d in np.eye(x.size)])
-
-        return (4 * central(5e-4) - central(1e-3)) / 3
-
-    def value(self, record: Record, x: np.ndarray, P: np.ndarray) -> float:
-        total = 0.0
-        for k in range(record.n_rows):
-            for sensor in self.sensors:
-                if np.isfinite(record.y[k, sensor]).all():
-                    x, P, ll = self.update(x, P, record.y[k, sensor], record.u[k], sensor)
-                    total += ll
-            if k + 1 < record.n_rows:
-                x, P = self.predict(x, P, record.u[k], record.u_next[k], record.t[k + 1] - record.t[k])
-        return total
-
-    def update(self, x: Any, P: Any, y: Any, u: Any, sensor: list[int]) -> tuple[np.ndarray, np.ndarray, float]:
-        e = y - self.h(x, u)[sensor]
-        for i, output in enumerate(sensor):
-            if output in self.angles:
-                e[i] = math.remainder(e[i], 2 * math.pi)
-        H = self.jacobian(lambda z: self.h(z, u)[sensor], x)
-        S = H @ P @ H.T + np.diag(self.R[sensor])
-        K = np.linalg.solve(S, H @ P).T
-        ll = -0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1] + e.size * math.log(2 * math.pi))
-        return x + K @ e, P - K @ S @ K.T, ll
-
-    def predict(self, x: Any, P: Any, u: Any, u_next: Any, h: float) -> tuple[np.ndarray, np.ndarray]:
-        middle = (u + u_next) / 2
-        k1 = self.f(x, u)
-        k2 = self.f(x + h / 2 * k1, middle)
-        x3 = x + h / 2 * k2
-        k3 = self.f(x3, middle)
-        k4 = self.f(x + h * k3, u_next)
-        A = h * self.jacobian(lambda z: self.f(z, middle), x3)
-        identity = np.eye(x.size)
-        Phi = identity + A + A @ A / 2 + A @ A @ A / 6
-        half = identity + A / 2 + A @ A / 8
-        Q = h / 6 * (Phi @ self.Q @ Phi.T + 4 * half @ self.Q @ half.T + self.Q)
-        end, P_end = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), Phi @ P @ Phi.T + Q
-        if self.second_order:
-            end = end + h * self.curvature(lambda z: self.f(z, middle), x3, (P + P_end) / 2)
-        return end, P_end
-
-    @staticmethod
-    def curvature(f: Callable[[Any], Any], x: np.ndarray, P: np.ndarray) -> np.ndarray:
-        """Half the trace of P with the second derivatives of f, along the principal axes of P."""
-        w, V = np.linalg.eigh(P)
-        e = 1e-3
-        bent = [(f(x + e * v) - 2 * f(x) + f(x - e * v)) / e**2 for v in V.T]
-        return np.asarray(sum(a * b for a, b in zip(w, bent, strict=True)) / 2)
+def reference_filter() -> ModuleType:
+    """Return the filter in plain numpy that the documentation shows (docs/examples/reference_ekf.py)."""
+    path = Path(__file__).resolve().parents[2] / "docs/examples/reference_ekf.py"
+    spec = importlib.util.spec_from_file_location("reference_ekf", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its named tuple looks for its module
+    spec.loader.exec_module(module)
+    return module
 
 
 def best_start(model: Model, records: Sequence[Record], grid: Mapping[str, Sequence[float]]) -> dict[str, float]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,23 +16,59 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from tests.ident.toys import NumpyFilter, turning, turning_record, values_of
+from tests.ident.toys import reference_filter, turning, turning_record, values_of
 
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r", "psi0", "sd0")
 
 
+REFERENCE = reference_filter()
+
+
 def numpy_value(record: Record, v: np.ndarray, *, second_order: bool = False) -> float:
+    """Return the log-likelihood of a record of `turning` by the reference filter."""
     p = dict(zip(FREE, v, strict=True))
-    reference = NumpyFilter(
+    model = REFERENCE.ReferenceModel(
         f=lambda x, u: np.array([x[1], (u[0] - p["d"] * x[1] - p["dd"] * abs(x[1]) * x[1]) / p["m"]]),
         h=lambda x, u: np.array([x[0], x[1] + p["bias"], 2 * x[1] + 0.1 * u[0]]),
         Q=np.diag([0.02**2, p["q"] ** 2]),
         R=np.array([p["e_psi"], p["e_r"], p["e_r"]]) ** 2,
         sensors=[[0], [1, 2]],
         angles={0},
-        second_order=second_order,
     )
-    return reference.value(record, np.array([p["psi0"], 0.1]), np.diag([0.1**2, p["sd0"] ** 2]))
+    start = np.array([p["psi0"], 0.1]), np.diag([0.1**2, p["sd0"] ** 2])
+    with pytest.MonkeyPatch.context() as patch:
+        if second_order:
+            patch.setattr(REFERENCE, "predict", predict_second_order)
+        return float(REFERENCE.log_likelihood(model, record.t, record.u, record.y, *start))
+
+
+def predict_second_order(
+    model: Any,
+    x: np.ndarray,
+    P: np.ndarray,
+    u: np.ndarray,
+    u_next: np.ndarray,
+    h: float,
+    first: Any = REFERENCE.predict,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Add half the trace of P with the second derivatives of the rates to the mean, in the middle of the interval."""
+    middle = (u + u_next) / 2
+    x_middle = x + h / 2 * model.f(x + h / 2 * model.f(x, u), middle)
+    end, P_end = first(model, x, P, u, u_next, h)
+    w, V = np.linalg.eigh((P + P_end) / 2)  # along the principal axes of P
+    step = 1e-3
+    bent = [
+        (model.f(x_middle + step * v, middle) - 2 * model.f(x_middle, middle) + model.f(x_middle - step * v, middle))
+        / step**2
+        for v in V.T
+    ]
+    return end + h * np.asarray(sum(a * b for a, b in zip(w, bent, strict=True))) / 2, P_end
+
+
+def test_the_filter_of_the_documentation_is_this_one() -> None:
+    docs = Path(__file__).resolve().parents[3] / "docs"
+    code = (docs / "examples/reference_ekf.py").read_text(encoding="utf-8")
+    assert f"```python\n{code}```" in (docs / "theory/estimation.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("joseph", [False, True])
