@@ -1,6 +1,6 @@
 """What dies, on a real autopilot: faults by settings of its failsafes, and the parameters with which it is not driven.
 
-    python -m tests.bench.autopilot_faults --n 2 --out tests/bench/autopilot-faults.jsonl --docs docs/safety.md
+    python -m tests.bench.autopilot_faults --n 2 --out docs/data/autopilot-faults.jsonl --docs docs/safety.md
 
 Each trial is a mission of the public command against ArduPilot Rover in its own simulator (SEATRIAL_ARDUROVER) over a
 relay that can be cut, while another station beside it looks at the outputs 40 times a second. Trials are kept, all of

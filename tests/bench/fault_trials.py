@@ -1,6 +1,6 @@
 """Everything that can end a run, many times each, with the mock boat: is thrust zero in time, and does the log say why?
 
-    python -m tests.bench.fault_trials --n 100 --jobs 2 --out tests/bench/fault-trials.jsonl --docs docs/safety.md
+    python -m tests.bench.fault_trials --n 100 --jobs 2 --out docs/data/fault-trials.jsonl --docs docs/safety.md
 
 Each trial runs a mission on the mock boat behind real ports, waits until it turns, lets one thing fail at a random
 moment, and looks at when the thrusters stood (the mock's own trace) and at what the log says. Prints a table; exit

@@ -1,4 +1,6 @@
-"""MIP packets as the maker's own library reads them: `python -m tests.golden.mip_oracle` writes mip_oracle.jsonl anew.
+"""MIP packets as the maker's own library reads them.
+
+`python -m tests.golden.mip_oracle` writes docs/data/mip-oracle.jsonl anew.
 
 It needs pymscl (MicroStrain's MSCL), which not every system has wheels for: hence the file and not a dependency.
 Packets are random ones of each data set that our decoder reads, valid and not, and two that devices sent, published
@@ -19,7 +21,7 @@ from pathlib import Path
 
 from seatrial.daq.protocol import mip
 
-FILE = Path(__file__).with_suffix(".jsonl")
+FILE = Path(__file__).parents[2] / "docs/data/mip-oracle.jsonl"
 N = 30  # random packets of each data set
 NAMES = {  # of MSCL, and of the samples
     "scaledAccelX": "ax", "scaledAccelY": "ay", "scaledAccelZ": "az", "scaledGyroX": "p", "scaledGyroY": "q",

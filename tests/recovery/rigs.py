@@ -6,7 +6,7 @@
 Each case is a boat of its own with one effect or none, logged as the rig logs it (`rig_logs`), and the two commands of
 a user: `seatrial ident vehicle` and `seatrial ident diagnose`. Nothing but their result files is judged. A case is a
 line in the out file as soon as it is done; a study that was interrupted goes on where it was. That of all effects takes
-many hours: its cases are kept in `tests/recovery/rigs-effects.jsonl`, those of clean boats in `rigs-clean.jsonl` and
+many hours: its cases are kept in `docs/data/rigs-effects.jsonl`, those of clean boats in `rigs-clean.jsonl` and
 those of plants in `rigs-plants.jsonl` beside it, from which --out goes on. --docs writes the sections of which there
 are cases and leaves the others. Not all cases that are kept are of this state of the code: --again N draws N of those
 in the out file, runs them anew into a file beside it (`rigs-effects-again.jsonl`) and says which verdicts changed.

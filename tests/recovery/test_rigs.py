@@ -251,10 +251,10 @@ def test_the_house_rig_is_diagnosed_by_the_commands() -> None:
 
 
 def test_the_readme_has_the_figures_of_the_cases_that_are_kept() -> None:
-    here = Path(__file__).parent
-    clean, lacking = ([*read(here / f"rigs-{name}.jsonl").values()] for name in ("clean", "effects"))
+    root = Path(__file__).parents[2]
+    clean, lacking = ([*read(root / f"docs/data/rigs-{name}.jsonl").values()] for name in ("clean", "effects"))
     words, z = [verdict(r) for r in lacking], [z for r in clean for z in r["z"].values()]
-    readme = (here.parents[1] / "README.md").read_text(encoding="utf-8")
+    readme = (root / "README.md").read_text(encoding="utf-8")
     assert {verdict(r) for r in clean} == {rigs.RIGHT}
     assert f"({len(clean)} boats that lack nothing, on {len(RIGS)} kinds of rig: of none something is said" in readme
     assert f"{np.mean(np.abs(z) <= 3):.1%}".replace("%", " %") + " of the estimates are within three" in readme

@@ -54,13 +54,13 @@ def between(marks: tuple[str, str]) -> str:
 
 
 def test_the_tables_of_the_page_are_those_of_the_kept_trials() -> None:
-    assert between(MARKS) == page(Store(ROOT / "tests/bench/fault-trials.jsonl").results, KINDS).strip()
-    rows = autopilot_faults.kept(ROOT / "tests/bench/autopilot-faults.jsonl")
+    assert between(MARKS) == page(Store(ROOT / "docs/data/fault-trials.jsonl").results, KINDS).strip()
+    rows = autopilot_faults.kept(ROOT / "docs/data/autopilot-faults.jsonl")
     assert between(autopilot_faults.MARKS) == autopilot_faults.page(rows).strip()
 
 
 def test_every_fault_and_parameter_was_tried_on_a_real_autopilot_and_was_as_it_has_to_be() -> None:
-    rows = autopilot_faults.kept(ROOT / "tests/bench/autopilot-faults.jsonl")
+    rows = autopilot_faults.kept(ROOT / "docs/data/autopilot-faults.jsonl")
     assert [row for row in rows if not row.good] == []
     settings = autopilot_faults.SETTINGS
     wanted = {(fault.name, setting.name) for fault in autopilot_faults.FAULTS for setting in settings}
