@@ -1,0 +1,127 @@
+"""Size and start-up time of installations from the wheel: `python -m benchmarks.installation` (needs a network).
+
+Each installation gets a fresh environment with the locked versions. Sizes are of site-packages with byte code, without
+pip. casadi contains some libraries twice (casadi issue 3976); their size is printed as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import venv
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+EXTRAS = ("", "mavlink", "ident", "ros2", "all")
+N_STARTS = 5
+MB = 1e6
+
+
+class Installed(NamedTuple):
+    """One installation."""
+
+    size: float  # MB
+    twice: float  # MB of files that it contains a second time, under another name
+    import_s: float  # `import seatrial`, beyond an empty interpreter
+    help_s: float  # `seatrial --help`
+    problems: str  # of `pip check`
+
+
+def run(*words: str | Path) -> str:
+    """Run a program and return its output; an error ends the benchmark with what the program printed."""
+    done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, words))}\n{done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def build_wheel(folder: Path) -> Path:
+    """Build the wheel of the tree into a folder."""
+    code = f"from setuptools import build_meta; build_meta.build_wheel({str(folder)!r})"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    return wheel
+
+
+def locked_versions(folder: Path) -> Path:
+    """Write the locked versions without their hashes, as pip's -c takes them."""
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    path = folder / "versions.txt"
+    path.write_text("\n".join(line.removesuffix("\\").strip() for line in lines if re.match(r"\w", line)) + "\n")
+    return path
+
+
+def duplicated(site: Path) -> float:
+    """Return the size [MB] of large files whose content another file has as well."""
+    seen: set[str] = set()
+    total = 0
+    for path in sorted(site.rglob("*.so*")):
+        if path.is_symlink() or path.stat().st_size < MB:
+            continue
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        total += path.stat().st_size * (digest in seen)
+        seen.add(digest)
+    return total / MB
+
+
+def seconds(*words: str | Path) -> float:
+    """Return the least wall time [s] of a program in some starts."""
+    times = []
+    for _ in range(N_STARTS):
+        start = time.perf_counter()
+        run(*words)
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def measure(wheel: Path, versions: Path, extra: str, folder: Path) -> Installed:
+    """Install the wheel with an extra into a new environment and measure it."""
+    venv.create(folder, with_pip=True)
+    python = folder / "bin" / "python"
+    run(python, "-m", "pip", "install", "--quiet", "-c", versions, f"{wheel}[{extra}]" if extra else wheel)
+    (site,) = folder.glob("lib/python*/site-packages")
+    own = [
+        path for path in site.iterdir() if not re.match(r"(pip|setuptools|pkg_resources|_distutils_hack)\b", path.name)
+    ]
+    size = sum(file.lstat().st_size for path in own for file in (path.rglob("*") if path.is_dir() else [path]))
+    check = subprocess.run([python, "-m", "pip", "check"], capture_output=True, text=True, check=False).stdout.strip()
+    empty = seconds(python, "-c", "pass")
+    return Installed(
+        size / MB,
+        duplicated(site),
+        seconds(python, "-c", "import seatrial") - empty,
+        seconds(folder / "bin" / "seatrial", "--help"),
+        "" if check.startswith("No broken") else check,
+    )
+
+
+def main() -> None:
+    """Print a table of all installations."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--extras", default=",".join(EXTRAS), help="separated by commas; '' is the default installation"
+    )
+    extras = parser.parse_args().extras.split(",")
+    with tempfile.TemporaryDirectory(prefix="seatrial-installation-") as name:
+        folder = Path(name)
+        wheel, versions = build_wheel(folder), locked_versions(folder)
+        print(f"wheel {wheel.stat().st_size / MB:.1f} MB")
+        print("| installation | size, MB | of it twice, MB | import seatrial, s | seatrial --help, s | pip check |")
+        print("|---|---|---|---|---|---|")
+        for k, extra in enumerate(extras):
+            found = measure(wheel, versions, extra, folder / f"environment-{k}")
+            print(
+                f"| {f'`[{extra}]`' if extra else 'default'} | {found.size:.0f} | {found.twice:.0f} "
+                f"| {found.import_s:.3f} | {found.help_s:.2f} | {found.problems or 'clean'} |",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
