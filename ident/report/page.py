@@ -19,6 +19,7 @@ from seatrial.ident.report.blocks import Canvas, Section
 from seatrial.ident.report.drawing import TEMPLATE, Budget, Figure
 from seatrial.ident.results import Result
 
+PLOTLY = "plotly-cartesian.min.js"  # the bundle with lines, heat maps and bars (docs/decisions/0036-vendored-plotly.md)
 KINDS = {
     "thruster": "Thruster identification",
     "thrust_curve": "Thruster identification",
@@ -66,7 +67,7 @@ def compose(
     warnings: Sequence[str] = (),
 ) -> str:
     """A page of sections and the figures that they point at; ``answer`` is its headline, ``warnings`` above it."""
-    scripts = [_plotly(), _asset("report.js")] if figures else [_asset("report.js")]
+    scripts = [_asset(PLOTLY), _asset("report.js")] if figures else [_asset("report.js")]
     return (
         _environment()
         .get_template("report.html.j2")
@@ -120,9 +121,3 @@ def _policy(scripts: list[str]) -> str:
 
 def _asset(name: str) -> str:
     return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8").strip()
-
-
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs  # a second of import, for this alone
-
-    return str(get_plotlyjs()).replace("\r\n", "\n").replace("\r", "\n").strip()
