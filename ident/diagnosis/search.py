@@ -271,8 +271,10 @@ def _refused(
     if _far_apart(runs):
         apart = "it acts at a fixed point over ground, and the logs are too far apart for one origin of x and y"
         found = [UntestedCandidate(e, apart) for e in requested.values() if e.fixed_point and model.accepts(e)]
-    refused = [u.effect for u in found]
-    for effect in (e for name, e in requested.items() if in_catalogue.get(name) is not e and e not in refused):
+    user_defined = [e for name, e in requested.items() if in_catalogue.get(name) is not e]
+    for effect in user_defined:
+        if effect in [u.effect for u in found]:
+            continue
         reason = model.refusal(effect)
         lacking = ((run, lacking_inputs(model, effect, run)) for run in runs if reason is None)
         reason = next((f"{run.name} lacks its input {min(names)}" for run, names in lacking if names), reason)
