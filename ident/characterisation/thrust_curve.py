@@ -199,9 +199,9 @@ def _between_visits(force: Array, se: Array, level: NDArray[np.int_]) -> tuple[f
     """
     _, group, size = np.unique(level, return_inverse=True, return_counts=True)
     dof = level.size - size.size
-    apart = force - (np.bincount(group, force) / size)[group]
-    own = float(se**2 @ (1.0 - 1.0 / size[group]))
-    return max(float(apart @ apart) - own, 0.0) / max(dof, 1), dof
+    deviation = force - (np.bincount(group, force) / size)[group]
+    by_errors = float(se**2 @ (1.0 - 1.0 / size[group]))
+    return max(float(deviation @ deviation) - by_errors, 0.0) / max(dof, 1), dof
 
 
 def _zeroed(levels: Levels) -> Levels:

@@ -119,8 +119,8 @@ def comparison(before: FittedModel, after: FittedModel, effect: Effect) -> Compa
     """
     if any(p.per_record for p in effect.parameters):
         before, after = validated_in_blocks(before), validated_in_blocks(after)
-    known = {f.record for f in before.failed}
-    lost = [f for f in after.failed if f.record not in known]
+    failed_before = {f.record for f in before.failed}
+    lost = [f for f in after.failed if f.record not in failed_before]
     if lost:
         raise ValueError(f"{lost[0].record} cannot be evaluated with it: {lost[0].reason}")
     return Comparison(before, after)

@@ -41,7 +41,7 @@ REACH = 3.0  # a position is unknown if this many standard errors exceed its dis
 # Tolerance of a score below which the estimated parameters explain the effect. If the thrust is estimated, its
 # asymmetry explains a loss in reverse except 0.005 to 0.04 %. Other effects keep 0.3 % and more (tests/recovery).
 LEAST_TOLERANCE = 1e-3
-FORM_SHARE = 0.1  # a smaller share of the gain of an alternative effect may come from the difference of its form
+FORM_SHARE = 0.1  # a smaller gain, relative to that of an alternative, may only be the error of the alternative's form
 
 
 def assess_alternatives(
@@ -139,8 +139,8 @@ def _kin(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
 
     It applies only if several effects were added, because one effect may then explain all of them.
     """
-    kin = [s.name for s in left if s.name in effect.alternatives] if n_added > 1 else []
-    return [f"with it the score tests still find its alternative {kin[0]}"] if kin else []
+    alternatives = [s.name for s in left if s.name in effect.alternatives] if n_added > 1 else []
+    return [f"with it the score tests still find its alternative {alternatives[0]}"] if alternatives else []
 
 
 def _form(chosen: Sequence[Refit], refit: Refit) -> list[str]:
@@ -150,8 +150,8 @@ def _form(chosen: Sequence[Refit], refit: Refit) -> list[str]:
     alternative.
     """
     strong = [c.effect for c in chosen if refit.criterion < FORM_SHARE * c.criterion]
-    kin = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
-    return [f"it may only correct the formula of {kin[0].title}"] if kin else []
+    related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
+    return [f"it may only correct the formula of {related[0].title}"] if related else []
 
 
 def _own(effect: Effect, stage: FittedModel) -> list[str]:
@@ -162,7 +162,7 @@ def _own(effect: Effect, stage: FittedModel) -> list[str]:
         if p.per_record:
             by_name |= {q.full_name: q for q in (replace(p, segment=run) for run in range(len(stage.records)))}
     of_effect = {i: by_name[name] for i, name in enumerate(fit.names) if name in by_name}
-    stuck = {name for name, what in fit.flags if what == AT_BOUND}
+    stuck = {name for name, flag in fit.flags if flag == AT_BOUND}
     for p in of_effect.values():
         if p.full_name in stuck:
             name, value, _, unit = _reported(fit, p)
@@ -229,8 +229,8 @@ def _tables(chosen: Sequence[Refit], search_round: Round) -> list[str]:
     effect.
     """
     assert search_round.chosen is not None
-    own = search_round.chosen.effect.nonparametric_of
-    beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(own)]
+    curve = search_round.chosen.effect.nonparametric_of
+    beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(curve)]
     reasons = [f"{effect.title} had to be added beside it" for effect in beside]
     better = [
         q for q in search_round.refits if q.unknown and q.accepted and q.criterion > search_round.chosen.criterion
@@ -305,8 +305,8 @@ def _unpredictive(weight: EffectImportance | None) -> list[str]:
         return [f"the prediction without it could not be tested: {weight.untested}"]
     if weight is None or weight.predicts:
         return []
-    ahead = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
-    return [f"the prediction{ahead} is no better with it"]
+    horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
+    return [f"the prediction{horizon} is no better with it"]
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:

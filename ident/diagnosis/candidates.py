@@ -433,22 +433,22 @@ def normal_equations(
         TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
         for r, v in zip(records, stage.estimation, strict=True)
     ]
-    seen = [variables(model, p.own, p.x, p.values) for p in paths]
-    among = spline_bases(model, {name: np.concatenate([v[name] for v in seen]) for name in seen[0]})
+    by_record = [variables(model, p.own, p.x, p.values) for p in paths]
+    among = spline_bases(model, {name: np.concatenate([v[name] for v in by_record]) for name in by_record[0]})
     normal: NormalEquations | None = None
     places: list[ColumnIndex] = []
     for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
-        own, begun = [j for j, p in enumerate(fitted) if p.segment in (None, i)], list[Array]()
+        indices, carried = [j for j, p in enumerate(fitted) if p.segment in (None, i)], list[Array]()
         for rows in whole_blocks(path.own.t, model.block):
             part = path.part(slice(rows.start, rows.stop + 1))  # and the row at which the last interval ends
-            along = np.stack([part.parameter(fitted[j].name) for j in own], axis=2)
+            along = np.stack([part.parameter(fitted[j].name) for j in indices], axis=2)
             columns = all_columns(part, candidates, among)
             carrier = SensitivityFilter(view.run, path.own, part.jacobian, rows)
-            g, slim = propagate_sensitivities(carrier, along, columns, begun)
+            g, slim = propagate_sensitivities(carrier, along, columns, carried)
             if normal is None:
                 places, total = place(slim, len(fitted), len(records))
                 normal = NormalEquations([str(k) for k in range(total)])
-            at = own + [k for where in places for k in where.of_record(i)]
+            at = indices + [k for where in places for k in where.of_record(i)]
             normal.add(at, g, carrier.e, block_index(carrier.t, model.block))
     assert normal is not None
     return normal, places

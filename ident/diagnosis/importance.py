@@ -54,14 +54,14 @@ def effect_importance(
         return ()
     fitted = {frozenset(_added(before, q.stage)): q.stage for r in rounds for q in r.refits}
     fitted |= {frozenset[str](): before}
-    every = _added(before, after)
+    added = _added(before, after)
     found = []
     for refit in chosen:
-        out = left_out_with(refit.effect, chosen)
-        kept = [c for c in chosen if c.effect.name not in out]
+        left_out = left_out_with(refit.effect, chosen)
+        kept = [c for c in chosen if c.effect.name not in left_out]
         try:
-            stage = fitted.get(frozenset(every - out)) or _with(kept, after, before, records, unseen)
-            found.append(_importance(refit, stage, after, alone=len(out) == 1))
+            stage = fitted.get(frozenset(added - left_out)) or _with(kept, after, before, records, unseen)
+            found.append(_importance(refit, stage, after, alone=len(left_out) == 1))
         except FIT_ERRORS as problem:
             unknown = float("nan")
             found.append(EffectImportance(refit.effect.name, unknown, unknown, untested=str(problem)))
@@ -75,13 +75,12 @@ def _importance(refit: Refit, without: FittedModel, after: FittedModel, *, alone
     """
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
     compared = comparison(without, after, refit.effect)
-    if (
-        refit.stage is after and alone and refit.prediction is not None
-    ):  # added last: the search has compared these models
-        worth, prediction = (refit.validation_gain, refit.t), refit.prediction
+    # if the effect was added last, the search has already compared these models
+    if refit.stage is after and alone and refit.prediction is not None:
+        gain_and_t, prediction = (refit.validation_gain, refit.t), refit.prediction
     else:
-        worth, prediction = compared.gain, compared.prediction
-    return EffectImportance(refit.effect.name, gain, compared.error_ratio, *worth, prediction)
+        gain_and_t, prediction = compared.gain, compared.prediction
+    return EffectImportance(refit.effect.name, gain, compared.error_ratio, *gain_and_t, prediction)
 
 
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
@@ -141,7 +140,7 @@ def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) ->
     effects that were selected before it, and precedes less important effects that were selected after it. If a
     parametric effect is one form of a curve, the curve precedes the effect, which is then only a part of the curve.
     """
-    tables = {c.effect.name for c in chosen if c.unknown}
+    curves = {c.effect.name for c in chosen if c.unknown}
     whole = {
         table.effect.name: c.effect.name
         for c in chosen
@@ -149,9 +148,9 @@ def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) ->
         if table.effect.is_table_of(c.effect.parametric_form_of)
     }
     found = sorted(found, key=lambda w: np.inf if np.isnan(w.error) else -w.error)  # unknown importance last
-    order = [w.effect for w in found if w.effect not in tables]
+    order = [w.effect for w in found if w.effect not in curves]
     for w in found:
-        if w.effect in tables:
+        if w.effect in curves:
             order.insert(_place(w, found, order, [c.effect.name for c in chosen], whole), w.effect)
     return tuple(sorted(found, key=lambda w: order.index(w.effect)))
 

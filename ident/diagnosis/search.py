@@ -445,7 +445,7 @@ class _Search:
     def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         """Refit the best candidates that passed, and choose the refit to add."""
         specific = [s for s in passed if not s.generic]
-        # Without a positive score all candidates are refitted: a refit can gain more than its score.
+        # If the best criterion is negative, no candidate is dropped: a refit can gain more than its score.
         if specific and (best := specific[0].criterion(self.n)) > 0:
             specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * best]
         refits: list[Refit] = []
