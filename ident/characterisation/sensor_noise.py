@@ -115,17 +115,17 @@ class NoiseFit:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Whether the innovations have heavy tails, significantly and enough to matter."""
+        """Return whether the innovations have heavy tails, significantly and enough to matter."""
         return _heavy_tailed(self.innovations)
 
     @property
     def coarse(self) -> bool:
-        """Whether the noise is small compared with the resolution, which then determines the estimates."""
+        """Return whether the noise is small compared with the resolution, which then determines the estimates."""
         return self.resolution > COARSE * self.sd_innovation
 
     @property
     def rejected(self) -> bool:
-        """Whether the innovations are not white, significantly and enough to matter."""
+        """Return whether the innovations are not white, significantly and enough to matter."""
         return self.departures.matter
 
     def psd(self, frequency: Array) -> Array:

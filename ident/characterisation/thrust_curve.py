@@ -81,7 +81,7 @@ class Levels:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Whether a level is the rest that gave the load cell's zero, Array (n_levels,)."""
+        """Return whether a level is the rest that gave the load cell's zero, Array (n_levels,)."""
         return np.asarray((self.n == 0.0) & (self.offset is not None))
 
     @property
@@ -360,9 +360,7 @@ def _through(n: Array, force: Array) -> interpolate.PchipInterpolator:
 
 
 def _basis(n: Array, both: bool) -> Array:
-    """Return ``n|n|`` and ``n^2``, or ``n|n|`` alone if all commands have one sign: both are then equal except for a
-    sign.
-    """
+    """Return ``n|n|`` and ``n^2``, or ``n|n|`` alone if all commands have one sign."""
     return np.column_stack([n * np.abs(n), n * n])[:, : 1 + both]
 
 

@@ -162,8 +162,7 @@ def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
 
 
 def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
-    """Return delay [s] and pole [1/s] of the first-order response to the command that best fits the measured shaft
-    speed.
+    """Return delay [s] and pole [1/s] of the best first-order response of the shaft speed to the command.
 
     Notes
     -----

@@ -225,9 +225,7 @@ def _worded(score: Score) -> str:
 
 
 def _tables(chosen: Sequence[Refit], search_round: Round) -> list[str]:
-    """Return the reasons that a nonparametric curve was added beside the effect, or that a curve gains more than the
-    effect.
-    """
+    """Return the reasons that a nonparametric curve was added beside the effect, or would gain more than the effect."""
     assert search_round.chosen is not None
     curve = search_round.chosen.effect.nonparametric_of
     beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(curve)]
@@ -239,8 +237,9 @@ def _tables(chosen: Sequence[Refit], search_round: Round) -> list[str]:
 
 
 def _close(search_round: Round) -> list[Refit]:
-    """Return the competing models of a round, best first: other effects with a criterion close to that of the chosen
-    effect.
+    """Return the competing models of a round, best first.
+
+    They are the other effects whose criterion is close to that of the chosen effect.
 
     An effect that nests the chosen effect competes only if its further parameters increase the criterion.
     """

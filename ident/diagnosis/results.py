@@ -78,7 +78,7 @@ class Refit:
 
     @property
     def validated(self) -> bool:
-        """Whether both sets of data support the effect.
+        """Return whether both sets of data support the effect.
 
         The gain on the estimation data exceeds the penalty of the parameters, and the gain on the validation data is
         positive and significant.
@@ -87,7 +87,7 @@ class Refit:
 
     @property
     def accepted(self) -> bool:
-        """Whether the refit is validated and the prediction with it is good enough.
+        """Return whether the refit is validated and the prediction with it is good enough.
 
         The prediction may not be significantly worse than without the effect, nor than that of the nominal model. A
         nonparametric effect has no physical explanation, so the prediction with it has to be better. One of these is
@@ -105,7 +105,7 @@ class Refit:
 
     @property
     def unknown(self) -> bool:
-        """Whether the effect is nonparametric."""
+        """Return whether the effect is nonparametric."""
         return self.effect.kind.unknown
 
 
@@ -204,7 +204,7 @@ class RemovedEffect:
 
     @property
     def immaterial(self) -> bool:
-        """Whether the validation data support the effect, and the prediction is as good without it."""
+        """Return whether the validation data support the effect, and the prediction is as good without it."""
         return self.validation_gain > 0 and self.t > T_VALIDATION and self.prediction.verdict == "unchanged"
 
 
@@ -264,7 +264,7 @@ class EffectImportance:
 
     @property
     def pays(self) -> bool:
-        """Whether the effect is worth its parameters beside the other effects.
+        """Return whether the effect is worth its parameters beside the other effects.
 
         The validation data support the effect, either significantly or with a better prediction. The prediction is not
         worse with the effect, and its size matters.
@@ -276,7 +276,7 @@ class EffectImportance:
 
     @property
     def predicts(self) -> bool:
-        """Whether the prediction is better with the effect.
+        """Return whether the prediction is better with the effect.
 
         The interval of the change over the horizon decides. If it shows no change, the error three seconds ahead by
         inputs alone decides.
@@ -414,10 +414,10 @@ class Diagnosis:
 
     @property
     def cross_validated(self) -> bool:
-        """Whether blocks in time of the estimation runs took the place of validation runs."""
+        """Return whether blocks in time of the estimation runs took the place of validation runs."""
         return self.after.cross_validated
 
     @property
     def converged(self) -> bool:
-        """Whether the fit of the last model converged."""
+        """Return whether the fit of the last model converged."""
         return self.after.fit.converged

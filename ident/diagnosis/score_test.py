@@ -173,7 +173,7 @@ class Score:
 
     @property
     def generic(self) -> bool:
-        """Whether the candidate is nonparametric."""
+        """Return whether the candidate is nonparametric."""
         return self.kind.unknown
 
     @property
@@ -273,8 +273,7 @@ class SensitivityFilter:
         self.end = np.zeros((n_states, 0))
 
     def __call__(self, columns: Sequence[SensitivityColumns], begin: Array | None = None) -> Array:
-        """Return the whitened sensitivities of the innovations (n_samples, n_columns), for all parameters of the
-        candidates.
+        """Return the whitened sensitivities of the innovations, Array (n_samples, n_columns).
 
         Parameters
         ----------
@@ -422,10 +421,9 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
 
 
 def _gain(information: Array, prior: Array) -> Array:
-    """Regress all columns on the fitted parameters, which are the first columns; return the coefficients (n_fitted,
-    n_columns).
+    """Regress all columns on the fitted parameters, and return the coefficients (n_fitted, n_columns).
 
-    The fitted parameters have ``prior`` information in addition to that of the data.
+    The fitted parameters are the first columns. They have ``prior`` information in addition to that of the data.
     """
     n_fitted = prior.size
     fitted = information[:n_fitted, :n_fitted] + np.diag(prior)
@@ -476,9 +474,7 @@ def _candidate_score(
 
 
 def whole_blocks(t: Array, block: float) -> list[slice]:
-    """Split the rows of a record at times t (n_rows,) [s] into parts of whole blocks of time; a short record is one
-    part.
-    """
+    """Split the rows at times t (n_rows,) [s] into parts of whole blocks of time; a short record is one part."""
     if t.size <= WHOLE:
         return [slice(0, t.size)]
     starts = np.flatnonzero(np.diff(block_index(t, block))) + 1

@@ -8,8 +8,9 @@
    worse than without the effect, nor than that of the nominal model; with a nonparametric effect it has to be better.
    Without validation runs, blocks in time of the estimation runs are predicted by the fit to the other blocks.
 5. Repeat. After a nonparametric curve only parametric effects with a large gain are added.
-6. Leave each effect out again (backward elimination). Remove each effect that does not pay beside the others. Then
-   remove the last effects as long as the prediction is worse than that of the nominal model.
+6. Leave each effect out again (backward elimination). Remove each effect that the validation data do not support
+   beside the others. After a removal, also remove the last effects as long as the prediction is worse than that of
+   the nominal model.
 
 Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 """
@@ -410,7 +411,7 @@ class _Search:
     def backward_elimination(
         self, before: FittedModel, current: FittedModel
     ) -> tuple[FittedModel, tuple[EffectImportance, ...], list[RemovedEffect]]:
-        """Leave each effect out in turn and remove the effect that pays least, until all effects pay.
+        """Leave each effect out in turn and remove the least supported effect, until all effects are supported.
 
         If the remaining effects predict worse than the nominal model after a removal, the last effect is removed too.
         An effect is kept if the model without it cannot be fitted, because its importance is then unknown.
@@ -546,8 +547,9 @@ class _Search:
                     untested.append(found)
 
     def _refit(self, current: FittedModel, effect: Effect, score: Score) -> Refit | UntestedCandidate:
-        """Fit the current model with an effect, from the first initial values that can be fitted without a loss of
-        likelihood.
+        """Fit the current model with an effect.
+
+        The initial values are tried in turn until a fit loses no likelihood; otherwise the best fit is returned.
 
         A larger model cannot be worse than the model that it contains. A fit that is worse has stopped early.
         """

@@ -153,9 +153,7 @@ def kinematic_case(seconds: float = 400.0) -> Case:
 
 
 def turned(t: Array, n: Array) -> Array:
-    """Return the heading (n_rows,) [rad] of the boat under shaft speeds n (n_rows, 2), by the yaw equation without
-    noise.
-    """
+    """Return the heading (n_rows,) [rad] under shaft speeds n (n_rows, 2), by the yaw equation without noise."""
     model = horizontal_model()
     force = model.values["c1"] * n * np.abs(n) + model.values["c2"] * n**2
     moment = force @ [-model.values["y_left"], -model.values["y_right"]]

@@ -397,9 +397,7 @@ def _jackknife(logs: Array) -> tuple[float, float, float]:
 
 
 def _errors(t: Array, y: Array, e: Array, angle: bool) -> PredictionErrors:
-    """Return the errors of a channel from its samples y (n,) and errors e (n,); rows without a sample (NaN) are left
-    out.
-    """
+    """Return the errors of a channel from its samples y (n,), NaN if missing, and errors e (n,)."""
     seen = np.isfinite(y)
     t, y, e = t[seen], y[seen], wrap(e[seen], angle)
     mean = np.angle(np.exp(1j * y).sum()) if angle else y.mean() if y.size else 0.0

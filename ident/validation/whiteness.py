@@ -79,7 +79,7 @@ class Whiteness:
 
     @property
     def white(self) -> bool:
-        """Whether both tests together pass at 1 % (Bonferroni): neither p value is below 0.5 %."""
+        """Return whether both tests together pass at 1 % (Bonferroni): neither p value is below 0.5 %."""
         return 2 * min(self.ljung_box, self.periodogram) > 0.01
 
 
@@ -201,7 +201,8 @@ def cross_correlation(
         z over the lags, and the p value of the largest.
 
     Notes
-    ----- For white innovations z is standard normal, with the autocorrelation of the input between lags. Innovations
+    -----
+    For white innovations z is standard normal, with the autocorrelation of the input between lags. Innovations
     that are autocorrelated, for example by the errors of a receiver or an estimator, make the correlation vary more
     even without an effect of the input. Its variance is then that of the product of both spectra, with the spectrum of
     the innovations from an autoregression (Ljung 1999, section 16.6). The p value is Hunter's upper bound (1976). The
@@ -221,8 +222,7 @@ def cross_correlation(
 
 
 def _coloured(past: Array, coefficients: Array) -> tuple[float, float]:
-    """Return the variance of the correlation of an input with autocorrelated innovations, and the covariance of two
-    lags.
+    """Return the variance of the correlation of an input with coloured innovations, and its covariance at two lags.
 
     ``past`` (2, n) has the input at two neighbouring lags, each of norm one. The innovations are an autoregression of
     variance one with these coefficients.
@@ -361,12 +361,12 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def matter(self) -> bool:
-        """Whether any of the departures is significant and large enough to matter."""
+        """Return whether any of the departures is significant and large enough to matter."""
         return any(part.matters for part in self)
 
     @property
     def significant(self) -> bool:
-        """Whether any of the departures is significant."""
+        """Return whether any of the departures is significant."""
         return any(part.p < SIGNIFICANCE for part in self)
 
 
@@ -389,7 +389,7 @@ class Predictable(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether the share is significant and above `MAX_PREDICTABLE_SHARE`."""
+        """Return whether the share is significant and above `MAX_PREDICTABLE_SHARE`."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
@@ -412,7 +412,7 @@ class SpectralLine(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether the line is significant and above `MAX_PREDICTABLE_SHARE`."""
+        """Return whether the line is significant and above `MAX_PREDICTABLE_SHARE`."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
@@ -436,7 +436,7 @@ class FrequencyBand(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether the departure is significant and exceeds a factor of `MAX_DENSITY_RATIO`."""
+        """Return whether the departure is significant and exceeds a factor of `MAX_DENSITY_RATIO`."""
         return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
 
 
