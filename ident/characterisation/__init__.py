@@ -1,4 +1,4 @@
-"""Characterisation of parts: thrusters on the bench, static thrust curves, sensor noise."""
+"""Characterisation of components: thrusters on the bench, static thrust curves, and sensor noise."""
 
 import lazy_loader
 

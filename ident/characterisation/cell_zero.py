@@ -1,12 +1,12 @@
 """Drift of a load cell's zero between the rests of a bench run.
 
-The force at each rest, where the command is zero and the first seconds are left out, is the zero of the cell there. If
-the zeros differ by more than their errors, the cell has drifted: warmth, creep, or a mount that moves. The drift is
-taken off as straight lines between the middles of the rests, and is constant before the first and after the last one.
-The mean zero stays in the force, for the fit that estimates it.
+At a rest the command is zero. The mean force at a rest, without its first seconds, is the zero of the load cell at that
+time. If the zeros differ by more than their errors, the cell has drifted, for example by temperature, creep, or a mount
+that moves. The drift is removed as straight lines between the middles of the rests. It is constant before the first
+and after the last rest. The mean of the zeros stays in the force, for the fit that estimates it.
 
-The correction assumes that a thruster gives no force at rest. Water that is still moving does, so a rest needs a few
-seconds, and small differences are no drift.
+The correction assumes that a thruster gives no force at rest. Water that is still moving gives a force. So a rest needs
+a few seconds, and small differences are not treated as drift.
 """
 
 from __future__ import annotations
@@ -20,30 +20,38 @@ from seatrial.daq.errors import counted
 from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array, mean_error, steady_segments
 
-REST = 1e-3  # of full command, below which a thruster is at rest
-FEWEST_READINGS, SHORTEST_REST_S = 10, 1.0  # of a rest behind the time that it needs to settle
-BEYOND_ERRORS = 4.0  # standard errors of a difference between two zeros
-LEAST_PART = 0.02  # of the range of the force, below which a difference is no drift: water that moves
+REST = 1e-3  # of full command; a thruster with a smaller command is at rest
+FEWEST_READINGS, SHORTEST_REST_S = 10, 1.0  # of a rest, after the time to settle
+BEYOND_ERRORS = 4.0  # standard errors of a difference between two zeros, below which it may be chance
+LEAST_PART = 0.02  # of the range of the force; a smaller difference may come from moving water
 
 
 class ZeroDrift(NamedTuple):
-    """Zeros of a load cell at its rests: the times t (n_rests,) [s], and the force there (n_rests,) [N]."""
+    """Zeros of a load cell at the rests of a run.
+
+    Attributes
+    ----------
+    t : Array (n_rests,)
+        Times of the rests [s].
+    force : Array (n_rests,)
+        Mean force at the rests [N].
+    """
 
     t: Array
     force: Array
 
     @property
     def text(self) -> str:
-        """The drift in words."""
+        """Sentences for reports that describe the drift."""
         first, last = float(self.force[0]), float(self.force[-1])
         return (
-            f"The load cell's zero drifts: {first:.3g} N at {self.t[0]:.0f} s, {last:.3g} N at {self.t[-1]:.0f} s, in "
-            f"all {np.ptp(self.force):.3g} N in {counted(self.t.size, 'rest')}. The drift is taken off, linear between "
-            "the rests."
+            f"The load cell's zero drifts: {first:.3g} N at {self.t[0]:.0f} s, {last:.3g} N at {self.t[-1]:.0f} s; its "
+            f"range over {counted(self.t.size, 'rest')} is {np.ptp(self.force):.3g} N. The drift is subtracted, "
+            "linear between the rests."
         )
 
     def taken_off(self, force: Channel) -> Channel:
-        """The force without the drift, and with the mean of the zeros."""
+        """Return the force without the drift, and with the mean of the zeros."""
         drift = np.interp(force.t, self.t, self.force - self.force.mean())
         return replace(force, value=force.value - drift)
 

@@ -1,11 +1,13 @@
-"""Sensor noise at rest: white noise plus a random walk, the IMA(1,1) of thesis section 4.1, by exact likelihood.
+"""Sensor noise at rest: white noise plus a random walk, estimated by exact likelihood.
+
+The model is the IMA(1,1) of thesis section 4.1:
 
     y_k = b(t_k) + w_k,   db = q dW,   var w = r^2,   b(0) unknown
 
-In innovation form ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of
-``seatrial.ident.estimation.likelihood``, so that gaps in time do not matter. Where the innovations are not white under
-this model (``seatrial.ident.validation.whiteness``), as of the filtered output of a single-point GPS receiver, the
-sensor has other noise, and ``NoiseFit.rejected`` says so.
+Its innovation form is ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of
+``seatrial.ident.estimation.likelihood``, so gaps in time do not matter. If the innovations under this model are not
+white (``seatrial.ident.validation.whiteness``), the sensor has other noise, and ``NoiseFit.rejected`` is true. The
+filtered output of a single-point GPS receiver is an example.
 """
 
 from __future__ import annotations
@@ -22,24 +24,53 @@ from seatrial.ident.model import INF, Model, ModelKind, Output, Parameter, Senso
 from seatrial.ident.numerics import Array
 from seatrial.ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
 
-NOISE_FLOOR = 1e-4  # of the channel's scale: a standard deviation below this is zero
+NOISE_FLOOR = 1e-4  # of the channel's scale; smaller standard deviations count as zero
 N_LAGS = 20  # of the Ljung-Box test of the innovations
-UNKNOWN = 1e3  # of the channel's scale: what is not known of the first sample. An offset to be fitted would pull the
-# white noise to zero, as the likelihood of the first sample has no bound there.
+# Standard deviation of the unknown initial offset, in units of the channel's scale. A fitted offset would draw the
+# white noise to zero, because the likelihood of the first sample is then unbounded.
+INITIAL_SD = 1e3
 Z95_ONE_SIDED = 1.645
-PILE_UP = 17.0  # n walk sqrt(interval) / white, from which a walk is found in 95 of 100 records
-HEAVY = 4.0  # kurtosis above which standard errors are off by a fifth and more; 3: normal
-COARSE = 2.0  # standard deviations of the innovations: with longer steps between values their noise is hardly seen
-N_SEGMENTS = 8  # half-overlapping, of Welch's method
+PILE_UP = 17.0  # n walk sqrt(interval) / white, above which a random walk is found in 95 of 100 records
+HEAVY = 4.0  # kurtosis (normal: 3) above which standard errors are wrong by a fifth or more
+COARSE = 2.0  # resolution in standard deviations of the innovations, above which quantisation hides the noise
+N_SEGMENTS = 8  # half-overlapping segments of Welch's method
 
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """One axis. white [unit] and walk [unit/sqrt(s)] with standard errors (NaN: none was found, see ``flags``);
-    white_limit, walk_limit: larger ones would have been found in 95 of 100 such records; interval [s] the median
-    between samples; c, sd_innovation of the innovation form at that interval; innovations (n,) standardised, at t (n,)
-    [s] from the first sample; ljung_box: p value; largest_correlation of the innovations; departures: by how much they
-    are not white; resolution [unit] the median step between values that occur."""
+    """White noise and random walk of one axis.
+
+    Attributes
+    ----------
+    name
+        Name of the axis.
+    n
+        Number of samples.
+    interval
+        Median sample interval [s].
+    white, white_error
+        White noise [unit] and its standard error. The error is NaN if no white noise was found (see ``flags``).
+    walk, walk_error
+        Random walk [unit/sqrt(s)] and its standard error. The error is NaN if no random walk was found (see ``flags``).
+    c, sd_innovation
+        Coefficient and standard deviation of the innovation form at the median interval.
+    log_likelihood
+        Log-likelihood of the samples.
+    innovations : Array (n,)
+        Standardised innovations.
+    t : Array (n,)
+        Times from the first sample [s].
+    resolution
+        Median step between the distinct values of the samples [unit].
+    ljung_box
+        p value of the Ljung-Box test of the innovations.
+    largest_correlation
+        Autocorrelation of the innovations with the largest absolute value.
+    departures
+        Departures of the innovations from whiteness.
+    flags
+        Problems of the estimates, as texts.
+    """
 
     name: str
     n: int
@@ -61,56 +92,84 @@ class NoiseFit:
 
     @property
     def white_limit(self) -> float:
-        """Beside a random walk: c of the innovation form has a standard error of ``1 / sqrt(n)`` near zero."""
+        """White noise [unit] that would be found in 95 of 100 such records, beside the random walk.
+
+        The coefficient c of the innovation form has a standard error of ``1 / sqrt(n)`` near zero.
+        """
         c = min(Z95_ONE_SIDED / float(np.sqrt(self.n)), 0.5)
         return self.walk * float(np.sqrt(self.interval * c)) / (1 - c)
 
     @property
     def walk_limit(self) -> float:
-        """Beside white noise: c is near -1, where its estimate is -1 itself with a probability that depends on
-        ``n walk sqrt(interval) / white`` alone (Shephard and Harvey 1990)."""
+        """Random walk [unit/sqrt(s)] that would be found in 95 of 100 such records, beside the white noise.
+
+        The coefficient c is then near -1. Its estimate is exactly -1 with a probability that depends only on
+        ``n walk sqrt(interval) / white`` (Shephard and Harvey 1990).
+        """
         return PILE_UP * self.white / (self.n * float(np.sqrt(self.interval)))
 
     @property
     def kurtosis(self) -> float:
-        """Of the innovations; 3 where they are normal."""
+        """Kurtosis of the innovations; 3 for normal innovations."""
         return _kurtosis(self.innovations)
 
     @property
     def heavy_tailed(self) -> bool:
-        """The innovations are not normal, significantly and by enough to matter."""
+        """Return whether the innovations have heavy tails, significantly and enough to matter."""
         return _heavy_tailed(self.innovations)
 
     @property
     def coarse(self) -> bool:
-        """The noise is small beside the resolution, which then decides what is found of it."""
+        """Return whether the noise is small compared with the resolution, which then determines the estimates."""
         return self.resolution > COARSE * self.sd_innovation
 
     @property
     def rejected(self) -> bool:
-        """The innovations are not white, significantly and by enough to matter."""
+        """Return whether the innovations are not white, significantly and enough to matter."""
         return self.departures.matter
 
     def psd(self, frequency: Array) -> Array:
-        """One-sided density [unit^2/Hz] of the sampled noise: white plus a random walk, aliasing included."""
+        """Return the one-sided power spectral density [unit^2/Hz] of the sampled noise at ``frequency`` (n,) [Hz].
+
+        It is that of white noise plus a random walk, including aliasing.
+        """
         dt = self.interval
         wave = 4.0 * np.sin(np.pi * frequency * dt) ** 2
         return np.asarray(2.0 * dt * (self.white**2 + self.walk**2 * dt / wave))
 
 
 def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
-    """White noise and random walk of one axis at rest. Samples that are NaN are left out. Where the innovations have
-    heavy tails the standard errors are those of a variance with their kurtosis. Raises ValueError."""
+    """Estimate white noise and random walk of one axis at rest.
+
+    Parameters
+    ----------
+    channel
+        Samples of the axis. NaN samples are left out.
+    name
+        Name of the axis, by default the source of the channel.
+
+    Returns
+    -------
+    NoiseFit
+        Estimates and tests. If the innovations have heavy tails, the standard errors allow for their kurtosis.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 50 samples, or if all samples are equal.
+    """
     name = name or channel.source or "channel"
     good = np.isfinite(channel.value) & np.isfinite(channel.t) & np.append(True, np.diff(channel.t) > 0)
     t, y = channel.t[good], channel.value[good]
     if t.size < 50:
-        raise ValueError(f"{name}: {t.size} samples are too few to tell white noise from a random walk")
+        raise ValueError(
+            f"{name}: {t.size} samples are too few to separate white noise from a random walk; record at least 50"
+        )
     dt = float(np.median(np.diff(t)))
     scale = float(np.std(np.diff(y)))
     if scale == 0:
         raise ValueError(f"{name}: all samples are the same")
-    y = (y - y[0]) / scale  # the numbers near one, whatever the unit
+    y = (y - y[0]) / scale  # values near one for any unit
     model = _start(y, dt)
     record = Record(name, t - t[0], np.empty((t.size, 0)), np.empty((t.size, 0)), y[:, None], (), ("y",))
     found = fit(model, [record])
@@ -118,11 +177,11 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     (white, white_error), (walk, walk_error) = (found.estimate(n) for n in ("white", "walk"))
     c, sd = innovation_form(white, walk, dt)
     eps = run.standardised[:, 0]
-    # Of a variance that is estimated from innovations of this kurtosis: a single jump is one event and not n.
+    # Factor of the standard error of a variance for innovations of this kurtosis: a single jump is one event, not n.
     spread = float(np.sqrt((_kurtosis(eps) - 1.0) / 2.0)) if _heavy_tailed(eps) else 1.0
     acf = autocorrelation(eps, N_LAGS)
     p, largest = ljung_box(acf, eps.size, n_fitted=2), float(acf[np.argmax(np.abs(acf))])  # white and walk
-    flags = tuple(f"{n}: {what}" for n, what in found.flags)
+    flags = tuple(f"{n}: {flag}" for n, flag in found.flags)
     return NoiseFit(
         name,
         t.size,
@@ -145,17 +204,32 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
 
 
 def _kurtosis(e: Array) -> float:
+    """Return the kurtosis of e (n,), whose mean is zero."""
     return float(np.mean(e**4) / np.mean(e**2) ** 2)
 
 
 def _heavy_tailed(e: Array) -> bool:
-    """Six of the standard errors that a normal one has: by chance in fewer than one record in a thousand."""
+    """Return whether the kurtosis of e (n,) exceeds that of normal samples by six standard errors, and `HEAVY`.
+
+    Fewer than one normal record in a thousand does so by chance.
+    """
     return _kurtosis(e) > max(HEAVY, 3.0 + 6.0 * float(np.sqrt(24.0 / e.size)))
 
 
 def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]:
-    """c and the innovations' standard deviation of the IMA(1,1), from its steady Kalman filter.
+    """Return c and the standard deviation of the innovations of the IMA(1,1), from its steady Kalman filter.
 
+    Parameters
+    ----------
+    white
+        White noise [unit].
+    walk
+        Random walk [unit/sqrt(s)].
+    dt
+        Sample interval [s].
+
+    Notes
+    -----
     The differences have variance ``q^2 dt + 2 r^2 = (1 + c^2) s^2`` and covariance ``-r^2 = c s^2``; -1 <= c <= 0.
     """
     q, r = walk**2 * dt, white**2
@@ -164,7 +238,10 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
 
 
 def _start(y: Array, dt: float) -> Model:
-    """Moments of the differences: variance ``q^2 dt + 2 r^2``, covariance ``-r^2``."""
+    """Return the noise model with initial values from the moments of the differences.
+
+    Their variance is ``q^2 dt + 2 r^2``, and the covariance of neighbours is ``-r^2``.
+    """
     d = np.diff(y)
     variance, covariance = float(d @ d) / d.size, float(d[1:] @ d[:-1]) / (d.size - 1)
     white = np.sqrt(np.clip(-covariance, 1e-4 * variance, 0.4999 * variance))
@@ -175,12 +252,18 @@ def _start(y: Array, dt: float) -> Model:
 
 @cache
 def noise_model(low_walk: float) -> Model:
-    """One axis at rest, in units of its scale; ``low_walk`` [1/sqrt(s)]: a random walk below this is none."""
+    """Return the noise model of one axis at rest, in units of its scale.
+
+    Parameters
+    ----------
+    low_walk
+        Lower bound of the random walk [1/sqrt(s)], which counts as zero.
+    """
     model = plain_model(
         "noise",
         f=lambda x, u, p: {"b": 0.0},
         h=lambda x, u, p: {"y": x.b},
-        states=(State("b", noise="walk", x0=0.0, sd0=UNKNOWN),),
+        states=(State("b", noise="walk", x0=0.0, sd0=INITIAL_SD),),
         inputs=(),
         sensors=(Sensor("sensor", (Output("y", noise="white"),)),),
         parameters=(
@@ -193,8 +276,17 @@ def noise_model(low_walk: float) -> Model:
 
 @dataclass(frozen=True)
 class BandSpectrum:
-    """Density averaged over bands of frequency: frequency [Hz], psd, low, high [unit^2/Hz] (n_bands,); low and high are
-    the 95 % interval of the true one."""
+    """Power spectral density averaged over frequency bands.
+
+    Attributes
+    ----------
+    frequency : Array (n_bands,)
+        Centres of the bands [Hz].
+    psd : Array (n_bands,)
+        Mean density [unit^2/Hz].
+    low, high : Array (n_bands,)
+        95 % interval of the true density [unit^2/Hz].
+    """
 
     frequency: Array
     psd: Array
@@ -203,11 +295,29 @@ class BandSpectrum:
 
 
 def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS, per_decade: int = 10) -> BandSpectrum:
-    """Average of a density of `welch` over bands of equal width in the logarithm of the frequency.
+    """Average a density of `welch` over bands of equal width in the logarithm of the frequency.
 
-    The interval is chi-square's with the degrees of freedom of Hann windows that overlap by half (Welch 1967): the
-    amplitudes of neighbouring segments have a correlation of 1/6, those of neighbouring frequencies of 2/3, and of the
-    next ones of 1/6; the powers of its square.
+    Parameters
+    ----------
+    frequency : Array (n,)
+        Frequencies [Hz].
+    density : Array (n,)
+        One-sided density [unit^2/Hz].
+    n_segments
+        Number of segments of the density.
+    per_decade
+        Number of bands per decade.
+
+    Returns
+    -------
+    BandSpectrum
+        Mean density of each band with its 95 % interval.
+
+    Notes
+    -----
+    The interval is that of chi-squared with the degrees of freedom of half-overlapping Hann windows (Welch 1967). The
+    amplitudes of neighbouring segments have a correlation of 1/6. Those of neighbouring frequencies have a correlation
+    of 2/3, and those of the next frequencies one of 1/6. The correlations of the powers are the squares of these.
     """
     band = np.floor(per_decade * np.log10(frequency) + 0.5)
     _, first, size = np.unique(band, return_index=True, return_counts=True)
@@ -220,7 +330,20 @@ def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS
 
 
 def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]:
-    """Frequency [Hz] and one-sided density [unit^2/Hz] of evenly sampled data, by Welch's method (1967)."""
+    """Return the one-sided power spectral density of an evenly sampled channel by Welch's method (1967).
+
+    Parameters
+    ----------
+    channel
+        Samples of the channel.
+    n_segments
+        Number of half-overlapping segments.
+
+    Returns
+    -------
+    tuple of Array (n,)
+        Frequency [Hz] and density [unit^2/Hz], without frequency zero.
+    """
     dt = float(np.median(np.diff(channel.t)))
     length = max(16, int(2 * channel.value.size / (n_segments + 1)))
     frequency, density = signal.welch(

@@ -1,11 +1,12 @@
-"""Static thrust curve: steady force against command, from benches that measure force and know only the command.
+"""Static thrust curve: steady force against command, from benches that measure the force and not the shaft speed.
 
-Levels are means over steady commands, with standard errors that allow for autocorrelated readings and for the scatter
-between visits to one level. The level at rest is the zero of the load cell and is taken off all others. Where the
-thruster saturates, is asymmetric or has a dead band, the quadratic ``c1 n|n| + c2 n^2`` (thesis section 4.2) does not
-hold; a monotone curve through the measured levels does: isotonic regression (pool adjacent violators, Barlow et al.
-1972) and between the levels the monotone cubic of Fritsch and Carlson (1980). Which of them predicts better is judged
-by levels that were left out. The curve's file is described in docs/formats/curve.md.
+Levels are means of the force over steady commands. Their standard errors allow for autocorrelated readings and for the
+scatter between visits to one level. The force at rest is the zero of the load cell and is subtracted from all levels.
+
+The quadratic ``c1 n|n| + c2 n^2`` (thesis section 4.2) does not hold if the thruster saturates, is asymmetric or has a
+dead band. The alternative is a monotone curve through the measured levels: isotonic regression (pool adjacent
+violators, Barlow et al. 1972), and between the levels the monotone cubic of Fritsch and Carlson (1980). Levels that
+were left out show which of the two predicts better. The curve's file is described in docs/formats/curve.md.
 """
 
 from __future__ import annotations
@@ -28,26 +29,44 @@ from seatrial.ident.numerics import Array, mean_error, steady_segments
 
 LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
 MIN_SAMPLES = 20  # of the force at one level
-REVERSED = -0.5  # correlation of the force with n|n|: noise is above it, a load cell with the wrong sign near -1
-BEYOND_ERROR = 5.0  # standard errors between the least and the largest of some levels: by chance hardly ever
+REVERSED = -0.5  # correlation of the force with n|n|; noise gives more, a load cell with the wrong sign about -1
+BEYOND_ERROR = 5.0  # standard errors between the smallest and the largest level; chance hardly ever gives more
 FALLS = (
-    "the force falls as the command rises: the load cell is reversed; turn the sign of newton_per_count in the rig, or "
-    "of the force's scale in the import map, and make the log again"
+    "the force falls as the command rises: the load cell is reversed; change the sign of newton_per_count in the rig, "
+    "or of the force's scale in the import map, and make the log again"
 )
-AT_REST = 1e12  # weight of the level at rest in the curve, over that of the best level: no command, no thrust
-ADEQUATE = 0.01  # p value from which the quadratic is not rejected
+AT_REST = 1e12  # weight of the level at rest over that of the best level: forces the curve through zero thrust at rest
+ADEQUATE = 0.01  # p value; the quadratic is not rejected above it
 FORMAT = "seatrial-curve 1"
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Steady force at each command: n, force [N], se [N] (n_levels,), n_samples (n_levels,), and autocorrelation
-    time [samples] of the readings (1: independent).
+    """Steady force at each command.
 
-    ``se`` are independent of each other. ``offset`` [N]: what the load cell read at rest, with its error
-    ``offset_se``, and what has been taken off all forces; None: there was no level at rest. ``scatter`` [N]: standard
-    deviation between visits to one level beyond their errors, in ``se``, estimated with ``dof`` degrees of freedom; 0
-    of them: no level was visited twice.
+    The errors ``se`` of the levels are independent of each other.
+
+    Attributes
+    ----------
+    n : Array (n_levels,)
+        Commands.
+    force : Array (n_levels,)
+        Mean forces [N], less the offset.
+    se : Array (n_levels,)
+        Standard errors [N], including the scatter.
+    n_samples : Array (n_levels,)
+        Numbers of readings.
+    memory : Array (n_levels,)
+        Autocorrelation times of the readings [samples]; 1 for independent readings.
+    offset
+        Reading of the load cell at rest [N], which has been subtracted from all forces. None if there is no level at
+        rest.
+    offset_se
+        Standard error of the offset [N].
+    scatter
+        Standard deviation [N] between visits to one level, beyond the errors of the visits.
+    dof
+        Degrees of freedom of the scatter; 0 if no level was visited twice.
     """
 
     n: Array
@@ -62,20 +81,41 @@ class Levels:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """The level that the load cell's zero was taken from (n_levels,)."""
+        """Return whether a level is the rest that gave the load cell's zero, Array (n_levels,)."""
         return np.asarray((self.n == 0.0) & (self.offset is not None))
 
     @property
     def error(self) -> Array:
-        """Standard errors [N] (n_levels,) with that of the load cell's zero, which all levels share."""
+        """Standard errors (n_levels,) [N], including that of the load cell's zero, which all levels share."""
         return np.hypot(self.se, np.where(self.at_rest, 0.0, self.offset_se))
 
 
 def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels:
-    """Means of the force while the command is constant, without the first ``settle`` seconds after each change.
+    """Compute the mean force at each steady command.
 
-    A command given more than once is one level. The variance between visits is one for all levels, since two or three
-    visits to one alone hardly tell it. Raises ValueError where no command lasts.
+    Parameters
+    ----------
+    command
+        Channel of the command.
+    force
+        Channel of the force [N].
+    settle
+        Time after each change of the command that is left out [s].
+
+    Returns
+    -------
+    Levels
+        One level for each command. Several visits to a command are one level.
+
+    Raises
+    ------
+    ValueError
+        If no command is held long enough.
+
+    Notes
+    -----
+    The variance between visits is estimated for all levels together, because two or three visits to one level hardly
+    determine it.
     """
     visits: list[tuple[float, float, float, int, float]] = []
     for steady in steady_segments(command.t, command.value, np.inf):
@@ -85,31 +125,43 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
             error, memory = mean_error(held)
             visits.append((steady.level, float(held.mean()), error, held.size, memory))
     if not visits:
-        lacks = f"the command is nowhere held for {settle:g} s and {MIN_SAMPLES} readings of the force"
-        raise ValueError(f"{lacks}; {hold_advice(command, force, settle)}")
+        message = f"the command is nowhere held for {settle:g} s and {MIN_SAMPLES} readings of the force"
+        raise ValueError(f"{message}; {hold_advice(command, force, settle)}")
     return _zeroed(_merged(sorted(visits)))
 
 
 def hold_advice(command: Channel, force: Channel, settle: float) -> str:
-    """How long the command is held (the hold of the middle second), what ``settle`` [s] leaves of it, what to do."""
+    """Return how long the command is held, how much of it ``settle`` [s] leaves, and what to do, for a message.
+
+    The time is the median of the holds, weighted by their length.
+    """
     end = float(max(command.t[-1], force.t[-1]))
     holds = np.sort([s.duration for s in steady_segments(command.t, command.value, end)])
     hold = float(holds[np.searchsorted(np.cumsum(holds), 0.5 * holds.sum())])
     rate = force.t.size / float(np.ptp(force.t))
     left = max(hold - settle, 0.0)
-    said = (
+    message = (
         f"it is held for {hold:.2g} s, of which --settle {settle:g} s leaves {left:.2g} s, {left * rate:.0f} readings"
     )
-    # half of the hold for what settles, where the other half has enough readings
-    tried = np.floor(10.0 * min(hold / 2.0, hold - MIN_SAMPLES / rate)) / 10.0
-    if 0.0 < tried < settle:
-        return f"{said}: try --settle {tried:g}"
-    return f"{said}: hold each level for more than {settle + MIN_SAMPLES / rate:.2g} s (seatrial bench steps --hold)"
+    # half of the hold to settle, or less if the rest would have too few readings
+    shorter = np.floor(10.0 * min(hold / 2.0, hold - MIN_SAMPLES / rate)) / 10.0
+    if 0.0 < shorter < settle:
+        return f"{message}: try --settle {shorter:g}"
+    return f"{message}: hold each level for more than {settle + MIN_SAMPLES / rate:.2g} s (seatrial bench steps --hold)"
 
 
 def falls(n: Array, force: Array, error: float = 0.0) -> bool:
-    """Whether a force (n_samples,) falls as n (n_samples,) rises, clearly and by more than chance with a standard
-    ``error`` [N]."""
+    """Return whether a force clearly falls as n rises, by more than chance.
+
+    Parameters
+    ----------
+    n : Array (n_samples,)
+        Commands or shaft speeds.
+    force : Array (n_samples,)
+        Forces [N].
+    error
+        Standard error of the forces [N].
+    """
     drive = n * np.abs(n)
     if not (np.ptp(drive) > 0.0 and np.ptp(force) > BEYOND_ERROR * error):
         return False
@@ -117,8 +169,10 @@ def falls(n: Array, force: Array, error: float = 0.0) -> bool:
 
 
 def _merged(visits: Sequence[tuple[float, float, float, int, float]]) -> Levels:
-    """One level of the visits to a command. The variance between visits is one for all levels but that at rest, where
-    no thrust scatters."""
+    """Merge the visits to each command (command, force, error, number of readings, autocorrelation time) into levels.
+
+    The variance between visits is common to all levels except the rest, which has no thrust that could scatter.
+    """
     n, force, se, count, memory = np.array(visits).T
     se = np.maximum(se, 1e-9)
     group = np.append(0, np.cumsum(np.diff(n) > LEVEL_TOLERANCE)).astype(int)
@@ -139,17 +193,19 @@ def _merged(visits: Sequence[tuple[float, float, float, int, float]]) -> Levels:
 
 
 def _between_visits(force: Array, se: Array, level: NDArray[np.int_]) -> tuple[float, int]:
-    """Variance [N^2] between visits (n_visits,) to one level beyond their own errors, pooled over the levels (method of
-    moments), and its degrees of freedom."""
+    """Return the variance [N^2] between visits (n_visits,) to one level, and its degrees of freedom.
+
+    The errors of the visits are subtracted. The variance is pooled over the levels (method of moments).
+    """
     _, group, size = np.unique(level, return_inverse=True, return_counts=True)
     dof = level.size - size.size
-    apart = force - (np.bincount(group, force) / size)[group]
-    own = float(se**2 @ (1.0 - 1.0 / size[group]))
-    return max(float(apart @ apart) - own, 0.0) / max(dof, 1), dof
+    deviation = force - (np.bincount(group, force) / size)[group]
+    by_errors = float(se**2 @ (1.0 - 1.0 / size[group]))
+    return max(float(deviation @ deviation) - by_errors, 0.0) / max(dof, 1), dof
 
 
 def _zeroed(levels: Levels) -> Levels:
-    """With the force at rest taken off, where the command was at zero."""
+    """Subtract the force at rest from all levels, if there is a level at rest."""
     rest = np.abs(levels.n) < LEVEL_TOLERANCE
     if not rest.any():
         return levels
@@ -160,71 +216,103 @@ def _zeroed(levels: Levels) -> Levels:
 
 @dataclass(frozen=True)
 class Curve:
-    """A monotone curve: force [N] at the knots n, with standard errors; constant beyond the ends."""
+    """Monotone curve of the force, constant beyond its ends.
+
+    Attributes
+    ----------
+    n : Array (n_knots,)
+        Commands at the knots.
+    force : Array (n_knots,)
+        Forces [N].
+    se : Array (n_knots,)
+        Standard errors [N].
+    """
 
     n: Array
     force: Array
     se: Array
 
     def __call__(self, n: Array) -> Array:
+        """Return the force [N] at commands n (n_samples,)."""
         return np.asarray(interpolate.PchipInterpolator(self.n, self.force)(np.clip(n, self.n[0], self.n[-1])))
 
     def slope(self, n: Array) -> Array:
-        """d force / d n [N]; zero beyond the ends."""
+        """Return d force / d n [N] at commands n (n_samples,), zero beyond the ends."""
         inside = (n > self.n[0]) & (n < self.n[-1])
         return np.where(inside, interpolate.PchipInterpolator(self.n, self.force).derivative()(n), 0.0)
 
     def error(self, n: Array) -> Array:
-        """Standard error, linear between the knots."""
+        """Return the standard error [N] at commands n (n_samples,), linear between the knots."""
         return np.interp(n, self.n, self.se)
 
 
 def fit_curve(levels: Levels) -> Curve:
-    """Isotonic regression on the levels, through no thrust at rest where the load cell's zero is known. A pooled knot's
-    error covers what pooling moved it by."""
+    """Fit a monotone curve to the levels by isotonic regression.
+
+    The curve has no thrust at rest if the load cell's zero is known. The error of a knot includes the change of its
+    force by pooling.
+    """
     weights = levels.se**-2
     weights[levels.at_rest] = AT_REST * weights.max()
     force = np.asarray(optimize.isotonic_regression(levels.force, weights=weights).x)
-    force[np.abs(force) < 1e-9] = 0.0  # rounding, beside the level at rest
+    force[np.abs(force) < 1e-9] = 0.0  # the large weight of the level at rest leaves rounding errors
     return Curve(levels.n, force, np.hypot(levels.error, force - levels.force))
 
 
 def curve_left_out(levels: Levels) -> float:
-    """Root mean square [N] over inner levels of what the curve through all others misses them by."""
+    """Return the RMS error [N] of the inner levels, each predicted by the curve through all other levels."""
     return _left_out(levels, lambda n, f, at: np.asarray(_through(n, f)(at)))
 
 
 @dataclass(frozen=True)
 class Quadratic:
-    """``c1 n|n| + c2 n^2``: values, c2 None where all commands have one sign; covariance (n, n) of the values, scaled
-    by the misfit, with that of the load cell's zero; rms and largest misfit [N]; p of a misfit as large by chance with
-    df degrees of freedom, given the levels' own errors; rms of levels that were left out [N]."""
+    """Quadratic ``c1 n|n| + c2 n^2`` fitted to the levels.
+
+    Attributes
+    ----------
+    c1, c2
+        Coefficients [N]; c2 is None if all commands have one sign.
+    covariance : Array (n_coefficients, n_coefficients)
+        Covariance, scaled by the misfit and with the error of the load cell's zero.
+    rms, largest
+        RMS and largest misfit [N].
+    at
+        Command of the largest misfit.
+    p, df
+        Probability of such a misfit by chance, given the errors of the levels, and the degrees of freedom.
+    left_out
+        RMS error of levels that were left out [N].
+    """
 
     c1: float
     c2: float | None
     covariance: Array
     rms: float
     largest: float
-    at: float  # command of the largest misfit
+    at: float
     p: float
     df: int
     left_out: float
 
     @property
     def formula(self) -> str:
-        """For people."""
+        """Formula for reports."""
         return "c1 n|n|" if self.c2 is None else "c1 n|n| + c2 n²"
 
     def __call__(self, n: Array) -> Array:
+        """Return the force [N] at commands n (n_samples,)."""
         return np.asarray(self.c1 * n * np.abs(n) + (self.c2 or 0.0) * n * n)
 
 
 def fit_quadratic(levels: Levels) -> Quadratic:
-    """Least squares with equal weights: the misfit is far above the readings' errors wherever it matters.
+    """Fit the quadratic to the levels by least squares with equal weights.
 
-    The test has the levels' weights, and the load cell's zero free beside the level at rest, which is the same as to
-    take it off with its error. Its statistic over df is F where the scatter between visits was estimated, else
-    chi-squared over df.
+    Notes
+    -----
+    Equal weights are right because the misfit is far above the errors of the readings wherever it matters. The test of
+    the misfit uses the weights of the levels. In the test the load cell's zero is free beside the level at rest, which
+    is equivalent to a subtraction with its error. The statistic over df is F if the scatter between visits was
+    estimated, else chi-squared over df.
     """
     n, force, moving = levels.n, levels.force, ~levels.at_rest
     both = bool(n.min() < 0.0 < n.max())
@@ -252,11 +340,12 @@ def fit_quadratic(levels: Levels) -> Quadratic:
 
 
 def adequate(quadratic: Quadratic) -> bool:
-    """Whether the quadratic fits within the levels' errors (1 %)."""
+    """Return whether the quadratic fits within the errors of the levels (at 1 %)."""
     return quadratic.p > ADEQUATE
 
 
 def _left_out(levels: Levels, predict: Callable[[Array, Array, Array], Array]) -> float:
+    """Return the RMS error [N] of the inner levels, each predicted from all other levels, NaN without inner levels."""
     missed = []
     for k in range(1, levels.n.size - 1):
         keep = np.arange(levels.n.size) != k
@@ -266,34 +355,58 @@ def _left_out(levels: Levels, predict: Callable[[Array, Array, Array], Array]) -
 
 
 def _through(n: Array, force: Array) -> interpolate.PchipInterpolator:
+    """Return the monotone cubic through the isotonic regression of the levels."""
     return interpolate.PchipInterpolator(n, optimize.isotonic_regression(force).x)
 
 
 def _basis(n: Array, both: bool) -> Array:
-    """``n|n|`` and ``n^2``, the first alone where they are the same but for a sign: commands of one sign."""
+    """Return ``n|n|`` and ``n^2``, or ``n|n|`` alone if all commands have one sign."""
     return np.column_stack([n * np.abs(n), n * n])[:, : 1 + both]
 
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """Force [N] against command, of ``thrusters`` thrusters together at one command; ``calibration``: relative standard
-    uncertainty of the load cell's force, None where nobody gave it."""
+    """Force against command of several thrusters together.
+
+    Attributes
+    ----------
+    curve
+        Force [N] of all thrusters.
+    thrusters
+        Number of thrusters at the same command.
+    calibration
+        Relative standard uncertainty of the load cell's force, None if it is unknown.
+    """
 
     curve: Curve
     thrusters: int
     calibration: float | None = None
 
     def of_one(self, n: Array) -> Array:
-        """Force of one thruster [N] at commands n (n_samples,)."""
+        """Return the force of one thruster [N] at commands n (n_samples,)."""
         return np.asarray(self.curve(n) / self.thrusters)
 
 
 def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict[str, Channel]:
-    """``f_left``, ``f_right`` and their sum ``X`` [N] from the commands of a log; a command holds until the next.
+    """Compute the thrust from the commands of a log; a command holds until the next.
 
-    ``X_n`` [N] is what X gains for commands further from zero by one: ``X - d X_n`` is the thrust with a dead band
-    wider by d, to first order. Commands are ``n_cmd_left``, or ``n_left`` where a log has no other. Raises
-    ValueError where there are none.
+    Parameters
+    ----------
+    channels
+        Channels of the log: ``n_cmd_left`` and ``n_cmd_right``, or ``n_left`` and ``n_right`` if there are no commands.
+    curve
+        Thrust curve.
+
+    Returns
+    -------
+    dict of str to Channel
+        ``f_left``, ``f_right`` and their sum ``X`` [N]. ``X_n`` [N] is the change of X per unit change of both commands
+        away from zero. ``X - d X_n`` is therefore to first order the thrust with a dead band that is wider by d.
+
+    Raises
+    ------
+    ValueError
+        If a command is missing.
     """
     found: dict[str, Channel] = {}
     slopes: list[Channel] = []
@@ -309,7 +422,7 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
 
 
 def total(left: Channel, right: Channel) -> Channel:
-    """Sum of two held signals, on the times of both."""
+    """Return the sum of two held signals, at the times of both."""
     t = np.union1d(left.t, right.t)
     return Channel(t, sample_and_hold(left, t) + sample_and_hold(right, t), left.unit, left.source)
 
@@ -317,7 +430,17 @@ def total(left: Channel, right: Channel) -> Channel:
 def save_curve(
     path: Path, curve: ThrustCurve, levels: Levels, quadratic: Quadratic, provenance: Mapping[str, Any]
 ) -> None:
-    """Write a curve, the levels it goes through, and the quadratic it was compared with."""
+    """Write a curve, the levels it goes through, and the quadratic it was compared with.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    curve, levels, quadratic
+        Curve, levels and quadratic.
+    provenance
+        Origin of the data.
+    """
     document = tomlkit.document()
     document["format"] = FORMAT
     document["thrusters"] = curve.thrusters
@@ -352,27 +475,39 @@ def save_curve(
 
 
 def _rounded(values: Sequence[float] | Array) -> list[float]:
+    """Return the values rounded to seven digits."""
     return [float(f"{v:.7g}") for v in values]
 
 
 def load_curve(path: Path) -> ThrustCurve | None:
-    """Read a curve; None where the file says it is something else. Raises SeatrialError for a broken curve."""
+    """Read a curve from a file.
+
+    Returns
+    -------
+    ThrustCurve or None
+        None if the file is not readable as TOML or has another format.
+
+    Raises
+    ------
+    SeatrialError
+        If the curve is incomplete or invalid.
+    """
     try:
         table = parse_toml(read_text(path), path).values
     except SeatrialError:
-        return None  # whoever reads it as something else says what is wrong
+        return None  # the reader of the other formats reports the error
     if table.get("format") != FORMAT:
         return None
     try:
         n, force, se = (np.array(table["curve"][k], dtype=float) for k in ("n", "force", "se"))
-        thrusters, given = int(table["thrusters"]), table.get("calibration")
-        calibration = None if given is None else float(given)
+        thrusters, uncertainty = int(table["thrusters"]), table.get("calibration")
+        calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
         raise SeatrialError(f"{path}: not a complete curve: {problem}") from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
         raise SeatrialError(f"{path}: a curve needs two or more rising n, with as many force and se")
     if not all(np.isfinite(a).all() for a in (n, force, se)):
-        raise SeatrialError(f"{path}: a curve has numbers only")
+        raise SeatrialError(f"{path}: n, force and se of a curve have to be finite numbers")
     if calibration is not None and not 0.0 < calibration < 1.0:
         raise SeatrialError(f"{path}: calibration is a relative standard uncertainty, more than 0 and less than 1")
     return ThrustCurve(Curve(n, force, se), thrusters, calibration)

@@ -1,7 +1,7 @@
 """Characterisation of a thruster from bench logs: its model fitted by maximum likelihood.
 
-Initial values come from the steps of the log: delay and time constant by grid search, thrust coefficients by least
-squares.
+Initial values come from the steps of the log. Delay and time constant are found by grid search, thrust coefficients by
+least squares.
 """
 
 from __future__ import annotations
@@ -21,52 +21,78 @@ from seatrial.ident.models import START_POLES, delay_step, delayed_channels, on_
 from seatrial.ident.numerics import Array, LagData, fit_first_order_lag
 
 THRUSTER_RATE = 50.0  # Hz, rows of a record with load cell and shaft speed
-GRID_STEP = 0.05  # s, of the delays that are tried for initial values, and of the command meanwhile
-MAX_DELAY = 4.8  # s, of those delays
-DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command, ends of the dead zone that are tried
-WAYS = (1.0, -1.0)  # of a shaft: ahead, astern
-LEAST_SPEED = 0.05  # of full speed: from which a shaft has turned, and is not noise
-N_SEARCHES = 3  # over the dead zone, each with what the fit before it says of all else
+GRID_STEP = 0.05  # s, step of the delays in the grid search for initial values, and of the command in it
+MAX_DELAY = 4.8  # s, largest delay in the grid search
+DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command: ends of the dead zone in the grid search
+WAYS = (1.0, -1.0)  # directions of a shaft: forward, reverse
+LEAST_SPEED = 0.05  # of full speed; smaller speeds may be noise
+N_SEARCHES = 3  # searches over the dead zone, each with the other parameters of the fit before
 
 
 def fit_on_a_copy(
     model: Model, records: list[Record], again: Callable[[Model], list[Record]], options: EstimationOptions
 ) -> tuple[Fit, list[Record]]:
-    """``fit_thruster``, and once more with the delay on one of the command's copies.
+    """Fit a thruster model, then fit it again with the delay on one of the delayed copies of the command.
 
-    ``again``: the records for a model with other copies. Restricted likelihood comes last, from the maximum of the
-    plain one. Returns the records that belong to the fit, too.
+    Parameters
+    ----------
+    model
+        Thruster model.
+    records
+        Records of the bench runs.
+    again
+        Function that makes the records for a model with other delayed copies.
+    options
+        Options of the estimation.
+
+    Returns
+    -------
+    tuple
+        The fit, and the records that belong to the fit.
+
+    Notes
+    -----
+    Restricted likelihood comes last, from the maximum of the plain likelihood.
     """
     plain = replace(options, reml=False)
     fitted = fit_thruster(model, records, plain)
-    pace = on_a_copy(fitted.model.values["tau"], delay_step(model))
-    if pace:
-        exact = thruster_model(pace, force="thrust" in model.provides)
+    step = on_a_copy(fitted.model.values["tau"], delay_step(model))
+    if step:
+        exact = thruster_model(step, force="thrust" in model.provides)
         records = again(exact)
         values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
-        kept = [fitted.model.parameter(n) for n in ("d", "c2") if n in values]  # free, and perhaps fixed
+        kept = [fitted.model.parameter(n) for n in ("d", "c2") if n in values]  # d was freed, c2 may be fixed
         fitted = fit(exact.with_values(values).replace_parameters(*kept), records, plain)
     fitted = _restricted(fitted, records) if options.reml else fitted
     return replace(fitted, options=options), records
 
 
-def _restricted(top: Fit, records: Sequence[Record]) -> Fit:
-    """From the maximum of the likelihood to that of the restricted one; what it took to get there counts."""
-    found = fit(top.model, records, EstimationOptions(reml=True))
+def _restricted(plain: Fit, records: Sequence[Record]) -> Fit:
+    """Fit by restricted likelihood from the maximum of the plain likelihood; sum the effort of both fits."""
+    found = fit(plain.model, records, EstimationOptions(reml=True))
     return replace(
         found,
-        iterations=top.iterations + found.iterations,
-        evaluations=top.evaluations + found.evaluations,
-        cpu_seconds=top.cpu_seconds + found.cpu_seconds,
-        message=top.message if found.converged else found.message,
+        iterations=plain.iterations + found.iterations,
+        evaluations=plain.evaluations + found.evaluations,
+        cpu_seconds=plain.cpu_seconds + found.cpu_seconds,
+        message=plain.message if found.converged else found.message,
     )
 
 
 def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOptions) -> Fit:
-    """The model fitted from least squares. The likelihood depends on the end of the dead zone only within it, so that
-    is looked for on a grid, and again with what the fit then says of all else, until it stays.
+    """Fit a thruster model from least-squares initial values.
 
-    Where the shaft turned one way only, c1 and c2 are one coefficient, and c2 is fixed at 0.
+    The likelihood depends on the end of the dead zone only within the dead zone. So the end is found by grid search.
+    The search is repeated with the other parameters of the new fit until the end no longer changes.
+
+    Parameters
+    ----------
+    model
+        Thruster model. If the shaft turned in one direction only, c1 and c2 are one coefficient, and c2 is fixed at 0.
+    records
+        Records of the bench runs.
+    options
+        Options of the estimation.
     """
     if "thrust" in model.provides and len(directions(records)) < len(WAYS):
         model = model.replace_parameters(model.parameter("c2").at(0.0).fixed())
@@ -90,14 +116,27 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
 
 
 def directions(records: Sequence[Record]) -> tuple[float, ...]:
-    """Which ways the shaft turned: 1 ahead, -1 astern."""
+    """Return the directions in which the shaft turned: 1 forward, -1 reverse."""
     n = np.concatenate([r.y[:, 0] for r in records])
-    return tuple(way for way in WAYS if np.count_nonzero(way * n > LEAST_SPEED) >= MIN_SAMPLES)
+    return tuple(direction for direction in WAYS if np.count_nonzero(direction * n > LEAST_SPEED) >= MIN_SAMPLES)
 
 
 def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
-    """Thrust ``c1 n|n| + c2 n^2`` [N] at shaft speeds n (n_samples,), and its standard errors by the covariance of c1
-    and c2; NaN where the data do not tell them."""
+    """Return the steady thrust ``c1 n|n| + c2 n^2`` and its standard errors.
+
+    Parameters
+    ----------
+    fitted
+        Fit of a thruster model.
+    n : Array (n_samples,)
+        Normalised shaft speeds.
+
+    Returns
+    -------
+    tuple of Array (n_samples,)
+        Thrust [N], and its standard errors [N] from the covariance of c1 and c2. The errors are NaN if the data do not
+        determine the coefficients.
+    """
     B = np.column_stack([n * np.abs(n), n * n])
     force = B @ [fitted.estimate(c)[0] for c in ("c1", "c2")]
     free = [c for c in ("c1", "c2") if c in fitted.names]  # c2 may be fixed
@@ -107,7 +146,7 @@ def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
 
 
 def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
-    """Thrust coefficients by least squares of force on measured shaft speed; the shaft's delay and pole."""
+    """Return initial values: thrust coefficients by least squares of force on measured shaft speed, delay and pole."""
     tau, a = shaft_guess(records)
     guess = {"tau": tau, "a": a}
     if "thrust" not in model.provides:
@@ -117,15 +156,18 @@ def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
         seen = np.isfinite(r.y[:, 1])
         n = np.interp(r.t[seen], r.t[np.isfinite(r.y[:, 0])], r.y[np.isfinite(r.y[:, 0]), 0])
         rows.append(np.column_stack([n * np.abs(n), np.ones(n.size), n * n, r.y[seen, 1]]))
-    table, told = np.concatenate(rows), 3 if model.parameter("c2").free else 2
-    c1, bias, *c2 = np.linalg.lstsq(table[:, :told], table[:, 3], rcond=None)[0].tolist()
+    table, n_free = np.concatenate(rows), 3 if model.parameter("c2").free else 2
+    c1, bias, *c2 = np.linalg.lstsq(table[:, :n_free], table[:, 3], rcond=None)[0].tolist()
     return guess | {"c1": max(c1, 0.1), "bias": bias} | ({"c2": c2[0]} if c2 else {})
 
 
 def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
-    """Delay [s] and pole [1/s] of the first-order answer to the command that is least far from the measured speed.
+    """Return delay [s] and pole [1/s] of the best first-order response of the shaft speed to the command.
 
-    By mean absolute errors on a grid of both: a search from one start stops at a slow pole where the delay is long.
+    Notes
+    -----
+    The best response has the smallest mean absolute error on a grid of delays and poles. A search from one initial
+    value stops at a slow pole if the delay is long.
     """
     delays = [k * GRID_STEP for k in range(round(MAX_DELAY / GRID_STEP) + 1)]
     found = fit_first_order_lag([_lag_data(r) for r in records], delays, (1.0 / START_POLES).tolist(), GRID_STEP)
@@ -133,7 +175,7 @@ def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
 
 
 def _lag_data(r: Record) -> LagData:
-    """The command on the grid, and the mean absolute error of the delayed lag at the measured shaft speeds."""
+    """Return the command on the grid, and the misfit of a delayed lag: its absolute errors at the measured speeds."""
     t = np.arange(r.t[0], r.t[-1], GRID_STEP)
     command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
     seen = np.isfinite(r.y[:, 0])
@@ -141,32 +183,38 @@ def _lag_data(r: Record) -> LagData:
 
     def misfit(lagged: Array, delay: float) -> float:
         past = np.maximum(row - round(delay / GRID_STEP), -1)
-        return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # the last: before the start
+        return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # index -1, before the start: shaft at rest
 
     return LagData(command, misfit)
 
 
 def thruster_name(loaded: LoadedLog) -> str:
-    """The one thruster of a log that was commanded and whose shaft was measured.
+    """Return the name of the only thruster of a log that was commanded and whose shaft speed was measured.
 
-    Raises SeatrialError where there is none, or more than one.
+    Raises
+    ------
+    SeatrialError
+        If there is no such thruster, or more than one.
     """
     names = [n.removeprefix("n_cmd_") for n in loaded.run.channels if n.startswith("n_cmd_")]
     moved = [
         n for n in names if f"n_{n}" in loaded.run.channels and np.ptp(loaded.run.channels[f"n_cmd_{n}"].value) > 0
     ]
     if len(moved) != 1:
-        said = ", ".join(moved) if moved else "none"
+        found = ", ".join(moved) if moved else "none"
         raise SeatrialError(
-            f"{loaded.about['path']}: thrusters with commands and shaft speed: {said}; name one with --thruster"
+            f"{loaded.about['path']}: thrusters with commands and shaft speed: {found}; name one with --thruster"
         )
     return moved[0]
 
 
 def check_signs(loaded: LoadedLog, name: str) -> None:
-    """Check of sign and unit before a fit: the shaft's response to its command, the force's to the shaft.
+    """Check sign and unit before a fit: the response of the shaft to its command, and of the force to the shaft.
 
-    Raises SeatrialError with what is wrong and what to do.
+    Raises
+    ------
+    SeatrialError
+        If a sign or unit is wrong; the message says what to do.
     """
     c, where = loaded.run.channels, loaded.about["path"]
     for f in check_shafts({n: c[n] for n in (f"n_cmd_{name}", f"n_{name}") if n in c}):
@@ -180,7 +228,13 @@ def check_signs(loaded: LoadedLog, name: str) -> None:
 
 
 def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:
-    """``n_cmd_0`` ..., ``n`` and, with a load cell, ``force``. Raises SeatrialError for what is not there."""
+    """Return the channels of one thruster: ``n_cmd_0`` ..., ``n`` and, with a load cell, ``force``.
+
+    Raises
+    ------
+    SeatrialError
+        If the log lacks the command or the shaft speed.
+    """
     found = loaded.run.channels
     for needed in (f"n_cmd_{name}", f"n_{name}"):
         if needed not in found:
@@ -190,18 +244,30 @@ def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, C
 
 
 def thruster_runs(loaded: Sequence[LoadedLog], model: Model, name: str | None) -> list[LogSegment]:
-    """The logs as runs for a bench model, all of one thruster.
+    """Return the logs as runs for a bench model, all of one thruster.
 
-    Raises SeatrialError where a log lacks the force that the model has.
+    Parameters
+    ----------
+    loaded
+        Loaded bench logs.
+    model
+        Thruster model.
+    name
+        Name of the thruster. With None it is the only commanded thruster of the first log.
+
+    Raises
+    ------
+    SeatrialError
+        If the model has a force and a log lacks it, or if a log lacks another channel.
     """
     runs = []
-    for x in loaded:
-        name = name or thruster_name(x)
-        channels = thruster_channels(x, model, name)
+    for log in loaded:
+        name = name or thruster_name(log)
+        channels = thruster_channels(log, model, name)
         if "thrust" in model.provides and "force" not in channels:
             raise SeatrialError(
-                f"{x.about['path']}: no load cell in the log, but the model has its force; it "
-                "was fitted to other logs: fit these with `seatrial ident thruster` first"
+                f"{log.about['path']}: the log has no load cell, but the model has a force and was fitted to other "
+                "logs; fit a model to these logs first with `seatrial ident thruster`"
             )
-        runs.append(replace(x.run, channels=channels))
+        runs.append(replace(log.run, channels=channels))
     return runs

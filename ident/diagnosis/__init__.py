@@ -1,4 +1,4 @@
-"""Diagnosis: score tests for missing effects, refits, choice of an effect, its alternatives and importance."""
+"""Diagnosis of missing effects: score tests, refits, selection, attribution and importance of effects."""
 
 import lazy_loader
 

@@ -1,12 +1,17 @@
-"""Attribution: is a selected effect identified, or ambiguous with its alternatives? And the recommended experiment.
+"""Attribution of selected effects (identified or ambiguous), and the recommended experiment.
 
-An effect may improve a model a great deal and still be the wrong one: where the true effect is not in the catalogue, a
-competing one takes its place. The remaining residual distinguishes them: the right effect leaves only the small
-difference between its true form and that of the catalogue. So the score tests are repeated after the last effect, and
-an attribution is *identified* only if what they find is small compared with what the effects explain, no nonparametric
-curve was needed beside it, no competing model comes close, could not be tested or is what the model estimates anyway,
-the prediction of validation data is better with it, and nothing speaks against the data or the fit. Otherwise it is
-*ambiguous*.
+An effect may improve a model a great deal and still be the wrong effect. If the true effect is not in the catalogue,
+a competing effect takes its place. The remaining residual distinguishes them: the right effect leaves only the small
+difference between its true form and that of the catalogue. So the score tests are repeated after the last effect. An
+effect is *identified* only if all of these hold:
+
+- the remaining tests find little compared with what the effects explain;
+- no nonparametric curve was needed in addition;
+- no competing model comes close, could not be tested, or is explained by the estimated parameters of the model;
+- the prediction of validation data is better with the effect;
+- data and fit have no other weakness.
+
+Otherwise the effect is *ambiguous*.
 """
 
 from __future__ import annotations
@@ -24,19 +29,19 @@ from seatrial.ident.experiment_design import not_commanded
 from seatrial.ident.model import Effect, EffectKind, Parameter
 from seatrial.ident.models import READINGS, THRUST_LOSSES
 
-# Largest criterion (2 ln L less the penalty of the parameters) that a score test may still find beside an identified
+# Largest criterion (2 ln L less the penalty of the parameters) of the remaining score tests beside an identified
 # effect, whose true form is not exactly that of the catalogue: absolute, and as a share of what the effects explain
 # (tests/recovery: leave-one-out against the full catalogue)
 MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE = 20.0, 0.03
-MAX_REMAINING_TESTS = 8  # tests that may still pass: a small difference of form shows in a few of them
-# a competing model is not excluded if its criterion is behind by less than this: absolute, and as a share
+MAX_REMAINING_TESTS = 8  # remaining tests that may pass: a small difference of form makes a few of them pass
+# a competing model is not excluded if its criterion is lower by less than this: absolute, and as a share
 MAX_DISTANCE, MAX_DISTANCE_SHARE = 10.0, 0.05
-MIN_SIGNIFICANCE = 4.0  # standard errors of an effect from zero; right effects exceed it even at half their size
-REACH = 3.0  # standard errors of a place: where they are more than its distance from the boat, it is not known
-# tolerance of a score below which the estimated parameters take the effect up: where nobody gave the thrust, they hold
-# its asymmetry and leave 0.005 to 0.04 % of a loss in reverse; of other effects 0.3 % and more is left (tests/recovery)
+MIN_SIGNIFICANCE = 4.0  # standard errors between an effect and zero; right effects exceed it even at half their size
+REACH = 3.0  # a position is unknown if this many standard errors exceed its distance from the boat
+# Tolerance of a score below which the estimated parameters explain the effect. If the thrust is estimated, its
+# asymmetry explains a loss in reverse except 0.005 to 0.04 %. Other effects keep 0.3 % and more (tests/recovery).
 LEAST_TOLERANCE = 1e-3
-FORM_SHARE = 0.1  # a competing effect below this share of the other may be the difference of its form
+FORM_SHARE = 0.1  # a smaller gain, relative to that of an alternative, may only be the error of the alternative's form
 
 
 def assess_alternatives(
@@ -49,106 +54,139 @@ def assess_alternatives(
     after: FittedModel | None = None,
     nominal: Sequence[Score] = (),
 ) -> tuple[EffectAttribution, ...]:
-    """Attribution of each selected effect.
+    """Attribute each selected effect: identified, ambiguous or nonparametric.
 
-    Parameters:
-        left: scores that still pass after the last effect.
-        n: rows of the estimation data.
-        untested: effects of the catalogue that were not tested, since the data lack one of their inputs.
-        weights: what each effect is worth to the prediction.
-        reservations: why no effect can be identified on these data.
-        after: the last model, whose estimates are reported; by default that of each round.
-        nominal: scores on the model without effects.
+    Parameters
+    ----------
+    rounds
+        Rounds of the search.
+    left
+        Scores that still pass after the last effect.
+    n
+        Number of rows of the estimation data.
+    untested
+        Names of catalogue effects that were not tested because the data lack one of their inputs.
+    weights
+        Importance of each effect.
+    reservations
+        Reasons why no effect can be identified on these data.
+    after
+        Last model, whose estimates are reported, by default that of each round.
+    nominal
+        Scores on the model without effects.
+
+    Returns
+    -------
+    tuple of EffectAttribution
+        Attribution of each selected effect, with the reasons if it is ambiguous.
     """
     taken_up = {s.name for s in nominal if s.tolerance < LEAST_TOLERANCE}
-    worth = {w.effect: w for w in weights}
+    importance = {w.effect: w for w in weights}
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     total = sum(max(c.criterion, 0.0) for c in chosen)
     limit = max(MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE * total)
     found = []
-    for one in rounds:
-        if one.chosen is None:
+    for search_round in rounds:
+        if search_round.chosen is None:
             continue
-        if one.chosen.unknown:
-            close = tuple(q.effect.name for q in _close(one))
-            found.append(EffectAttribution(one.chosen.effect.name, "nonparametric", (), close))
+        if search_round.chosen.unknown:
+            close = tuple(q.effect.name for q in _close(search_round))
+            found.append(EffectAttribution(search_round.chosen.effect.name, "nonparametric", (), close))
             continue
-        # neither beside all effects nor beside this one may it be large
-        own = max(MAX_REMAINING_CRITERION, one.chosen.criterion)
-        rest = [s for s in left if s.criterion(n) > min(limit, own)]
-        stage = one.chosen.stage if after is None else after
-        reasons = [*_left(rest, n), *_many(left), *_kin(one.chosen.effect, left, len(chosen)), *_tables(chosen, one)]
-        reasons += [*_form(chosen, one.chosen), *_competing(one)]
-        reasons += [*_own(one.chosen.effect, stage), *_place(one.chosen.effect, stage)]
-        reasons += [*_untested(one.chosen.effect, untested), *_not_fitted(one), *_taken_up(one.chosen.effect, taken_up)]
-        reasons += [*_unpredictive(worth.get(one.chosen.effect.name)), *reservations]
-        others = [q.effect.name for q in _close(one)]
+        # the remaining criterion has to be small compared with all effects and with this effect
+        own_limit = max(MAX_REMAINING_CRITERION, search_round.chosen.criterion)
+        rest = [s for s in left if s.criterion(n) > min(limit, own_limit)]
+        stage = search_round.chosen.stage if after is None else after
+        reasons = [
+            *_left(rest, n),
+            *_many(left),
+            *_kin(search_round.chosen.effect, left, len(chosen)),
+            *_tables(chosen, search_round),
+        ]
+        reasons += [*_form(chosen, search_round.chosen), *_competing(search_round)]
+        reasons += [*_own(search_round.chosen.effect, stage), *_place(search_round.chosen.effect, stage)]
+        reasons += [
+            *_untested(search_round.chosen.effect, untested),
+            *_not_fitted(search_round),
+            *_taken_up(search_round.chosen.effect, taken_up),
+        ]
+        reasons += [*_unpredictive(importance.get(search_round.chosen.effect.name)), *reservations]
+        others = [q.effect.name for q in _close(search_round)]
         unseen = {*untested, *taken_up}
-        others += [name for name in one.chosen.effect.alternatives if name in unseen and name not in others]
-        name = one.chosen.effect.name
+        others += [name for name in search_round.chosen.effect.alternatives if name in unseen and name not in others]
+        name = search_round.chosen.effect.name
         found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(others)))
     return tuple(found)
 
 
 def _left(rest: Sequence[Score], n: int) -> list[str]:
+    """Return the reason that a remaining score test finds much, if any does."""
     if not rest:
         return []
     best = max(rest, key=lambda s: s.criterion(n))
-    return [f"with it the tests still find {_worded(best)}, worth {best.criterion(n):.0f} more in 2 ln L"]
+    return [f"with it the score tests still find {_worded(best)} ({best.criterion(n):.0f} more in 2 ln L)"]
 
 
 def _many(left: Sequence[Score]) -> list[str]:
+    """Return the reason that many score tests still pass, if they do."""
     if len(left) <= MAX_REMAINING_TESTS:
         return []
-    return [f"with it {len(left)} tests still pass, of {_worded(left[0])} first"]
+    return [f"with it {len(left)} score tests still pass; the strongest finds {_worded(left[0])}"]
 
 
 def _kin(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
-    """Where several effects were added: a declared alternative of this one that still passes, however small, since one
-    effect may then explain all."""
-    kin = [s.name for s in left if s.name in effect.alternatives] if n_added > 1 else []
-    return [f"with it the tests still find its alternative {kin[0]}"] if kin else []
+    """Return the reason that a declared alternative of this effect still passes, however small.
+
+    It applies only if several effects were added, because one effect may then explain all of them.
+    """
+    alternatives = [s.name for s in left if s.name in effect.alternatives] if n_added > 1 else []
+    return [f"with it the score tests still find its alternative {alternatives[0]}"] if alternatives else []
 
 
-def _form(chosen: Sequence[Refit], one: Refit) -> list[str]:
-    """Where this effect is a small alternative of a strong one: the difference between the true form of the strong one
-    and
-    that of the catalogue resembles its nearest alternative."""
-    strong = [c.effect for c in chosen if one.criterion < FORM_SHARE * c.criterion]
-    kin = [e for e in strong if e.name in one.effect.alternatives or one.effect.name in e.alternatives]
-    return [f"it may be no more than what {kin[0].title} has beyond its formula"] if kin else []
+def _form(chosen: Sequence[Refit], refit: Refit) -> list[str]:
+    """Return the reason that this effect is a small alternative of a strong effect, if it is.
+
+    The difference between the true form of the strong effect and that of the catalogue resembles the nearest
+    alternative.
+    """
+    strong = [c.effect for c in chosen if refit.criterion < FORM_SHARE * c.criterion]
+    related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
+    return [f"it may only correct the formula of {related[0].title}"] if related else []
 
 
 def _own(effect: Effect, stage: FittedModel) -> list[str]:
-    """Evidence against it by its own parameters: a parameter at its bound, or a size that is not significant."""
+    """Return the reason that a parameter of the effect is at its bound, or that its size is not significant."""
     fit = stage.fit
-    named = {p.full_name: p for p in effect.parameters if not p.per_record}
+    by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
     for p in effect.parameters:
         if p.per_record:
-            named |= {q.full_name: q for q in (replace(p, segment=run) for run in range(len(stage.records)))}
-    own = {i: named[name] for i, name in enumerate(fit.names) if name in named}
-    stuck = {name for name, what in fit.flags if what == AT_BOUND}
-    for p in own.values():
+            by_name |= {q.full_name: q for q in (replace(p, segment=run) for run in range(len(stage.records)))}
+    of_effect = {i: by_name[name] for i, name in enumerate(fit.names) if name in by_name}
+    stuck = {name for name, flag in fit.flags if flag == AT_BOUND}
+    for p in of_effect.values():
         if p.full_name in stuck:
             name, value, _, unit = _reported(fit, p)
             return [f"its parameter {name} ({p.meaning}) is at its bound, {value:.3g} {unit}".rstrip()]
-    sizes = [i for i, p in own.items() if p.value == 0.0 and fit.errors[i] > 0]
-    if not sizes or _from_nothing(fit, sizes) >= MIN_SIGNIFICANCE:
+    sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
+    if not sizes or _distance_from_zero(fit, sizes) >= MIN_SIGNIFICANCE:
         return []
-    name, value, error, unit = _reported(fit, own[sizes[0]])
-    return [f"the data do not tell its size: {name} = {value:.3g} ± {error:.3g} {unit}".rstrip()]
+    name, value, error, unit = _reported(fit, of_effect[sizes[0]])
+    return [f"the data do not determine its size: {name} = {value:.3g} ± {error:.3g} {unit}".rstrip()]
 
 
 def _reported(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
-    """Name, value, standard error and unit, over the thrust where its scale is unknown."""
+    """Return name, value, standard error and unit of a parameter, over the thrust if the force scale is unknown."""
     reported = ReportedEstimates(fit)
     estimate = reported.estimate(p, p.segment or 0)
     return reported.scale.name(p.full_name, p.unit), *estimate, reported.scale.unit(p.unit)
 
 
 def _place(effect: Effect, stage: FittedModel) -> list[str]:
-    """Where the place of an effect (the fixed end of a line) is not known: a small track sees the direction to it, and
-    a prior of its distance; all places along that direction do."""
+    """Return the reason that the position of an effect (for example the fixed end of a line) is not determined.
+
+    A small track determines the direction to the position. The prior determines its distance, so all positions along
+    that direction fit equally well.
+    """
     fit, scan = stage.fit, effect.scan
     points = [p for p in effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
     at = [fit.names.index(p.name) for p in points if p.name in fit.names]
@@ -160,11 +198,11 @@ def _place(effect: Effect, stage: FittedModel) -> list[str]:
     if REACH * float(np.linalg.norm(fit.errors[at])) < away:
         return []
     values = ", ".join(f"{fit.names[i]} = {fit.values[i]:.3g} ± {fit.errors[i]:.2g} m" for i in at)
-    return [f"the data do not tell its place, {away:.0f} m from the boat: {values}"]
+    return [f"the data do not determine its position, {away:.0f} m from the boat: {values}"]
 
 
-def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
-    """Joint distance of the estimates from zero in standard errors (Wald): each may be correlated with the others."""
+def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
+    """Return the joint distance of correlated estimates from zero in standard errors (Wald)."""
     values = fit.values[list(sizes)]
     covariance = fit.covariance[np.ix_(sizes, sizes)]
     if not np.isfinite(covariance).all():
@@ -173,105 +211,140 @@ def _from_nothing(fit: Fit, sizes: Sequence[int]) -> float:
 
 
 def _worded(score: Score) -> str:
+    """Return the effect or dependence that a score test finds, in words."""
     curve = score.curve
     if curve is None:
         return score.name
     if score.kind is EffectKind.LAGGED:
         return f"that {curve.force} follows {curve.variable}"
     if score.kind is EffectKind.RESONANT:
-        return f"that {curve.force} swings after {curve.variable}"
-    known = {r.name: f"the error of {r.name}" for r in READINGS} | {r.name: r.title for r in THRUST_LOSSES}
-    what = known.get(curve.force, curve.force)
-    return f"that {what} depends on {' and '.join(v for v in (curve.variable, curve.second) if v)}"
+        return f"that {curve.force} oscillates after {curve.variable}"
+    titles = {r.name: f"the error of {r.name}" for r in READINGS} | {r.name: r.title for r in THRUST_LOSSES}
+    force = titles.get(curve.force, curve.force)
+    return f"that {force} depends on {' and '.join(v for v in (curve.variable, curve.second) if v)}"
 
 
-def _tables(chosen: Sequence[Refit], one: Round) -> list[str]:
-    """A nonparametric curve that was added beside the effect, or that gains more than it."""
-    assert one.chosen is not None
-    own = one.chosen.effect.nonparametric_of
-    beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(own)]
+def _tables(chosen: Sequence[Refit], search_round: Round) -> list[str]:
+    """Return the reasons that a nonparametric curve was added beside the effect, or would gain more than the effect."""
+    assert search_round.chosen is not None
+    curve = search_round.chosen.effect.nonparametric_of
+    beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(curve)]
     reasons = [f"{effect.title} had to be added beside it" for effect in beside]
-    better = [q for q in one.refits if q.unknown and q.accepted and q.criterion > one.chosen.criterion]
+    better = [
+        q for q in search_round.refits if q.unknown and q.accepted and q.criterion > search_round.chosen.criterion
+    ]
     return reasons + [f"{q.effect.title} would explain more" for q in better[:1]]
 
 
-def _close(one: Round) -> list[Refit]:
-    """Competing models: other effects whose criterion is close to that of the chosen one, best first. One that nests
-    the chosen effect competes only if its further parameters are worth their number."""
-    assert one.chosen is not None
-    name, best = one.chosen.effect.name, one.chosen.criterion
+def _close(search_round: Round) -> list[Refit]:
+    """Return the competing models of a round, best first.
+
+    They are the other effects whose criterion is close to that of the chosen effect.
+
+    An effect that nests the chosen effect competes only if its further parameters increase the criterion.
+    """
+    assert search_round.chosen is not None
+    name, best = search_round.chosen.effect.name, search_round.chosen.criterion
     least = max(best - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * best), 0.0)
     others = [
         q
-        for q in one.refits
-        if q is not one.chosen and not q.unknown and q.criterion > (best if name in q.effect.nests else least)
+        for q in search_round.refits
+        if q is not search_round.chosen and not q.unknown and q.criterion > (best if name in q.effect.nests else least)
     ]
     return sorted(others, key=lambda q: -q.criterion)
 
 
-def _competing(one: Round) -> list[str]:
-    assert one.chosen is not None
-    return [_compared(q, one.chosen.criterion - q.criterion) for q in _close(one)[:1]]
+def _competing(search_round: Round) -> list[str]:
+    """Return the reason that a competing model comes close, for the best of them."""
+    assert search_round.chosen is not None
+    return [_compared(q, search_round.chosen.criterion - q.criterion) for q in _close(search_round)[:1]]
 
 
-def _compared(other: Refit, behind: float) -> str:
+def _compared(competitor: Refit, behind: float) -> str:
+    """Return a comparison with a competing model in words; its criterion is lower by ``behind``."""
+    title = competitor.effect.title
     if behind < 0:
-        said = f"{other.effect.title} explains the fitted data better (by {-behind:.0f} in 2 ln L)"
-        return f"{said}, the validation data not {'significantly' if other.validated else 'so'}"
-    return f"{other.effect.title} explains nearly as much ({behind:.0f} less in 2 ln L)"
+        better = "significantly better" if competitor.validated else "better"
+        gain = f"by {-behind:.0f} in 2 ln L"
+        return f"{title} explains the estimation data better ({gain}), but not the validation data {better}"
+    return f"{title} explains nearly as much ({behind:.0f} less in 2 ln L)"
 
 
 def _untested(effect: Effect, untested: Collection[str]) -> list[str]:
+    """Return the reasons that alternatives of the effect could not be tested."""
     lost = [name for name in effect.alternatives if name in untested]
     return [f"its alternative {name} could not be tested on these data" for name in lost]
 
 
 def _taken_up(effect: Effect, taken_up: Collection[str]) -> list[str]:
-    """What of these effects the estimated parameters do not take up is the difference between form and form: it looks
-    like their alternatives."""
+    """Return the reasons that the estimated parameters explain the effect or its alternatives.
+
+    The part of such an effect that the parameters do not explain is only a difference of form. It looks like the
+    alternatives of the effect.
+    """
     if effect.name in taken_up:
-        return ["the model's estimated parameters take up nearly all of it"]
+        return ["the model's estimated parameters explain nearly all of it"]
     names = [name for name in effect.alternatives if name in taken_up]
-    return [f"its alternative {name} is nearly all taken up by the model's estimated parameters" for name in names]
+    return [f"the model's estimated parameters explain nearly all of its alternative {name}" for name in names]
 
 
-def _not_fitted(one: Round) -> list[str]:
-    """Candidates of the same round that passed the score test and could not be fitted: any may be the right one."""
-    return [f"{u.effect.title} passes the test too and could not be fitted: {u.reason}" for u in one.untested[:1]]
+def _not_fitted(search_round: Round) -> list[str]:
+    """Return the reason that a candidate of the same round passed the score test and could not be fitted.
+
+    Such a candidate may be the right one.
+    """
+    return [
+        f"{u.effect.title} passes the test too and could not be fitted: {u.reason}" for u in search_round.untested[:1]
+    ]
 
 
 def _unpredictive(weight: EffectImportance | None) -> list[str]:
+    """Return the reason that the prediction is no better with the effect, or that this could not be tested."""
     if weight is not None and weight.untested is not None:
-        return [f"what the prediction is without it could not be tested: {weight.untested}"]
+        return [f"the prediction without it could not be tested: {weight.untested}"]
     if weight is None or weight.predicts:
         return []
-    ahead = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
-    return [f"the prediction{ahead} is no better with it"]
+    horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
+    return [f"the prediction{horizon} is no better with it"]
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:
-    """Recommended experiment that would resolve an ambiguity; ``MODEL`` in a command is the diagnosed model.
+    """Return the recommended experiments that would resolve the ambiguities, None if there are none.
 
-    For an effect with competing models: the experiment that shows it, and the command that designs the discriminating
-    mission. For an ambiguous effect without them: its experiment. Where tests passed but no candidate was confirmed on
-    the validation data: the experiment of the best candidate.
+    Parameters
+    ----------
+    diagnosis
+        The diagnosis.
+
+    Returns
+    -------
+    str or None
+        Sentences for reports. ``MODEL`` in a command stands for the diagnosed model.
+
+    Notes
+    -----
+    - An effect with competing models: its experiment, and the command that designs the discriminating mission.
+    - An ambiguous effect without competing models: its experiment.
+    - Tests passed and no candidate was confirmed on the validation data: the experiment of the best candidate.
     """
     lines = []
     by_name = {j.effect: j for j in diagnosis.judgements}
-    for one in diagnosis.rounds:
-        if one.chosen is None or one.chosen.effect.name not in by_name:
-            if not diagnosis.effects and one.refits and one.refits[0].effect.experiment:
-                e = one.refits[0].effect
-                lines.append(f"To see whether {e.title} is there at all: {e.experiment}.")
+    for search_round in diagnosis.rounds:
+        if search_round.chosen is None or search_round.chosen.effect.name not in by_name:
+            if not diagnosis.effects and search_round.refits and search_round.refits[0].effect.experiment:
+                e = search_round.refits[0].effect
+                lines.append(f"To test whether {e.title} is present: {e.experiment}.")
             continue
-        effect, judged = one.chosen.effect, by_name.get(one.chosen.effect.name)
-        titles = {q.effect.name: q.effect.title for q in one.refits}
-        others = [r for r in judged.not_excluded if r in titles] if judged is not None else []
-        for other in others[:1]:
-            lines.append(f"To tell {effect.title} from {titles[other]}: {effect.experiment}.")
-            named = {q.effect.name for q in one.refits if q.effect.kind is EffectKind.CATALOGUE}
-            if {effect.name, other} <= named and not not_commanded(diagnosis.before.model):
-                lines.append(f"`seatrial mission design MODEL --discriminate {effect.name},{other}` makes the mission.")
-        if judged is not None and judged.attribution == "ambiguous" and not others:
-            lines.append(f"To see whether it is {effect.title}: {effect.experiment}.")
+        effect, attribution = search_round.chosen.effect, by_name.get(search_round.chosen.effect.name)
+        titles = {q.effect.name: q.effect.title for q in search_round.refits}
+        others = [r for r in attribution.not_excluded if r in titles] if attribution is not None else []
+        for competitor in others[:1]:
+            lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
+            named = {q.effect.name for q in search_round.refits if q.effect.kind is EffectKind.CATALOGUE}
+            if {effect.name, competitor} <= named and not not_commanded(diagnosis.before.model):
+                lines.append(
+                    f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission."
+                )
+        if attribution is not None and attribution.attribution == "ambiguous" and not others:
+            lines.append(f"To test whether it is {effect.title}: {effect.experiment}.")
     return " ".join(lines) or None

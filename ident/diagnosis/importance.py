@@ -1,9 +1,10 @@
 """Effect importance: leave-one-effect-out prediction error.
 
-The search selects effects by the gain in likelihood, which is of one-step predictions: the sum of many small neglected
-effects (a delay of some hundredths of a second) can gain more there than an effect that moves the boat elsewhere. So
-the effects are ranked by the loss of predictive accuracy when each is left out and the rest is fitted again: three
-seconds ahead by inputs alone (``Comparison.error_ratio``).
+The search selects effects by the gain in likelihood, which measures one-step predictions. The sum of many small
+neglected effects (for example a delay of some hundredths of a second) can gain more likelihood than an effect that
+changes the motion of the boat. So the effects are ranked by the loss of predictive accuracy. Each effect is left out in
+turn, the other effects are fitted again, and the prediction three seconds ahead by inputs alone is compared
+(``Comparison.error_ratio``).
 """
 
 from __future__ import annotations
@@ -28,40 +29,65 @@ def effect_importance(
     records: Sequence[Record],
     unseen: Unseen,
 ) -> tuple[EffectImportance, ...]:
-    """Importance of each ``chosen`` effect of the model ``after``, largest first (``by_importance``); unknown where the
-    model without the effect cannot be fitted: any smaller model in its place would give it the gain of other effects.
+    """Compute the importance of each chosen effect, largest first (``by_importance``).
+
+    Parameters
+    ----------
+    before, after
+        Fitted models without and with all chosen effects.
+    chosen
+        Refits of the chosen effects.
+    rounds
+        Rounds of the search, whose refits are used again if they have the right effects.
+    records
+        Estimation data.
+    unseen
+        Validation data.
+
+    Returns
+    -------
+    tuple of EffectImportance
+        The importance is unknown if the model without the effect cannot be fitted. A smaller model in its place would
+        attribute the gain of other effects to this effect.
     """
     if not chosen:
         return ()
-    known = {frozenset(_added(before, q.stage)): q.stage for r in rounds for q in r.refits}
-    known |= {frozenset[str](): before}
-    every = _added(before, after)
+    fitted = {frozenset(_added(before, q.stage)): q.stage for r in rounds for q in r.refits}
+    fitted |= {frozenset[str](): before}
+    added = _added(before, after)
     found = []
-    for one in chosen:
-        out = left_out_with(one.effect, chosen)
-        kept = [c for c in chosen if c.effect.name not in out]
+    for refit in chosen:
+        left_out = left_out_with(refit.effect, chosen)
+        kept = [c for c in chosen if c.effect.name not in left_out]
         try:
-            stage = known.get(frozenset(every - out)) or _with(kept, after, before, records, unseen)
-            found.append(_importance(one, stage, after, alone=len(out) == 1))
+            stage = fitted.get(frozenset(added - left_out)) or _with(kept, after, before, records, unseen)
+            found.append(_importance(refit, stage, after, alone=len(left_out) == 1))
         except FIT_ERRORS as problem:
             unknown = float("nan")
-            found.append(EffectImportance(one.effect.name, unknown, unknown, untested=str(problem)))
+            found.append(EffectImportance(refit.effect.name, unknown, unknown, untested=str(problem)))
     return by_importance(found, chosen)
 
 
-def _importance(one: Refit, without: FittedModel, after: FittedModel, *, alone: bool) -> EffectImportance:
-    """Of an effect, by the model ``without`` it; ``alone``: nothing was left out with it."""
+def _importance(refit: Refit, without: FittedModel, after: FittedModel, *, alone: bool) -> EffectImportance:
+    """Return the importance of an effect from the model ``without`` it.
+
+    ``alone`` means that no other effect was left out together with this effect.
+    """
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
-    compared = comparison(without, after, one.effect)
-    if one.stage is after and alone and one.prediction is not None:  # as it was accepted
-        worth, prediction = (one.validation_gain, one.t), one.prediction
+    compared = comparison(without, after, refit.effect)
+    # if the effect was added last, the search has already compared these models
+    if refit.stage is after and alone and refit.prediction is not None:
+        gain_and_t, prediction = (refit.validation_gain, refit.t), refit.prediction
     else:
-        worth, prediction = compared.gain, compared.prediction
-    return EffectImportance(one.effect.name, gain, compared.error_ratio, *worth, prediction)
+        gain_and_t, prediction = compared.gain, compared.prediction
+    return EffectImportance(refit.effect.name, gain, compared.error_ratio, *gain_and_t, prediction)
 
 
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
-    """Names of what goes with an effect: its nonparametric curve, as that would take its place."""
+    """Return the names of all effects that are left out together with an effect.
+
+    The nonparametric curve of the effect is left out too, because the curve would take its place.
+    """
     curve = effect.nonparametric_of or effect.parametric_form_of
     return {effect.name, *(c.effect.name for c in chosen if c.effect.is_table_of(curve))}
 
@@ -74,29 +100,57 @@ def fit_without(
     records: Sequence[Record],
     unseen: Unseen,
 ) -> FittedModel:
-    """The model with all ``chosen`` effects but one, fitted exactly. Raises one of ``FIT_ERRORS`` where that fails."""
+    """Fit the model with all chosen effects except one, exactly.
+
+    Parameters
+    ----------
+    before, after
+        Fitted models without and with all chosen effects.
+    chosen
+        Refits of the chosen effects.
+    effect
+        Effect to leave out.
+    records
+        Estimation data.
+    unseen
+        Validation data.
+
+    Raises
+    ------
+    FIT_ERRORS
+        If the fit fails.
+    """
     kept = [c for c in chosen if c.effect is not effect]
     return _with(kept, after, before, records, unseen, exact=True) if kept else before
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
-    """Effects by importance, largest first.
+    """Sort effects by importance, largest first.
 
-    A nonparametric curve explains what no parametric effect does: it follows the parametric effects that were selected
-    before it, and precedes less important ones selected after it. The curve of which a parametric effect is one form
-    precedes that effect, which is then only a part of it.
+    Parameters
+    ----------
+    found
+        Importance of each effect.
+    chosen
+        Refits of the effects in the order of their selection.
+
+    Notes
+    -----
+    A nonparametric curve explains the part that no parametric effect explains. So a curve follows the parametric
+    effects that were selected before it, and precedes less important effects that were selected after it. If a
+    parametric effect is one form of a curve, the curve precedes the effect, which is then only a part of the curve.
     """
-    tables = {c.effect.name for c in chosen if c.unknown}
+    curves = {c.effect.name for c in chosen if c.unknown}
     whole = {
         table.effect.name: c.effect.name
         for c in chosen
         for table in chosen
         if table.effect.is_table_of(c.effect.parametric_form_of)
     }
-    found = sorted(found, key=lambda w: np.inf if np.isnan(w.error) else -w.error)  # the unknown last
-    order = [w.effect for w in found if w.effect not in tables]
+    found = sorted(found, key=lambda w: np.inf if np.isnan(w.error) else -w.error)  # unknown importance last
+    order = [w.effect for w in found if w.effect not in curves]
     for w in found:
-        if w.effect in tables:
+        if w.effect in curves:
             order.insert(_place(w, found, order, [c.effect.name for c in chosen], whole), w.effect)
     return tuple(sorted(found, key=lambda w: order.index(w.effect)))
 
@@ -108,7 +162,10 @@ def _place(
     search: Sequence[str],
     whole: Mapping[str, str],
 ) -> int:
-    """Rank of a nonparametric curve among the parametric effects. ``search``: the order of selection."""
+    """Return the rank of a nonparametric curve among the parametric effects.
+
+    ``search`` is the order of selection; ``whole`` maps a curve to the parametric effect that is a form of it.
+    """
     if table.effect in whole:
         return order.index(whole[table.effect])
     behind = set(search[search.index(table.effect) + 1 :]) & set(order)
@@ -117,6 +174,7 @@ def _place(
 
 
 def _added(before: FittedModel, stage: FittedModel) -> set[str]:
+    """Return the names of the effects that a model has in addition to those of ``before``."""
     return {e.name for e in stage.fit.model.effects} - {e.name for e in before.fit.model.effects}
 
 
@@ -129,11 +187,11 @@ def _with(
     *,
     exact: bool = False,
 ) -> FittedModel:
-    """Refit with only the kept effects, from the values of ``after``."""
+    """Fit the model with only the kept effects, from the values of ``after``; roughly unless ``exact``."""
     last = after.fit.model
     model: Model = before.fit.model
-    for other in kept:
-        model = model + other.effect
+    for refit in kept:
+        model = model + refit.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     if exact:
         return fit_and_evaluate(model, records, unseen)

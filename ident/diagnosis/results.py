@@ -12,36 +12,56 @@ from seatrial.ident.estimation import FailedRun, FittedModel, ParameterShift
 from seatrial.ident.model import Effect
 from seatrial.ident.validation import PredictionChange
 
-T_VALIDATION = 2.0
-T_PREDICTING = 1.0  # of a selected effect with which the prediction is better
-# least error three seconds ahead without an effect over that with it, where the interval over the horizon says nothing:
-# of 153 right names in the recovery study one has less than 1.011, and all wrong ones have
+T_VALIDATION = 2.0  # smallest t statistic of the gain on validation data
+T_PREDICTING = 1.0  # the same for a selected effect that improves the prediction
+# Smallest ratio of the error three seconds ahead without an effect to that with it. It decides if the interval over
+# the horizon shows no change. In the recovery study one of 153 correct effects and all wrong effects are below 1.011.
 MIN_ERROR_RATIO = 1.015
-MATERIAL_ERROR_RATIO = 1.005  # the same, below which the prediction is as good without the effect
+MATERIAL_ERROR_RATIO = 1.005  # below this ratio the prediction is as good without the effect
 Attribution = Literal["identified", "ambiguous", "nonparametric"]
 
 
 class Outcome(StrEnum):
-    """What became of a refit, or of a round of the search."""
+    """Outcome of a refit, or of a round of the search."""
 
     ADDED = "added"
-    OUTRANKED = "outranked"  # accepted, but another one explains more
-    SMALL = "small"  # accepted, but small beside what was found, and the prediction is no better with it
-    NOT_SUPPORTED = "not-supported"  # the estimation data do not pay for its parameters
+    OUTRANKED = "outranked"  # accepted, but another effect explains more
+    SMALL = "small"  # accepted, but small compared with the effects found before, and the prediction is no better
+    NOT_SUPPORTED = "not-supported"  # the gain on the estimation data is below the penalty of its parameters
     NOT_VALIDATED = "not-validated"  # the gain on the validation data is not positive, or not significant
-    WORSE_PREDICTION = "worse-prediction"  # beyond its interval, than that of the last model or of the nominal one
-    NO_BETTER_PREDICTION = "no-better-prediction"  # of a nonparametric effect
+    WORSE_PREDICTION = "worse-prediction"  # significantly worse than with the last model or the nominal model
+    NO_BETTER_PREDICTION = "no-better-prediction"  # a nonparametric effect without a better prediction
     UNTESTED = "untested"  # of a round: every refit failed
 
 
 @dataclass(frozen=True)
 class Refit:
-    """The model of a round with one more effect, everything fitted again.
+    """Fit of the model of a round with one more effect, all parameters free.
 
-    gain: 2 d ln L (with priors); df: parameters added; criterion: gain - df ln n; validation_gain: d ln L on all the
-    validation data, and t its statistic over blocks; prediction: change of the prediction errors over the horizon, on
-    the validation data, None where it was not asked for; total: the same, from the nominal model; by_inputs: change of
-    the errors three seconds ahead by inputs alone (``Comparison.by_inputs``), of a nonparametric effect.
+    Attributes
+    ----------
+    effect
+        The added effect.
+    stage
+        The fitted model.
+    gain
+        Gain on the estimation data, 2 d ln L with priors.
+    df
+        Number of added parameters.
+    criterion
+        ``gain - df ln n``, with n rows of estimation data.
+    validation_gain
+        d ln L on all validation data.
+    t
+        t statistic of the validation gain over blocks of time.
+    prediction
+        Change of the prediction errors over the horizon on the validation data, None if it was not computed.
+    outcome
+        Outcome of the refit in its round.
+    total
+        Change of the prediction errors from the nominal model, None if it was not computed.
+    by_inputs
+        Change of the errors three seconds ahead by inputs alone (``Comparison.by_inputs``), for a nonparametric effect.
     """
 
     effect: Effect
@@ -58,33 +78,44 @@ class Refit:
 
     @property
     def validated(self) -> bool:
-        """Whether both sets of data gain by it: more than its parameters cost, and significantly."""
+        """Return whether both sets of data support the effect.
+
+        The gain on the estimation data exceeds the penalty of the parameters, and the gain on the validation data is
+        positive and significant.
+        """
         return self.criterion > 0 and self.validation_gain > 0 and self.t > T_VALIDATION
 
     @property
     def accepted(self) -> bool:
-        """Whether it is validated and the prediction is not worse with it beyond its interval, neither than without it
-        nor than that of the nominal model. A nonparametric effect has no story but its prediction: it has to be better
-        beyond an interval, over the horizon or by inputs alone, or at least better by the point estimate beside effects
-        that make it better.
+        """Return whether the refit is validated and the prediction with it is good enough.
+
+        The prediction may not be significantly worse than without the effect, nor than that of the nominal model. A
+        nonparametric effect has no physical explanation, so the prediction with it has to be better. One of these is
+        enough:
+
+        - the prediction is significantly better over the horizon, or by inputs alone;
+        - the point estimate is better, and the effects together make the prediction significantly better.
         """
         worse = any(p is not None and p.verdict == "rose" for p in (self.prediction, self.total))
-        earned = self.prediction is None or self.prediction.verdict == "fell"
-        earned = earned or (self.by_inputs is not None and self.by_inputs.verdict == "fell" and helps(self.by_inputs))
+        better = self.prediction is None or self.prediction.verdict == "fell"
+        better = better or (self.by_inputs is not None and self.by_inputs.verdict == "fell" and helps(self.by_inputs))
         if self.total is not None and self.total.verdict == "fell":
-            earned = earned or helps(self.prediction)
-        return self.validated and not worse and (earned or not self.unknown)
+            better = better or helps(self.prediction)
+        return self.validated and not worse and (better or not self.unknown)
 
     @property
     def unknown(self) -> bool:
-        """Not an effect of the catalogue."""
+        """Return whether the effect is nonparametric."""
         return self.effect.kind.unknown
 
 
 @dataclass(frozen=True)
 class UntestedCandidate:
-    """A candidate that passed the score test and could not be fitted, from any start, and why; or one of the user's
-    own, or one at a fixed point, that could not even have a score test."""
+    """A candidate that could not be tested, and the reason.
+
+    Either the candidate passed the score test and could not be fitted from any initial values, or it could not have a
+    score test. The latter is reported for user-defined effects and for effects at a fixed point.
+    """
 
     effect: Effect
     reason: str
@@ -92,8 +123,21 @@ class UntestedCandidate:
 
 @dataclass(frozen=True)
 class Round:
-    """``scores``: of all candidates; ``passed``: names of those that pass; ``refits``: of the best of these, by their
-    criterion; ``untested``: those that could not be fitted; ``chosen``: the refit that was added."""
+    """One round of the search.
+
+    Attributes
+    ----------
+    scores
+        Scores of all candidates.
+    passed
+        Names of the candidates that pass the score test.
+    refits
+        Refits of the best candidates, sorted by their criterion.
+    chosen
+        The refit that was added, None if no refit was accepted.
+    untested
+        Candidates that could not be fitted.
+    """
 
     scores: tuple[Score, ...]
     passed: tuple[str, ...]
@@ -103,7 +147,7 @@ class Round:
 
     @property
     def outcome(self) -> Outcome:
-        """How far the best refit came."""
+        """Outcome of the refit that came closest to being added."""
         if self.chosen is not None:
             return Outcome.ADDED
         found = {r.outcome for r in self.refits}
@@ -118,17 +162,17 @@ class Round:
 
     @property
     def why(self) -> str:
-        """Why an effect was added, or none, for people."""
+        """Sentence for reports: why an effect was added, or why no effect was added."""
         if self.chosen is not None:
             gain, t = self.chosen.validation_gain, self.chosen.t
             return f"the log-likelihood of the validation data rises by {gain:.0f} (t = {t:.1f})"
-        # of those that came so far, the one that explains the data best
+        # the refits are sorted, so this is the best of the refits with this outcome
         best = next((r for r in self.refits if r.outcome is self.outcome), None)
         if best is None:
-            return "none of these could be fitted"
+            return "no candidate that passed could be fitted"
         match self.outcome:
             case Outcome.SMALL:
-                return f"what is left is small beside what was found: {best.effect.title} would gain {best.gain:.0f}"
+                return f"the rest is small compared with the effects found: {best.effect.title} gains {best.gain:.0f}"
             case Outcome.WORSE_PREDICTION:
                 return f"{best.effect.title} makes the prediction worse"
             case Outcome.NO_BETTER_PREDICTION:
@@ -139,8 +183,19 @@ class Round:
 
 @dataclass(frozen=True)
 class RemovedEffect:
-    """An effect that the search added and that does not pay beside the others: without it the validation data lose
-    nothing, or the prediction is better. ``validation_gain``, ``t``, ``prediction``: of having it."""
+    """An effect that the search added and backward elimination removed.
+
+    Without the effect the validation data lose no likelihood, or the prediction is better.
+
+    Attributes
+    ----------
+    effect
+        The effect.
+    validation_gain, t
+        Gain d ln L on the validation data with the effect, and its t statistic.
+    prediction
+        Change of the prediction errors by adding the effect.
+    """
 
     effect: Effect
     validation_gain: float
@@ -149,7 +204,7 @@ class RemovedEffect:
 
     @property
     def immaterial(self) -> bool:
-        """Whether the validation data support it, and it went because the prediction is as good without it."""
+        """Return whether the validation data support the effect, and the prediction is as good without it."""
         return self.validation_gain > 0 and self.t > T_VALIDATION and self.prediction.verdict == "unchanged"
 
 
@@ -157,13 +212,18 @@ class RemovedEffect:
 class EffectAttribution:
     """Attribution of a selected effect.
 
-    Attributes:
-        effect: its name.
-        attribution: ``identified``: it explains what was missing, and no competing model does; ``ambiguous``: something
-            is left that it should have explained, or a competing model comes close; ``nonparametric``: a curve without
-            a name.
-        reasons: why it is ambiguous, for people.
-        not_excluded: names of the competing models that the data do not exclude, closest first.
+    Attributes
+    ----------
+    effect
+        Name of the effect.
+    attribution
+        ``identified``: the effect explains what the model lacked, and no competing model does. ``ambiguous``: the
+        effect leaves a residual that it should explain, or a competing model comes close. ``nonparametric``: a curve
+        without a formula.
+    reasons
+        Reasons for an ambiguous attribution, as texts for reports.
+    not_excluded
+        Names of the competing models that the data do not exclude, closest first.
     """
 
     effect: str
@@ -176,15 +236,22 @@ class EffectAttribution:
 class EffectImportance:
     """Importance of a selected effect.
 
-    Attributes:
-        effect: its name.
-        gain: 2 d ln L on the estimation data, when it is added last.
-        error: ratio of the prediction error three seconds ahead without it to that with it
-            (``seatrial.ident.diagnosis.importance``); geometric mean over the channels of the validation data, else of
-            the estimation data.
-        validation_gain, t: d ln L on the validation data of having it beside the others, and its statistic over blocks.
-        prediction: change of the prediction errors over the horizon by having it.
-        untested: why the model without it could not be fitted: then nothing is known of its importance.
+    Attributes
+    ----------
+    effect
+        Name of the effect.
+    gain
+        2 d ln L on the estimation data if the effect is added last.
+    error
+        Ratio of the prediction error three seconds ahead without the effect to that with it
+        (``seatrial.ident.diagnosis.importance``). It is the geometric mean over the channels of the validation data, or
+        of the estimation data if there are no validation data.
+    validation_gain, t
+        d ln L on the validation data by adding the effect to the others, and its t statistic over blocks.
+    prediction
+        Change of the prediction errors over the horizon by adding the effect to the others.
+    untested
+        Reason why the model without the effect could not be fitted. Its importance is then unknown.
     """
 
     effect: str
@@ -197,8 +264,11 @@ class EffectImportance:
 
     @property
     def pays(self) -> bool:
-        """Whether the validation data support it beside the others, significantly or with a better prediction, and it
-        matters to the prediction, which is not worse with it."""
+        """Return whether the effect is worth its parameters beside the other effects.
+
+        The validation data support the effect, either significantly or with a better prediction. The prediction is not
+        worse with the effect, and its size matters.
+        """
         worse = self.prediction is not None and self.prediction.verdict == "rose"
         matters = self.predicts or helps(self.prediction) or self.error > MATERIAL_ERROR_RATIO
         supported = self.validation_gain > 0 and self.t > (T_PREDICTING if self.predicts else T_VALIDATION)
@@ -206,27 +276,48 @@ class EffectImportance:
 
     @property
     def predicts(self) -> bool:
-        """Whether the prediction is better with it: over the horizon beyond its interval, or, where that says nothing,
-        three seconds ahead by inputs alone."""
+        """Return whether the prediction is better with the effect.
+
+        The interval of the change over the horizon decides. If it shows no change, the error three seconds ahead by
+        inputs alone decides.
+        """
         return predicts(self.prediction, self.error)
 
 
 def helps(prediction: PredictionChange | None) -> bool:
-    """Whether the point estimate of a change of the prediction errors is a fall that counts."""
+    """Return whether the point estimate of a change of the prediction errors is a fall that matters."""
     return prediction is not None and prediction.ratio < 1 / MIN_ERROR_RATIO
 
 
 def predicts(prediction: PredictionChange | None, error: float) -> bool:
-    """Whether a prediction is better: over the horizon, or, where that says nothing, three seconds ahead by the ratio
-    of errors."""
+    """Return whether a prediction is better.
+
+    Parameters
+    ----------
+    prediction
+        Change over the horizon. Its interval decides.
+    error
+        Ratio of the errors three seconds ahead, before over after. It decides if the interval shows no change.
+    """
     verdict = "unchanged" if prediction is None else prediction.verdict
     return verdict == "fell" or (verdict == "unchanged" and error > MIN_ERROR_RATIO)
 
 
 @dataclass(frozen=True)
 class ValidationMismatch:
-    """A validation run, by its record's name, that is predicted worse than the model says: the channel whose errors one
-    step ahead are most too large, by what factor (``scale``), and the parameter that would explain it."""
+    """A validation run with larger prediction errors than the model claims.
+
+    Attributes
+    ----------
+    record
+        Name of the record.
+    channel
+        Channel whose one-step errors exceed the claimed ones most.
+    scale
+        Factor between actual and claimed errors of this channel.
+    shift
+        Parameter change that would explain the errors, None if there is none.
+    """
 
     record: str
     channel: str
@@ -236,8 +327,19 @@ class ValidationMismatch:
 
 @dataclass(frozen=True)
 class ShortData:
-    """Estimation data (``seconds``) too short for ``untestable`` of the ``candidates``: their score tests could not
-    pass whatever the effect's size; with ``needed`` [s] all could."""
+    """Estimation data too short for some score tests, which could not pass for any size of the effect.
+
+    Attributes
+    ----------
+    seconds
+        Length of the estimation data [s].
+    needed
+        Length with which all candidates could pass [s].
+    untestable
+        Number of candidates that cannot pass.
+    candidates
+        Number of all candidates.
+    """
 
     seconds: float
     needed: float
@@ -247,13 +349,39 @@ class ShortData:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """before, after: the model without and with the effects; left: what still passes the tests at the end, best
-    first; shapes: the curves of nonparametric effects, and of the first ambiguous one; weights and judgements: one for
-    each effect, the most important first; removed: effects that were added and did not pay; failed_runs: validation
-    runs that could not be evaluated; mismatches: validation runs that are predicted worse than the model says;
-    undrawn: why there is no curve of the first ambiguous effect, where it could not be fitted; refused: candidates of
-    the user's own that could not be tested; scores: the last ones, of all candidates; untried: what passed when the
-    search had added as many effects as it may."""
+    """Result of a diagnosis.
+
+    Attributes
+    ----------
+    before, after
+        Fitted model without and with the effects.
+    rounds
+        Rounds of the search.
+    left
+        Scores that still pass at the end, best first.
+    shapes
+        Curves of the nonparametric effects, and of the residual in place of the first ambiguous effect.
+    judgements
+        Attribution of each effect, the most important first.
+    weights
+        Importance of each effect, the most important first.
+    removed
+        Effects that were added and removed again.
+    failed_runs
+        Validation runs that could not be evaluated.
+    mismatches
+        Validation runs with larger errors than the model claims.
+    short
+        Candidates that could not pass because the data are short, None if all could.
+    undrawn
+        Reason why the curve of the first ambiguous effect could not be fitted, None if there is no such failure.
+    refused
+        User-defined candidates and candidates at a fixed point that could not be tested.
+    scores
+        Last scores of all candidates.
+    untried
+        Scores that passed when the largest number of effects had been added.
+    """
 
     before: FittedModel
     after: FittedModel
@@ -280,16 +408,16 @@ class Diagnosis:
     @property
     def untested(self) -> tuple[UntestedCandidate, ...]:
         """Candidates that could not be fitted in any round."""
-        tested = {q.effect.name for one in self.rounds for q in one.refits}
-        every = {u.effect.name: u for one in self.rounds for u in one.untested}
-        return tuple(u for name, u in every.items() if name not in tested)
+        tested = {q.effect.name for r in self.rounds for q in r.refits}
+        failed = {u.effect.name: u for r in self.rounds for u in r.untested}
+        return tuple(u for name, u in failed.items() if name not in tested)
 
     @property
     def cross_validated(self) -> bool:
-        """Whether blocks in time of the estimation runs took the place of validation runs."""
+        """Return whether blocks in time of the estimation runs took the place of validation runs."""
         return self.after.cross_validated
 
     @property
     def converged(self) -> bool:
-        """Whether the last model's fit did."""
+        """Return whether the fit of the last model converged."""
         return self.after.fit.converged

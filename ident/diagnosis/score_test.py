@@ -1,11 +1,13 @@
-"""Score tests (Lagrange multiplier tests; Engle 1984) of all candidates at once, without refitting any.
+"""Score tests (Lagrange multiplier tests; Engle 1984) of all candidates at once, without a refit.
 
-The fitted filter is linearised along its predicted trajectory: a column of changes of rates and outputs, one for each
-fitted parameter and each parameter of a candidate at zero, is propagated through the same gains. With G the whitened
-sensitivities of the innovations and e the whitened innovations, the score is ``-G' e`` and its information ``G' G``;
-the fitted parameters are projected out of both (Schur complement), which keeps the size of the test. ``LM = s' I^-1 s``
-is chi-squared. The block-robust version takes the covariance of the score from sums over blocks of five seconds (two on
-the bench), and stays valid where the innovations are not white.
+The fitted filter is linearised along its predicted trajectory. Each column has the changes of rates and outputs by one
+parameter: a fitted parameter, or a parameter of a candidate at zero. The columns are propagated through the gains of
+the filter. Let G be the whitened sensitivities of the innovations and e the whitened innovations. The score is
+``-G' e`` and its information ``G' G``. The fitted parameters are projected out of both (Schur complement), which keeps
+the significance level of the test. ``LM = s' I^-1 s`` is chi-squared.
+
+The block-robust version takes the covariance of the score from sums over blocks of five seconds (two on the bench).
+It is valid also if the innovations are not white.
 """
 
 from __future__ import annotations
@@ -24,12 +26,13 @@ from seatrial.ident.estimation import FilterResult
 from seatrial.ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
 from seatrial.ident.numerics import Array, scaled_eigen
 
-BLOCK = 5.0  # s, of the block-robust version
-N_COLUMNS = 96  # propagated through the filter at a time: a size that fits the cache of the processor
-WHOLE, PART = 8192, 2048  # rows; a longer record than the first is done in parts of the second
+BLOCK = 5.0  # s, block length of the block-robust version
+N_COLUMNS = 96  # columns propagated at once; they fit the cache of the processor
+WHOLE, PART = 8192, 2048  # rows: a record longer than the first is processed in parts of at least the second
 ALPHA = 0.05  # family-wise false-alarm probability of the score tests
-P_BLOCK = 0.01  # level of the block-robust version
-# evidence in few blocks limits the block-robust version; overwhelming evidence may pass, and validation decides
+P_BLOCK = 0.01  # significance level of the block-robust version
+# Few blocks limit the block-robust statistic. Overwhelming evidence therefore passes at a weaker level, and the
+# validation decides.
 P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
 
 
@@ -37,8 +40,24 @@ P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
 class SensitivityColumns:
     """Sensitivities of a candidate along one record: d(rates, outputs) per unit of each of its parameters.
 
-    delta (n_rows, n_touched, n_parameters) of those of the model's rates and then outputs that it touches;
-    touched (n_touched,): which these are, in order, None: all.
+    Attributes
+    ----------
+    name
+        Name of the candidate.
+    delta : Array (n_rows, n_touched, n_parameters)
+        Sensitivities of the affected rates and outputs.
+    parameters
+        Names of the parameters.
+    scan
+        Values of the scanned parameters.
+    kind, curve
+        Kind of the effect, and its curve for nonparametric candidates.
+    one_sided
+        Whether the first parameter can only be positive.
+    per_record
+        Whether the parameters have their own value in each record.
+    touched : Array (n_touched,)
+        Indices of the affected rates and outputs among all, rates first, None for all.
     """
 
     name: str
@@ -48,20 +67,27 @@ class SensitivityColumns:
     kind: EffectKind = EffectKind.CATALOGUE
     curve: ForceCurve | None = None
     one_sided: bool = False
-    per_record: bool = False  # the parameters have their own value in each record
+    per_record: bool = False
     touched: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
 class ColumnIndex:
-    """Indices ``at`` of the columns of a candidate among all; those of per-record parameters one record after
-    another."""
+    """Indices of the columns of a candidate among all columns.
+
+    Attributes
+    ----------
+    columns
+        Sensitivities of the candidate.
+    at
+        Indices of its columns. Per-record parameters have one set of columns for each record, record after record.
+    """
 
     columns: SensitivityColumns
     at: tuple[int, ...]
 
     def of_record(self, i: int) -> tuple[int, ...]:
-        """Indices of the columns of record i."""
+        """Return the indices of the columns of record i."""
         if not self.columns.per_record:
             return self.at
         size = self.columns.delta.shape[2]
@@ -69,7 +95,7 @@ class ColumnIndex:
 
     @property
     def names(self) -> list[str]:
-        """Of the parameters; ``NAME@i`` where each record has its own."""
+        """Names of the parameters, ``NAME@i`` for per-record parameters."""
         c, size = self.columns, self.columns.delta.shape[2]
         names = list(c.parameters) or [f"{c.name}[{i}]" for i in range(size)]
         records = range(len(self.at) // size)
@@ -77,7 +103,22 @@ class ColumnIndex:
 
 
 def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> tuple[list[ColumnIndex], int]:
-    """Indices for every candidate, from ``first`` on, and the total number of columns."""
+    """Assign column indices to every candidate.
+
+    Parameters
+    ----------
+    columns
+        Sensitivities of the candidates.
+    first
+        First free index.
+    n_records
+        Number of records.
+
+    Returns
+    -------
+    tuple
+        Indices for every candidate, and the total number of columns.
+    """
     places = []
     for c in columns:
         size = c.delta.shape[2] * (n_records if c.per_record else 1)
@@ -88,11 +129,30 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
 
 @dataclass(frozen=True)
 class Score:
-    """``step``: the one-step estimate of each parameter; ``lm_block``: the version from blocks; ``kind`` and ``curve``:
-    of the effect that is tested; ``threshold``: critical value of ``lm`` among the tests that were made with it;
-    ``blocks``: of time, of which ``lm_block`` cannot exceed the number, whatever the effect; ``tolerance``: the part of
-    its information that the fitted parameters do not take up (one over the variance inflation factor), priors left out,
-    of that parameter of which most is left."""
+    """Result of the score test of one candidate.
+
+    Attributes
+    ----------
+    name
+        Name of the candidate.
+    lm, df
+        Statistic and its degrees of freedom.
+    lm_block
+        Block-robust statistic.
+    step
+        One-step estimate of each parameter.
+    scan
+        Values of the scanned parameters.
+    kind, curve
+        Kind of the tested effect, and its curve for nonparametric candidates.
+    threshold
+        Critical value of ``lm`` among all tests of the same model.
+    blocks
+        Number of blocks of time, an upper limit of ``lm_block`` for any size of the effect.
+    tolerance
+        Share of the information that the fitted parameters do not explain, without priors (1 / variance inflation
+        factor). It is the largest share among the parameters of the candidate.
+    """
 
     name: str
     lm: float
@@ -108,24 +168,26 @@ class Score:
 
     @property
     def least_blocks(self) -> int:
-        """So many blocks of time are needed for the version from blocks to pass at all."""
+        """Smallest number of blocks with which the block-robust test can reject."""
         return int(np.ceil(stats.chi2.isf(P_BLOCK, self.df)))
 
     @property
     def generic(self) -> bool:
-        """Whether no catalogue lists it."""
+        """Return whether the candidate is nonparametric."""
         return self.kind.unknown
 
     @property
     def p(self) -> float:
+        """p value of the statistic."""
         return float(stats.chi2.sf(self.lm, self.df))
 
     @property
     def p_block(self) -> float:
+        """p value of the block-robust statistic."""
         return float(stats.chi2.sf(self.lm_block, self.df))
 
     def criterion(self, n: int) -> float:
-        """BIC criterion: LM less ``df ln n``; larger is better."""
+        """Return the BIC criterion ``lm - df ln n`` for n rows; larger is better."""
         return self.lm - self.df * float(np.log(n))
 
 
@@ -139,7 +201,19 @@ class NormalEquations:
         self.blocks: list[Array] = []
 
     def add(self, positions: Sequence[int], g: Array, e: Array, block: NDArray[np.int64]) -> None:
-        """g (n_samples, n_columns) whitened, e (n_samples,) whitened, block (n_samples,) its block's index."""
+        """Add the sensitivities of one record or of one part of it.
+
+        Parameters
+        ----------
+        positions
+            Indices of the columns among all columns.
+        g : Array (n_samples, n_columns)
+            Whitened sensitivities.
+        e : Array (n_samples,)
+            Whitened innovations.
+        block : Array (n_samples,)
+            Index of the block of each sample.
+        """
         at = np.asarray(positions)
         self.information[np.ix_(at, at)] += g.T @ g
         edges = [*np.flatnonzero(np.append(True, np.diff(block) > 0)).tolist(), len(e)]
@@ -150,11 +224,25 @@ class NormalEquations:
 
 
 class SensitivityFilter:
-    """Propagates columns of sensitivities through the filter of one record.
+    """Propagation of sensitivity columns through the filter of one record.
 
-    run: filter result of the record; rows: those to propagate through; jacobian (n_rows or one more, n_outputs,
-    n_states): of the outputs at their predicted states. ``e``, ``t`` (n_samples,): whitened innovations and their
-    times; ``end`` (n_states, n_columns): sensitivities of the state after the rows, of the last call.
+    Parameters
+    ----------
+    run
+        Filter result of the record.
+    record
+        The record.
+    jacobian : Array (n_rows or n_rows + 1, n_outputs, n_states)
+        Jacobian of the outputs at the predicted states.
+    rows
+        Rows to propagate through.
+
+    Attributes
+    ----------
+    e, t : Array (n_samples,)
+        Whitened innovations and their times [s].
+    end : Array (n_states, n_columns)
+        Sensitivities of the state after the rows, from the last call.
     """
 
     def __init__(self, run: FilterResult, record: Record, jacobian: Array, rows: slice = slice(None)) -> None:
@@ -172,9 +260,9 @@ class SensitivityFilter:
         Phi_gain = Phi @ (cross @ whiten.swapaxes(1, 2) @ whiten)
         self.e = (whiten @ np.where(self.seen, run.e[rows], 0.0)[:, :, None])[self.seen][:, 0]
         self.t = np.repeat(record.t[rows], self.seen.sum(axis=1))
-        # From state, rates and outputs to the next state and to the whitened innovations.
+        # operators from state, rates and outputs to the next state and to the whitened innovations
         self.operators = np.zeros((len(Phi), n_states + n_outputs, 2 * n_states + n_outputs))
-        self.operators[:, :n_states, :n_states] = Phi - Phi_gain @ H  # from one prediction to the next
+        self.operators[:, :n_states, :n_states] = Phi - Phi_gain @ H  # from one predicted state to the next
         self.operators[:, :n_states, n_states : 2 * n_states] = self.half[:, None, None] * Phi
         self.operators[:, :n_states, 2 * n_states :] = -Phi_gain
         self.operators[:, n_states:, :n_states] = -whiten @ H
@@ -185,10 +273,14 @@ class SensitivityFilter:
         self.end = np.zeros((n_states, 0))
 
     def __call__(self, columns: Sequence[SensitivityColumns], begin: Array | None = None) -> Array:
-        """Whitened sensitivities of the innovations (n_samples, n_columns), of all the candidates' parameters.
+        """Return the whitened sensitivities of the innovations, Array (n_samples, n_columns).
 
-        The columns may have one row more, at which the last interval ends; ``begin`` (n_states, n_columns):
-        sensitivities of the state before the rows, none at the start of a record.
+        Parameters
+        ----------
+        columns
+            Sensitivities of the candidates. They may have one row more, at which the last interval ends.
+        begin : Array (n_states, n_columns)
+            Sensitivities of the state before the rows, None at the start of a record.
         """
         drive, touched, width = self._together(columns)
         first = np.zeros((self.n_states, drive.shape[2]))
@@ -201,16 +293,19 @@ class SensitivityFilter:
         return found[:, :width]
 
     def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64], int]:
-        """Sensitivities of all candidates (n_rows + 1, n_touched, at least n_columns), zero where they end, the rates
-        and outputs that they touch, and n_columns."""
+        """Join the sensitivities of all candidates in one array.
+
+        Returns the array (n_rows + 1, n_touched, at least n_columns), zero after the last row of a candidate, the
+        indices of the affected rates and outputs, and n_columns.
+        """
         every = np.arange(self.n_states + self.seen.shape[1])
         each = [every if c.touched is None else c.touched for c in columns]
         touched = np.unique(np.concatenate(each))
         width, n = sum(c.delta.shape[2] for c in columns), len(self.seen)
         drive, first = np.zeros((n + 1, touched.size, padded(width))), 0
-        for c, own in zip(columns, each, strict=True):
+        for c, indices in zip(columns, each, strict=True):
             last = first + c.delta.shape[2]
-            drive[: len(c.delta), np.searchsorted(touched, own), first:last] = c.delta[: n + 1]
+            drive[: len(c.delta), np.searchsorted(touched, indices), first:last] = c.delta[: n + 1]
             first = last
         return drive, touched, width
 
@@ -218,10 +313,25 @@ class SensitivityFilter:
 def propagate_sensitivities(
     carrier: SensitivityFilter, fitted: Array, columns: Iterable[SensitivityColumns], carried: list[Array]
 ) -> tuple[Array, list[SensitivityColumns]]:
-    """Whitened sensitivities of the fitted parameters and then of every candidate (n_samples, n_columns), in batches.
+    """Return the whitened sensitivities of the fitted parameters and then of every candidate, computed in batches.
 
-    ``carried``: those of the state before the rows, batch by batch, empty at the start of a record; then those after.
-    The candidates are returned without their columns: those of the whole catalogue would fill the memory.
+    Parameters
+    ----------
+    carrier
+        Filter of the record.
+    fitted : Array (n_rows, n_states + n_outputs, n_fitted)
+        Sensitivities of rates and outputs by the fitted parameters.
+    columns
+        Sensitivities of the candidates.
+    carried
+        Sensitivities of the state before the rows, batch by batch; empty at the start of a record. The list is replaced
+        by those after the rows.
+
+    Returns
+    -------
+    tuple
+        Whitened sensitivities (n_samples, n_columns), and the candidates with an empty ``delta``. The sensitivities of
+        the whole catalogue would fill the memory.
     """
     parts, slim, ends = [], [], list[Array]()
     waiting, width = [SensitivityColumns("fitted", fitted)], fitted.shape[2]
@@ -231,7 +341,7 @@ def propagate_sensitivities(
         ends.append(carrier.end)
 
     for c in columns:
-        if width + c.delta.shape[2] > N_COLUMNS:  # one more would be worked on as a whole vector of them
+        if width + c.delta.shape[2] > N_COLUMNS:  # columns are padded to whole vectors, so a batch is not exceeded
             done()
             waiting, width = [], 0
         waiting.append(c)
@@ -244,19 +354,26 @@ def propagate_sensitivities(
 
 @dataclass(frozen=True)
 class PriorTerms:
-    """What the priors of the fitted parameters add to the normal equations (n_fitted,): the gradient of their log
-    density at the estimate, and their information."""
+    """Contribution of the priors of the fitted parameters to the normal equations.
+
+    Attributes
+    ----------
+    gradient : Array (n_fitted,)
+        Gradient of the log density of the priors at the estimate.
+    information : Array (n_fitted,)
+        Information of the priors.
+    """
 
     gradient: Array
     information: Array
 
 
 def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
-    """Of the parameters, at their values (n_parameters,), in their own units."""
+    """Return the prior terms of the parameters at their values (n_parameters,), in the units of the parameters."""
     gradient, information = np.zeros(len(parameters)), np.zeros(len(parameters))
     for k, (p, value) in enumerate(zip(parameters, values.tolist(), strict=True)):
-        if (given := p.free_prior()) is not None:
-            mean, sd = given
+        if (prior := p.free_prior()) is not None:
+            mean, sd = prior
             slope = p.slope(value)
             gradient[k] = (mean - p.to_free(value)) / (sd**2 * slope)
             information[k] = 1.0 / (sd * slope) ** 2
@@ -264,9 +381,26 @@ def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
 
 
 def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence[ColumnIndex]) -> list[Score]:
-    """One score for each candidate; the first columns are the fitted parameters, of which there are as many as
-    ``prior`` has. At their estimate the gradients of likelihood and prior cancel: only their sum says how far the fit
-    is from its maximum.
+    """Compute the score test of each candidate.
+
+    Parameters
+    ----------
+    normal
+        Normal equations. The first columns are the fitted parameters.
+    prior
+        Prior terms of the fitted parameters.
+    candidates
+        Columns of the candidates.
+
+    Returns
+    -------
+    list of Score
+        One score for each candidate that can be tested.
+
+    Notes
+    -----
+    At the estimate the gradients of likelihood and prior cancel. Only their sum shows how far the fit is from its
+    maximum.
     """
     n_fitted = prior.gradient.size
     gain = _gain(normal.information, prior.information)
@@ -278,7 +412,7 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     score = normal.score - gain.T @ (normal.score[:n_fitted] + prior.gradient)
     blocks = np.concatenate(normal.blocks)
     blocks = blocks - blocks[:, :n_fitted] @ gain
-    scores = [_one(c, information, score, blocks, before) for c in candidates]
+    scores = [_candidate_score(c, information, score, blocks, before) for c in candidates]
     return [
         replace(s, tolerance=float(np.max(tolerance[list(c.at)])))
         for s, c in zip(scores, candidates, strict=True)
@@ -287,8 +421,10 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
 
 
 def _gain(information: Array, prior: Array) -> Array:
-    """Regression (n_fitted, n_columns) of all columns on the first ones, which are the fitted parameters and have
-    ``prior`` information besides."""
+    """Regress all columns on the fitted parameters, and return the coefficients (n_fitted, n_columns).
+
+    The fitted parameters are the first columns. They have ``prior`` information in addition to that of the data.
+    """
     n_fitted = prior.size
     fitted = information[:n_fitted, :n_fitted] + np.diag(prior)
     scale = np.sqrt(np.maximum(np.diag(fitted), 1e-300))
@@ -297,13 +433,21 @@ def _gain(information: Array, prior: Array) -> Array:
     return gain
 
 
-def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, before: Array) -> Score | None:
+def _candidate_score(
+    placed: ColumnIndex, information: Array, score: Array, blocks: Array, before: Array
+) -> Score | None:
+    """Return the score of one candidate, None if it has no testable column.
+
+    ``information``, ``score`` and ``blocks`` have the fitted parameters projected out; ``before`` (n_columns,) is the
+    information before that projection.
+    """
     candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
     # a column that the fitted parameters explain to 1e-8 cannot be tested
     alive = np.diag(information)[index] > 1e-8 * before[index]
     if not alive.any():
-        there = candidate.kind is EffectKind.CATALOGUE and bool(np.any(before[index] > 0))
-        return Score(candidate.name, 0.0, index.size, 0.0, {}, candidate.scan, blocks=len(blocks)) if there else None
+        # a catalogue effect gets a score of zero, so that it can be reported as explained by the fitted parameters
+        report = candidate.kind is EffectKind.CATALOGUE and bool(np.any(before[index] > 0))
+        return Score(candidate.name, 0.0, index.size, 0.0, {}, candidate.scan, blocks=len(blocks)) if report else None
     index, names = index[alive], names[alive]
     info, s = information[np.ix_(index, index)], score[index]
     w, V, size = scaled_eigen(info)
@@ -330,7 +474,7 @@ def _one(placed: ColumnIndex, information: Array, score: Array, blocks: Array, b
 
 
 def whole_blocks(t: Array, block: float) -> list[slice]:
-    """Rows (n_rows,) of a record in parts of some thousands, each of whole blocks of time; a short one is one part."""
+    """Split the rows at times t (n_rows,) [s] into parts of whole blocks of time; a short record is one part."""
     if t.size <= WHOLE:
         return [slice(0, t.size)]
     starts = np.flatnonzero(np.diff(block_index(t, block))) + 1
@@ -342,26 +486,33 @@ def whole_blocks(t: Array, block: float) -> list[slice]:
 
 
 def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
+    """Return the index of the block of time of each time t (n,) [s]."""
     return np.floor(t / block).astype(np.int64)
 
 
 def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
-    """The fitted dynamic parameters: shared, then those of each record."""
-    noise = model.noises  # their score is uncorrelated with that of the mean
+    """Return the fitted parameters except those of the noise: the shared ones, then those of each record."""
+    noise = model.noises  # their score is uncorrelated with that of the other parameters
     mean = [p for p in model.parameters if p.free and p.name not in noise]
     shared = [p for p in mean if not p.per_record]
     return shared + [replace(p, segment=i) for i in range(n_records) for p in mean if p.per_record]
 
 
 def score_threshold(score: Score, among: Sequence[Score]) -> float:
-    """Critical value of the statistic, chi-squared: `ALPHA` is shared by the parametric and the nonparametric effects,
-    and by the tests of either kind ``among`` all (Bonferroni)."""
+    """Return the critical value of the statistic (chi-squared).
+
+    `ALPHA` is split equally between parametric and nonparametric candidates. All tests of one kind in ``among`` share
+    it (Bonferroni).
+    """
     n_tests = sum(s.generic == score.generic for s in among)
     return float(stats.chi2.isf(ALPHA / 2 / n_tests, score.df))
 
 
 def score_test_passes(score: Score, among: Sequence[Score]) -> bool:
-    """Whether the statistic exceeds its `threshold`, and the version from blocks agrees."""
+    """Return whether the statistic exceeds `score_threshold` and the block-robust version is significant.
+
+    Overwhelming evidence passes with a weaker level of the block-robust version.
+    """
     if score.p < P_OVERWHELMING and score.p_block < P_BLOCK_OVERWHELMING:
         return True
     return score.lm > score_threshold(score, among) and score.p_block < P_BLOCK

@@ -1,16 +1,16 @@
 """Diagnosis: forward selection of missing effects by score tests, refits and validation.
 
 1. Fit the model with disturbance forces and sensor biases as states.
-2. Score tests of all candidates, parametric and nonparametric (``seatrial.ident.diagnosis.score_test``).
-3. Refit with the best few, all parameters free; compare by ``2 d ln L - df ln n`` (Delta BIC).
-4. Validation (``seatrial.ident.diagnosis.acceptance``): the gain in log-likelihood on all validation data has to be
-   positive and
-   significant, and the prediction of all channels not worse than without it, nor than that of the nominal model; of a
-   nonparametric effect it has to be better. The best refit of which that holds is added. Without validation runs,
-   blocks in time of the estimation runs are predicted by the fit to the others.
-5. Repeat; after a nonparametric curve only parametric effects of large gain are added.
-6. Leave each effect out again: one that does not pay beside the others is removed, and the last ones of a set with
-   which the prediction is worse than that of the nominal model.
+2. Compute the score tests of all candidates, parametric and nonparametric (``seatrial.ident.diagnosis.score_test``).
+3. Refit with the best few candidates, all parameters free. Compare the refits by ``2 d ln L - df ln n`` (Delta BIC).
+4. Validate the refits (``seatrial.ident.diagnosis.acceptance``) and add the best refit that passes. The gain in
+   log-likelihood on all validation data has to be positive and significant. The prediction of all channels may not be
+   worse than without the effect, nor than that of the nominal model; with a nonparametric effect it has to be better.
+   Without validation runs, blocks in time of the estimation runs are predicted by the fit to the other blocks.
+5. Repeat. After a nonparametric curve only parametric effects with a large gain are added.
+6. Leave each effect out again (backward elimination). Remove each effect that the validation data do not support
+   beside the others. After a removal, also remove the last effects as long as the prediction is worse than that of
+   the nominal model.
 
 Kristensen, Madsen and Jorgensen 2004; Engle 1984.
 """
@@ -87,10 +87,20 @@ from seatrial.ident.validation import (
 
 @dataclass(frozen=True)
 class DiagnosisEvaluation:
-    """What the models of a diagnosis predict, and what they leave: computed once, before anything is reported.
-    ``changes``: by role, of the prediction errors over the horizon; forces: disturbances, as of both models;
-    ``in_blocks``: the effects with parameters of their own for each run, for whose sake the validation runs are
-    predicted in blocks of time with the estimates of each run's other blocks."""
+    """Predictions of the models of a diagnosis, computed once before any report.
+
+    Attributes
+    ----------
+    before, after
+        Evaluation of the model without and with the effects.
+    changes
+        Change of the prediction errors over the horizon, by role.
+    forces_before, forces_after
+        Smoothed disturbance forces of both models.
+    in_blocks
+        Effects with per-record parameters. If there are any, the validation runs are predicted in blocks of time, with
+        the estimates of the other blocks of each run.
+    """
 
     before: PredictionEvaluation
     after: PredictionEvaluation
@@ -101,14 +111,23 @@ class DiagnosisEvaluation:
 
 
 def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> DiagnosisEvaluation:
-    """``horizon`` [s]: of ``seatrial.ident.validation.evaluate``."""
-    one, other = diagnosis.before, diagnosis.after
-    own = tuple(r.effect for r in diagnosis.effects if any(p.per_record for p in r.effect.parameters))
-    own = () if one.cross_validated or not one.validation else own
-    if own:  # as they were accepted: else the headline would be of data that they were fitted to
-        one, other = validated_in_blocks(one), validated_in_blocks(other)
-    before = evaluate(one, horizon)
-    after = before if other is one else evaluate(other, horizon)
+    """Evaluate the predictions of the models of a diagnosis.
+
+    Parameters
+    ----------
+    diagnosis
+        The diagnosis.
+    horizon
+        Prediction horizon [s], by default that of the model.
+    """
+    before_stage, after_stage = diagnosis.before, diagnosis.after
+    per_record = tuple(r.effect for r in diagnosis.effects if any(p.per_record for p in r.effect.parameters))
+    per_record = () if before_stage.cross_validated or not before_stage.validation else per_record
+    # The effects were accepted on blocks too. Otherwise the data that they were fitted to would judge them.
+    if per_record:
+        before_stage, after_stage = validated_in_blocks(before_stage), validated_in_blocks(after_stage)
+    before = evaluate(before_stage, horizon)
+    after = before if after_stage is before_stage else evaluate(after_stage, horizon)
     forces = residuals_of(diagnosis.before.model)
     return DiagnosisEvaluation(
         before,
@@ -116,21 +135,24 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
         prediction_changes(before, after),
         smoothed_forces(diagnosis.before, forces),
         smoothed_forces(diagnosis.after, forces),
-        own,
+        per_record,
     )
 
 
-N_REFITS, N_UNKNOWN = 4, 2  # parametric and nonparametric candidates that are refitted in a round
-N_BATCHES = 2  # of parametric ones, where none of the first is accepted
-INDISTINGUISHABLE = 2.0  # of BIC: below it evidence is "not worth more than a bare mention" (Kass and Raftery 1995)
-LOST = 1.0  # in 2 ln L, that a larger model may lose to rounding of the search
-SHORT = 20  # blocks of estimation data (100 s for a boat): below it no name is sure
-SHORT_VALIDATION = 8  # of validation data (40 s), of which two make one of the gain: below it t > 2 is often chance
+N_REFITS, N_NONPARAMETRIC = 4, 2  # parametric and nonparametric candidates that are refitted in a round
+N_BATCHES = 2  # batches of parametric candidates; the second is tried if the first has no accepted refit
+INDISTINGUISHABLE = 2.0  # in BIC; a smaller difference is "not worth more than a bare mention" (Kass and Raftery 1995)
+MAX_LOSS = 1.0  # in 2 ln L, loss of a larger model by rounding of the search
+MIN_BLOCKS = 20  # blocks of estimation data (100 s for a boat); with fewer no effect is identified
+# Blocks of validation data (40 s for a boat). Two of them are one block of the gain; with fewer, t > 2 is often chance.
+MIN_VALIDATION_BLOCKS = 8
 MIN_SCORE_RATIO = 0.05  # of the best score: a refit gains up to ten times its score, not twenty times
-# the difference between the true form of an effect and ours looks like other, much smaller effects: not added
-MIN_GAIN_RATIO = 0.02  # of the largest gain so far; an effect that the prediction needs is added all the same
-MAX_RATIO_OF_SMALL = 0.98  # of the prediction errors with a small effect to those without, for that
-# the same holds for a curve and its spline, up to a fifteenth of the gain; other missing effects mostly have a third
+# The difference between the true form of an effect and that of the catalogue resembles other, much smaller effects.
+# Those are not added.
+MIN_GAIN_RATIO = 0.02  # of the largest gain so far; an effect that improves the prediction enough needs no such gain
+MAX_RATIO_OF_SMALL = 0.98  # ratio of the prediction errors with to without a small effect, for this exception
+# The difference between a true curve and its spline gains up to a fifteenth of the curve. Most other missing effects
+# gain a third or more.
 MIN_GAIN_RATIO_AFTER_CURVE = 0.1  # of the largest gain so far
 
 
@@ -144,10 +166,35 @@ def diagnose(
     rate: float = 10.0,
     reporter: Reporter = QUIET,
 ) -> Diagnosis:
-    """Find effects that ``model`` lacks. ``effects``: the candidates, by default the whole catalogue.
+    """Find effects that a model lacks.
 
-    Raises ValueError, naming the run, where a run lacks a signal that the model needs; or the model, where it has no
-    hull whose forces X, Y, N could lack anything, and is no thruster on the bench either.
+    Parameters
+    ----------
+    model
+        Model to diagnose.
+    estimation
+        Runs that the parameters are fitted to.
+    validation
+        Runs that judge the effects. If they are missing, blocks in time of the estimation runs take their place.
+    effects
+        Candidates by name, by default the whole catalogue.
+    max_effects
+        Largest number of added effects.
+    rate
+        Rate of the records' rows [Hz].
+    reporter
+        Receiver of progress messages.
+
+    Returns
+    -------
+    Diagnosis
+        Models without and with the effects, rounds of the search, attribution and importance.
+
+    Raises
+    ------
+    ValueError
+        If a run lacks a signal that the model needs, or if the model has no residual forces to test. The latter holds
+        for models that are neither a hull with the forces X, Y and N nor a thruster on the bench.
     """
     if not residuals_of(model):
         raise ValueError(
@@ -155,30 +202,30 @@ def diagnose(
             "the horizontal model instead"
         )
     full = nominal(model)
-    given = catalogue() if effects is None else effects
-    candidates = {n: e for n, e in given.items() if full.accepts(e)}
-    wanted = set(candidates)
+    requested = catalogue() if effects is None else effects
+    candidates = {n: e for n, e in requested.items() if full.accepts(e)}
+    accepted = set(candidates)
     failed = validation_records(full, validation, rate)[1]
     usable = [r for r in validation if r.name not in {f.record for f in failed}]
     if _far_apart([*estimation, *usable]):
         candidates = {n: e for n, e in candidates.items() if not e.fixed_point}
     everything, candidates = superset(full, candidates, [*estimation, *usable])
-    untested = wanted - set(candidates)
+    untested = accepted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
     runs = [make_record(everything, r, rate) for r in usable]
     runs = without_untold_sensors(full, records, runs)
     full = without_absent_sensors(full, records)
     reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
     before, unseen = _first_fit(full, records, runs)
-    size, known = size_of(before.fit.model), catalogue()
+    size, in_catalogue = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
-    candidates = {n: scale_priors(e, size) if known.get(n) is e else e for n, e in candidates.items()}
+    candidates = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
     candidates |= between_runs(before.fit)
     search = _Search(records, unseen, candidates, reporter)
     current, passed = search.forward(before, max_effects)
-    reporter.progress("weighing what was found")
-    current, weights, removed = search.without_what_does_not_pay(before, current)
-    if removed:
+    reporter.progress("computing the importance of the effects found")
+    current, weights, removed = search.backward_elimination(before, current)
+    if removed:  # the last scores are those of a larger model
         passed = search.scored(current)[1]
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
@@ -202,24 +249,33 @@ def diagnose(
         validation_mismatches(current),
         _short_data(search.scores, before),
         undrawn,
-        _refused(full, given, [*estimation, *usable]),
+        _refused(full, requested, [*estimation, *usable]),
         tuple(search.scores),
         tuple(search.untried),
     )
 
 
 def _far_apart(runs: Sequence[LogSegment]) -> bool:
+    """Return whether the runs are too far apart for one common origin."""
     return far_apart([run.meta.get(ORIGIN) for run in runs])
 
 
-def _refused(model: Model, given: Mapping[str, Effect], runs: Sequence[LogSegment]) -> tuple[UntestedCandidate, ...]:
-    """Candidates of the user's own that cannot be tested, and why; of the catalogue, where many do not concern a model,
-    those at a fixed point of logs that have no common frame."""
-    known, found = catalogue(), []
+def _refused(
+    model: Model, requested: Mapping[str, Effect], runs: Sequence[LogSegment]
+) -> tuple[UntestedCandidate, ...]:
+    """Return the candidates that cannot be tested, and why.
+
+    User-defined candidates are always listed. Candidates of the catalogue, many of which do not concern a model, are
+    listed only if they are at a fixed point and the logs have no common frame.
+    """
+    in_catalogue, found = catalogue(), []
     if _far_apart(runs):
-        apart = "it is at one place over ground, and the logs are too far apart to have x and y from one origin"
-        found = [UntestedCandidate(e, apart) for e in given.values() if e.fixed_point and model.accepts(e)]
-    for effect in (e for name, e in given.items() if known.get(name) is not e and e not in [u.effect for u in found]):
+        apart = "it acts at a fixed point over ground, and the logs are too far apart for one origin of x and y"
+        found = [UntestedCandidate(e, apart) for e in requested.values() if e.fixed_point and model.accepts(e)]
+    user_defined = [e for name, e in requested.items() if in_catalogue.get(name) is not e]
+    for effect in user_defined:
+        if effect in [u.effect for u in found]:
+            continue
         reason = model.refusal(effect)
         lacking = ((run, lacking_inputs(model, effect, run)) for run in runs if reason is None)
         reason = next((f"{run.name} lacks its input {min(names)}" for run, names in lacking if names), reason)
@@ -229,7 +285,7 @@ def _refused(model: Model, given: Mapping[str, Effect], runs: Sequence[LogSegmen
 
 
 def _short_data(scores: Sequence[Score], stage: FittedModel) -> ShortData | None:
-    """Which candidates no effect of any size would let pass, since there are too few blocks of time."""
+    """Return the number of candidates that could not pass for any size because of too few blocks of time."""
     short = [s for s in scores if s.blocks < s.least_blocks]
     if not short:
         return None
@@ -238,8 +294,10 @@ def _short_data(scores: Sequence[Score], stage: FittedModel) -> ShortData | None
 
 
 def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, Unseen]:
-    """The nominal model fitted, and what validates it: the validation runs; where none can be evaluated, blocks in time
-    of the estimation runs."""
+    """Fit the nominal model, and return the data that validate it.
+
+    These are the validation runs, or blocks in time of the estimation runs if no validation run can be evaluated.
+    """
     stage = fit_with_rescaling(full, records, runs)
     if stage.validation:
         return stage, runs
@@ -248,17 +306,17 @@ def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[
 
 
 def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
-    """Why no name can be sure on these data, whatever the effect."""
+    """Return the reasons why no effect can be identified on these data."""
     reasons = [
         f"the fit {which} it did not converge"
         for which, s in (("without", before), ("with", after))
         if not s.fit.converged
     ]
     seconds = sum(r.duration for r in after.records)
-    if seconds < SHORT * after.model.block:
+    if seconds < MIN_BLOCKS * after.model.block:
         reasons.append(f"the estimation data are short ({seconds:.0f} s)")
     unseen = sum(v.record.duration for v in after.validation)
-    if unseen < SHORT_VALIDATION * after.model.block:
+    if unseen < MIN_VALIDATION_BLOCKS * after.model.block:
         reasons.append(f"the validation data are short ({unseen:.0f} s)")
     return reasons
 
@@ -266,10 +324,25 @@ def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
 def score_all(
     stage: FittedModel, records: Sequence[Record], candidates: Mapping[str, Effect]
 ) -> tuple[list[Score], list[Score]]:
-    """All score tests on a fitted model, best first, and those that pass; of a scanned effect the best only."""
+    """Compute all score tests on a fitted model.
+
+    Parameters
+    ----------
+    stage
+        The fitted model.
+    records
+        Estimation data with the inputs of all candidates.
+    candidates
+        Parametric candidates by name.
+
+    Returns
+    -------
+    tuple of list of Score
+        All scores, best first, and those that pass. Of a scanned effect only the best score is returned.
+    """
     model = stage.model
-    # a parameter that stands at its bound cannot give way to take up what a candidate would explain
-    stuck = {n for n, what in stage.fit.flags if what in (AT_BOUND, VAGUE)}
+    # A parameter at its bound cannot change to explain a part of a candidate, so it is not projected out.
+    stuck = {n for n, flag in stage.fit.flags if flag in (AT_BOUND, VAGUE)}
     fitted = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
     normal, places = normal_equations(stage, records, list(candidates.values()), fitted)
     at = np.array([stage.fit.estimate(p.name, p.segment or 0)[0] for p in fitted])
@@ -286,7 +359,7 @@ def score_all(
 
 
 class _Search:
-    """The forward selection and its check: what every step needs, and the rounds so far."""
+    """Forward selection and backward elimination: their data, and the rounds so far."""
 
     def __init__(
         self, records: Sequence[Record], unseen: Unseen, candidates: Mapping[str, Effect], reporter: Reporter
@@ -294,22 +367,28 @@ class _Search:
         self.records, self.unseen, self.candidates, self.reporter = records, unseen, dict(candidates), reporter
         self.rounds: list[Round] = []
         self.nominal: FittedModel | None = None
-        self.scores: list[Score] = []  # the last ones
-        self.untried: list[Score] = []  # that passed when as many effects were added as may be
+        self.scores: list[Score] = []  # of all candidates on the last model
+        self.untried: list[Score] = []  # scores that passed when the largest number of effects had been added
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, stage: FittedModel) -> tuple[list[Score], list[Score]]:
-        """All scores on a model, and those that pass. Raises ValueError where its residuals cannot be tested."""
+        """Return all scores on a model, and those that pass.
+
+        Raises
+        ------
+        ValueError
+            If the residuals of the model cannot be tested.
+        """
         try:
             self.scores, passed = score_all(stage, self.records, self.candidates)
             return self.scores, passed
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
-            what = f"the residuals of model {stage.model.name} cannot be tested"
-            raise ValueError(f"{names}: {what}: {problem}; the fit {stage.fit.message}") from problem
+            message = f"the residuals of model {stage.model.name} cannot be tested"
+            raise ValueError(f"{names}: {message}: {problem}; the fit {stage.fit.message}") from problem
 
     def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
-        """Effects added one after the other; the last model, and the scores on it that pass."""
+        """Add effects one after the other; return the last model and the scores that pass on it."""
         self.nominal, current, unknown = before, before, False
         while True:
             scores, passed = self.scored(current)
@@ -322,18 +401,20 @@ class _Search:
             self.reporter.progress(
                 f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
             )
-            one = self._round(current, scores, tried)
-            self.rounds.append(one)
-            if one.chosen is None:
+            found = self._round(current, scores, tried)
+            self.rounds.append(found)
+            if found.chosen is None:
                 return current, passed
-            current, unknown = one.chosen.stage, unknown or one.chosen.unknown
-            self.candidates.pop(one.chosen.effect.name, None)
+            current, unknown = found.chosen.stage, unknown or found.chosen.unknown
+            self.candidates.pop(found.chosen.effect.name, None)
 
-    def without_what_does_not_pay(
+    def backward_elimination(
         self, before: FittedModel, current: FittedModel
     ) -> tuple[FittedModel, tuple[EffectImportance, ...], list[RemovedEffect]]:
-        """Backward elimination: each effect is left out in turn, and the one that pays least is removed, until all pay.
-        One without which the model cannot be fitted is not removed: whether it pays is not known.
+        """Leave each effect out in turn and remove the least supported effect, until all effects are supported.
+
+        If the remaining effects predict worse than the nominal model after a removal, the last effect is removed too.
+        An effect is kept if the model without it cannot be fitted, because its importance is then unknown.
         """
         removed: list[RemovedEffect] = []
         stuck: dict[str, str] = {}
@@ -343,43 +424,45 @@ class _Search:
             weights = effect_importance(before, current, chosen, self.rounds, self.records, self.unseen)
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
-            tables = {c.effect.name for c in chosen if c.unknown}
-            idle_tables = {w.effect for w in tested if not (w.predicts or helps(w.prediction))} & tables
-            idle = min((w for w in tested if not w.pays or w.effect in idle_tables), key=lambda w: w.t, default=None)
+            curves = {c.effect.name for c in chosen if c.unknown}
+            idle_curves = {w.effect for w in tested if not (w.predicts or helps(w.prediction))} & curves
+            idle = min((w for w in tested if not w.pays or w.effect in idle_curves), key=lambda w: w.t, default=None)
             if idle is None and removed and chosen and Comparison(before, current).prediction.verdict == "rose":
                 idle = next((w for w in tested if w.effect == chosen[-1].effect.name), None)
             if idle is None:
                 return current, weights, removed
             assert idle.prediction is not None
             effect = next(c.effect for c in chosen if c.effect.name == idle.effect)
-            self.reporter.progress(f"fitting without {effect.title}, which does not pay")
+            self.reporter.progress(f"fitting without {effect.title}, which is not worth its parameters")
             try:
                 current = fit_without(before, current, chosen, effect, self.records, self.unseen)
             except FIT_ERRORS as problem:
                 stuck[idle.effect] = str(problem)
                 continue
             removed.append(RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction))
-            if not effect.kind.unknown:  # the last tests are of all that the model has not
+            if not effect.kind.unknown:  # the last score tests include every parametric effect that the model lacks
                 self.candidates[effect.name] = effect
 
     def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
+        """Refit the best candidates that passed, and choose the refit to add."""
         specific = [s for s in passed if not s.generic]
-        if specific and (best := specific[0].criterion(self.n)) > 0:  # what does not pay by its score may by its refit
+        # If the best criterion is negative, no candidate is dropped: a refit can gain more than its score.
+        if specific and (best := specific[0].criterion(self.n)) > 0:
             specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * best]
         refits: list[Refit] = []
         untested: list[UntestedCandidate] = []
-        for first in range(0, N_REFITS * N_BATCHES, N_REFITS):  # the next ones where none of the best is accepted
+        for first in range(0, N_REFITS * N_BATCHES, N_REFITS):
             batch = specific[first : first + N_REFITS]
             self._refit_all(current, [(self.candidates[s.name], s) for s in batch], refits, untested)
             if any(r.accepted for r in refits):
                 break
         leading = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
         most, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
-        # a table competes only where no name that holds comes close to what the scores promise for it, or where the
-        # name is no more than one shape of the table's curve
+        # A nonparametric candidate competes only if its score is high compared with the best accepted parametric
+        # refit, or if that effect is one form of the same curve.
         least = max(0.5 * most, most - 50)
         generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.generic]
-        unknown = [s for s, whole in generic if s.criterion(self.n) > least or whole][:N_UNKNOWN]
+        unknown = [s for s, same_curve in generic if s.criterion(self.n) > least or same_curve][:N_NONPARAMETRIC]
         self._refit_all(current, [(_unknown(s, current), s) for s in unknown], refits, untested)
         names = tuple(s.name for s in passed)
         refits, chosen = self._choose(current, refits, untested)
@@ -388,11 +471,11 @@ class _Search:
     def _choose(
         self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]
     ) -> tuple[list[Refit], Refit | None]:
-        """The refits with what became of them, best first, and the best that is accepted, fitted exactly.
+        """Return the refits with their outcomes, best first, and the best accepted refit, fitted exactly.
 
-        A difference between runs has as many parameters as there are runs, and explains some of anything: it comes
-        after the effects, unless it explains the validation data significantly better than the best of them. Of effects
-        that the likelihood cannot tell apart the one with which the prediction errors are least is the best.
+        A difference between runs has as many parameters as there are runs, and explains a part of any effect. So it
+        comes after the other effects, unless it explains the validation data significantly better than the best of
+        them. If the likelihood cannot distinguish effects, the effect with the smallest prediction errors is the best.
         """
         judged: list[Refit] = []
         chosen: Refit | None = None
@@ -406,7 +489,7 @@ class _Search:
                     untested.append(UntestedCandidate(r.effect, str(problem)))
                     continue
                 if r.outcome is not Outcome.ADDED:
-                    pass  # it says why
+                    pass  # the outcome has the reason
                 elif chosen is not None and _tied(r, chosen) and not _predicts_better(r, chosen):
                     r = replace(r, outcome=Outcome.OUTRANKED)
                 else:
@@ -416,8 +499,13 @@ class _Search:
         return sorted(judged, key=lambda r: -r.criterion), chosen
 
     def _exact(self, current: FittedModel, rough: Refit) -> Refit:
-        """A validated refit fitted exactly and judged by its prediction. Raises ValueError where that fails or does not
-        converge."""
+        """Fit a validated refit exactly and judge it by its prediction.
+
+        Raises
+        ------
+        ValueError
+            If the fit fails or does not converge from any initial values.
+        """
         again = current.fit.model + rough.effect
         reason = ""
         for begin in (rough.stage.fit.model, again, again.with_values(_half_values(rough.effect))):
@@ -446,6 +534,8 @@ class _Search:
         refits: list[Refit],
         untested: list[UntestedCandidate],
     ) -> None:
+        """Refit the current model with each candidate in parallel; append to ``refits`` or ``untested``."""
+
         def refit(pair: tuple[Effect, Score]) -> Refit | UntestedCandidate:
             return self._refit(current, *pair)
 
@@ -457,8 +547,12 @@ class _Search:
                     untested.append(found)
 
     def _refit(self, current: FittedModel, effect: Effect, score: Score) -> Refit | UntestedCandidate:
-        """The current model and an effect, fitted from the first start that can be fitted and loses nothing: nested
-        models cannot be worse, so that a fit that is has stopped short."""
+        """Fit the current model with an effect.
+
+        The initial values are tried in turn until a fit loses no likelihood; otherwise the best fit is returned.
+
+        A larger model cannot be worse than the model that it contains. A fit that is worse has stopped early.
+        """
         self.reporter.progress(f"refitting with {effect.title}")
         best, reason = None, ""
         for start in _starts(effect, score):
@@ -472,14 +566,17 @@ class _Search:
             df = sum(_degrees(effect, p, len(self.records)) for p in effect.parameters if p.free)
             found = Refit(effect, stage, gain, df, gain - df * float(np.log(self.n)), total, t)
             best = found if best is None or found.gain > best.gain else best
-            if best.gain > -LOST:
+            if best.gain > -MAX_LOSS:
                 break
         return UntestedCandidate(effect, reason) if best is None else best
 
 
 def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
-    """What becomes of an exact refit beside what was added. A small one is left out, unless the prediction needs it or
-    it is a declared alternative of a strong one, which is then not sure to be all of it."""
+    """Return the outcome of an exact refit after the effects that were ``added``.
+
+    A small effect is left out with two exceptions: the prediction needs the effect, or the effect and a strong effect
+    are declared alternatives. In the latter case the strong effect may not explain all.
+    """
     assert exact.prediction is not None
     if not exact.validated:
         return Outcome.NOT_VALIDATED
@@ -487,30 +584,32 @@ def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
         worse = "rose" in {p.verdict for p in (exact.prediction, exact.total) if p is not None}
         return Outcome.WORSE_PREDICTION if worse else Outcome.NO_BETTER_PREDICTION
     needed = exact.prediction.verdict == "fell" and exact.prediction.ratio < MAX_RATIO_OF_SMALL
-    kin = any(exact.effect.name in r.effect.alternatives or r.effect.name in exact.effect.alternatives for r in added)
+    alternative = any(
+        exact.effect.name in r.effect.alternatives or r.effect.name in exact.effect.alternatives for r in added
+    )
     largest = max((r.criterion for r in added), default=0.0)
-    return Outcome.ADDED if needed or kin or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
+    return Outcome.ADDED if needed or alternative or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
 
 
-def _tied(one: Refit, other: Refit) -> bool:
-    """Whether the likelihood cannot tell two effects apart."""
-    named = not (one.unknown or other.unknown or one.effect.kind is EffectKind.BETWEEN_RUNS)
-    return named and abs(one.criterion - other.criterion) < INDISTINGUISHABLE
+def _tied(first: Refit, second: Refit) -> bool:
+    """Return whether the likelihood cannot distinguish two effects."""
+    parametric = not (first.unknown or second.unknown or first.effect.kind is EffectKind.BETWEEN_RUNS)
+    return parametric and abs(first.criterion - second.criterion) < INDISTINGUISHABLE
 
 
-def _predicts_better(one: Refit, other: Refit) -> bool:
-    """Whether the prediction errors over the horizon are less with one effect than with another; of exact refits."""
-    assert one.prediction is not None
-    assert other.prediction is not None
-    return one.prediction.ratio < other.prediction.ratio
+def _predicts_better(first: Refit, second: Refit) -> bool:
+    """Return whether the first exact refit has smaller prediction errors over the horizon than the second."""
+    assert first.prediction is not None
+    assert second.prediction is not None
+    return first.prediction.ratio < second.prediction.ratio
 
 
-def _explains_more(one: Refit, other: Refit) -> bool:
-    """Whether a difference between runs explains the validation data significantly better than another effect."""
-    if one.effect.kind is not EffectKind.BETWEEN_RUNS:
+def _explains_more(difference: Refit, other: Refit) -> bool:
+    """Return whether a difference between runs explains the validation data significantly better than an effect."""
+    if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
         return False
     try:
-        compared = comparison(other.stage, one.stage, one.effect)
+        compared = comparison(other.stage, difference.stage, difference.effect)
         gain, t = compared.gain
     except FIT_ERRORS:
         return False
@@ -518,24 +617,30 @@ def _explains_more(one: Refit, other: Refit) -> bool:
 
 
 def _half_values(effect: Effect) -> dict[str, float]:
-    """A start nearer to nothing, within the bounds: a parameter whose bounds do not hold its half begins at one."""
+    """Halve the initial values of the shared parameters, clipped to their bounds."""
     return {p.name: min(max(0.5 * p.value, p.bounds[0]), p.bounds[1]) for p in effect.parameters if not p.per_record}
 
 
 def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:
-    """Degrees of freedom of a parameter of an effect: what differs between the records has its mean in the model."""
+    """Return the degrees of freedom of a parameter of an effect.
+
+    A difference between runs has one less than there are records, because the model contains the mean.
+    """
     if not parameter.per_record:
         return 1
     return n_records - 1 if effect.kind is EffectKind.BETWEEN_RUNS else n_records
 
 
 def _starts(effect: Effect, score: Score) -> Iterator[Effect]:
-    """The effect at the one-step estimate of the score test; then nearer to nothing, at the neighbours of a scanned
-    value, and on the other side; at last at nothing, from where a search that only climbs loses nothing."""
+    """Yield the effect with different initial values.
+
+    The first are the one-step estimates of the score test. Then follow smaller values, the neighbours of a scanned
+    value, and values of the opposite sign. The last is zero, from which an ascent cannot lose likelihood.
+    """
     scans = [score.scan]
-    for name, tried in effect.scan.items():
-        at = tried.index(score.scan[name]) if score.scan.get(name) in tried else 0
-        scans += [score.scan | {name: tried[k]} for k in (at - 1, at + 1) if 0 <= k < len(tried)]
+    for name, values in effect.scan.items():
+        at = values.index(score.scan[name]) if score.scan.get(name) in values else 0
+        scans += [score.scan | {name: values[k]} for k in (at - 1, at + 1) if 0 <= k < len(values)]
     for scan, share in [
         (scans[0], 1.0),
         (scans[0], 0.3),
@@ -547,6 +652,7 @@ def _starts(effect: Effect, score: Score) -> Iterator[Effect]:
 
 
 def _start(parameter: Parameter, score: Score, scan: Mapping[str, float], share: float) -> Parameter:
+    """Return a parameter with its initial value: ``share`` of the one-step estimate, limited by prior and bounds."""
     value = scan.get(parameter.name, parameter.value)
     if parameter.name in score.step:
         sd = parameter.prior[1] if parameter.prior else np.inf
@@ -557,6 +663,7 @@ def _start(parameter: Parameter, score: Score, scan: Mapping[str, float], share:
 
 
 def _unknown(score: Score, stage: FittedModel) -> Effect:
+    """Return the nonparametric effect of a score, with priors scaled to the size of the boat."""
     assert score.curve is not None
     size, tested = size_of(stage.fit.model), (score.kind, score.curve)
     for effect in input_response_effects(stage.model):
@@ -566,10 +673,11 @@ def _unknown(score: Score, stage: FittedModel) -> Effect:
 
 
 def _span(stage: FittedModel, curve: ForceCurve) -> tuple[float, float]:
+    """Return the interval of a curve's variable: 1 % to 99 % of its values, or a full turn for angles and products."""
     if curve.second or curve.variable in {v.name for v in variables_of(stage.model) if v.angle}:
         return -np.pi, np.pi
-    seen = [variables(stage.model, v.record, v.run.x_filt, v.values) for v in stage.estimation]
-    z = np.concatenate([of[curve.variable] for of in seen])
+    found = [variables(stage.model, v.record, v.run.x_filt, v.values) for v in stage.estimation]
+    z = np.concatenate([by_name[curve.variable] for by_name in found])
     low, high = np.percentile(z, [1, 99])
     return float(low), float(high)
 
@@ -577,15 +685,18 @@ def _span(stage: FittedModel, curve: ForceCurve) -> tuple[float, float]:
 def _shapes(
     before: FittedModel, rounds: Sequence[Round], judgements: Sequence[EffectAttribution], records: Sequence[Record]
 ) -> tuple[list[NonparametricForce], str | None]:
-    """Nonparametric curves: of selected nonparametric effects, and the residual in place of the first ambiguous
-    effect; why that one could not be fitted: it is a picture beside the result, which does without it."""
+    """Return the nonparametric curves for the report, and why one of them could not be fitted.
+
+    The curves are those of the selected nonparametric effects, and of the residual in place of the first ambiguous
+    effect. The latter only illustrates the result, so a failed fit of this curve is no error.
+    """
     found, current, undrawn = [], before, None
     chosen = [r for r in rounds if r.chosen is not None]
     first = next((j.effect for j in judgements if j.attribution == "ambiguous"), None)
-    for one, r in ((one, one.chosen) for one in chosen if one.chosen is not None):
+    for search_round, r in ((s, s.chosen) for s in chosen if s.chosen is not None):
         if r.unknown:
             found.append(_drawn(r.effect, r.stage))
-        elif r.effect.name == first and (likely := _likely_table(one)):
+        elif r.effect.name == first and (likely := _likely_curve(search_round)):
             try:
                 effect = _unknown(likely, current)
                 found.append(_drawn(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
@@ -594,17 +705,18 @@ def _shapes(
         current = r.stage
     drawn: dict[tuple[str, str], NonparametricForce] = {}
     for s in found:
-        if s is not None:  # of one curve the whole, not what is left of it beside a name
+        if s is not None:  # the first curve of a variable is complete; later curves lack the part of added effects
             drawn.setdefault((s.force, s.variable), s)
     return list(drawn.values()), undrawn
 
 
-def _likely_table(one: Round) -> Score | None:
-    """The best of the residuals as functions of one variable."""
-    tables = [s for s in one.scores if s.kind is EffectKind.NONPARAMETRIC and s.name in one.passed]
-    return next((s for s in tables if s.curve is not None and not s.curve.second), None)
+def _likely_curve(search_round: Round) -> Score | None:
+    """Return the best score of a residual as a function of one variable, None if none passed."""
+    curves = [s for s in search_round.scores if s.kind is EffectKind.NONPARAMETRIC and s.name in search_round.passed]
+    return next((s for s in curves if s.curve is not None and not s.curve.second), None)
 
 
 def _drawn(effect: Effect, stage: FittedModel) -> NonparametricForce | None:
+    """Return the curve of a nonparametric effect with its standard errors, None if it cannot be drawn."""
     f = stage.fit
     return shape(f.model, effect, f.model.values, f.names, f.covariance)

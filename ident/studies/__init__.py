@@ -1,4 +1,4 @@
-"""Monte Carlo studies: does the estimator recover known truth with calibrated intervals?"""
+"""Monte Carlo studies of the estimator: recovery of known true values, and coverage of its intervals."""
 
 import lazy_loader
 

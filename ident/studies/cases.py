@@ -1,8 +1,8 @@
 """Cases of ``seatrial ident study``: missions and true values.
 
-Built-in: step sequences as in section 5 of the paper, the boat of its Table 5. User-defined: a fitted model.toml, or a
-``Case`` of a Python file. Besides, repeats of a designed mission: estimation errors against those that the design
-predicted.
+Built-in cases have step sequences as in section 5 of the paper, and the boat of its Table 5. User-defined cases are
+a fitted model.toml, or a ``Case`` of a Python file. This module also repeats a designed mission, and compares the
+estimation errors with those that the design predicted.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from seatrial.ident.numerics import Array, first_order_lag
 from seatrial.ident.studies.monte_carlo import Case, run_replicates
 
 MISSION_SEED = 20  # the mission is the same for all replicates
-# Table 5, 3 DOF: the boat as it was identified. Table 1's d_u and d_vv are at their bound of zero for any such record.
+# Table 5, 3 DOF: the identified boat. The estimates of d_u and d_vv of Table 1 would be at their bound of zero.
 HULL = {
     "m_u": 43.0775,
     "m_v": 49.8655,
@@ -63,7 +63,19 @@ N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
 def random_levels(
     t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int
 ) -> Array:
-    """Random step sequence (n_rows, n_inputs): each level is held for a random time within ``hold`` [s]."""
+    """Return a random step sequence (n_rows, n_inputs).
+
+    Parameters
+    ----------
+    t : Array (n_rows,)
+        Times of the rows [s].
+    levels
+        Function that draws one level of each input.
+    hold
+        Shortest and longest time of a level [s].
+    seed
+        Seed of the sequence.
+    """
     rng = np.random.default_rng(seed)
     u, until = np.zeros((t.size, len(levels(np.random.default_rng(0))))), 0.0
     while until < t[-1]:
@@ -73,12 +85,12 @@ def random_levels(
 
 
 def _shaft_speeds(command: Array, step: float) -> Array:
-    """From rest, behind commands (n_rows, n) that are held over each ``step`` [s]."""
+    """Return the shaft speeds (n_rows, n) behind commands that are held over each ``step`` [s], from rest."""
     return first_order_lag(command, 1.0 / SHAFT_POLE, step)
 
 
 def surge_case(seconds: float = 300.0) -> Case:
-    """Forward and reverse thrust in steps, position at 10 Hz."""
+    """Return the surge case: forward and reverse thrust in steps, position at 10 Hz."""
     t = _clock(seconds, 0.1)
     force = random_levels(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
     model = _at(surge_model(), HULL | {"s_u": 0.02, "e_x": 0.05})
@@ -88,7 +100,7 @@ def surge_case(seconds: float = 300.0) -> Case:
 
 
 def yaw_case(seconds: float = 300.0) -> Case:
-    """Differential thrust in steps, gyro at 20 Hz."""
+    """Return the yaw case: differential thrust in steps, gyro at 20 Hz."""
     t = _clock(seconds, 0.05)
     moment = random_levels(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
     model = _at(yaw_model(), HULL | {"s_r": 0.02, "e_r": 0.01})
@@ -96,7 +108,10 @@ def yaw_case(seconds: float = 300.0) -> Case:
 
 
 def horizontal_case(seconds: float = 400.0) -> Case:
-    """Both thrusters in steps; heading, gyro and accelerometers at 10 Hz, position and velocity at 5 Hz."""
+    """Return the horizontal case: both thrusters in steps.
+
+    Heading, gyro and accelerometers are sampled at 10 Hz, position and velocity at 5 Hz.
+    """
     t = _clock(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
     model = _at(horizontal_model(), HULL | {"s_u": 0.02, "s_v": 0.02, "s_r": 0.01})
@@ -110,8 +125,8 @@ def horizontal_case(seconds: float = 400.0) -> Case:
 
 
 def thruster_case(seconds: float = 100.0) -> Case:
-    """Steps on the bench; command, shaft speed and force at 80 Hz."""
-    t = _clock(seconds, DELAY_STEP)  # so that the delayed commands change at rows
+    """Return the thruster case: steps on the bench, with command, shaft speed and force at 80 Hz."""
+    t = _clock(seconds, DELAY_STEP)  # with this step the delayed commands change at rows
     command = random_levels(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
     whole = [np.searchsorted(t, t - k * DELAY_STEP + 1e-9, side="right") - 1 for k in range(N_DELAYS)]
     u = np.column_stack([command[np.maximum(at, 0)] for at in whole])
@@ -122,7 +137,7 @@ def thruster_case(seconds: float = 100.0) -> Case:
 
 
 def kinematic_case(seconds: float = 400.0) -> Case:
-    """Horizontal case with measured attitude and rates, on a boat that rolls by 3 and pitches by 2 degrees."""
+    """Return the horizontal case with measured attitude and rates. The boat rolls by 3 and pitches by 2 degrees."""
     t = _clock(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
     model = _at(kinematic_model(), HULL | {"s_u": 0.02, "s_v": 0.02})
@@ -138,7 +153,7 @@ def kinematic_case(seconds: float = 400.0) -> Case:
 
 
 def turned(t: Array, n: Array) -> Array:
-    """Heading [rad] (n_rows,) of the boat under shaft speeds (n_rows, 2), by the yaw equation without noise."""
+    """Return the heading (n_rows,) [rad] under shaft speeds n (n_rows, 2), by the yaw equation without noise."""
     model = horizontal_model()
     force = model.values["c1"] * n * np.abs(n) + model.values["c2"] * n**2
     moment = force @ [-model.values["y_left"], -model.values["y_right"]]
@@ -150,7 +165,7 @@ def turned(t: Array, n: Array) -> Array:
 
 
 def simulated_attitude(t: Array, psi: Array) -> Array:
-    """phi, theta, psi [rad] and the body rates p, q, r [rad/s] that go with them (n_rows, 6); Fossen 2011, eq. 2.27."""
+    """Return phi, theta, psi [rad] and their body rates p, q, r [rad/s], Array (n_rows, 6); Fossen 2011, eq. 2.27."""
     phi, theta = 0.052 * np.sin(2 * np.pi * t / 2.3), 0.035 * np.sin(2 * np.pi * t / 3.1)
     d_phi, d_theta, d_psi = (np.gradient(angle, t) for angle in (phi, theta, psi))
     rates = (
@@ -162,7 +177,7 @@ def simulated_attitude(t: Array, psi: Array) -> Array:
 
 
 def noise_case(seconds: float = 300.0) -> Case:
-    """One axis at rest: white noise and a random walk, as `seatrial ident noise` fits them."""
+    """Return the noise case: white noise and a random walk of one axis at rest, as `seatrial ident noise` fits them."""
     t = _clock(seconds, 0.05)
     model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})
     return Case(
@@ -171,7 +186,7 @@ def noise_case(seconds: float = 300.0) -> Case:
 
 
 def optimal_design_case(seconds: float = 300.0) -> Case:
-    """Optimal design for the nine parameters of Table 1: do fits reach the predicted errors?"""
+    """Return the optimal design for the nine parameters of Table 1, to test whether fits reach the predicted errors."""
     rates = {"position": 5.0, "ground_velocity": 5.0}
     task = DesignProblem(
         horizontal_model(current=False), StepInput(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates
@@ -181,11 +196,12 @@ def optimal_design_case(seconds: float = 300.0) -> Case:
 
 
 def _clock(seconds: float, step: float) -> Array:
+    """Return the times of the rows [s]."""
     return np.asarray(np.arange(round(seconds / step) + 1) * step)
 
 
 def _at(model: Model, values: Mapping[str, float]) -> Model:
-    """The model at those of the values that it has, with the second-order mean of `ident vehicle`."""
+    """Return the model at the values of its own parameters, with the second-order mean of `ident vehicle`."""
     return replace(model.with_values({n: v for n, v in values.items() if n in model.values}), second_order=True)
 
 
@@ -198,12 +214,12 @@ CASES: dict[str, Callable[..., Case]] = {
     "noise": noise_case,
     "designed": optimal_design_case,
 }
-STEP = 0.1  # s, of the samples of sensors whose rate no file has; GNSS has every second
-HOLD = (3.0, 10.0)  # s, of a level
+STEP = 0.1  # s, default sample interval of sensors if the file has no rate; that of GNSS is twice as long
+HOLD = (3.0, 10.0)  # s, shortest and longest time of a level
 GNSS = ("position", "ground_velocity")
-SECONDS = 400.0  # of a mission
-BATCH = 25  # replicates simulated at a time
-MAX_ERROR = 8.0  # predicted standard errors from the truth: beyond it the fit stopped at another maximum
+SECONDS = 400.0  # default length of a mission
+BATCH = 25  # replicates simulated at once
+MAX_ERROR = 8.0  # predicted standard errors from the truth; a fit with a larger error stopped at another maximum
 
 
 def make_case(
@@ -216,17 +232,35 @@ def make_case(
     reml: bool | None = None,
     mean_order: Literal[1, 2] | None = None,
 ) -> Case:
-    """A case by name or file; at other true values, with only the parameters ``free`` estimated, of another length, if
-    given. Not ``bounded``: damping may be estimated below zero. ``reml``, ``mean_order``: how it is estimated,
-    by default as the commands do, or did where the file says so.
+    """Return a case of a study.
 
-    Raises SeatrialError when there is none, or no such parameter.
+    Parameters
+    ----------
+    name
+        Name of a built-in case, or a file (``model.toml`` or ``FILE.py:NAME``).
+    truth
+        Other true values, by parameter.
+    free
+        Names of the parameters to estimate, by default all free parameters of the model.
+    seconds
+        Length of the mission [s], by default that of the case.
+    bounded
+        Whether damping is bounded at zero. With False damping may be estimated below zero.
+    reml
+        Whether to use restricted maximum likelihood, by default as the commands do, or as the file was fitted.
+    mean_order
+        Order of the filter mean, by default as the commands use it, or as the file was fitted.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such case or no such parameter.
     """
-    if is_own(name):
-        case = own_case(name, seconds, MISSION_SEED)
+    if is_file(name):
+        case = case_from_file(name, seconds, MISSION_SEED)
     elif name not in CASES:
-        known = ", ".join(CASES)
-        raise SeatrialError(f"no study of {name!r}: there are {known}, a model.toml, or FILE.py:NAME of a Case")
+        names = ", ".join(CASES)
+        raise SeatrialError(f"no study of {name!r}: there are {names}, a model.toml, or FILE.py:NAME of a Case")
     else:
         case = CASES[name](**({} if seconds is None else {"seconds": seconds}))
     try:
@@ -239,20 +273,32 @@ def make_case(
     case = replace(case, model=EstimationOptions(mean_order=mean_order).with_mean_order(case.model))
     if bounded:
         return case
-    apart = [replace(p, bounds=(-INF, INF)) for p in case.model.parameters if p.transform == "none"]
-    return replace(case, model=case.model.replace_parameters(*apart))
+    unbounded = [replace(p, bounds=(-INF, INF)) for p in case.model.parameters if p.transform == "none"]
+    return replace(case, model=case.model.replace_parameters(*unbounded))
 
 
-def is_own(source: str) -> bool:
-    """Whether MODEL of the command is a file."""
+def is_file(source: str) -> bool:
+    """Return whether the MODEL of the command is a file."""
     return source.endswith(".toml") or ":" in source
 
 
-def own_case(source: str, seconds: float | None, seed: int) -> Case:
-    """``model.toml``: random levels within the inputs' ranges that its data covered, estimated as it was fitted; or
-    ``FILE.py:NAME``, a ``Case``, estimated as `ident vehicle` does.
+def case_from_file(source: str, seconds: float | None, seed: int) -> Case:
+    """Return a user-defined case from a file.
 
-    Raises SeatrialError where there is no such file, or a mission cannot be made of it.
+    Parameters
+    ----------
+    source
+        ``model.toml``: the inputs are random levels within the ranges that the data of the fit covered, and the case is
+        estimated as the model was fitted. ``FILE.py:NAME``: a ``Case``, which is estimated as `ident vehicle` does.
+    seconds
+        Length of the mission [s], only for a model.toml.
+    seed
+        Seed of the mission.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such file, or if no mission can be made from it.
     """
     if source.endswith(".toml"):
         path = Path(source)
@@ -265,24 +311,25 @@ def own_case(source: str, seconds: float | None, seed: int) -> Case:
     case = load_object(source)
     if isinstance(case, Model):
         raise SeatrialError(
-            f"{file}: {name} is a Model; a study needs its mission, too: "
+            f"{file}: {name} is a Model; a study also needs a mission: "
             "make it a seatrial.ident.studies.monte_carlo.Case"
         )
     if not isinstance(case, Case):
         raise SeatrialError(f"{file}: {name} is no seatrial.ident.studies.monte_carlo.Case but {type(case).__name__}")
     if seconds is not None:
-        raise SeatrialError(f"--seconds: {file} says how long {name} is")
+        raise SeatrialError(f"--seconds: the length of {name} is set in {file}; leave the option out")
     check_user_model(case.model, Path(file))
     return _marked(replace(case, model=replace(case.model, second_order=True)), Path(file))  # as `ident vehicle` does
 
 
 def _marked(case: Case, path: Path) -> Case:
-    """The case with a hash of the file in its identity, so that a changed file starts a new study."""
+    """Return the case with a hash of the file in its identity, so that a changed file starts a new study."""
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     return replace(case, model=replace(case.model, source=f"{case.model.source} {digest}"))
 
 
 def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case:
+    """Return a case of a fitted model, with random levels of its inputs within the ranges of its data."""
     model, ranges = saved.model, saved.validity
     rates = {s.name: saved.rates.get(s.name, (0.5 if s.name in GNSS else 1.0) / STEP) for s in model.sensors}
     step = _row_step(model, max(rates.values()))
@@ -296,7 +343,7 @@ def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case
             continue
         elif signal.name not in ranges:
             raise SeatrialError(
-                f"{source}: no range of the input {signal.name!r} under [validity], so no mission can be made up; "
+                f"{source}: no range of the input {signal.name!r} under [validity], so no mission can be generated; "
                 "write a Case in a Python file instead (docs/how-to/study.md)"
             )
         else:
@@ -304,7 +351,7 @@ def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case
             u[:, j] = _measured(levels, step) if signal.hold == "linear" else levels
     names = [i.name for i in model.inputs]
     for j, signal in enumerate(model.inputs):
-        if signal.tap:  # before the start the first value
+        if signal.tap:  # delayed copy; before the start it has the first value
             then = np.clip(np.arange(t.size) - round(signal.delay / step), 0, t.size - 1)
             u[:, j] = u[then, names.index(signal.tap_of)]
     u_next = u.copy()
@@ -312,13 +359,13 @@ def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case
         if signal.hold == "linear":
             u_next[:-1, j] = u[1:, j]
     every = {name: max(round(1.0 / (hz * step)), 1) for name, hz in rates.items()}
-    had = ", ".join(f"{name} {1.0 / (k * step):.3g} Hz" for name, k in every.items())
-    about = f"{seconds:g} s, inputs in steps of 3-10 s within the fitted ranges, {had}"
+    sampled = ", ".join(f"{name} {1.0 / (k * step):.3g} Hz" for name, k in every.items())
+    about = f"{seconds:g} s, inputs in steps of 3-10 s within the fitted ranges, {sampled}"
     return Case(f"{model.name}-{Path(source).parent.name or 'own'}", model, SampledInputs(t, u, u_next), every, about)
 
 
 def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Array:
-    """Random levels, each held for a random time within ``HOLD``."""
+    """Return random levels (n_rows,), each held for a random time within ``HOLD``."""
     out, until = np.empty(t.size), 0.0
     while until <= t[-1]:
         out[t >= until - 1e-9] = rng.uniform(low, high)
@@ -327,25 +374,37 @@ def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Arra
 
 
 def _row_step(model: Model, fastest: float) -> float:
-    """Spacing of the rows [s]: as a fit needs it, one for each sample of the fastest sensor [Hz], and such that delayed
-    copies of the inputs are rows, too: rounded to others, nothing would tell a delay."""
+    """Return the spacing of the rows [s].
+
+    It is short enough for the model and for the fastest sensor [Hz]. The delays of input copies are multiples of it;
+    otherwise rounding would hide the delay.
+    """
     return divided(copy_spacing(model, STEP), min(model.max_step, 1.05 / fastest))
 
 
 def _measured(levels: Array, step: float) -> Array:
-    """As measured shaft speeds and thrusts follow them."""
+    """Return shaft speeds or thrusts as measured: they follow the levels with a first-order lag, from steady state."""
     return first_order_lag(levels, 1.0 / SHAFT_POLE, step, start="steady")
 
 
 @dataclass(frozen=True)
 class Delivered:
-    """One parameter over the repeats of a designed mission.
+    """Errors of one parameter over the repeats of a designed mission.
 
-    Attributes:
-        predicted: standard error of the design.
-        ratio: standard deviation of the estimates over it, with its 95 % interval under normality.
-        coverage: share within 1.96 predicted standard errors.
-        outliers: number of estimates far outside (not in ratio, but in coverage).
+    Attributes
+    ----------
+    name
+        Name of the parameter.
+    predicted
+        Standard error that the design predicted.
+    n
+        Number of converged fits.
+    ratio, interval
+        Standard deviation of the estimates over the predicted one, and its 95 % interval under normality.
+    coverage
+        Share of the estimates within 1.96 predicted standard errors.
+    outliers
+        Number of estimates far from the truth. They are left out of the ratio and included in the coverage.
     """
 
     name: str
@@ -357,18 +416,35 @@ class Delivered:
     outliers: int
 
 
-def designed_case(made: Design, name: str = "designed") -> Case:
-    """A designed mission as a case, estimated as `ident vehicle` does, with damping not bounded at zero (a bound makes
-    errors one-sided)."""
-    fine = made.task.finer
-    apart = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
-    u = fine.actuation.inputs(made.command_on(fine)[:, :, None])[:, :, 0]
-    model = replace(fine.observed(fine.model.replace_parameters(*apart)), second_order=True)
+def designed_case(designed: Design, name: str = "designed") -> Case:
+    """Return a designed mission as a case, estimated as `ident vehicle` does.
+
+    Damping is not bounded at zero, because a bound makes the errors one-sided.
+    """
+    fine = designed.task.finer
+    unbounded = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
+    u = fine.actuation.inputs(designed.command_on(fine)[:, :, None])[:, :, 0]
+    model = replace(fine.observed(fine.model.replace_parameters(*unbounded)), second_order=True)
     return Case(name, model, SampledInputs.linear(fine.t, u), fine.every)
 
 
 def repeats(made: Design, n: int, seed: int) -> list[Delivered]:
-    """Simulate with process and measurement noise, and fit, n times; inputs must be held linearly."""
+    """Simulate a designed mission with process and measurement noise and fit it, n times.
+
+    Parameters
+    ----------
+    made
+        The design; its inputs must be held linearly.
+    n
+        Number of repeats.
+    seed
+        Seed of the repeats.
+
+    Returns
+    -------
+    list of Delivered
+        Errors of each estimated parameter.
+    """
     case = designed_case(made)
     rows = [row for k in range(0, n, BATCH) for row in run_replicates(case, range(k, min(k + BATCH, n)), seed)]
     good = [row for row in rows if row.get("converged")]
@@ -376,6 +452,7 @@ def repeats(made: Design, n: int, seed: int) -> list[Delivered]:
 
 
 def _delivered(made: Design, name: str, d: Array) -> Delivered:
+    """Return the errors of one parameter, from the errors d (n,) in the coordinate of the estimator."""
     p, predicted = made.task.model.parameter(name), made.predicted[name]
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate
     regular = np.abs(z) < MAX_ERROR

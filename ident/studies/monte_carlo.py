@@ -1,16 +1,16 @@
-"""Monte Carlo study of the estimator: bias, variance and interval coverage on simulated data of the model itself.
+"""Monte Carlo study of the estimator: bias, variance and interval coverage on data simulated with the model itself.
 
 Each replicate is simulated with process and measurement noise (``seatrial.ident.estimation.stochastic_simulation``,
 plain numpy) and estimated by ``seatrial.ident.estimation.maximum_likelihood``. All statistics are in the coordinate of
-the estimator (the logarithm of a positive parameter), to which its standard error refers:
+the estimator (the logarithm of a positive parameter), because its standard error refers to this coordinate:
 
     bias     = mean(d) / sd(d),  d = estimate - truth
-    ratio    = var(d) / mean(variance that each fit reported);  bound: the same with the Cramér-Rao bound at the truth,
-               which is compared with the aim; the coverage shows whether the reported errors are right
-    coverage = share of |d| < 1.96 standard errors
+    ratio    = var(d) / mean(variance that each fit reported)
+    bound    = var(d) / mean(Cramér-Rao bound at the truth), which is compared with the aim
+    coverage = share of |d| < 1.96 standard errors, which shows whether the reported errors are right
 
-An estimate at its bound counts as well: its interval goes from the bound to ``Fit.limits``, and its standard error is
-the length of the interval over 1.96. Near bounds no estimate is unbiased, and the Cramér-Rao bound is not the least
+An estimate at its bound also counts. Its interval goes from the bound to ``Fit.limits``, and its standard error is the
+length of the interval over 1.96. Near bounds no estimate is unbiased, and the Cramér-Rao bound is not the least
 variance. The reference is then an efficient estimate: normal with the information at the truth, projected onto the
 bounds in the metric of that information (Self and Liang 1987, Andrews 1999).
 """
@@ -52,8 +52,8 @@ from seatrial.ident.results import APART, BIAS, COVERAGE, VARIANCE
 Row = dict[str, Any]
 Z95 = 1.96
 N_DRAWS = 400  # samples of an efficient estimate near bounds, for each replicate
-# The wings that a study's results hang on.
-HASHED_WINGS = (
+# packages that the results of a study depend on
+HASHED_PACKAGES = (
     "characterisation",
     "data",
     "effects",
@@ -71,10 +71,20 @@ HASHED_WINGS = (
 class Case:
     """Case of a study: a model at the true values of its parameters, and the inputs of a mission.
 
-    Attributes:
-        every: rows between the samples of a sensor (default 1).
-        reml: noise parameters by restricted maximum likelihood (REML), as the commands do. The order of the
-            filter mean is a property of the model.
+    Attributes
+    ----------
+    name
+        Name of the case.
+    model
+        Model at the true values. The order of the filter mean is a property of the model.
+    inputs
+        Inputs of the mission.
+    every
+        Rows between the samples of a sensor, by sensor (default 1).
+    about
+        Description for reports.
+    reml
+        Whether noise parameters are estimated by restricted maximum likelihood (REML), as the commands do.
     """
 
     name: str
@@ -85,12 +95,29 @@ class Case:
     reml: bool = True
 
     def at(self, truth: Mapping[str, float]) -> Case:
-        """The case with other true values."""
+        """Return the case with other true values."""
         return replace(self, model=self.model.with_values(truth))
 
 
 def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "prediction-error") -> list[Row]:
-    """Simulate and estimate the replicates of these numbers, one row each; replicates are independent."""
+    """Simulate and estimate independent replicates.
+
+    Parameters
+    ----------
+    case
+        The case.
+    numbers
+        Numbers of the replicates.
+    seed
+        Seed of the study. Seed and number together determine a replicate.
+    method
+        Method of the estimation.
+
+    Returns
+    -------
+    list of Row
+        One row for each replicate. The row of a failed fit has the key ``error``.
+    """
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
     truths = np.array([_draw(case.model, rng) for rng in rngs])
     began = time.process_time()
@@ -102,14 +129,14 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
         row: Row = {"k": k, "simulation": simulation}
         try:
             row |= estimate(case, record, truth, x[0], rng, method)
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as problem:  # counted, and the study goes on
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as problem:  # a failure is counted in the summary
             row |= {"error": f"{type(problem).__name__}: {problem}"}
         rows.append(row)
     return rows
 
 
 def make_record(case: Case, y: Array, name: str) -> Record:
-    """Measurements at the rows at which the sensors sample."""
+    """Return a record with the measurements y (n_rows, n_outputs), NaN at rows at which a sensor does not sample."""
     model, inputs, seen, column = case.model, case.inputs, np.full(y.shape, np.nan), 0
     for sensor in model.sensors:
         rows, columns = np.s_[:: case.every.get(sensor.name, 1)], np.s_[column : column + len(sensor.outputs)]
@@ -120,22 +147,39 @@ def make_record(case: Case, y: Array, name: str) -> Record:
 
 
 def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random.Generator, method: Method) -> Row:
-    """Fit from random initial values, and its errors.
+    """Fit one replicate from random initial values and return its errors.
 
-    Names are those of ``case.model.free`` and, for output error, ``x0_NAME`` of the initial states, whose truth is
-    ``x0`` (n_states,).
+    Parameters
+    ----------
+    case, record
+        The case, and the simulated record.
+    truth : Array (n_parameters,)
+        True parameter values.
+    x0 : Array (n_states,)
+        True initial states.
+    rng
+        Random generator of the replicate.
+    method
+        Method of the estimation.
+
+    Returns
+    -------
+    Row
+        Errors ``d``, standard errors ``se``, errors ``far`` of the far interval ends, Cramér-Rao ``bound`` and
+        ``flags`` by parameter name, in the coordinate of the estimator. The names are those of ``case.model.free`` and,
+        for output error, ``x0_NAME`` of the initial states.
     """
     model = replace(case.model, second_order=case.model.second_order and method == "prediction-error")
-    named = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
+    true_values = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
     shared = [p for p in model.parameters if p.free and not p.per_record]
-    apart = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
-    start = {p.name: float(np.clip(apart[p.name], *p.bounds)) for p in shared}
+    drawn = {p.name: p.value * float(np.exp(rng.uniform(-APART, APART))) for p in shared}
+    start = {p.name: float(np.clip(drawn[p.name], *p.bounds)) for p in shared}
     start |= {p.name: p.value for p in model.parameters if p.per_record}
     began = time.process_time()
     if method == "output-error":
-        named |= {f"x0_{s.name}": float(x) for s, x in zip(model.states, x0, strict=True)}
+        true_values |= {f"x0_{s.name}": float(x) for s, x in zip(model.states, x0, strict=True)}
         model = free_start(model, [record])[0]
-    named = {n: named[n] for n in model.values}
+    true_values = {n: true_values[n] for n in model.values}
     options = EstimationOptions(reml=case.reml, method=method)
     found = fit(model, [record], options, SearchSettings(threads=1), start=start)
     cpu = time.process_time() - began
@@ -144,7 +188,7 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
     z = _coordinates(parameters, found.values)
     slope = np.array([p.slope(v) for p, v in zip(parameters, found.values, strict=True)])
     name_of = {p.full_name: p.name for p in parameters}
-    true = np.array([p.to_free(named[p.name]) for p in parameters])
+    true = np.array([p.to_free(true_values[p.name]) for p in parameters])
     return {
         "converged": found.converged,
         "iterations": found.iterations,
@@ -152,14 +196,32 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
         "d": dict(zip(names, (z - true).tolist(), strict=True)),
         "se": _finite(names, found.errors / slope),
         "far": _finite(names, _coordinates(parameters, found.limits) - true),
-        "bound": _finite(names, cramer_rao_errors(model.with_values(named), record, found, method, rng)),
+        "bound": _finite(names, cramer_rao_errors(model.with_values(true_values), record, found, method, rng)),
         "flags": {name_of[n]: what for n, what in found.flags},
     }
 
 
 def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, rng: np.random.Generator) -> Array:
-    """Standard deviations (n,) of an efficient estimator in the coordinates of the estimator: the Cramér-Rao bound from
-    the information at the truth and the priors, with the effect of parameter bounds."""
+    """Return the standard deviations (n,) of an efficient estimator, in the coordinates of the estimator.
+
+    Parameters
+    ----------
+    truth
+        Model at the true values.
+    record
+        The simulated record.
+    found
+        Fit of the record, whose parameters are used.
+    method
+        Method of the estimation.
+    rng
+        Random generator of the replicate.
+
+    Notes
+    -----
+    The result is the Cramér-Rao bound from the information at the truth and the priors, with the effect of parameter
+    bounds.
+    """
     names = [p.name for p in found.parameters]
     problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
     information, z = problem.evaluate(problem.start).information, problem.start
@@ -173,7 +235,23 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
 def variance_change_by_bounds(
     information: Array, P: Array, z: Array, bounds: Bounds, rng: np.random.Generator
 ) -> Array:
-    """Change of the variances (n,) by parameter bounds, from ``N_DRAWS`` samples with and without projection."""
+    """Return the change of the variances (n,) by parameter bounds.
+
+    Parameters
+    ----------
+    information, P : Array (n, n)
+        Information at the truth, and its inverse.
+    z : Array (n,)
+        True values in the coordinates of the estimator.
+    bounds
+        Bounds in these coordinates.
+    rng
+        Random generator.
+
+    Notes
+    -----
+    ``N_DRAWS`` samples of an efficient estimate are compared with and without projection onto the bounds.
+    """
     free = z + rng.multivariate_normal(np.zeros(z.size), P, N_DRAWS, method="cholesky")
     kept = free.copy()
     for k in np.flatnonzero(((free < bounds.low) | (free > bounds.high)).any(axis=1)).tolist():
@@ -183,21 +261,23 @@ def variance_change_by_bounds(
 
 
 def _coordinates(parameters: Sequence[Parameter], values: Array) -> Array:
+    """Return parameter values (n,) in the coordinates of the estimator."""
     return np.array([p.to_free(v) for p, v in zip(parameters, values.tolist(), strict=True)])
 
 
 def _draw(model: Model, rng: np.random.Generator) -> Array:
-    """The true values; what each record has for itself comes from its prior, and so does what is considered."""
-    own = {p.name for p in model.parameters if p.free and p.per_record} | {*model.considered}
+    """Draw the true values: per-record and considered parameters from their priors, all others at their values."""
+    drawn = {p.name for p in model.parameters if p.free and p.per_record} | {*model.considered}
     return np.array(
         [
-            p.prior[0] + p.prior[1] * rng.standard_normal() if p.name in own and p.prior else p.value
+            p.prior[0] + p.prior[1] * rng.standard_normal() if p.name in drawn and p.prior else p.value
             for p in model.parameters
         ]
     )
 
 
 def _finite(names: Sequence[str], values: Array) -> dict[str, float | None]:
+    """Return the values by name, None for values that are not finite."""
     return {n: float(v) if np.isfinite(v) else None for n, v in zip(names, values, strict=True)}
 
 
@@ -205,13 +285,24 @@ def _finite(names: Sequence[str], values: Array) -> dict[str, float | None]:
 class ParameterCoverage:
     """Statistics of one parameter over all replicates; intervals are 95 %.
 
-    Attributes:
-        n: replicates with an interval.
-        at_bound: replicates among them with the estimate at its bound.
-        sd, bias, bias_error: in the coordinate of the estimator; bias in units of sd.
-        ratio: variance over mean reported variance.
-        bound_ratio: variance over the Cramér-Rao bound.
-        coverage: empirical coverage of the 95 % intervals.
+    Attributes
+    ----------
+    name
+        Name of the parameter.
+    n
+        Number of replicates with an interval.
+    at_bound
+        Number of these replicates with the estimate at its bound.
+    sd
+        Standard deviation of the errors, in the coordinate of the estimator.
+    bias, bias_error
+        Bias and its standard error, in units of ``sd``.
+    ratio, ratio_interval
+        Variance over mean reported variance, and its interval.
+    bound_ratio, bound_interval
+        Variance over the Cramér-Rao bound, and its interval.
+    coverage, coverage_interval
+        Empirical coverage of the 95 % intervals, and its interval.
     """
 
     name: str
@@ -229,7 +320,7 @@ class ParameterCoverage:
 
     @property
     def misses(self) -> tuple[str, ...]:
-        """Statistics outside their aims; marked ``(chance?)`` where the 95 % interval reaches into the aim."""
+        """Names of the statistics outside their aims, with ``(chance?)`` if the 95 % interval reaches into the aim."""
         bias = abs(self.bias) - Z95 * self.bias_error
         low, high = self.bound_interval
         found = [
@@ -244,23 +335,25 @@ class ParameterCoverage:
         return tuple(f for f in found if f)
 
 
-def _miss(what: str, beyond: bool, significant: bool) -> str:
-    return "" if not beyond else what if significant else f"{what} (chance?)"
+def _miss(statistic: str, beyond: bool, significant: bool) -> str:
+    """Return the name of a statistic outside its aim, marked if the miss may be chance; empty if it is inside."""
+    return "" if not beyond else statistic if significant else f"{statistic} (chance?)"
 
 
 def summarise(rows: Iterable[Row]) -> list[ParameterCoverage]:
-    """Statistics of the parameters in order, without failed and unconverged replicates (``counts`` has them)."""
+    """Return the statistics of each parameter, without failed and unconverged replicates (see ``counts``)."""
     good = [r for r in rows if r.get("converged")]
     names = dict.fromkeys(n for r in good for n in r["d"])
     return [j for n in names if (j := _statistics(n, [r for r in good if n in r["d"]])) is not None]
 
 
 def _statistics(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
-    known = [r for r in rows if {r["se"][name], r["far"][name]} != {None} and r["bound"][name] is not None]
-    n = len(known)
+    """Return the statistics of one parameter, None with fewer than three usable replicates."""
+    usable = [r for r in rows if {r["se"][name], r["far"][name]} != {None} and r["bound"][name] is not None]
+    n = len(usable)
     if n < 3:
         return None
-    d, se, far, bound = (np.array([r[key][name] for r in known], dtype=float) for key in ("d", "se", "far", "bound"))
+    d, se, far, bound = (np.array([r[key][name] for r in usable], dtype=float) for key in ("d", "se", "far", "bound"))
     at_bound = np.isnan(se)
     se = np.where(at_bound, np.abs(far - d) / Z95, se)
     variance, inside = float(d.var(ddof=1)), int(np.sum(np.where(at_bound, d * far <= 0, np.abs(d) < Z95 * se)))
@@ -285,8 +378,17 @@ def _statistics(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
 
 @dataclass(frozen=True)
 class ReplicateCounts:
-    """How many replicates there are, failed, did not converge; median CPU time of a fit and mean of a simulation [s],
-    NaN without any."""
+    """Number of replicates and time of a study.
+
+    Attributes
+    ----------
+    replicates, failed, unconverged
+        Number of all, failed and unconverged replicates.
+    cpu_fit
+        Median CPU time of a fit [s], NaN without fits.
+    cpu_simulation
+        Mean CPU time of a simulation [s], NaN without replicates.
+    """
 
     replicates: int
     failed: int
@@ -296,7 +398,7 @@ class ReplicateCounts:
 
 
 def counts(rows: Sequence[Row]) -> ReplicateCounts:
-    """Of rows as ``run_replicates`` makes them."""
+    """Count the rows of ``run_replicates``."""
     good = [r for r in rows if "error" not in r]
     return ReplicateCounts(
         replicates=len(rows),
@@ -309,7 +411,7 @@ def counts(rows: Sequence[Row]) -> ReplicateCounts:
 
 @cache
 def estimator_code_hash() -> str:
-    """A hash of what a result depends on."""
+    """Return a hash of the code that the results of a study depend on."""
     digest = hashlib.sha256()
     for path in hashed_files():
         digest.update(path.read_bytes())
@@ -317,6 +419,6 @@ def estimator_code_hash() -> str:
 
 
 def hashed_files() -> list[Path]:
-    """The files whose change may change a study's results."""
+    """Return the files whose change may change the results of a study."""
     root = Path(__file__).parents[1]
-    return sorted(path for wing in HASHED_WINGS for path in (root / wing).rglob("*.py"))
+    return sorted(path for package in HASHED_PACKAGES for path in (root / package).rglob("*.py"))

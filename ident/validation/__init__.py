@@ -1,4 +1,4 @@
-"""Model validation: prediction errors, calibration of intervals, whiteness of residuals."""
+"""Model validation: prediction errors, calibration of prediction intervals, and whiteness of residuals."""
 
 import lazy_loader
 

@@ -1,12 +1,13 @@
-"""Does a model know how well it predicts? Errors over their predicted standard deviations, by channel and horizon.
+"""Calibration of prediction intervals: errors over their predicted standard deviations, by channel and horizon.
 
-If the bands are right, ``z = error / sd`` is standard normal: half of it lies within +-0.674, 95 % within +-1.96, and
-its distribution function at z (the probability integral transform; Dawid 1984, Gneiting, Balabdaoui and Raftery 2007)
-is uniform. Successive errors of a long prediction hang together, so their number says little; what counts is
+If the intervals are right, ``z = error / sd`` is standard normal. Half of the z then lie within +-0.674, and 95 % lie
+within +-1.96. The distribution function at z (the probability integral transform; Dawid 1984, Gneiting, Balabdaoui and
+Raftery 2007) is then uniform. Successive errors of a long prediction are correlated. The number of independent errors
+is therefore the effective sample size
 
     n_eff = n / (1 + 2 sum_k rho_k^2)
 
-(Bartlett 1946: the variance of a mean of squares), with which ``n_eff mean(z^2)`` is about chi-squared.
+(Bartlett 1946: the variance of a mean of squares). With it ``n_eff mean(z^2)`` is approximately chi-squared.
 """
 
 from __future__ import annotations
@@ -25,21 +26,33 @@ from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, effective_sample_size, wrap
 from seatrial.ident.validation.prediction_errors import WARM_UP, SimulationRun
 
-STRIDE = 0.2  # of the horizon, between the starts of predictions over it
-MOST_STARTS = 1000  # of a record; errors within a horizon are much alike, so that more say little more
-LATE = 0.2  # of the horizon, or a row where that is longer: within which after its end a sample must come
-HALF, NEARLY_ALL = 0.6744898, 1.9599640  # quantiles of 50 % and 95 %
-BINS = 10
-TOLERANCE = 1.1  # times that the errors may be larger or smaller than claimed
-FEW = 8.0  # independent errors below which nothing is said
+STRIDE = 0.2  # of the horizon, between the starts of predictions
+MOST_STARTS = 1000  # of a record; errors within one horizon are strongly correlated, so more starts add little
+LATE = 0.2  # of the horizon, or one row if longer: largest time from the end of the horizon to the sample
+HALF, NEARLY_ALL = 0.6744898, 1.9599640  # half-widths of the 50 % and 95 % intervals of a standard normal variable
+BINS = 10  # of the probability integral transform
+TOLERANCE = 1.1  # ratio of actual to claimed errors, either way, that still counts as calibrated
+FEW = 8.0  # independent errors; fewer are insufficient for a verdict
 Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data"]
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Of one channel over one horizon. inside_50, inside_95: shares of the errors within those bands; scale: root mean
-    square of error over claimed standard deviation, 1 if right, with its 95 % interval; pit (10,): shares by tenths of
-    the predicted distribution; n, n_effective: errors, and independent ones."""
+    """Calibration of the prediction intervals of one channel over one horizon.
+
+    Attributes
+    ----------
+    n, n_effective
+        Number of errors, and of independent errors.
+    inside_50, inside_95
+        Shares of the errors inside the 50 % and 95 % intervals.
+    scale
+        Root mean square of error over claimed standard deviation; 1 if calibrated.
+    low, high
+        95 % interval of the scale.
+    pit : Array (10,)
+        Shares of the errors in each tenth of the predicted distribution.
+    """
 
     n: int
     n_effective: float
@@ -52,7 +65,7 @@ class Calibration:
 
     @property
     def verdict(self) -> Verdict:
-        """``overconfident``: errors are larger than claimed."""
+        """Verdict by the interval of the scale; ``overconfident`` if the errors are larger than claimed."""
         if self.low > TOLERANCE:
             return "overconfident"
         if self.n_effective < FEW:
@@ -61,16 +74,28 @@ class Calibration:
 
 
 def calibration_test(series: Sequence[Array], effective: float | None = None) -> Calibration | None:
-    """From standardised errors in their order, one series a record; NaN, where nothing was measured, are left out,
-    infinite ones, of predictions that diverged, count. None where there are none. ``effective``: how many independent
-    ones they are worth, where that is not told by their own correlation."""
+    """Test the calibration of standardised errors.
+
+    Parameters
+    ----------
+    series : Sequence of Array (n,)
+        Standardised errors in time order, one series per record. NaN (no measurement) is left out. Infinite errors
+        (diverged predictions) count.
+    effective
+        Number of independent errors, by default from the autocorrelation of each series.
+
+    Returns
+    -------
+    Calibration or None
+        None if no series has an error.
+    """
     from scipy import stats
 
     kept = [z[~np.isnan(z)] for z in series]
     if not sum(z.size for z in kept):
         return None
     z = np.concatenate(kept)
-    effective = sum(_effective(one) for one in kept if one.size) if effective is None else effective
+    effective = sum(_effective(errors) for errors in kept if errors.size) if effective is None else effective
     square = float(np.mean(z**2))
     low, high = (np.sqrt(square * effective / stats.chi2.ppf(q, effective)) for q in (0.975, 0.025))
     pit = np.histogram(stats.norm.cdf(z), BINS, (0.0, 1.0))[0] / z.size
@@ -87,19 +112,32 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
 
 
 def _effective(z: Array) -> float:
-    """Independent ones among standardised errors z (n,), no NaN; all that diverged are one."""
+    """Return the number of independent errors among standardised errors z (n,) without NaN.
+
+    Infinite errors are left out of the autocorrelation; if all errors are infinite, they count as one.
+    """
     finite = z[np.isfinite(z)]
     return effective_sample_size(finite) if finite.size else 1.0
 
 
 def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
-    """Standardised innovations by channel."""
+    """Return the standardised innovations of a filter run by channel, each (n_rows,), NaN for rows without a sample."""
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Predictions of a channel over a horizon: times t (n,) [s], errors e and their predicted standard deviations."""
+    """Predictions of one channel over a horizon.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times of the predicted samples [s].
+    e : Array (n,)
+        Measured less predicted.
+    sd : Array (n,)
+        Predicted standard deviations of the errors.
+    """
 
     t: Array
     e: Array
@@ -109,8 +147,29 @@ class Forecast:
 def horizon_forecasts(
     model: Model, record: Record, values: Array, run: FilterResult, seconds: float, likelihood: Likelihood | None = None
 ) -> dict[str, Forecast]:
-    """``seconds`` ahead of filtered states, from five starts in that time, or fewer in a long record; the sample is
-    the first one after the horizon."""
+    """Predict the channels of a record over a horizon, with standard deviations.
+
+    Predictions start from filtered states, five times per horizon, or less often in long records. The predicted sample
+    is the first at or after the end of the horizon.
+
+    Parameters
+    ----------
+    model, record
+        Model and record.
+    values : Array (n_parameters,)
+        Parameter values.
+    run
+        Filter run of the record.
+    seconds
+        Horizon [s].
+    likelihood
+        Likelihood of the model, by default a new one.
+
+    Returns
+    -------
+    dict of str to Forecast
+        Forecasts by channel; channels without a sample soon enough after the horizon are left out.
+    """
     likelihood = likelihood or Likelihood(model)
     t, n_rows = record.t, record.n_rows
     starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] - seconds, STRIDE * seconds)))
@@ -129,43 +188,46 @@ def horizon_forecasts(
         if last > first:
             P_first = run.covariances(slice(first, first + 1)).P_filt[0]
             mean, covariance = likelihood.forecast(record, values, run.x_filt[first], P_first, first, last)
-            hit = np.flatnonzero(ends[:, k] > first)
-            x[hit, k], P[hit, k] = mean[ends[hit, k] - first], covariance[ends[hit, k] - first]
+            channels = np.flatnonzero(ends[:, k] > first)
+            x[channels, k], P[channels, k] = mean[ends[channels, k] - first], covariance[ends[channels, k] - first]
     rowwise, found = VectorisedModel(model), {}
     for j, o in enumerate(model.outputs):
-        good = np.flatnonzero(ends[j] >= 0)
-        if good.size:
-            u, y = record.u[ends[j, good]], record.y[ends[j, good], j]
-            predicted = rowwise(x[j, good], u, values)[:, len(model.states) + j]
-            H = rowwise.output_jacobian(x[j, good], u, values)[:, j]
-            variance = np.einsum("ki,kij,kj->k", H, P[j, good], H) + run.R[j]
-            found[o.name] = Forecast(t[ends[j, good]], wrap(y - predicted, o.angle), np.sqrt(variance))
+        kept = np.flatnonzero(ends[j] >= 0)
+        if kept.size:
+            u, y = record.u[ends[j, kept]], record.y[ends[j, kept], j]
+            predicted = rowwise(x[j, kept], u, values)[:, len(model.states) + j]
+            H = rowwise.output_jacobian(x[j, kept], u, values)[:, j]
+            variance = np.einsum("ki,kij,kj->k", H, P[j, kept], H) + run.R[j]
+            found[o.name] = Forecast(t[ends[j, kept]], wrap(y - predicted, o.angle), np.sqrt(variance))
     return found
 
 
 def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
-    """Standardised errors over the horizon by channel."""
+    """Return the standardised errors over the horizon by channel."""
     return {name: _standardised(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
 
 
 def _standardised(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Array:
-    """Errors over their standard deviations; infinite where there is a measurement and the prediction of it, or its
-    standard deviation, diverged: to leave these out would judge a prediction until it breaks."""
+    """Return errors over their standard deviations.
+
+    The result is infinite if a sample was measured and its prediction or standard deviation diverged.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         z = e / sd
+    # without the diverged predictions, a model would be judged only by the time before its predictions diverge
     return np.where(measured & ~(np.isfinite(e) & ~np.isnan(sd)), np.inf, z)
 
 
-def _next(there: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The first measured row at or after each; n_rows where there is none."""
-    rows = np.append(np.flatnonzero(there), there.size)
+def _next(measured: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the first measured row at or after each row of ``due``, n_rows if there is none."""
+    rows = np.append(np.flatnonzero(measured), measured.size)
     return np.asarray(rows[np.searchsorted(rows, due)])
 
 
 def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> dict[str, Array]:
-    """Predictions from the inputs alone after the first 15 s."""
+    """Return the standardised errors of a simulation after its first 15 s, by channel."""
     blind = record.t > record.t[0] + WARM_UP
-    with np.errstate(invalid="ignore"):  # an angle that is infinite
+    with np.errstate(invalid="ignore"):  # wrapping an infinite angle
         e = [wrap(record.y[blind, j] - run.y[blind, j], o.angle) for j, o in enumerate(model.outputs)]
     return {
         o.name: _standardised(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
@@ -174,15 +236,28 @@ def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> 
 
 
 def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
-    """Calibration of every channel over several records. ``together``: the channels share their errors, so each counts
-    as many independent ones as that with the fewest has. So it is in a simulation, which is one experiment: the error
-    of the heading turns every velocity over ground."""
+    """Test the calibration of every channel over several records.
+
+    Parameters
+    ----------
+    parts
+        Standardised errors of each record, by channel.
+    together
+        Whether the errors of all channels are correlated with each other. Each channel then has the smallest effective
+        sample size of all channels. A simulation is such a case: the error of the heading rotates every velocity over
+        ground.
+
+    Returns
+    -------
+    dict of str to Calibration
+        Calibration by channel.
+    """
     kept = [[z[~np.isnan(z)] for z in p.values()] for p in parts]
     counts = [[_effective(z) for z in series if z.size] for series in kept]
     least = float(sum(min(c) for c in counts if c)) if together else None
     found = {}
     for name in dict.fromkeys(n for p in parts for n in p):
-        one = calibration_test([p[name] for p in parts if name in p], least)
-        if one is not None:
-            found[name] = one
+        calibration = calibration_test([p[name] for p in parts if name in p], least)
+        if calibration is not None:
+            found[name] = calibration
     return found

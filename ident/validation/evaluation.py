@@ -1,4 +1,7 @@
-"""How well a fitted model predicts every record, computed once: errors, calibration, whiteness of the residuals."""
+"""Evaluation of a fitted model on every record: prediction errors, calibration and whiteness of the residuals.
+
+Everything is computed once; reports and plots read the results.
+"""
 
 from __future__ import annotations
 
@@ -33,14 +36,24 @@ from seatrial.ident.validation.whiteness import (
     whiteness_test,
 )
 
-FEWEST = 60  # samples of a channel whose residuals are tested
+FEWEST = 60  # smallest number of samples of a channel for residual tests
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class ByHorizon(Generic[T]):
-    """The same of predictions one step ahead, over a horizon, and from the inputs alone."""
+    """One quantity for three kinds of prediction: one step ahead, over a horizon, and simulation.
+
+    Attributes
+    ----------
+    one_step
+        Value for predictions of the next sample.
+    horizon
+        Value for predictions over the horizon.
+    simulation
+        Value for the simulation, which uses the inputs alone after its first 15 s.
+    """
 
     one_step: T
     horizon: T
@@ -49,7 +62,17 @@ class ByHorizon(Generic[T]):
 
 @dataclass(frozen=True)
 class HorizonPrediction:
-    """A channel as predicted over the horizon: y and its standard deviation sd (n,) at t (n,) [s]."""
+    """Predictions of one channel over the horizon.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s].
+    y : Array (n,)
+        Predicted values, NaN if a prediction diverged.
+    sd : Array (n,)
+        Predicted standard deviations, NaN if the channel has no forecasts.
+    """
 
     t: Array
     y: Array
@@ -58,8 +81,19 @@ class HorizonPrediction:
 
 @dataclass(frozen=True)
 class RecordPrediction:
-    """A record and what the model predicts of it: over the horizon, by channel, with its errors, and from the inputs
-    alone."""
+    """Predictions of one record by the model.
+
+    Attributes
+    ----------
+    record
+        The record.
+    horizon
+        Predictions over the horizon, by channel.
+    errors
+        Errors of these predictions, by channel.
+    simulation
+        Simulation from the inputs alone.
+    """
 
     record: Record
     horizon: Mapping[str, HorizonPrediction]
@@ -69,8 +103,21 @@ class RecordPrediction:
 
 @dataclass(frozen=True)
 class ChannelResiduals:
-    """Standardised innovations e (n,) of a channel at the times t (n,) [s], the tests whether they are white, and
-    their correlation with each input."""
+    """Residual analysis of one channel of one record.
+
+    Attributes
+    ----------
+    record, channel, unit
+        Names of record and channel, and the unit of the channel.
+    t : Array (n,)
+        Times [s].
+    e : Array (n,)
+        Standardised innovations.
+    tests
+        Tests for whiteness.
+    inputs
+        Correlation of the innovations with each input.
+    """
 
     record: str
     channel: str
@@ -82,14 +129,25 @@ class ChannelResiduals:
 
     @property
     def lags(self) -> Array:
-        """Of the autocorrelation (n_lags,) [s]."""
+        """Lags of the autocorrelation, Array (n_lags,) [s]."""
         return float(np.median(np.diff(self.t))) * np.arange(1.0, self.tests.acf.size + 1.0)
 
 
 @dataclass(frozen=True)
 class SetEvaluation:
-    """Of all records of a set of data together: errors and calibration by channel; ``explained``: the errors over the
-    horizon against those of a prediction by the mean of what was measured."""
+    """Evaluation of all records of one set of data (estimation or validation data).
+
+    Attributes
+    ----------
+    records
+        Predictions, record by record.
+    errors
+        Prediction errors of all records together, by channel.
+    explained
+        Prediction errors over the horizon, compared with those of a prediction by the mean of each measured channel.
+    calibration
+        Calibration of the prediction intervals of all records together, by channel.
+    """
 
     records: tuple[RecordPrediction, ...]
     errors: ByHorizon[Mapping[str, PredictionErrors]]
@@ -99,8 +157,21 @@ class SetEvaluation:
 
 @dataclass(frozen=True)
 class PredictionEvaluation:
-    """``horizon``: s that predictions go ahead between one step and the simulation; ``residuals``: of the estimation
-    data."""
+    """Evaluation of a model on its estimation and validation data.
+
+    Attributes
+    ----------
+    model
+        The fitted model.
+    horizon
+        Prediction horizon [s].
+    estimation
+        Evaluation of the estimation data.
+    validation
+        Evaluation of the validation data, None if there are no validation data.
+    residuals
+        Residual analysis of the estimation data.
+    """
 
     model: Model
     horizon: float
@@ -110,18 +181,31 @@ class PredictionEvaluation:
 
     @property
     def judged(self) -> Literal["estimation", "validation"]:
-        """The set that headlines are of: data that the fit has not seen, where there are some."""
+        """Name of the set that headlines report: validation if validation data exist, else estimation."""
         return "estimation" if self.validation is None else "validation"
 
     @property
     def sets(self) -> dict[str, SetEvaluation]:
-        """By role; without validation where there are no such data."""
+        """Evaluations by role; the key ``validation`` is missing if there are no validation data."""
         both = {"estimation": self.estimation, "validation": self.validation}
-        return {role: one for role, one in both.items() if one is not None}
+        return {role: evaluation for role, evaluation in both.items() if evaluation is not None}
 
 
 def evaluate(stage: FittedModel, horizon: float | None = None) -> PredictionEvaluation:
-    """Predictions of a fitted model against every record. ``horizon`` [s]: by default the model's usual one."""
+    """Evaluate the predictions of a fitted model on every record.
+
+    Parameters
+    ----------
+    stage
+        The fitted model with its evaluated records.
+    horizon
+        Prediction horizon [s], by default that of the model.
+
+    Returns
+    -------
+    PredictionEvaluation
+        Errors, calibration and residual tests.
+    """
     seconds, likelihood = horizon or stage.model.horizon, Likelihood(stage.model)
     return PredictionEvaluation(
         stage.model,
@@ -135,51 +219,68 @@ def evaluate(stage: FittedModel, horizon: float | None = None) -> PredictionEval
 def _evaluated(
     stage: FittedModel, views: Sequence[RecordEvaluation], fitted: bool, seconds: float, likelihood: Likelihood
 ) -> SetEvaluation:
+    """Evaluate one set of records; ``fitted`` means that the model was fitted to them."""
     model = stage.model
     simulated = [
         simulation_run(model, v.record, v.values, likelihood, parameter_uncertainty(stage.fit, i if fitted else None))
         for i, v in enumerate(views)
     ]
-    ahead = [horizon_errors(model, v.record, v.values, v.run.x_filt, seconds) for v in views]
+    errors_ahead = [horizon_errors(model, v.record, v.values, v.run.x_filt, seconds) for v in views]
     errors = ByHorizon[Mapping[str, PredictionErrors]](
         pooled_errors([one_step_errors(model, v.record, v.run) for v in views]),
-        pooled_errors(ahead),
+        pooled_errors(errors_ahead),
         pooled_errors([s.errors for s in simulated]),
     )
     forecasts = [calibration.horizon_forecasts(model, v.record, v.values, v.run, seconds, likelihood) for v in views]
-    alone = [calibration.simulation_calibration(model, v.record, s) for v, s in zip(views, simulated, strict=True)]
+    from_inputs = [
+        calibration.simulation_calibration(model, v.record, s) for v, s in zip(views, simulated, strict=True)
+    ]
     calibrated = ByHorizon[Mapping[str, Calibration]](
         calibration.pooled_calibration([calibration.one_step_calibration(model, v.run) for v in views]),
         calibration.pooled_calibration([calibration.horizon_calibration(f) for f in forecasts]),
-        calibration.pooled_calibration(alone, together=True),
+        calibration.pooled_calibration(from_inputs, together=True),
     )
     records = tuple(
-        RecordPrediction(v.record, {n: _predicted(v.record, n, e, f.get(n)) for n, e in far.items()}, far, s)
-        for v, far, f, s in zip(views, ahead, forecasts, simulated, strict=True)
+        RecordPrediction(v.record, {n: _predicted(v.record, n, e, f.get(n)) for n, e in by_name.items()}, by_name, s)
+        for v, by_name, f, s in zip(views, errors_ahead, forecasts, simulated, strict=True)
     )
     mean = {name: PredictionErrors(e.t, e.about) for name, e in errors.horizon.items()}
     return SetEvaluation(records, errors, prediction_change(mean, errors.horizon, seconds), calibrated)
 
 
 def _predicted(record: Record, name: str, errors: PredictionErrors, forecast: Forecast | None) -> HorizonPrediction:
-    """The standard deviation between the forecasts, which are fewer, is interpolated."""
+    """Return the predictions of a channel; their standard deviation is interpolated between the fewer forecasts."""
     y = record.y[np.searchsorted(record.t, errors.t), record.outputs.index(name)] - errors.e
     sd = np.full(y.size, np.nan) if forecast is None else np.interp(errors.t, forecast.t, forecast.sd)
     return HorizonPrediction(errors.t, np.where(np.isfinite(y), y, np.nan), sd)
 
 
 def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResiduals]:
-    """Of one record from its standardised innovations (n_rows, n_outputs). A channel of fewer than 60 samples, or
-    whose innovations are all the same, is left out."""
+    """Test the residuals of one record.
+
+    Parameters
+    ----------
+    model
+        The model.
+    record
+        The record.
+    eps : Array (n_rows, n_outputs)
+        Standardised innovations, NaN for rows without a sample.
+
+    Returns
+    -------
+    list of ChannelResiduals
+        A result for each channel. Channels with fewer than 60 samples or with constant innovations are left out.
+    """
     found = []
     for j, o in enumerate(model.outputs):
         good = np.isfinite(eps[:, j])
         if good.sum() < FEWEST or not np.ptp(eps[good, j]):
             continue
         t, e = record.t[good], eps[good, j]
-        colour = autoregression(e)
+        coefficients = autoregression(e)  # the same for all inputs
         inputs = tuple(
-            cross_correlation(o.name, t, e, name, record.t, record.u[:, k], colour)
+            cross_correlation(o.name, t, e, name, record.t, record.u[:, k], coefficients)
             for k, name, _ in shown_inputs(model)
         )
         found.append(ChannelResiduals(record.name, o.name, o.unit, t, e, whiteness_test(o.name, t, e), inputs))
@@ -187,8 +288,11 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
 
 
 def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
-    """Column, name and unit of the inputs that people look at: not an input's own past, and of the delayed copies of a
-    thruster's command the command itself."""
+    """Return column, name and unit of the inputs that reports show.
+
+    Time, the work input and inputs with an empty label are left out. An input with a label is shown under its label: of
+    the delayed copies of a thruster's command, only the command itself is shown.
+    """
     shown = []
     for j, i in enumerate(model.inputs):
         label = i.name if i.label is None else i.label
@@ -198,21 +302,38 @@ def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
 
 
 def prediction_changes(before: PredictionEvaluation, after: PredictionEvaluation) -> dict[str, PredictionChange]:
-    """By role, the change of the prediction errors over the horizon from one model to the other, on the records that
-    both could be evaluated on."""
-    of_role = [
-        {role: {r.record.name: r.errors for r in one.records} for role, one in of.sets.items()}
-        for of in (before, after)
-    ]
-    return {
-        role: prediction_change_by_record(of, of_role[1].get(role, {}), after.horizon)
-        for role, of in of_role[0].items()
-    }
+    """Compare the prediction errors of two models over the horizon.
+
+    Parameters
+    ----------
+    before, after
+        Evaluations of the two models.
+
+    Returns
+    -------
+    dict of str to PredictionChange
+        Change for each role of ``before``, on the records that both models could be evaluated on.
+    """
+    old, new = (
+        {role: {r.record.name: r.errors for r in part.records} for role, part in evaluation.sets.items()}
+        for evaluation in (before, after)
+    )
+    return {role: prediction_change_by_record(errors, new.get(role, {}), after.horizon) for role, errors in old.items()}
 
 
 @dataclass(frozen=True)
 class SmoothedForce:
-    """A disturbance force of a record, from all of its data: mean, sd (n,) at t (n,) [s]."""
+    """Smoothed estimate of a disturbance force in one record.
+
+    Attributes
+    ----------
+    record, name, unit
+        Names of record and force, and the unit of the force.
+    t : Array (n,)
+        Times [s].
+    mean, sd : Array (n,)
+        Mean and standard deviation, given all data of the record.
+    """
 
     record: str
     name: str
@@ -223,7 +344,15 @@ class SmoothedForce:
 
 
 def smoothed_forces(stage: FittedModel, forces: Sequence[Residual]) -> tuple[SmoothedForce, ...]:
-    """The unexplained ``forces``, which are states of the model, in the estimation data."""
+    """Return the smoothed disturbance forces of the estimation data.
+
+    Parameters
+    ----------
+    stage
+        The fitted model with its evaluated records.
+    forces
+        Disturbance forces; each has a state in the model.
+    """
     states = [s.name for s in stage.model.states]
     return tuple(
         SmoothedForce(v.record.name, f.name, f.unit, v.record.t, v.smoothed.x[:, i], v.smoothed.sd[:, i])

@@ -1,8 +1,9 @@
-"""Prediction errors of a model: one step ahead, over its horizon and in simulation; and how they change.
+"""Prediction errors of a model: one step ahead, over the horizon and in simulation; comparison of two models.
 
-`prediction_change` compares two models, and is what everything that says "better" asks: by channel the ratio of the RMS
-prediction errors over the horizon, and over all channels the geometric mean of these ratios, which is the Gaussian
-likelihood ratio with the variance of each channel concentrated out.
+`prediction_change` compares two models. Every statement that a model predicts better uses this comparison. For each
+channel the measure is the ratio of the RMS prediction errors over the horizon. For all channels together the measure
+is the geometric mean of these ratios. This mean is the Gaussian likelihood ratio with the variance of each channel
+concentrated out.
 """
 
 from __future__ import annotations
@@ -19,26 +20,31 @@ from seatrial.ident.estimation import FilterResult, Likelihood, ParameterUncerta
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, wrap
 
-THIN = 2  # of a channel, predictions over the horizon start from every second row,
-MOST = 4000  # or, where a sensor is fast, from about so many
-APART = 1e3  # s between the times of two records
-WARM_UP = 15.0  # s of measurements that a simulation starts from
-BLOCK = 2.0  # horizons: errors over a horizon are correlated for as long as it lasts
-FEWEST_BLOCKS, ENOUGH_BLOCKS = 4, 15  # for an interval; with more of them the blocks are longer instead
-DIVERGED = 1e9  # of any unit: an error that is larger is of a prediction that diverged
-RUNAWAY = 10.0  # times the range of what was measured: a simulation that is farther off has diverged
-LEAST_CHANGE = 0.005  # of a ratio: less than what is written as one per cent is no change
+MIN_STRIDE = 2  # rows between the starts of predictions over the horizon
+MAX_STARTS = 4000  # approximate largest number of starts in a record; longer records get a larger stride
+RECORD_GAP_S = 1e3  # between the times of two pooled records
+WARM_UP = 15.0  # s of measurements before a simulation
+BLOCK_HORIZONS = 2.0  # block length of the jackknife: errors are correlated over one horizon
+# An interval needs the first number of blocks. More data than the second number of blocks get longer blocks instead.
+FEWEST_BLOCKS, ENOUGH_BLOCKS = 4, 15
+DIVERGED = 1e9  # in any unit: a prediction with a larger error has diverged
+RUNAWAY = 10.0  # ranges of the measured values: a simulation farther from their middle has diverged
+LEAST_CHANGE = 0.005  # of a ratio: reports round to one per cent, so a smaller change is shown as no change
 
 
 @dataclass(frozen=True)
 class PredictionErrors:
-    """Errors of one channel.
+    """Prediction errors of one channel.
 
-    Attributes:
-        t: their times (n,) [s].
-        e: measured less predicted (n,), angles wrapped to a half turn; infinite where the prediction diverged.
-        about: measured less its mean in the record (n,), angles about their circular mean: the errors of a
-            prediction by that mean.
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s].
+    e : Array (n,)
+        Measured less predicted. Angles are wrapped to a half turn; diverged predictions are infinite.
+    about : Array (n,)
+        Measured less its mean in the record (circular mean for angles). These are the errors of a prediction by that
+        mean.
     """
 
     t: Array
@@ -47,18 +53,29 @@ class PredictionErrors:
 
     @property
     def rms(self) -> float:
+        """RMS prediction error, NaN if there are no errors."""
         return float(np.sqrt(np.mean(self.e**2))) if self.e.size else float("nan")
 
     @property
     def spread(self) -> float:
-        """Standard deviation of what was measured, about its mean in each record."""
+        """Standard deviation of the measured values about their mean in each record, NaN if there are none."""
         return float(np.sqrt(np.mean(self.about**2))) if self.about.size else float("nan")
 
 
 @dataclass(frozen=True)
 class SimulationRun:
-    """Predicted from the inputs alone after the first 15 s: y, sd (n_rows, n_outputs), errors per channel;
-    ``diverged``: when a channel left what was measured by ten times its range [s]."""
+    """Simulation of a record from the inputs alone, after 15 s of filtering.
+
+    Attributes
+    ----------
+    y, sd : Array (n_rows, n_outputs)
+        Predicted outputs and their standard deviations.
+    errors
+        Prediction errors after the first 15 s, by channel.
+    diverged
+        Time [s] at which a channel diverged, by channel. A channel diverges when the prediction is farther from the
+        middle of the measured range than ten times that range.
+    """
 
     y: Array
     sd: Array
@@ -67,7 +84,10 @@ class SimulationRun:
 
 
 def one_step_errors(model: Model, record: Record, run: FilterResult) -> dict[str, PredictionErrors]:
-    """Innovations, in the unit of each channel."""
+    """Return the innovations of a filter run, by channel, in the unit of the channel.
+
+    Channels without samples are left out.
+    """
     found = {o.name: _errors(record.t, record.y[:, j], run.e[:, j], o.angle) for j, o in enumerate(model.outputs)}
     return {name: e for name, e in found.items() if e.e.size}
 
@@ -75,11 +95,29 @@ def one_step_errors(model: Model, record: Record, run: FilterResult) -> dict[str
 def horizon_errors(
     model: Model, record: Record, values: Array, x: Array, seconds: float
 ) -> dict[str, PredictionErrors]:
-    """Errors of predictions from the states x (n_rows, n_states), such as the filtered ones, and the inputs alone, by
-    channel; the disturbance forces decay. Each channel is predicted at its own samples, from the last row that is at
-    least ``seconds`` earlier; a prediction that diverged has an infinite error."""
-    begin = np.searchsorted(record.t, record.t - seconds + 1e-6, side="right") - 1  # a microsecond is no delay
-    stride = max(THIN, record.n_rows // MOST)
+    """Return the errors of predictions over a horizon, by channel.
+
+    The predictions use the inputs alone; the disturbance forces decay. Each channel is predicted at its own samples. A
+    prediction starts at the last row that is at least ``seconds`` earlier.
+
+    Parameters
+    ----------
+    model, record
+        Model and record.
+    values : Array (n_parameters,)
+        Parameter values.
+    x : Array (n_rows, n_states)
+        States at which predictions start, for example the filtered states.
+    seconds
+        Horizon [s].
+
+    Returns
+    -------
+    dict of str to PredictionErrors
+        Errors by channel, infinite for diverged predictions. Channels without a prediction are left out.
+    """
+    begin = np.searchsorted(record.t, record.t - seconds + 1e-6, side="right") - 1  # 1 us covers rounding of times
+    stride = max(MIN_STRIDE, record.n_rows // MAX_STARTS)
     ends = []
     for j in range(len(model.outputs)):
         seen = np.flatnonzero(np.isfinite(record.y[:, j]) & (begin >= 0))
@@ -101,13 +139,32 @@ def simulation_run(
     likelihood: Likelihood | None = None,
     uncertainty: ParameterUncertainty | None = None,
 ) -> SimulationRun:
-    """The filter gets 15 s of measurements and then the inputs only; its covariance is the prediction's own band, and
-    its mean is of first order.
+    """Simulate a record: filter its first 15 s, then predict from the inputs alone.
 
-    ``uncertainty``: of the parameters (``seatrial.ident.estimation.parameter_covariance``), which widens the band; None
-    takes them for known.
+    The filter sees no measurement after the first 15 s. Its covariance then gives the prediction interval.
+
+    Parameters
+    ----------
+    model, record
+        Model and record.
+    values : Array (n_parameters,)
+        Parameter values.
+    likelihood
+        Likelihood of the model, by default a new one.
+    uncertainty
+        Uncertainty of the parameters (``seatrial.ident.estimation.parameter_covariance``), which widens the interval.
+        With None the parameters are taken as exactly known.
+
+    Returns
+    -------
+    SimulationRun
+        Predictions, errors and diverged channels.
+
+    Notes
+    -----
+    The mean is always of first order, also for models with a second-order mean.
     """
-    if model.second_order:  # far ahead a heading is spread too widely for a series of second order in it
+    if model.second_order:  # after a long prediction the heading is too uncertain for a second-order expansion
         model, likelihood = replace(model, second_order=False), None
     likelihood = likelihood or Likelihood(model)
     blind = record.t > record.t[0] + WARM_UP
@@ -137,26 +194,50 @@ def simulation_run(
 def pooled_errors(
     parts: Sequence[Mapping[str, PredictionErrors]], ends: Sequence[float] | None = None
 ) -> dict[str, PredictionErrors]:
-    """Errors of several records as one, their times one after the other; ``ends`` [s] of the records, where others are
-    pooled to be compared with these."""
-    lengths = [_end(p) + APART if p else 0.0 for p in parts] if ends is None else [end + APART for end in ends]
+    """Concatenate the errors of several records; the times of the records follow each other.
+
+    Parameters
+    ----------
+    parts
+        Errors of each record, by channel.
+    ends
+        Last times of the records [s], by default those of their errors. Give them if two models are compared, so that
+        the times of both agree.
+
+    Returns
+    -------
+    dict of str to PredictionErrors
+        Errors by channel.
+    """
+    if ends is None:
+        lengths = [_end(p) + RECORD_GAP_S if p else 0.0 for p in parts]
+    else:
+        lengths = [end + RECORD_GAP_S for end in ends]
     starts = np.cumsum([0.0, *lengths])
     found: dict[str, PredictionErrors] = {}
     for name in dict.fromkeys(n for p in parts for n in p):
-        own = [(p[name], start) for p, start in zip(parts, starts, strict=False) if name in p]
-        columns = zip(*((e.t + start, e.e, e.about) for e, start in own), strict=True)
+        of_channel = [(p[name], start) for p, start in zip(parts, starts, strict=False) if name in p]
+        columns = zip(*((e.t + start, e.e, e.about) for e, start in of_channel), strict=True)
         found[name] = PredictionErrors(*(np.concatenate(column) for column in columns))
     return found
 
 
 def _end(part: Mapping[str, PredictionErrors]) -> float:
+    """Return the last time of a record's errors [s], 0 if there are none."""
     return max((float(e.t[-1]) for e in part.values()), default=0.0)
 
 
 @dataclass(frozen=True)
 class ErrorRatio:
-    """RMS prediction error after a change of the model over that before it, with its 95 % interval (NaN where the data
-    are too short for one)."""
+    """RMS prediction error after a change of the model over that before it.
+
+    Attributes
+    ----------
+    ratio
+        The ratio.
+    low, high
+        Its 95 % interval, NaN if the data are too short for an interval.
+    """
 
     ratio: float
     low: float
@@ -164,7 +245,10 @@ class ErrorRatio:
 
     @property
     def verdict(self) -> Literal["fell", "rose", "unchanged"]:
-        """By the interval: ``unchanged`` where it holds one, where there is none, and below half a per cent."""
+        """Direction of the change by the 95 % interval.
+
+        ``unchanged`` if the interval contains 1, if there is no interval, or if the change is below half a per cent.
+        """
         if self.high < 1.0 and self.ratio < 1.0 - LEAST_CHANGE:
             return "fell"
         return "rose" if self.low > 1.0 and self.ratio > 1.0 + LEAST_CHANGE else "unchanged"
@@ -172,7 +256,7 @@ class ErrorRatio:
 
 @dataclass(frozen=True)
 class ChannelChange(ErrorRatio):
-    """The same of one channel, with its RMS errors before and after in its unit."""
+    """Error ratio of one channel, with its RMS errors before and after in the unit of the channel."""
 
     before: float
     after: float
@@ -180,18 +264,21 @@ class ChannelChange(ErrorRatio):
 
 @dataclass(frozen=True)
 class PredictionChange(ErrorRatio):
-    """Over all channels: the geometric mean of their ratios, its interval and verdict.
+    """Error ratio over all channels: the geometric mean of their ratios, its interval and verdict.
 
-    Attributes:
-        horizon: how far ahead was predicted [s].
-        channels: each with its own ratio and interval.
+    Attributes
+    ----------
+    horizon
+        Prediction horizon [s].
+    channels
+        Error ratio of each channel.
     """
 
     horizon: float
     channels: Mapping[str, ChannelChange]
 
     def named(self, verdict: Literal["fell", "rose"]) -> list[str]:
-        """The channels of one verdict, the largest change first."""
+        """Return the channels with this verdict, the largest change first."""
         found = [n for n, c in self.channels.items() if c.verdict == verdict]
         return sorted(found, key=lambda n: -abs(np.log(self.channels[n].ratio)))
 
@@ -201,8 +288,23 @@ def prediction_change_by_record(
     after: Mapping[str, Mapping[str, PredictionErrors]],
     horizon: float,
 ) -> PredictionChange:
-    """The change on the records, by their names, that both models have: one that a model could not be evaluated on is
-    left out, and the times of all others stay the same for both."""
+    """Compare two models on the records that both could be evaluated on.
+
+    Records are matched by name. The other records are left out. The pooled times of all records are the same for both
+    models.
+
+    Parameters
+    ----------
+    before, after
+        Errors over the horizon of each model, by record and channel.
+    horizon
+        Prediction horizon [s].
+
+    Returns
+    -------
+    PredictionChange
+        Change from ``before`` to ``after``.
+    """
     both = [(before[name], after[name]) for name in before if name in after]
     ends = [max(map(_end, pair)) for pair in both]
     old, new = (pooled_errors([pair[k] for pair in both], ends) for k in (0, 1))
@@ -212,26 +314,39 @@ def prediction_change_by_record(
 def prediction_change(
     before: Mapping[str, PredictionErrors], after: Mapping[str, PredictionErrors], horizon: float
 ) -> PredictionChange:
-    """Change of the prediction errors over a horizon [s] from one model to another, with 95 % intervals.
+    """Return the change of the prediction errors over a horizon from one model to another.
 
-    Both of the same records (``pooled_errors`` of ``horizon_errors``; else `prediction_change_by_record`); of channels
-    that both have, the errors at common times are compared. The intervals are those of a delete-one jackknife of the
-    logarithms of the ratios, with Student's t, over blocks of two horizons in all records, or longer ones where that
-    would be more than fifteen (Efron 1982; Künsch 1989). A channel with errors in fewer than four blocks is left out of
-    the mean where others have more.
+    Parameters
+    ----------
+    before, after
+        Errors of each model by channel, of the same records (``pooled_errors`` of ``horizon_errors``). If the records
+        differ, use `prediction_change_by_record`. The errors of common channels are compared at common times.
+    horizon
+        Prediction horizon [s].
+
+    Returns
+    -------
+    PredictionChange
+        Ratios with 95 % intervals, NaN without common errors. Channels with errors in fewer than four blocks are left
+        out of the mean if other channels have more.
+
+    Notes
+    -----
+    The intervals come from a delete-one jackknife of the logarithms of the ratios, with Student's t (Efron 1982; Künsch
+    1989). The jackknife leaves out blocks of two horizons. Blocks are longer if there would be more than fifteen.
     """
-    seconds, times = BLOCK * horizon, [e.t for e in before.values()]
+    seconds, times = BLOCK_HORIZONS * horizon, [e.t for e in before.values()]
     seconds *= max(1.0, np.unique(np.floor(np.concatenate(times or [np.zeros(0)]) / seconds)).size / ENOUGH_BLOCKS)
     found = {n: _block_sums(before[n], after[n], seconds) for n in before if n in after}
     sums = {n: of for n, of in found.items() if of.before.sum() > 0 and of.after.sum() > 0}
     if not sums:
         return PredictionChange(float("nan"), float("nan"), float("nan"), horizon, {})
     blocks = np.unique(np.concatenate([of.block for of in sums.values()]))
-    channels, logs = {}, np.zeros((len(sums), 1 + blocks.size))  # of all, and without each block
+    channels, logs = {}, np.zeros((len(sums), 1 + blocks.size))  # of all blocks, then without each block
     for row, (name, of) in zip(logs, sums.items(), strict=True):
         at = np.append(0, 1 + np.searchsorted(blocks, of.block))
         row[:] = 0.5 * np.log(of.after.sum() / of.before.sum())
-        with np.errstate(divide="ignore", invalid="ignore"):  # a lone block
+        with np.errstate(divide="ignore", invalid="ignore"):  # a single block leaves no errors
             row[at[1:]] = 0.5 * np.log((of.after.sum() - of.after) / (of.before.sum() - of.before))
         rms = (float(np.sqrt(part.sum() / of.n)) for part in (of.before, of.after))
         channels[name] = ChannelChange(*_jackknife(row[at]), *rms)
@@ -240,7 +355,17 @@ def prediction_change(
 
 
 class _BlockSums(NamedTuple):
-    """Sums of squares by block, (n_blocks,) each, of the n errors of a channel at times that both models have."""
+    """Sums of squared errors of a channel by block, at the times that both models have.
+
+    Attributes
+    ----------
+    n
+        Number of common errors.
+    block : Array (n_blocks,)
+        Indices of the blocks.
+    before, after : Array (n_blocks,)
+        Sums of squared errors of each model.
+    """
 
     n: int
     block: Array
@@ -249,6 +374,7 @@ class _BlockSums(NamedTuple):
 
 
 def _block_sums(before: PredictionErrors, after: PredictionErrors, seconds: float) -> _BlockSums:
+    """Sum the squared errors of both models by block of time; errors are limited to `DIVERGED`."""
     t, i, j = np.intersect1d(before.t, after.t, return_indices=True)
     block, index = np.unique(np.floor(t / seconds), return_inverse=True)
     old, new = (np.minimum(np.abs(e), DIVERGED) ** 2 for e in (before.e[i], after.e[j]))
@@ -257,7 +383,10 @@ def _block_sums(before: PredictionErrors, after: PredictionErrors, seconds: floa
 
 
 def _jackknife(logs: Array) -> tuple[float, float, float]:
-    """Ratio and its 95 % interval from the logarithm of all and those without each block (1 + n_blocks,)."""
+    """Return the error ratio and its 95 % interval.
+
+    ``logs`` (1 + n_blocks,) has the logarithm of the ratio of all blocks, then those without each block.
+    """
     from scipy import stats
 
     n, reach = logs.size - 1, float("nan")
@@ -268,7 +397,7 @@ def _jackknife(logs: Array) -> tuple[float, float, float]:
 
 
 def _errors(t: Array, y: Array, e: Array, angle: bool) -> PredictionErrors:
-    """At the samples y (n,) of a channel, NaN where there is none."""
+    """Return the errors of a channel from its samples y (n,), NaN if missing, and errors e (n,)."""
     seen = np.isfinite(y)
     t, y, e = t[seen], y[seen], wrap(e[seen], angle)
     mean = np.angle(np.exp(1j * y).sum()) if angle else y.mean() if y.size else 0.0

@@ -3,11 +3,11 @@
 Each channel is tested on its own samples, at its own rate.
 
 - `whiteness_test`: the portmanteau test of Ljung and Box (1978) and the cumulative periodogram (Bartlett 1955; Durbin
-  1969): is there any departure from white noise?
-- `cross_correlation` with an input: is its effect modelled completely?
-- `spectral_peak`: a narrow peak, as of waves or of an oscillation that the model lacks;
-- `whiteness_diagnostics`: by how much innovations depart, in a regression on their past, as a spectral line and by
-  octaves. In a long record a test sees departures that do not matter.
+  1969). Both test for any departure from white noise.
+- `cross_correlation` tests whether the model describes the effect of an input completely.
+- `spectral_peak` finds a narrow peak, for example of waves or of an oscillation that the model lacks.
+- `whiteness_diagnostics` measures the size of the departures: in a regression on past innovations, as a spectral line
+  and by octaves. In long records a test is significant also for departures too small to matter.
 """
 
 from __future__ import annotations
@@ -21,23 +21,47 @@ from scipy import signal, special, stats
 
 from seatrial.ident.numerics import NORMAL_MAD, Array
 
-SEGMENT = 256  # samples of a segment whose periodogram is averaged (Welch)
-FIRST_BIN = 3  # of such a periodogram: a mean and a slow drift leak into those before
-SIGNIFICANCE = 1e-3  # p value below which a departure is no chance
-MAX_PREDICTABLE_SHARE = 0.05  # of the variance: a filter that knew it would err by 2.5 % less
-MAX_DENSITY_RATIO = 2.0  # of the spectral density of an octave to that of white noise, either way
+SEGMENT = 256  # samples of a segment in Welch's method
+FIRST_BIN = 3  # first bin of the periodogram that is tested: a mean and a slow drift leak into lower bins
+SIGNIFICANCE = 1e-3  # p value below which a departure is significant
+MAX_PREDICTABLE_SHARE = 0.05  # of the variance: a filter that predicted this share would have 2.5 % smaller errors
+MAX_DENSITY_RATIO = 2.0  # spectral density of an octave over that of white noise, or the inverse
 MAX_LAGS = 30  # of the regression on past innovations
-MIN_BINS = 8  # of the lowest band, which ends at zero
-BLOCK_ROWS = 65536  # of that regression, done at once
-OUTLYING = 6.0  # standard deviations: of normal innovations one in 5e8 is beyond
-N_LAGS = 25  # of the autocorrelation of innovations that is shown
-LAGS_OF_INPUT = np.linspace(0.0, 3.0, 31)  # s, at which innovations are correlated with an input
-SAMPLES_PER_LAG = 20  # for each lag of the Ljung-Box statistic
+MIN_BINS = 8  # of the lowest band, which begins at frequency zero
+BLOCK_ROWS = 65536  # rows of the regression that are computed at once
+OUTLYING = 6.0  # standard deviations; one in 5e8 normal innovations is larger
+N_LAGS = 25  # of the reported autocorrelation
+LAGS_OF_INPUT = np.linspace(0.0, 3.0, 31)  # s, lags of the correlation of innovations with an input
+SAMPLES_PER_LAG = 20  # smallest number of samples for each lag of the Ljung-Box statistic
 
 
 @dataclass(frozen=True)
 class Whiteness:
-    """One channel. ``acf`` (n_lags,) from lag 1; ``band``: 95 % half-width of an ACF of white noise."""
+    """Tests of one channel for whiteness.
+
+    Attributes
+    ----------
+    channel, n
+        Name of the channel and number of samples.
+    mean, sd
+        Mean and standard deviation of the standardised innovations.
+    acf : Array (n_lags,)
+        Autocorrelation from lag 1 on.
+    band
+        95 % half-width of the autocorrelation of white noise.
+    ljung_box
+        p value of the Ljung-Box test.
+    periodogram
+        p value of the test of the cumulative periodogram.
+    frequency, cumulative : Array (n_frequencies,)
+        Frequencies [Hz] and the cumulative periodogram there, from 0 to 1.
+    normal
+        p value of the normality test of D'Agostino and Pearson, NaN with fewer than 20 samples.
+    outliers
+        Number of innovations beyond `OUTLYING` standard deviations.
+    largest
+        Largest absolute innovation.
+    """
 
     channel: str
     n: int
@@ -45,25 +69,38 @@ class Whiteness:
     sd: float
     acf: Array
     band: float
-    ljung_box: float  # p value
-    periodogram: float  # p value of the cumulative periodogram
-    frequency: Array  # Hz
-    cumulative: Array  # cumulative periodogram, 0..1
-    normal: float  # p value of D'Agostino and Pearson's test
-    outliers: int  # beyond `OUTLYING` standard deviations
-    largest: float  # absolute value
+    ljung_box: float
+    periodogram: float
+    frequency: Array
+    cumulative: Array
+    normal: float
+    outliers: int
+    largest: float
 
     @property
     def white(self) -> bool:
-        """By both tests together at 1 % (Bonferroni): neither p value is below 0.5 %."""
+        """Return whether both tests together pass at 1 % (Bonferroni): neither p value is below 0.5 %."""
         return 2 * min(self.ljung_box, self.periodogram) > 0.01
 
 
 def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Whiteness:
-    """Tests of one channel's standardised innovations.
+    """Test the standardised innovations of one channel for whiteness.
 
-    Parameters: t (n,) [s]; e (n,), no NaN, not all the same; n_lags: of the autocorrelation that is returned. The
-    Ljung-Box statistic is over a lag for every `SAMPLES_PER_LAG` samples, ``n_lags`` at most.
+    Parameters
+    ----------
+    channel
+        Name of the channel.
+    t : Array (n,)
+        Times [s].
+    e : Array (n,)
+        Standardised innovations without NaN, not all equal.
+    n_lags
+        Number of lags of the returned autocorrelation.
+
+    Returns
+    -------
+    Whiteness
+        The results. The Ljung-Box statistic uses one lag for every `SAMPLES_PER_LAG` samples, at most ``n_lags``.
     """
     n, x = e.size, e - e.mean()
     acf = autocorrelation(e, n_lags)
@@ -90,17 +127,25 @@ def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Wh
 
 
 def autocorrelation(e: Array, n_lags: int) -> Array:
-    """Sample autocorrelation (n_lags,) of e (n,), evenly sampled, from lag 1 on."""
+    """Return the sample autocorrelation (n_lags,) of an evenly sampled series e (n,), from lag 1 on."""
     x = e - e.mean()
     return np.asarray([x[k:] @ x[: x.size - k] for k in range(1, n_lags + 1)] / (x @ x))
 
 
 def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = False) -> float:
-    """p value of the portmanteau test of Ljung and Box (1978).
+    """Return the p value of the portmanteau test of Ljung and Box (1978).
 
-    Parameters: acf (n_lags,): autocorrelation from lag 1 on; n: samples that it is of; n_fitted: parameters of the
-    noise model that were fitted to them; finite_sample: allow for the statistic's variance, which exceeds that of chi
-    squared by some ``2 n_lags / n``, by a scaled chi squared of the same mean.
+    Parameters
+    ----------
+    acf : Array (n_lags,)
+        Autocorrelation from lag 1 on.
+    n
+        Number of samples of the series.
+    n_fitted
+        Number of noise parameters that were fitted to the series.
+    finite_sample
+        Whether to correct for short series. The variance of the statistic then exceeds that of chi-squared by a factor
+        of about ``1 + 2 n_lags / n``. The correction uses a scaled chi-squared distribution with the same mean.
     """
     n_lags = acf.size
     q = n * (n + 2) * float(np.sum(acf**2 / (n - np.arange(1, n_lags + 1))))
@@ -110,26 +155,58 @@ def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = Fa
 
 @dataclass(frozen=True)
 class CrossCorrelation:
-    """Standardised correlation of one channel's innovations with one input at lags >= 0 (input earlier)."""
+    """Standardised correlation of one channel's innovations with one input, at lags >= 0 (input earlier).
+
+    Attributes
+    ----------
+    channel, input
+        Names of channel and input.
+    lags : Array (n_lags,)
+        Lags [s].
+    z : Array (n_lags,)
+        Correlation in units of its standard deviation under independence.
+    p
+        p value of the largest correlation over all lags.
+    largest
+        Largest absolute correlation coefficient over all lags.
+    """
 
     channel: str
     input: str
-    lags: Array  # s
-    z: Array  # correlation in units of its standard deviation under independence
-    p: float  # of the largest, over all lags
-    largest: float  # coefficient of correlation over all lags, by its absolute value
+    lags: Array
+    z: Array
+    p: float
+    largest: float
 
 
 def cross_correlation(
     channel: str, t: Array, e: Array, input_name: str, t_u: Array, u: Array, coefficients: Array | None = None
 ) -> CrossCorrelation:
-    """Correlation of e(t) with the input at t - lag, over its standard deviation if the two are independent.
+    """Correlate innovations e(t) with an input at t - lag, in units of the standard deviation under independence.
 
-    White innovations make z standard normal, lags correlated as the input's are. Of innovations that are correlated
-    among themselves, as the errors of a receiver or an estimator are, it would be wider without any input in them:
-    there the variance is that of the input's spectrum times theirs, by an autoregression (Ljung 1999, section 16.6)
-    with these ``coefficients``, by default those of `autoregression`. p is Hunter's bound (1976) on the largest of all,
-    tight where it is small, whatever the input.
+    Parameters
+    ----------
+    channel, input_name
+        Names of channel and input.
+    t, e : Array (n,)
+        Times [s] and standardised innovations of the channel.
+    t_u, u : Array (n_rows,)
+        Times [s] and values of the input.
+    coefficients : Array (order,)
+        Autoregression of the innovations, by default that of `autoregression`.
+
+    Returns
+    -------
+    CrossCorrelation
+        z over the lags, and the p value of the largest.
+
+    Notes
+    -----
+    For white innovations z is standard normal, with the autocorrelation of the input between lags. Innovations
+    that are autocorrelated, for example by the errors of a receiver or an estimator, make the correlation vary more
+    even without an effect of the input. Its variance is then that of the product of both spectra, with the spectrum of
+    the innovations from an autoregression (Ljung 1999, section 16.6). The p value is Hunter's upper bound (1976). The
+    bound is tight if it is small, for every input.
     """
     sd = e.std()
     past = np.array([_moved(np.interp(t - lag, t_u, u)) for lag in LAGS_OF_INPUT])
@@ -138,37 +215,42 @@ def cross_correlation(
     together = np.abs(np.sum(past[1:] * past[:-1], axis=1))
     coefficients = autoregression(e) if coefficients is None else coefficients
     if coefficients.size and past[0].any():
-        own, neighbours = _coloured(past[:2], coefficients)  # the same at all lags, but for the first seconds
-        z, together = z / np.sqrt(own), np.full(z.size - 1, abs(neighbours / own))
+        # The values of the first two lags are used for all; they differ only by the first seconds of the input.
+        variance, covariance = _coloured(past[:2], coefficients)
+        z, together = z / np.sqrt(variance), np.full(z.size - 1, abs(covariance / variance))
     return CrossCorrelation(channel, input_name, LAGS_OF_INPUT, z, _any_lag(float(np.abs(z).max()), together), largest)
 
 
 def _coloured(past: Array, coefficients: Array) -> tuple[float, float]:
-    """Variance of the correlation of past[0] (n,), of norm one, with an autoregression of variance one, and covariance
-    with that of past[1]."""
+    """Return the variance of the correlation of an input with coloured innovations, and its covariance at two lags.
+
+    ``past`` (2, n) has the input at two neighbouring lags, each of norm one. The innovations are an autoregression of
+    variance one with these coefficients.
+    """
     size = 2 * past.shape[1]
     gain = np.abs(np.fft.rfft(np.append(1.0, -coefficients), size)) ** 2
-    one, other = np.fft.rfft(past, size)
+    first, second = np.fft.rfft(past, size)
     each = np.full(gain.size, 2.0)
     each[[0, -1]] = 1.0
     density = each / np.maximum(gain, np.finfo(float).tiny)
     density /= density.sum()
-    return float(density @ np.abs(one) ** 2), float(density @ (one * other.conj()).real)
+    return float(density @ np.abs(first) ** 2), float(density @ (first * second.conj()).real)
 
 
-def _moved(past: Array) -> Array:
-    """The input less its mean, of norm one; nothing where that is the rounding of a constant."""
-    size = float(np.abs(past).max(initial=0.0))
-    past = past - past.mean()
-    norm = float(np.sqrt(past @ past))
-    return past / norm if norm > 1e-9 * size * np.sqrt(past.size) else np.zeros(past.size)
+def _moved(u: Array) -> Array:
+    """Return the input less its mean, scaled to norm one; zeros if the input is constant except for rounding."""
+    size = float(np.abs(u).max(initial=0.0))
+    u = u - u.mean()
+    norm = float(np.sqrt(u @ u))
+    return u / norm if norm > 1e-9 * size * np.sqrt(u.size) else np.zeros(u.size)
 
 
 def _any_lag(highest: float, together: Array) -> float:
-    """P that any of standard normal z exceeds ``highest`` on either side, from the correlations of neighbours (n - 1,).
+    """Return an upper bound of the probability that any |z| of the lags exceeds ``highest``.
 
-    ``P(any) <= P(z_0) + sum P(z_k, not z_k-1)``, and that is ``4 T(highest, sqrt((1 - r) / (1 + r)))`` with Owen's T
-    less what exceeds it on the other side.
+    ``together`` (n - 1,) has the correlations of neighbouring z, which are standard normal. Hunter's bound is
+    ``P(any) <= P(z_0) + sum P(z_k, not z_k-1)``. Each term of the sum is at most
+    ``4 T(highest, sqrt((1 - r) / (1 + r)))`` with Owen's T, which also counts z_k-1 below ``-highest``.
     """
     rho = np.minimum(together, 1.0)
     each = 4 * special.owens_t(highest, np.sqrt((1 - rho) / (1 + rho)))
@@ -176,7 +258,17 @@ def _any_lag(highest: float, together: Array) -> float:
 
 
 class SpectralPeak(NamedTuple):
-    """The most significant peak: ``frequency`` (Hz), ``p`` over all frequencies and channels, and its ``channel``."""
+    """The most significant narrow peak in a spectrum.
+
+    Attributes
+    ----------
+    frequency
+        Frequency of the peak [Hz].
+    p
+        p value over all frequencies and channels.
+    channel
+        Name of the channel with the peak.
+    """
 
     frequency: float
     p: float
@@ -184,13 +276,27 @@ class SpectralPeak(NamedTuple):
 
 
 def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak | None:
-    """The most significant narrow peak in the spectra of standardised innovations: waves, or a swinging mass.
+    """Find the most significant narrow peak in the spectra of standardised innovations, for example of waves.
 
-    ``innovations`` by channel (n,), evenly spaced by ``dt`` (s), NaN where there is none. Welch's spectrum of what is
-    left of a first-order autoregression, each bin over a smooth spectrum, so that innovations that are merely coloured
-    make no peak; against chi squared with the degrees of freedom of half-overlapping Hann segments (Percival and
-    Walden 1993, section 6.17), Bonferroni over bins and channels. None where no channel has four segments. On coloured
-    noise without a peak p falls short of 0.001 in 1 % of the cases, of 1e-6 in none of 2000: ask for the latter.
+    Parameters
+    ----------
+    innovations : Mapping of str to Array (n,)
+        Standardised innovations by channel, evenly sampled, NaN for missing samples.
+    dt
+        Sample interval [s].
+
+    Returns
+    -------
+    SpectralPeak or None
+        None if no channel is at least 2.5 segments long.
+
+    Notes
+    -----
+    A first-order autoregression is removed from the innovations. Each bin of Welch's spectrum is then divided by
+    a smooth spectrum, so that coloured innovations without a peak do not give a peak. The ratio is chi-squared with the
+    degrees of freedom of half-overlapping Hann segments (Percival and Walden 1993, section 6.17). The p value is
+    corrected for the number of bins and channels (Bonferroni). Of 2000 simulations of coloured noise without a peak,
+    1 % have a p value below 0.001, and none below 1e-6. Use the latter as the limit.
     """
     found: list[SpectralPeak] = []
     seen = {name: _without_gaps(e) for name, e in innovations.items()}
@@ -210,14 +316,16 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
 
 
 def _without_gaps(e: Array) -> Array:
-    """A missing sample is taken as what is expected of an innovation, zero; a channel with fewer samples than every
-    other row is not looked at."""
-    there = np.isfinite(e)
-    return np.where(there, e, 0.0) if there.mean() > 0.5 else np.zeros(0)
+    """Replace missing innovations by zero, their expectation; return an empty array if half or more are missing."""
+    measured = np.isfinite(e)
+    return np.where(measured, e, 0.0) if measured.mean() > 0.5 else np.zeros(0)
 
 
 def _smooth(power: Array) -> Array:
-    """What the bins lie about, as a median: a cubic of the logarithms that no peak draws up (Huber's weights)."""
+    """Return a smooth spectrum, scaled so that the median ratio of the bins to it is one.
+
+    A cubic polynomial in logarithms is fitted with Huber's weights, so that a peak does not raise it.
+    """
     z = np.log(np.arange(FIRST_BIN, FIRST_BIN + power.size))
     basis, y = np.vander(z - z.mean(), 4), np.log(power)
     weight = np.ones(y.size)
@@ -230,7 +338,17 @@ def _smooth(power: Array) -> Array:
 
 
 class WhitenessDiagnostics(NamedTuple):
-    """All three; of the octaves the one that is farthest from chance, those that matter before the others."""
+    """Size of the departures from whiteness.
+
+    Attributes
+    ----------
+    predictable
+        Share of the variance that past innovations predict.
+    line
+        Highest spectral line.
+    band
+        Octave with the most significant departure; octaves whose departure matters come first.
+    """
 
     predictable: Predictable
     line: SpectralLine
@@ -238,20 +356,32 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of the variance, that is known to be predictable: by the regression or as a line."""
+        """Share of the variance that is significantly predictable, by the regression or as a spectral line."""
         return max(self.predictable.share, self.line.share if self.line.p < SIGNIFICANCE else 0.0)
 
     @property
     def matter(self) -> bool:
+        """Return whether any of the departures is significant and large enough to matter."""
         return any(part.matters for part in self)
 
     @property
     def significant(self) -> bool:
+        """Return whether any of the departures is significant."""
         return any(part.p < SIGNIFICANCE for part in self)
 
 
 class Predictable(NamedTuple):
-    """``share`` of the variance that a constant and ``order`` - 1 lags predict, adjusted for their number."""
+    """Share of the variance of innovations that their past predicts.
+
+    Attributes
+    ----------
+    share
+        Share that a constant and ``order - 1`` lags predict, adjusted for the number of coefficients.
+    order
+        Number of coefficients.
+    p
+        p value of the likelihood ratio.
+    """
 
     share: float
     order: int
@@ -259,11 +389,22 @@ class Predictable(NamedTuple):
 
     @property
     def matters(self) -> bool:
+        """Return whether the share is significant and above `MAX_PREDICTABLE_SHARE`."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
 class SpectralLine(NamedTuple):
-    """The highest line of the periodogram: ``frequency`` [cycles a sample], ``share`` of the variance in its bin."""
+    """Highest line of a periodogram.
+
+    Attributes
+    ----------
+    frequency
+        Frequency [cycles per sample].
+    share
+        Share of the variance in the bin.
+    p
+        p value of Fisher's test.
+    """
 
     frequency: float
     share: float
@@ -271,11 +412,22 @@ class SpectralLine(NamedTuple):
 
     @property
     def matters(self) -> bool:
+        """Return whether the line is significant and above `MAX_PREDICTABLE_SHARE`."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
 class FrequencyBand(NamedTuple):
-    """An octave ``low`` to ``high`` [cycles a sample]: the density's ``ratio`` to that of white noise."""
+    """Octave of a spectrum.
+
+    Attributes
+    ----------
+    low, high
+        Edges of the octave [cycles per sample].
+    ratio
+        Mean spectral density over that of white noise.
+    p
+        p value of the ratio.
+    """
 
     low: float
     high: float
@@ -284,28 +436,45 @@ class FrequencyBand(NamedTuple):
 
     @property
     def matters(self) -> bool:
+        """Return whether the departure is significant and exceeds a factor of `MAX_DENSITY_RATIO`."""
         return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
 
 
 def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
-    """Of innovations ``e`` (n,), evenly spaced, whose mean is zero under the model; n of 50 or more."""
+    """Measure how far innovations depart from white noise.
+
+    Parameters
+    ----------
+    e : Array (n,)
+        Evenly sampled innovations with mean zero under the model, n >= 50.
+
+    Returns
+    -------
+    WhitenessDiagnostics
+        Departures in a regression, as a spectral line and by octaves.
+    """
     found = bands(e)
     return WhitenessDiagnostics(predictable(e), line(e), min(found, key=lambda b: (not b.matters, b.p)))
 
 
 def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
-    """A regression on a constant and lags; p by the likelihood ratio, Bonferroni over the orders."""
+    """Fit a regression of e (n,) on a constant and lags, and return the predicted share of the variance.
+
+    The p value comes from the likelihood ratio, with a Bonferroni correction for the number of orders.
+    """
     found = _regression(e, most_lags)
-    n, left, chosen, total = found.n, found.left, found.chosen, found.left[0]
-    if chosen == 0:
+    n, rest, order, total = found.n, found.left, found.chosen, found.left[0]
+    if order == 0:
         return Predictable(0.0, 0, 1.0)
-    p = float(stats.chi2.sf(n * np.log(total / left[chosen]), chosen)) * (left.size - 1)
-    return Predictable(float(1 - (left[chosen] / (n - chosen)) / (total / n)), chosen, min(1.0, p))
+    p = float(stats.chi2.sf(n * np.log(total / rest[order]), order)) * (rest.size - 1)
+    return Predictable(float(1 - (rest[order] / (n - order)) / (total / n)), order, min(1.0, p))
 
 
 def autoregression(e: Array, most_lags: int = MAX_LAGS) -> Array:
-    """Coefficients (order,) of the regression of e (n,) on its past, latest first; none where it is white. The order is
-    that of the least BIC (Schwarz 1978)."""
+    """Return the coefficients (order,) of the regression of e (n,) on its past, latest first.
+
+    The order has the least BIC (Schwarz 1978). The result is empty if the innovations are white.
+    """
     found = _regression(e, most_lags)
     if found.chosen < 2:
         return np.zeros(0)
@@ -314,8 +483,19 @@ def autoregression(e: Array, most_lags: int = MAX_LAGS) -> Array:
 
 
 class _Regression(NamedTuple):
-    """On a constant and lags, ``n`` samples: ``left`` (orders,) squares with the first 0, 1, ... of them, ``chosen``:
-    by BIC; ``factor``: the Cholesky factor of all their products, what is regressed last."""
+    """Regression on a constant and lags.
+
+    Attributes
+    ----------
+    n
+        Number of samples.
+    left : Array (n_orders,)
+        Residual sums of squares with the first 0, 1, ... regressors.
+    chosen
+        Number of regressors with the least BIC.
+    factor : Array
+        Cholesky factor of the products of all regressors and, in the last row, the regressed variable.
+    """
 
     n: int
     left: Array
@@ -324,8 +504,9 @@ class _Regression(NamedTuple):
 
 
 def _regression(e: Array, most_lags: int) -> _Regression:
-    e = e / (np.sqrt(np.mean(e**2)) or 1.0)  # beside the constant: else what follows would depend on the unit
-    most = min(most_lags, e.size // 10)
+    """Regress e (n,) on a constant and on up to ``most_lags`` past values, for all orders at once."""
+    e = e / (np.sqrt(np.mean(e**2)) or 1.0)  # the constant regressor is one, so the scale of e has to be one too
+    most = min(most_lags, e.size // 10)  # at least ten samples per lag
     windows = np.lib.stride_tricks.sliding_window_view(e, most + 1)[:, ::-1]
     n = windows.shape[0]
     gram = np.zeros((most + 2, most + 2))
@@ -334,14 +515,18 @@ def _regression(e: Array, most_lags: int) -> _Regression:
         z = np.column_stack([np.ones(part.shape[0]), part[:, 1:], part[:, 0]])
         gram += z.T @ z
     total = gram[-1, -1]
-    factor = np.linalg.cholesky(gram + 1e-9 * total * np.eye(most + 2))  # what a smooth signal leaves is singular
+    # the lags of a smooth signal are nearly collinear, hence the small term on the diagonal
+    factor = np.linalg.cholesky(gram + 1e-9 * total * np.eye(most + 2))
     left = total - np.append(0.0, np.cumsum(factor[-1, :-1] ** 2))
     order = np.arange(left.size)
     return _Regression(n, left, int(np.argmin(n * np.log(left / n) + order * np.log(n))), factor)
 
 
 def line(e: Array) -> SpectralLine:
-    """Fisher's test (1929), the leading term of its p: exact where it is small."""
+    """Find the highest line of the periodogram of e (n,), with Fisher's test (1929).
+
+    The p value is the leading term of Fisher's series, which is accurate if it is small.
+    """
     power = np.abs(np.fft.rfft(e))[1 : (e.size - 1) // 2 + 1] ** 2
     at = int(np.argmax(power))
     share = float(power[at] / power.sum())
@@ -349,7 +534,10 @@ def line(e: Array) -> SpectralLine:
 
 
 def bands(e: Array) -> list[FrequencyBand]:
-    """Octaves from half the sampling rate down, the lowest with the mean; Bonferroni over them, both sides."""
+    """Compare the spectral density of e (n,) with white noise in octaves down from half the sampling rate.
+
+    The lowest band includes the mean. The p values are two-sided, with a Bonferroni correction for the number of bands.
+    """
     power = np.abs(np.fft.rfft(e)) ** 2 / (e @ e)
     freedom = np.full(power.size, 2.0)
     freedom[0] = 1.0
@@ -362,6 +550,7 @@ def bands(e: Array) -> list[FrequencyBand]:
 
 
 def _band(power: Array, freedom: Array, first: int, end: int, n_bands: int, n: int) -> FrequencyBand:
+    """Test the bins ``first`` to ``end`` of a normalised periodogram with ``freedom`` degrees of freedom per bin."""
     dof = float(freedom[first:end].sum())
     square = float(power[first:end] @ freedom[first:end])
     p = 2 * n_bands * min(float(stats.chi2.sf(square, dof)), float(stats.chi2.cdf(square, dof)))

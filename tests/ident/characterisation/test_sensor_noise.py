@@ -10,7 +10,7 @@ import pytest
 from scipy import signal
 
 from seatrial.ident.characterisation.sensor_noise import (
-    UNKNOWN,
+    INITIAL_SD,
     NoiseFit,
     band_spectrum,
     estimate_noise,
@@ -58,7 +58,7 @@ def test_the_likelihood_is_exact() -> None:
     found = estimate_noise(channel)
     t, y = channel.t, channel.value
     S = found.white**2 * np.eye(t.size) + found.walk**2 * np.minimum.outer(t - t[0], t - t[0])
-    S += (UNKNOWN * np.std(np.diff(y))) ** 2
+    S += (INITIAL_SD * np.std(np.diff(y))) ** 2
     r = y - y[0]
     wanted = -0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(S)[1] + t.size * math.log(2 * math.pi))
     assert found.log_likelihood == pytest.approx(wanted, rel=1e-9)

@@ -138,7 +138,7 @@ def test_logs_far_apart_keep_their_own_origins_and_refuse_a_common_point(tmp_pat
         require_one_frame(moored, logs)
     untested = _refused(nominal(plain), catalogue(), [one.run for one in logs])
     assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
-    assert "one place over ground" in untested[0].reason
+    assert "fixed point over ground" in untested[0].reason
     assert not _refused(nominal(plain), catalogue(), [logs[0].run])
 
 

@@ -161,4 +161,4 @@ def test_a_round_that_added_nothing_says_how_far_the_best_came(outcomes: Any, of
     one = Round((), (), refits, None)
     assert one.outcome is of_round
     assert ("wind" in one.why) is (of_round in (Outcome.WORSE_PREDICTION, Outcome.SMALL))  # names whom it is about
-    assert ("small beside what was found" in one.why) is (of_round is Outcome.SMALL)
+    assert ("small compared with the effects found" in one.why) is (of_round is Outcome.SMALL)

@@ -96,7 +96,7 @@ def test_what_is_left_counts_beyond_a_little(worth: float, attribution: str) -> 
     (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
     assert found.attribution == attribution
     if found.reasons:
-        assert found.reasons == ("with it the tests still find that N depends on u and r, worth 21 more in 2 ln L",)
+        assert found.reasons == ("with it the score tests still find that N depends on u and r (21 more in 2 ln L)",)
 
 
 def test_a_little_is_a_share_of_what_was_explained() -> None:
@@ -136,10 +136,10 @@ def test_an_alternative_that_comes_close_is_listed() -> None:
 
 
 def test_an_alternative_that_only_fits_better_is_said_so() -> None:
-    for t, end in ((1.0, "so"), (5.0, "significantly")):
+    for t, better in ((1.0, "better"), (5.0, "significantly better")):
         (found,) = of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
-        said = f"compass explains the fitted data better (by 39 in 2 ln L), the validation data not {end}"
-        assert found.reasons == (said,)
+        gain = "compass explains the estimation data better (by 39 in 2 ln L)"
+        assert found.reasons == (f"{gain}, but not the validation data {better}",)
 
 
 def test_an_alternative_that_could_not_be_tested_is_not_excluded() -> None:
@@ -155,10 +155,10 @@ def test_an_alternative_that_the_estimates_take_up_is_not_excluded() -> None:
     hidden = replace(score("reverse-thrust", 5.0), tolerance=4e-4)
     (found,) = assess_alternatives([one_round(linear)], (), N, nominal=[hidden])
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("reverse-thrust",))
-    why = "its alternative reverse-thrust is nearly all taken up by the model's estimated parameters"
+    why = "the model's estimated parameters explain nearly all of its alternative reverse-thrust"
     assert found.reasons == (why,)
     (itself,) = assess_alternatives([one_round(refit("reverse-thrust", 90.0))], (), N, nominal=[hidden])
-    assert itself.reasons == ("the model's estimated parameters take up nearly all of it",)
+    assert itself.reasons == ("the model's estimated parameters explain nearly all of it",)
     (seen,) = assess_alternatives([one_round(linear)], (), N, nominal=[replace(hidden, tolerance=2e-3)])
     assert seen.attribution == "identified"
 
@@ -210,7 +210,7 @@ def test_a_name_whose_weight_is_not_known_is_not_sure() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, weights=[weight])
     assert found.attribution == "ambiguous"
-    assert found.reasons == ("what the prediction is without it could not be tested: x0",)
+    assert found.reasons == ("the prediction without it could not be tested: x0",)
 
 
 def test_what_speaks_against_the_data_speaks_against_every_name() -> None:
@@ -248,7 +248,7 @@ def test_a_small_alternative_of_a_strong_effect_may_be_its_true_form(criterion: 
     )
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
-        assert limit.reasons == ("it may be no more than what speed curve has beyond its formula",)
+        assert limit.reasons == ("it may only correct the formula of speed curve",)
     (_, other) = of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
     assert other.attribution == "identified"
 
@@ -258,7 +258,7 @@ def test_a_small_alternative_of_a_strong_effect_may_be_its_true_form(criterion: 
     [
         ("N(u, r)", "that N depends on u and r"),
         ("X(past of n_sum)", "that X follows n_sum"),
-        ("X(swing after n_sum)", "that X swings after n_sum"),
+        ("X(swing after n_sum)", "that X oscillates after n_sum"),
         ("psi(n_diff)", "that the error of psi depends on n_diff"),
         ("F(t)", "that F depends on t"),
         ("n_dot(slip)", "that n_dot depends on slip"),
@@ -267,7 +267,7 @@ def test_a_small_alternative_of_a_strong_effect_may_be_its_true_form(criterion: 
 )
 def test_what_is_left_is_said_in_words(name: str, said: str) -> None:
     (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
-    assert found.reasons[0].startswith(f"with it the tests still find {said}, worth ")
+    assert found.reasons[0].startswith(f"with it the score tests still find {said} (")
 
 
 def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:
@@ -304,7 +304,7 @@ HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s
         (-6.0, 0.13, (), None),
         (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
         (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of what is known of it is its prior")), None),
-        (-3.1, 0.37, (), "the data do not tell its size: A = -3.1 ± 1 N"),
+        (-3.1, 0.37, (), "the data do not determine its size: A = -3.1 ± 1 N"),
     ],
 )
 def test_a_shape_that_was_bent_into_anothers_place_shows_it(
@@ -324,7 +324,7 @@ def test_a_doubt_has_no_newtons_where_the_thrust_is_not_known() -> None:
     fit = a_fit(["A"], [0.1 * thrust], np.array([[(0.05 * thrust) ** 2]]), model)
     fit.parameters = (SimpleNamespace(name="A", unit="N", segment=None),)
     (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
-    assert found.reasons == ("the data do not tell its size: A/T = 0.1 ± 0.05",)
+    assert found.reasons == ("the data do not determine its size: A/T = 0.1 ± 0.05",)
     fit.flags = (("A", AT_BOUND),)
     (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
     assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1",)
@@ -359,7 +359,7 @@ def test_a_parameter_of_each_run_is_told_as_those_of_all_are() -> None:
         stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
         (found,) = of(one_round(replace(one, stage=stage)))
         assert found.attribution == attribution
-    assert found.reasons == ("the data do not tell its size: V_dx@0 = 0.5 ± 1 m/s^2",)
+    assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2",)
 
 
 def test_the_estimates_of_the_last_model_count() -> None:

@@ -227,7 +227,7 @@ def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(mo
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", compared)
     monkeypatch.setattr(search, "fit_without", lambda *given: blank(name=f"without {given[3].name}"))
-    current, weights, removed = mine.without_what_does_not_pay(blank(), blank(name="all"))
+    current, weights, removed = mine.backward_elimination(blank(), blank(name="all"))
     assert left == ["without hump", "without lift"]
     assert [r.effect.name for r in removed] == ["hump", "lift"]
     assert [w.effect for w in weights] == ["cubic"]
@@ -249,7 +249,7 @@ def test_a_nonparametric_effect_has_to_predict_beside_the_others_and_any_to_matt
         "effect_importance",
         lambda _b, _c, chosen, *_: tuple(EffectImportance(c.effect.name, 10.0, error, 20.0, 6.0, SAME) for c in chosen),
     )
-    assert [r.effect.name for r in mine.without_what_does_not_pay(blank(), blank())[2]] == removed
+    assert [r.effect.name for r in mine.backward_elimination(blank(), blank())[2]] == removed
 
 
 @pytest.mark.parametrize(
@@ -349,7 +349,7 @@ def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.Monk
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
     monkeypatch.setattr(search, "fit_without", lambda *given: fits[f"without {given[3].name}"])
-    current, weights, removed = mine.without_what_does_not_pay(blank(), fits["all"])
+    current, weights, removed = mine.backward_elimination(blank(), fits["all"])
     assert current is fits["without hump"]
     assert [w.effect for w in weights] == ["cubic", "lift"]
     assert [r.effect.name for r in removed] == ["hump"]
@@ -367,7 +367,7 @@ def test_a_removal_that_could_not_be_tested_removes_nothing(monkeypatch: pytest.
 
     monkeypatch.setattr(search, "effect_importance", lambda *_: weights)
     monkeypatch.setattr(search, "fit_without", fails)
-    current, found, removed = mine.without_what_does_not_pay(blank(), whole)
+    current, found, removed = mine.backward_elimination(blank(), whole)
     assert current is whole
     assert removed == []
     assert [w.untested for w in found] == ["not finite", "x0"]

@@ -160,7 +160,7 @@ def test_a_log_says_which_thruster_and_what_it_lacks() -> None:
     assert thruster.thruster_name(one) == "port"
     with pytest.raises(SeatrialError, match=r"bench.mcap: thrusters with commands and shaft speed: none; name one"):
         thruster.thruster_name(loaded(n_cmd_port=still, n_port=still))
-    with pytest.raises(SeatrialError, match=r"bench.mcap: no load cell in the log, but the model has its force"):
+    with pytest.raises(SeatrialError, match=r"bench.mcap: the log has no load cell, but the model has a force"):
         thruster.thruster_runs([one], thruster_model(), None)
     runs = thruster.thruster_runs([one, replace(one)], thruster_model(force=False), None)
     assert {"n", "n_cmd_0", "n_cmd_48"} <= set(runs[1].channels)
