@@ -226,7 +226,7 @@ def test_what_is_wrong_is_one_line(logs: Path, tmp_path: Path, capsys: pytest.Ca
 
 
 @pytest.mark.parametrize(("source", "problem"), [("surge:steam", "there is force, shaft"),
-                                                 ("surge:force:speed:more", "it takes no more"),
+                                                 ("surge:force:speed:more", "no further option is possible"),
                                                  ("thruster:x", "there is slow")])  # fmt: skip
 def test_options_of_models(source: str, problem: str) -> None:
     with pytest.raises(SeatrialError, match=problem):
