@@ -1,7 +1,7 @@
-"""Registry of the effect catalogue: one file each, in folders by physical origin, found by import of the folders.
+"""Registry of the effects in the catalogue, one file each, in folders by physical origin.
 
-Each module defines ``EFFECT`` (a ``seatrial.ident.model.structure.Effect``) or ``EFFECTS`` (several). ``catalogue()``
-imports them all, so a new effect is one new file and its test.
+Each module defines ``EFFECT`` (a ``seatrial.ident.model.structure.Effect``) or ``EFFECTS`` (several effects).
+``catalogue()`` imports all modules, so a new effect needs only one new file and its test.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from seatrial.ident.model import Effect
 
 @cache
 def catalogue() -> Mapping[str, Effect]:
-    """All effects by name, in alphabetical order; the same for all who ask, so that nobody can change it."""
+    """Return all effects of the catalogue by name, in alphabetical order. The mapping is read-only, because all
+    callers share it.
+    """
     found: dict[str, Effect] = {}
     for folder in pkgutil.iter_modules(seatrial.ident.effects.__path__, "seatrial.ident.effects."):
         if folder.ispkg:
@@ -28,7 +30,7 @@ def catalogue() -> Mapping[str, Effect]:
 
 
 def _register(module: ModuleType, found: dict[str, Effect]) -> None:
-    """Add the effects that a module defines."""
+    """Add the effects of a module. Raise ValueError if a name is already in use."""
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
         if effect.name in found:
             raise ValueError(f"two effects are called {effect.name!r}")

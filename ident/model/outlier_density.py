@@ -28,7 +28,7 @@ WIDTH = 20.0  # c: typical size of an outlier in standard deviations; correct wi
 # of a normal sample
 INFORMATION = (0.9834999, 0.9596000)
 LIKELY = 0.5  # a sample counts as an outlier if the probability that it is good is below this
-MANY = 0.1  # share of the samples; with more outliers, the model is wrong, not the samples
+MANY_OUTLIERS = 0.1  # share of the samples; with more outliers, the model is wrong, not the samples
 
 
 def log_density(z: Any) -> Any:
@@ -126,7 +126,7 @@ def outlier_notes(
         if output.robust and total:
             share = f" ({100 * n / total:.2g} %)" if n else ""
             caveat = ", too many for outliers: the model lacks an effect on this channel, which --robust hides"
-            many = caveat if n > MANY * total else ""
+            many = caveat if n > MANY_OUTLIERS * total else ""
             were = "was" if n == 1 else "were"
             notes.append(f"{output.name}: {n} of {total} samples {were} treated as outliers{share}{many}")
     return notes

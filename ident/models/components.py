@@ -69,8 +69,8 @@ ERRORS = (
     NavigationError("position", "xy", ("x", "y"), ("position",), 0.1, "m", 3.0, 0.45),
 )
 LASTING = frozenset(sensor for e in ERRORS for sensor in e.sensors)
-UNCERTAIN = 2.0  # standard deviation of an initial error, relative to its typical standard deviation
-N_AHEAD = 5  # later samples of a shaft speed, one step each, for ages up to 0.5 s; one earlier sample is added
+INITIAL_ERROR_RATIO = 2.0  # standard deviation of an initial error, relative to its typical standard deviation
+N_LATER_SAMPLES = 5  # later samples of a shaft speed, one step each, for ages up to 0.5 s; one earlier sample is added
 
 
 def shift(s: Signals, l_x: Any, l_y: Any) -> None:
@@ -189,7 +189,7 @@ def telemetry_age() -> Effect:
                 scales=False,
             ),
         ),
-        inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_AHEAD + 1) if k),
+        inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_LATER_SAMPLES + 1) if k),
         place="sensor",
         requires=("n_stamp",),  # a Nomoto model already has a delay of its inputs
         kind=EffectKind.SENSOR_OFFSET,
@@ -338,7 +338,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                 "",
                 f"time-correlated error of the estimator's {e.of} ({axis}), scaled",
                 1.0,
-                sd0=UNCERTAIN * e.whole / e.sd * float(np.sqrt(e.tau / 2)),
+                sd0=INITIAL_ERROR_RATIO * e.whole / e.sd * float(np.sqrt(e.tau / 2)),
                 nuisance=True,
             )
             for e in errors.values()

@@ -71,12 +71,12 @@ THRUST = (
 )
 DELAY_STEP, N_DELAYS = 0.05, 17  # s, and number of delayed copies of each command: delays up to 0.8 s
 LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
-FURTHEST = 20  # largest shift of a copy of a measured input, in steps of HISTORY_STEP
+MAX_COPY_SHIFT = 20  # largest shift of a copy of a measured input, in steps of HISTORY_STEP
 # Width of the transition at the end of the dead zone, in units of the command; the parameter is its centre
 DEAD_ZONE_EDGE = 0.05
-NARROWEST = 1e-9  # lower limit of that width, against division by zero
+MIN_DEAD_ZONE_EDGE = 1e-9  # lower limit of that width, against division by zero
 SHORTEST_LAG = 0.05  # s: time constants below it are approximated, see `first_order`
-DRIVEN_STEP = 0.05  # s: longer Runge-Kutta steps would be inaccurate for a state with the shortest lag
+DRIVEN_SHAFT_STEP_S = 0.05  # s: longer Runge-Kutta steps would be inaccurate for a state with the shortest lag
 SHAFT = (
     Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),
     Parameter(
@@ -197,7 +197,7 @@ def horizontal_model(
         (*first, ("force", force), ("rate", rate), ("output", output)),
         provides=(*provides, "hull", "heading", *(name for name in VELOCITIES if name in sensors)),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
-        max_step=DRIVEN_STEP if propulsion == "command" else 0.1,
+        max_step=DRIVEN_SHAFT_STEP_S if propulsion == "command" else 0.1,
         start_grid=DEAD_ZONES if propulsion == "command" else None,
     )
 
@@ -233,7 +233,7 @@ def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
     width = np.minimum(DEAD_ZONE_EDGE, 2.0 * dead_zone)
     end = dead_zone + width / 2.0
     # Measured from the outer end of the step. Without a dead zone this end is zero, so that no command lies inside.
-    inside = np.minimum(np.maximum((end - abs(command)) / np.maximum(width, NARROWEST), 0.0), 1.0)
+    inside = np.minimum(np.maximum((end - abs(command)) / np.maximum(width, MIN_DEAD_ZONE_EDGE), 0.0), 1.0)
     return command * (1.0 - inside * inside * (3.0 - 2.0 * inside))
 
 
@@ -278,7 +278,7 @@ def copies_of(s: Signals, name: str) -> list[int]:
     """Return the shifts of the copies of an input that the model has, in steps of
     ``HISTORY_STEP``, in ascending order.
     """
-    return [k for k in range(-FURTHEST, FURTHEST) if hasattr(s.u, tap_name(name, k))]
+    return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if hasattr(s.u, tap_name(name, k))]
 
 
 def unchanged(s: Signals) -> None:

@@ -25,9 +25,9 @@ averaged over a row. These outputs follow the inputs at once, so their mean diff
 
 Sampled inputs. With the option ``nomoto:sampled``, inputs from slow samples are uncertain in time. Each input acts
 ``sigma_n`` (standard deviation) later or earlier than ``tau_n``. This time error is a first-order Gauss-Markov process
-with the correlation time ``MEMORY``. To first order, the time error has no influence while the inputs are constant, and
-much influence while they change quickly. If sampled inputs were taken as exact, their deviation from straight lines
-between samples would bias masses and damping.
+with the correlation time ``STAMP_ERROR_TIME_S``. To first order, the time error has no influence while the inputs are
+constant, and much influence while they change quickly. If sampled inputs were taken as exact, their deviation from
+straight lines between samples would bias masses and damping.
 
 GNSS. A fix is ``tau_gnss`` old, and is a mean over a time with the standard deviation ``sigma_gnss``. The smoothing of
 a receiver shortens the path in a turn by the factor ``r^2 sigma_gnss^2 / 2``, which is 5 % at 3 rad/s and 0.1 s. The
@@ -77,10 +77,10 @@ from seatrial.ident.models.horizontal import (
 from seatrial.ident.models.thruster import delay_weights
 
 STEP, TAPS = 0.05, range(-2, 12)  # s between the copies of the inputs, and their shifts: 0.1 s earlier to 0.55 s later
-MEMORY = 0.1  # s, correlation time of the time errors of the inputs
+STAMP_ERROR_TIME_S = 0.1  # s, correlation time of the time errors of the inputs
 # s: upper bound of -tau_n; upper bound of the delay of a sensor. The upper bound of tau_n is half of the latter.
-AHEAD, LONGEST = -STEP * TAPS[0], 0.3
-WIDEST = 0.15  # s, upper bound of sigma_gnss
+LARGEST_LEAD_S, LARGEST_DELAY_S = -STEP * TAPS[0], 0.3
+LARGEST_SPREAD_S = 0.15  # s, upper bound of sigma_gnss
 ROOT_2 = float(np.sqrt(2.0))
 LINEARITY = Parameter(
     "lambda_n", 0.0, "", "share of the thrust that is linear", prior=(0.0, 0.5), bounds=(-1.0, 1.5), step=0.02
@@ -98,17 +98,19 @@ TIMING = (
         "s",
         "delay of thrust and steering behind the inputs' time stamps",
         prior=(0.0, 0.1),
-        bounds=(-AHEAD, LONGEST / 2),
+        bounds=(-LARGEST_LEAD_S, LARGEST_DELAY_S / 2),
         step=0.01,
     ),
-    Parameter("T_r", 0.06, "s", "delay of the gyro's filter", prior=(0.0, 0.1), bounds=(0.0, LONGEST), step=0.01),
+    Parameter(
+        "T_r", 0.06, "s", "delay of the gyro's filter", prior=(0.0, 0.1), bounds=(0.0, LARGEST_DELAY_S), step=0.01
+    ),
     Parameter(
         "tau_gnss",
         0.1,
         "s",
         "age of the GNSS fix at its time stamp",
         prior=(0.1, 0.2),
-        bounds=(0.0, LONGEST),
+        bounds=(0.0, LARGEST_DELAY_S),
         step=0.02,
     ),
     Parameter(
@@ -117,7 +119,7 @@ TIMING = (
         "s",
         "time over which the receiver averages a fix, standard deviation",
         prior=(0.0, 0.1),
-        bounds=(0.0, WIDEST),
+        bounds=(0.0, LARGEST_SPREAD_S),
         step=0.01,
     ),
 )
@@ -156,14 +158,27 @@ STATES = (
     State("r_gyro", "rad/s", "yaw rate after the gyro's filter", from_output="r", sd0=0.1),
     State("r_gyro_rate", "rad/s2", "rate of change of the yaw rate after the gyro's filter", sd0=1.0),
 )
-STAMP_ERROR = "stamp_error_"  # prefix of the states, followed by the side
-LATENESS = tuple(
-    State(f"{STAMP_ERROR}{side}", "", "error of the input's time stamps, scaled", float(np.sqrt(2 / MEMORY)), sd0=1.0,
-          nuisance=True)
+STAMP_ERROR_PREFIX = "stamp_error_"  # prefix of the states, followed by the side
+STAMP_ERROR_STATES = tuple(
+    State(
+        f"{STAMP_ERROR_PREFIX}{side}",
+        "",
+        "error of the input's time stamps, scaled",
+        float(np.sqrt(2 / STAMP_ERROR_TIME_S)),
+        sd0=1.0,
+        nuisance=True,
+    )
     for side in SIDES
-)  # fmt: skip
-LATE = Parameter("sigma_n", 0.01, "s", "error of the inputs' time stamps, standard deviation", "log",
-                 prior=(0.01, 0.03), role=ParameterRole.DISTURBANCE)  # fmt: skip
+)
+STAMP_ERROR_SD = Parameter(
+    "sigma_n",
+    0.01,
+    "s",
+    "error of the inputs' time stamps, standard deviation",
+    "log",
+    prior=(0.01, 0.03),
+    role=ParameterRole.DISTURBANCE,
+)
 RESIDUALS = (
     Residual("X", "N", "b_X", 10.0, "the force X", adder("X"), of=("u", "r", "psi", "t"), requires=("nomoto",)),
     Residual(
@@ -190,8 +205,9 @@ VARIABLES = (
 def nomoto_model(
     sensors: Sequence[str] = SEEN, *, current: bool = True, sampled: bool = False, hold: Hold = "linear"
 ) -> Model:
-    """Return the Nomoto model, driven by ``n_left`` and ``n_right``: shaft speeds or outputs of an autopilot
-    (normalised).
+    """Return the Nomoto model, driven by ``n_left`` and ``n_right`` (normalised).
+
+    The inputs are measured shaft speeds or outputs of an autopilot.
 
     Parameters
     ----------
@@ -210,11 +226,11 @@ def nomoto_model(
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
     parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
     parameters += tuple(replace(p, free=False, considered=True, origin=BUILT_IN) for p in DATASHEET)
-    parameters += (*((LATE,) if sampled else ()), *DIFFUSION)
+    parameters += (*((STAMP_ERROR_SD,) if sampled else ()), *DIFFUSION)
     chosen = tuple(replace(SENSORS[s], averaged=False) for s in sensors)
     return Model(
         "nomoto",
-        resolve_initial_states((*STATES, *(LATENESS if sampled else ())), chosen),
+        resolve_initial_states((*STATES, *(STAMP_ERROR_STATES if sampled else ())), chosen),
         (*now, *past),
         chosen,
         (*parameters, *(NOISE[s.name] for s in chosen)),
@@ -267,10 +283,10 @@ def _inputs(s: Signals, ago: Any) -> list[Any]:
     for side in SIDES:
         copies = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
         value = sum(w * n for w, n in zip(weights, copies, strict=True))
-        if hasattr(s.x, STAMP_ERROR + side):
+        if hasattr(s.x, STAMP_ERROR_PREFIX + side):
             extended = [2 * copies[0] - copies[1], *copies, 2 * copies[-1] - copies[-2]]
             change = [(late - early) / (2 * STEP) for early, late in zip(extended[:-2], extended[2:], strict=True)]
-            delay = s.p.sigma_n * getattr(s.x, STAMP_ERROR + side) * np.exp(-ago / MEMORY)
+            delay = s.p.sigma_n * getattr(s.x, STAMP_ERROR_PREFIX + side) * np.exp(-ago / STAMP_ERROR_TIME_S)
             value = value + delay * sum(w * d for w, d in zip(weights, change, strict=True))
         found.append(value)
     return found
@@ -306,8 +322,8 @@ def rate(s: Signals) -> None:
     s.rate["r_gyro_rate"] = corner * (corner * (s.r - x.r_gyro) - ROOT_2 * x.r_gyro_rate)
     if hasattr(x, "v"):
         s.rate["v"] = -x.v / s.p.tau_v
-    for side in SIDES if hasattr(x, STAMP_ERROR + SIDES[0]) else ():
-        s.rate[STAMP_ERROR + side] = -getattr(x, STAMP_ERROR + side) / MEMORY
+    for side in SIDES if hasattr(x, STAMP_ERROR_PREFIX + SIDES[0]) else ():
+        s.rate[STAMP_ERROR_PREFIX + side] = -getattr(x, STAMP_ERROR_PREFIX + side) / STAMP_ERROR_TIME_S
 
 
 def _sideslip(s: Signals, u: Any, r: Any) -> Any:

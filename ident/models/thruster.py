@@ -37,11 +37,11 @@ from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
 
 COMMAND = "n_cmd"
 DELAY_STEP = 0.0125  # s
-DELAY_APART = 0.2  # s between the initial values of the delay
+START_DELAY_SPACING_S = 0.2  # s between the initial values of the delay
 START_POLES = np.geomspace(0.2, 20.0, 14)  # 1/s, initial values of the pole
 SLOW_STEP = 0.1  # s, step of ``thruster:slow``, with delays up to 4.8 s, for links that poll
 N_DELAYS = 49  # number of copies of the command
-EDGE = 0.005  # width of the transition at the end of the dead zone, in units of the command
+DEAD_ZONE_EDGE = 0.005  # width of the transition at the end of the dead zone, in units of the command
 
 SHAFT = (
     Parameter("a", 2.794, "1/s", "pole of the shaft speed", "log"),
@@ -200,8 +200,8 @@ def thruster_model(
 
 def _start_grid(longest: float) -> StartGrid:
     """Return initial delays [s] and poles [1/s]. With low-rate telemetry, the likelihood has several maxima."""
-    delays = np.arange(0.0, longest, DELAY_APART)
-    return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), DELAY_APART)
+    delays = np.arange(0.0, longest, START_DELAY_SPACING_S)
+    return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), START_DELAY_SPACING_S)
 
 
 def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
@@ -220,8 +220,11 @@ def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, .
 
 
 def past_dead_zone(command: Any, d: Any) -> Any:
-    """Return the command outside the dead zone d, and zero inside, with a smooth step of width ``EDGE`` between."""
-    along = np.minimum(np.maximum((abs(command) - d) / EDGE + 0.5, 0.0), 1.0)
+    """Return the command outside the dead zone d, and zero inside it.
+
+    A smooth step of width ``DEAD_ZONE_EDGE`` connects both parts.
+    """
+    along = np.minimum(np.maximum((abs(command) - d) / DEAD_ZONE_EDGE + 0.5, 0.0), 1.0)
     return command * along * along * (3.0 - 2.0 * along)
 
 
