@@ -89,6 +89,7 @@ class Filter:
     """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
+        """Build the symbols of the model and the unit vectors of the free parameters."""
         g = self.graphs = EkfGraphs(model, covariance=covariance)
         names = [p.name for p in model.parameters]
         self.q = len(free)

@@ -91,17 +91,17 @@ def of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjoint:
     n, n_s = g.n, g.s.numel()
     before = [ca.vertcat(0 * g.mean, pack(g.P)), *[ca.vertcat(c.dx, pack(c.P)) for c in update.corrections[:-1]]]
     # derivatives by dx and P, and derivatives by the mean and the parameters
-    moved, direct = bar, ca.SX(n + g.p.numel(), 1)
-    for done, values in zip(update.corrections[::-1], before[::-1], strict=True):
-        s = ca.SX.sym("s", n_s)
-        c = g.correct(done.sample, s[:n], unpack(s[n:], n))
-        turned = _doubled(unpack(moved[n:], n)) @ c.PH
-        weight = ca.vertcat(moved[:n], 1, -c.inverse_variance * turned, -ca.dot(c.PH, turned) / 2)
+    by_state, direct = bar, ca.SX(n + g.p.numel(), 1)
+    for correction, values in zip(update.corrections[::-1], before[::-1], strict=True):
+        s = ca.SX.sym("s", n_s)  # symbols of dx and P before this scalar, which are replaced by their values below
+        c = g.correct(correction.sample, s[:n], unpack(s[n:], n))
+        L_PH = _doubled(unpack(by_state[n:], n)) @ c.PH
+        weight = ca.vertcat(by_state[:n], 1, -c.inverse_variance * L_PH, -ca.dot(c.PH, L_PH) / 2)
         slopes = reverse_mode(ca.vertcat(c.dx, c.ll, c.PH, c.inverse_variance), ca.vertcat(s, g.mean, g.p), weight)
         slopes = ca.substitute(slopes, s, values)
-        moved = ca.vertcat(slopes[:n], moved[n:] + slopes[n:n_s])
+        by_state = ca.vertcat(slopes[:n], by_state[n:] + slopes[n:n_s])
         direct += slopes[n_s:]
-    both = ca.vertcat(bar[:n] + direct[:n], moved[n:], direct[n:])
+    both = ca.vertcat(bar[:n] + direct[:n], by_state[n:], direct[n:])
     both, needs, keeps = _taped(g, both, ca.SX(0, 1), bar)
     return Adjoint(both, {tape: needs}, {tape: keeps})
 
@@ -113,20 +113,21 @@ def of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
     also used if no column of Phi varies from row to row.
     """
     # columns of Phi that differ from the constant columns of an identity
-    moving = [k for k in range(g.n) if g.covariance and not _constant(g.moved.Phi[:, k])]
+    moving = [k for k in range(g.n) if g.covariance and not _constant(g.transition.Phi[:, k])]
     if not moving or g.model.second_order:
         return of_stage(g, {"s": g.predict[0]}, tape, bar)
-    n, A, Q, upper = g.n, g.moved.A, g.moved.Q, unpack(bar[g.n :], g.n)
-    L, T = _doubled(upper), g.moved.T @ ca.diag([not _constant(Q[k, k]) for k in range(n)])
+    n, A, Q, upper = g.n, g.transition.A, g.transition.Q, unpack(bar[g.n :], g.n)
+    L, T = _doubled(upper), g.transition.T @ ca.diag([not _constant(Q[k, k]) for k in range(n)])
+    # moved: columns of Phi and T, to be multiplied by L; spread: columns of P + Q, to be multiplied by L Phi
     moved = _Columns(
         "moved",
-        {("Phi", k): g.moved.Phi[:, k] for k in moving}
+        {("Phi", k): g.transition.Phi[:, k] for k in moving}
         | {("T", k): T[:, k] for k in range(n) if not _constant(T[:, k])},
     )
     spread = _Columns("spread", {("P", k): (g.P + Q)[:, k] for k in moving})
-    Phi, LPhi = moved.read("Phi", g.moved.Phi), moved.turned("Phi", L)
+    Phi, LPhi = moved.read("Phi", g.transition.Phi), moved.turned("Phi", L)
     T, LT = moved.read("T", T), moved.turned("T", L @ T)
-    by_P = Phi.T @ LPhi
+    by_P = Phi.T @ LPhi  # twice the derivative by P, see the module
     by_Q = (ca.diag(by_P) + ca.diag(T.T @ LT)) / 2 + ca.diag(upper)
     by_A = _of_series(A, _like(Phi, spread.turned("P", ca.SX(n, n))), LT @ Q)
     effect = ca.vertcat(g.stepped[0], *A.nonzeros(), ca.diag(Q))

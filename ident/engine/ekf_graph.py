@@ -37,7 +37,7 @@ class Update:
         Innovations and their variances.
     slope : SX (n_outputs, 1)
         -d ll / d e of each output: e / S, or less if outliers are allowed.
-    known : DM (n_outputs, 2)
+    information : DM (n_outputs, 2)
         Information of a sample about its mean and about its scale, relative to normal noise.
     corrections : tuple[ScalarUpdate, ...]
         The scalar updates, one for each output in order.
@@ -48,7 +48,7 @@ class Update:
     e: Any
     S: Any
     slope: Any = None
-    known: Any = None
+    information: Any = None
     corrections: tuple[ScalarUpdate, ...] = ()
 
 
@@ -156,6 +156,7 @@ class EkfGraphs:
     """
 
     def __init__(self, model: Model, *, covariance: bool = True, joseph: bool = False) -> None:
+        """Trace the functions of the model with symbols."""
         if len(model.sensors) > MAX_BITS:
             raise ValueError(f"model {model.name} has {len(model.sensors)} sensors; the engine takes {MAX_BITS}")
         self.model, self.covariance, self.joseph = model, covariance, joseph
@@ -224,11 +225,11 @@ class EkfGraphs:
         end = self.stepped[0]
         if not self.covariance:
             return end, None
-        m = self.moved
-        P = m.Phi @ (self.P + m.Q) @ m.Phi.T + m.T @ m.Q @ m.T.T + m.Q
+        t = self.transition
+        P = t.Phi @ (self.P + t.Q) @ t.Phi.T + t.T @ t.Q @ t.T.T + t.Q
         if self.model.second_order:
-            end = end + self.h * self._bend((self.P + P) / 2)
-        return ca.vertcat(end, pack(P)), m.Phi
+            end = end + self.h * self._curvature_term((self.P + P) / 2)
+        return ca.vertcat(end, pack(P)), t.Phi
 
     @cached_property
     def stepped(self) -> tuple[Any, Any, Any]:
@@ -236,29 +237,29 @@ class EkfGraphs:
         return self.step(self.mean)
 
     @cached_property
-    def moved(self) -> IntervalTransition:
+    def transition(self) -> IntervalTransition:
         """Transition of the covariance over the interval."""
-        A = self.h / 2 * self._in_the_middle(lambda slopes, _: slopes)
+        A = self.h / 2 * self._at_midpoint(lambda slopes, _: slopes)
         identity, A2 = ca.SX.eye(self.n), A @ A
         T = 2 * identity + 2 * A + A2  # scaled so that few multiplications are needed; these dominate the run time
         Phi = T - identity + A2 + 4 / 3 * (A @ A2)
         Q = self.h / 6 * ca.diag(self._diffusion)
         return IntervalTransition(A, T, Phi, Q)
 
-    def _bend(self, P: Any) -> Any:
+    def _curvature_term(self, P: Any) -> Any:
         """Return ``1/2 tr(P f_xx)``: the mean change of the rates for states with covariance P."""
-        return self._in_the_middle(
+        return self._at_midpoint(
             lambda slopes, x: ca.vertcat(
                 *[ca.sum1(ca.sum2(ca.jacobian(slopes[i, :].T, x) * P)) / 2 for i in range(self.n)]
             )
         )
 
-    def _in_the_middle(self, of: Callable[[Any, Any], Any]) -> Any:
-        """Evaluate ``of(Jacobian of the rates, state x)`` at the midpoint of the interval."""
+    def _at_midpoint(self, expression: Callable[[Any, Any], Any]) -> Any:
+        """Return ``expression(Jacobian of the rates, state x)`` at the midpoint of the interval."""
         x, (_, x3, middle) = ca.SX.sym("x", self.n), self.stepped
         slopes: Any = ca.jacobian(self.rate(x, middle, self.p), x)
         slopes = ca.SX(slopes.sparsity(), simplified(ca.vertcat(ca.SX(0, 1), *slopes.nonzeros())))
-        return ca.substitute(of(slopes, x), x, x3)
+        return ca.substitute(expression(slopes, x), x, x3)
 
     @property
     def _diffusion(self) -> Any:
@@ -296,9 +297,9 @@ class EkfGraphs:
             steps.append(self.correct(sample, dx, P))
             dx, P, ll = steps[-1].dx, steps[-1].P, ll + steps[-1].ll
         s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
-        known = ca.DM([[*outlier_density.INFORMATION] if o.robust else [1.0, 1.0] for o in sensor.outputs])
+        information = ca.DM([[*outlier_density.INFORMATION] if o.robust else [1.0, 1.0] for o in sensor.outputs])
         e, S, slope = (ca.vertcat(*column) for column in zip(*[(c.e, c.S, c.slope) for c in steps], strict=True))
-        return Update(s, ll, e, S, slope, known, tuple(steps))
+        return Update(s, ll, e, S, slope, information, tuple(steps))
 
     def correct(self, sample: Sample, dx: Any, P: Any) -> ScalarUpdate:
         """Update the filter by one scalar measurement.
@@ -332,10 +333,10 @@ class EkfGraphs:
             inverse_variance = outlier_density.score_slope(scaled) / S
         if H is None:
             return ScalarUpdate(sample, e, S, slope, ll)
-        reduced = self._reduced(sample, P, PH, S, inverse_variance)
-        return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, reduced, PH, inverse_variance)
+        P_after = self._updated_covariance(sample, P, PH, S, inverse_variance)
+        return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, P_after, PH, inverse_variance)
 
-    def _reduced(self, sample: Sample, P: Any, PH: Any, S: Any, inverse_variance: Any) -> Any:
+    def _updated_covariance(self, sample: Sample, P: Any, PH: Any, S: Any, inverse_variance: Any) -> Any:
         """Return the covariance after the update by one scalar.
 
         If outliers are allowed, the reduction of the covariance is scaled by the weight of the sample.

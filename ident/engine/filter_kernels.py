@@ -119,7 +119,7 @@ class Programs:
                     return made  # type: ignore[no-any-return]
 
             cached = kernel_cache.load_kernel(self._cache_key, name) if self._cache_key else None
-            kernel = Kernel.at_hand(*cached, plan) if cached else None
+            kernel = Kernel.from_cache(*cached, plan) if cached else None
             if kernel is None:
                 kernel = Kernel(plan())
                 if self._cache_key:

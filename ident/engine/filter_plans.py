@@ -76,7 +76,7 @@ class Plans:
             if u.e is not None:
                 de, dS = _tangent(g, u.e, ds, dp), _tangent(g, u.S, ds, dp)
                 results["dll"] = ca.sum1(0.5 * dS * (u.e * u.slope - 1) / u.S - u.slope * de)
-                part = ca.sqrt(u.known)
+                part = ca.sqrt(u.information)
                 results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S), np.sqrt(0.5) * part[:, 1] * dS / u.S)
                 lanes.add(f"v{q}")
             stages += split(g.inputs, self._effect(u), seeds, results, bit, f"w{q}")
@@ -134,8 +134,8 @@ def _tangent(g: EkfGraphs, expression: Any, ds: Any, dp: Any) -> Any:
     Subexpressions of inputs and parameters alone are differentiated by the parameters once for all lanes. For example,
     a delayed command has fifty copies, each with a weight that depends on two parameters.
     """
-    known = ca.vertcat(g.u, g.u_next, g.y, g.p, g.h)
-    (rest,), symbols, parts = ca.extract_parametric([expression], known, {})
+    data = ca.vertcat(g.u, g.u_next, g.y, g.p, g.h)
+    (rest,), symbols, parts = ca.extract_parametric([expression], data, {})
     q, part = ca.vertcat(ca.SX(0, 1), *symbols), ca.vertcat(ca.SX(0, 1), *parts)
     moved = ca.jtimes(rest, ca.vertcat(g.s, g.p, q), ca.vertcat(ds, dp, ca.jacobian(part, g.p) @ dp))
     return ca.substitute(moved, q, part)

@@ -102,6 +102,7 @@ class Kernel:
     _entry: Callable[..., None] | None = None  # entry point of the machine code; None if the plan is interpreted
 
     def __init__(self, plan: Plan, compiled: bool | None = None) -> None:
+        """Compile or interpret the plan."""
         self.layout, self.code = plan.layout, ""
         self._make: Callable[[], Plan] = lambda: plan
         if compiled is None:
@@ -116,7 +117,7 @@ class Kernel:
         self._loop: Loop = self._compile() if compiled else self._interpret()
 
     @classmethod
-    def at_hand(cls, layout: Layout, code: str, make: Callable[[], Plan]) -> Kernel | None:
+    def from_cache(cls, layout: Layout, code: str, make: Callable[[], Plan]) -> Kernel | None:
         """Return a kernel with cached machine code.
 
         Parameters

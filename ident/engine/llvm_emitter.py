@@ -76,6 +76,7 @@ class LlvmEmitter:
     """
 
     def __init__(self, plan: Plan) -> None:
+        """Prepare the writer; `ir` writes the module."""
         self.plan = plan
         self.entry: list[str] = []
         self.body: list[str] = []

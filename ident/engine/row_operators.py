@@ -159,12 +159,14 @@ def _ir() -> str:
             text(f"store {vector} {more}, ptr {name}")
 
     def of_row(k: str) -> None:
+        """Write the products of one row, its outputs, and the part of the next drive."""
         now = text.value(f"and i64 {k}, 1")
         later = text.value(f"xor i64 {now}, 1")
         after = text.value(f"add i64 {k}, 1")
         height = text.value("add i64 %s, %m")
 
         def of_result(i: str, target: str) -> None:
+            """Write the product of one row of B with all columns to ``target``."""
             row = text.value(f"add i64 {text.value(f'mul i64 {k}, {height}')}, {i}")
 
             def of_columns(c: str) -> None:
@@ -187,6 +189,7 @@ def _ir() -> str:
         text.loop("%s", lambda i: of_result(i, text.at("%x", ("", later), ("%s", i), ("%w", "0"))))
 
         def store_output(i: str) -> None:
+            """Write one output, unless its row is NOWHERE."""
             place = text.value(f"load i64, ptr {text.at('%at', ('', k), ('%m', i))}")
             text._n += 1
             here = f"if{text._n}"
@@ -200,6 +203,7 @@ def _ir() -> str:
         weight = splat(text.value(f"load double, ptr {text.at('%a', ('', k))}"))
 
         def ahead(e: str) -> None:
+            """Add the next drive, times its factor, to one entry of x."""
             i = text.value(f"load i64, ptr {text.at('%to', ('', e))}")
 
             def of_columns(c: str) -> None:

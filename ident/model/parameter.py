@@ -95,6 +95,7 @@ class Parameter:
     scales: bool = True
 
     def __post_init__(self) -> None:
+        """Check the parameter. Raise ValueError if its value, prior or bounds are inconsistent."""
         low, high = self.bounds
         if self.considered and (self.prior is None or self.per_record):
             raise ValueError(
@@ -110,7 +111,7 @@ class Parameter:
 
     @property
     def exact(self) -> bool:
-        """Whether the value is assumed to have no error."""
+        """Return whether the value is assumed to have no error."""
         return not (self.free or self.considered)
 
     @property

@@ -235,12 +235,12 @@ class EffectKind(StrEnum):
 
     @property
     def unknown(self) -> bool:
-        """Whether no catalogue has a name for the effect."""
+        """Return whether no catalogue has a name for the effect."""
         return self in (EffectKind.NONPARAMETRIC, EffectKind.LAGGED, EffectKind.RESONANT)
 
     @property
     def nuisance(self) -> bool:
-        """Whether the effect serves the filter only and is no property of the boat."""
+        """Return whether the effect serves the filter only and is no property of the boat."""
         return self in (EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET)
 
 
@@ -416,6 +416,7 @@ class Model:
     second_order: bool = False  # whether the filter is of second order (`engine.ekf_graph`)
 
     def __post_init__(self) -> None:
+        """Check the names of the components. Raise ValueError for a repeated or unknown name."""
         for kind, names in (
             ("state", [s.name for s in self.states]),
             ("input", [i.name for i in self.inputs]),

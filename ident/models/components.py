@@ -271,11 +271,13 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
         return getattr(s.p, f"A_{e.name}") * np.sqrt(2 / getattr(s.p, f"tau_{e.name}"))
 
     def value(s: Signals, of: str) -> list[Any]:
+        """Return the error of a quantity in its axes, or zeros if the quantity has no error."""
         if of not in errors:
             return [0.0, 0.0]
         return [size(s, errors[of]) * getattr(s.x, f"error_{axis}") for axis in errors[of].axes]
 
     def grow(s: Signals) -> None:
+        """Set the rates of the scaled error states."""
         cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
         ahead, starboard = value(s, "acceleration")
         integrated = {
@@ -289,6 +291,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                 s.rate[state] = rate / size(s, e) - getattr(s.x, state) / getattr(s.p, f"tau_{e.name}")
 
     def add(s: Signals) -> None:
+        """Add the errors to the outputs."""
         turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
         for of in ("yaw rate", "heading", "position"):
             if of in errors:

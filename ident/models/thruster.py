@@ -160,6 +160,7 @@ def thruster_model(
     states, sensors, parameters = _parts(force, force and swing)
 
     def reference(s: Signals) -> Any:
+        """Return the delayed command outside the dead zone."""
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
         # Two to four weights of a numerical delay are not zero; weights of a symbolic delay are never skipped
         return sum(
