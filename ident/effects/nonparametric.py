@@ -311,7 +311,7 @@ def input_response_effects(model: Model) -> list[Effect]:
     Return [] for a model without a pair of thrusters.
     """
     forces = {r.name: r for r in residuals_of(model)}
-    found = []
+    effects = []
     for variable in variables_of(model):
         pair = variable.pair
         force = forces.get("N" if pair.difference else "X") if pair is not None else None
@@ -322,8 +322,8 @@ def input_response_effects(model: Model) -> list[Effect]:
                 resonant_response(force, variable.name, drive, unit),
             ):
                 if model.accepts(effect):
-                    found.append(effect)
-    return found
+                    effects.append(effect)
+    return effects
 
 
 def _thrust(pair: ThrusterPair) -> Signal:

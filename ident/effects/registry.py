@@ -21,17 +21,17 @@ def catalogue() -> Mapping[str, Effect]:
     """Return all effects of the catalogue by name, in alphabetical order. The mapping is read-only, because all
     callers share it.
     """
-    found: dict[str, Effect] = {}
+    effects: dict[str, Effect] = {}
     for folder in pkgutil.iter_modules(seatrial.ident.effects.__path__, "seatrial.ident.effects."):
         if folder.ispkg:
             for file in pkgutil.iter_modules(importlib.import_module(folder.name).__path__, f"{folder.name}."):
-                _register(importlib.import_module(file.name), found)
-    return MappingProxyType(dict(sorted(found.items())))
+                _register(importlib.import_module(file.name), effects)
+    return MappingProxyType(dict(sorted(effects.items())))
 
 
-def _register(module: ModuleType, found: dict[str, Effect]) -> None:
+def _register(module: ModuleType, effects: dict[str, Effect]) -> None:
     """Add the effects of a module. Raise ValueError if a name is already in use."""
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
-        if effect.name in found:
+        if effect.name in effects:
             raise ValueError(f"two effects are called {effect.name!r}")
-        found[effect.name] = effect
+        effects[effect.name] = effect

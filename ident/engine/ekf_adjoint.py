@@ -169,20 +169,20 @@ class _Columns:
 
     def read(self, matrix: str, whole: Any) -> Any:
         """Return the matrix with symbols in the place of entries that vary from row to row."""
-        found = ca.SX(whole)
+        result = ca.SX(whole)
         for name, k in self._first:
             for i in range(self._n):
-                if name == matrix and not _constant(found[i, k]):
-                    found[i, k] = self.array[self.factor((name, k), i).place]
-        return found
+                if name == matrix and not _constant(result[i, k]):
+                    result[i, k] = self.array[self.factor((name, k), i).place]
+        return result
 
     def turned(self, matrix: str, rest: Any) -> Any:
         """Return the product with the matrix. ``rest`` is the product for columns that are not in the array."""
-        found = ca.SX(rest)
+        result = ca.SX(rest)
         for name, k in self._first:
             if name == matrix:
-                found[:, k] = self.result[self._places((name, k))]
-        return found
+                result[:, k] = self.result[self._places((name, k))]
+        return result
 
     def product(self, left: Sequence[Sequence[Factor]]) -> Product:
         """Return the product of the matrix ``left`` with the stored columns."""
@@ -233,8 +233,8 @@ def _taped(g: EkfGraphs, both: Any, early: Any, late: Any) -> tuple[Any, Any, An
     tuple[SX, SX, SX]
         Adjoint with symbols; all symbols that it reads from the tape; the expressions of these symbols.
     """
-    given = ca.vertcat(*[v for name, v in g.inputs.items() if name != "p"], early)
-    both, symbols, values = without_slow(both, g.p, given, late)
+    known_forward = ca.vertcat(*[v for name, v in g.inputs.items() if name != "p"], early)
+    both, symbols, values = without_slow(both, g.p, known_forward, late)
     kept = [entry for entry, used in zip(ca.vertsplit(g.s), ca.which_depends(both, g.s), strict=True) if used]
     return both, *(ca.vertcat(ca.SX(0, 1), *kept, *more) for more in (symbols, values))
 

@@ -282,12 +282,12 @@ class EkfGraphs:
         """Updates of the sensors, one for each sensor in order."""
         z = self.output(self.mean, self.u, self.p)
         H = ca.jacobian(z, self.mean) if self.covariance else None
-        found, first = [], 0
+        result, first = [], 0
         for sensor in self.model.sensors:
             rows = slice(first, first + len(sensor.outputs))
-            found.append(self._update(sensor, self.y[rows], z[rows], None if H is None else H[rows, :]))
+            result.append(self._update(sensor, self.y[rows], z[rows], None if H is None else H[rows, :]))
             first = rows.stop
-        return tuple(found)
+        return tuple(result)
 
     def _update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
         """Update by one scalar after the other. This is exact for independent noises and inverts no matrix."""

@@ -68,13 +68,13 @@ def simplified(expression: Any) -> Any:
     -----
     Drag and its derivatives are half of many models. The derivatives of the new form have half as many products.
     """
-    given = ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))
-    f = ca.Function("f", [given], [ca.densify(ca.cse(expression))])
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))
+    f = ca.Function("f", [symbols], [ca.densify(ca.cse(expression))])
 
     def apply(code: int, *x: Any) -> Any:
         return _product(*x) if code == ca.OP_MUL else operation(code, *x)
 
-    return ca.vertcat(ca.SX(0, 1), *instructions(f, lambda _, j: given[j], ca.SX, apply)[0])
+    return ca.vertcat(ca.SX(0, 1), *instructions(f, lambda _, j: symbols[j], ca.SX, apply)[0])
 
 
 def _product(a: Any, b: Any) -> Any:
@@ -116,11 +116,11 @@ def reverse_mode(expression: Any, by: Any, weight: Any) -> Any:
     before they pass on to y. This takes one product for each quotient instead of two. The derivative of ``x |x|`` is
     ``2 |x|``.
     """
-    others = [v for v in ca.symvar(expression) if not any(ca.which_depends(v, by))]
-    given = (by, ca.vertcat(ca.SX(0, 1), *others))
-    f = ca.Function("f", given, [ca.densify(ca.cse(expression))])
+    other_symbols = [v for v in ca.symvar(expression) if not any(ca.which_depends(v, by))]
+    arguments = (by, ca.vertcat(ca.SX(0, 1), *other_symbols))
+    f = ca.Function("f", arguments, [ca.densify(ca.cse(expression))])
     sweep = _Sweep()
-    leaves = [[sweep.leaf(v) for v in ca.vertsplit(part)] if part.numel() else [] for part in given]
+    leaves = [[sweep.leaf(v) for v in ca.vertsplit(part)] if part.numel() else [] for part in arguments]
     (ends,) = instructions(f, lambda i, j: leaves[i][j], lambda x: sweep.leaf(ca.SX(x)), sweep.node)
     for end, bar in zip(ends, ca.vertsplit(weight), strict=True):
         sweep.add(end, bar)

@@ -46,15 +46,15 @@ def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False)
     with _lock:
         at = id(model), covariance, joseph
         known_model, programs = _by_model.get(at, (None, None))
-        found = programs() if programs and known_model and known_model() is model else None
-        if found is None:
-            made = Programs(model, covariance, joseph)
-            found = _known.setdefault(made.key, made)
-            _by_model[at] = ref(model, lambda _: _by_model.pop(at, None)), ref(found)
-        if found in _recent:
-            _recent.remove(found)
-        _recent.append(found)
-        return found
+        kernels = programs() if programs and known_model and known_model() is model else None
+        if kernels is None:
+            new = Programs(model, covariance, joseph)
+            kernels = _known.setdefault(new.key, new)
+            _by_model[at] = ref(model, lambda _: _by_model.pop(at, None)), ref(kernels)
+        if kernels in _recent:
+            _recent.remove(kernels)
+        _recent.append(kernels)
+        return kernels
 
 
 class Programs:

@@ -134,12 +134,12 @@ class Kernel:
         Kernel or None
             None if the machine code is not in the cache.
         """
-        found = jit.load_known(code, "kernel")
-        if found is None:
+        loaded = jit.load_known(code, "kernel")
+        if loaded is None:
             return None
         self = cls.__new__(cls)
         self.layout, self._make, self.code = layout, make, code
-        self._loop = self._linked(*found)
+        self._loop = self._linked(*loaded)
         return self
 
     @cached_property
@@ -243,7 +243,7 @@ class Kernel:
                 max(stop, default=0) > rows_given):  # fmt: skip
             raise ValueError(f"segments: each needs a start value and at least one of the {rows_given} given rows")
         longest = max(lengths, default=0)
-        found = {name: np.empty((len(start), layout.sizes[name])) for name in wanted}
+        last_rows = {name: np.empty((len(start), layout.sizes[name])) for name in wanted}
         state, mask = np.array(begin, dtype=np.float64, order="C"), np.full(longest, ALL_BITS, np.uint32)
         arrays, moves = {}, []
         for name, size in layout.sizes.items():
@@ -266,9 +266,9 @@ class Kernel:
             else:
                 at = [a + first * row + k * segment for a, row, segment in moves]
                 self._entry(last - first, 1, mask.ctypes.data, *at, *flags)
-            for name, into in found.items():
+            for name, into in last_rows.items():
                 into[k] = arrays[name][last - first - 1]
-        return found
+        return last_rows
 
     def seeds(self, size: int, chosen: Sequence[int], groups: int | None = None) -> Array:
         """Return unit vectors (groups, size, width): lane j has a one at entry ``chosen[j]``."""

@@ -203,16 +203,16 @@ class LlvmEmitter:
     def _instructions(self, part: LoopSegment) -> None:
         """Write the instructions of one stage."""
         f = part.function
-        given, names = f.name_in(), f.name_out()
+        arguments, names = f.name_in(), f.name_out()
         late: list[tuple[str, int, Value]] = []
 
         def done(i: int, j: int, value: Value) -> None:
-            if names[i] in given or names[i] in self.plan.summed:
+            if names[i] in arguments or names[i] in self.plan.summed:
                 late.append((names[i], j, value))  # the stage may still have to read the old value
             else:
                 self._store(names[i], j, value)  # a value stored at once needs no register any more
 
-        instructions(f, lambda i, j: self._load(given[i], j), self._constant, self._apply, done)
+        instructions(f, lambda i, j: self._load(arguments[i], j), self._constant, self._apply, done)
         for result in late:
             self._store(*result)
 

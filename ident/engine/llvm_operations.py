@@ -65,10 +65,10 @@ def _templates() -> dict[int, str]:
         ca.OP_NEG: "fneg {T} {0}",
         ca.OP_FMOD: "frem {T} {0}, {1}",
     }
-    one = "sqrt exp log fabs floor ceil tan asin acos atan sinh cosh tanh"
-    two = "pow constpow copysign atan2 fmin fmax"
+    unary = "sqrt exp log fabs floor ceil tan asin acos atan sinh cosh tanh"
+    binary = "pow constpow copysign atan2 fmin fmax"
     renamed = {"constpow": "pow", "fmin": "minnum", "fmax": "maxnum"}
-    for operands, names in (("{0}", one), ("{0}, {T} {1}", two)):
+    for operands, names in (("{0}", unary), ("{0}, {T} {1}", binary)):
         for name in names.split():
             intrinsic = renamed.get(name, name)
             table[getattr(ca, "OP_" + name.upper())] = f"call {{T}} @llvm.{intrinsic}.{{S}}({{T}} {operands})"

@@ -211,8 +211,8 @@ def without_slow(expression: Any, constant: Any, early: Any, late: Any) -> tuple
     tuple[SX, list[SX], list[SX]]
         The expression with symbols, the symbols, and the expressions that they replace.
     """
-    given = (ca.vertcat(constant, early), late)
-    f = ca.Function("f", given, [ca.densify(ca.cse(expression))])
+    arguments = (ca.vertcat(constant, early), late)
+    f = ca.Function("f", arguments, [ca.densify(ca.cse(expression))])
     symbols: list[Any] = []
     values: list[Any] = []
 
@@ -225,5 +225,5 @@ def without_slow(expression: Any, constant: Any, early: Any, late: Any) -> tuple
             symbols.append(replaced)
         return original, replaced
 
-    (ends,) = instructions(f, lambda i, j: (given[i][j],) * 2, lambda x: (ca.SX(x),) * 2, apply)
+    (ends,) = instructions(f, lambda i, j: (arguments[i][j],) * 2, lambda x: (ca.SX(x),) * 2, apply)
     return ca.vertcat(*[replaced for _, replaced in ends]), symbols, values

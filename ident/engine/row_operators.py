@@ -72,10 +72,10 @@ def apply_rows(
         return np.asarray(x[n % 2])
     now = x[0]
     for k in range(n):
-        found = operators[k][:, where] @ np.concatenate([now, drive[k]])
+        products = operators[k][:, where] @ np.concatenate([now, drive[k]])
         stored = at[k] != NOWHERE
-        out[at[k][stored]] = found[s:][stored]
-        now = found[:s]
+        out[at[k][stored]] = products[s:][stored]
+        now = products[:s]
         now[rows] += ahead[k] * drive[k + 1, : rows.size]
     return np.asarray(now)
 

@@ -45,18 +45,18 @@ class VectorisedModel:
             Rates and outputs.
         """
         columns = self.columns(x, u, values)
-        found = np.empty((len(columns), len(x))).T  # transposed, so that every column is contiguous
+        result = np.empty((len(columns), len(x))).T  # transposed, so that every column is contiguous
         for j, column in enumerate(columns):
-            found[:, j] = column
-        return found
+            result[:, j] = column
+        return result
 
     def columns(self, x: Array, u: Array, values: Array) -> list[Array]:
         """Return the rates, followed by the outputs, as a list of columns (n_rows,)."""
         with np.errstate(all="ignore"):
             try:
                 s = self.model.signals(list(x.T), list(u.T), values.tolist())
-                found = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
-                return [c if np.shape(c) == (len(x),) else np.full(len(x), c, dtype=np.float64) for c in found]
+                signals = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
+                return [c if np.shape(c) == (len(x),) else np.full(len(x), c, dtype=np.float64) for c in signals]
             except (TypeError, ValueError):
                 return list(np.asarray(self._both(x.T, u.T, values)))
 
@@ -73,7 +73,7 @@ class VectorisedModel:
 
         The arguments are passed in buffers, because CasADi copies other arguments several times.
         """
-        found = np.empty((len(x), n, self.n_states))
+        jacobians = np.empty((len(x), n, self.n_states))
         part_x, part_u, p = np.zeros((ROWS, x.shape[1])), np.zeros((ROWS, u.shape[1])), np.array(values, np.float64)
         slopes = np.empty((ROWS, self.n_states, n))
         buffer, evaluate = function.buffer()
@@ -84,8 +84,8 @@ class VectorisedModel:
             size = len(x[first : first + ROWS])
             part_x[:size], part_u[:size] = x[first : first + ROWS], u[first : first + ROWS]
             evaluate()
-            found[first : first + size] = slopes[:size].swapaxes(1, 2)
-        return found
+            jacobians[first : first + size] = slopes[:size].swapaxes(1, 2)
+        return jacobians
 
     @cached_property
     def _symbols(self) -> tuple[list[Any], Any, Any]:
@@ -98,23 +98,23 @@ class VectorisedModel:
 
     @cached_property
     def _both(self) -> Any:
-        given, rate, y = self._symbols
-        return ca.Function("rates_and_outputs", given, [ca.densify(ca.vertcat(rate, y))])
+        symbols, rate, y = self._symbols
+        return ca.Function("rates_and_outputs", symbols, [ca.densify(ca.vertcat(rate, y))])
 
     @cached_property
     def _output_jacobian(self) -> Any:
-        given, _, y = self._symbols
-        return _by_rows("H", given, ca.jacobian(y, given[0]))
+        symbols, _, y = self._symbols
+        return _by_rows("H", symbols, ca.jacobian(y, symbols[0]))
 
     @cached_property
     def _rate_jacobian(self) -> Any:
-        given, rate, _ = self._symbols
-        return _by_rows("A", given, ca.jacobian(rate, given[0]))
+        symbols, rate, _ = self._symbols
+        return _by_rows("A", symbols, ca.jacobian(rate, symbols[0]))
 
 
-def _by_rows(name: str, given: list[Any], slopes: Any) -> Any:
+def _by_rows(name: str, symbols: list[Any], slopes: Any) -> Any:
     """Return a function of the derivatives for ``ROWS`` rows of states and inputs. The parameters are common to all
     rows.
     """
-    single_row = ca.Function(name, given, [ca.densify(slopes)])
+    single_row = ca.Function(name, symbols, [ca.densify(slopes)])
     return single_row.map(f"{name}_by_rows", "serial", ROWS, [2], [])

@@ -87,15 +87,15 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
     KeyError
         If the model has no sensor of that name.
     """
-    known = [s.name for s in model.sensors]
-    wanted = known if sensors is None else list(sensors)
-    unknown = sorted(set(wanted) - set(known))
+    available = [s.name for s in model.sensors]
+    chosen = available if sensors is None else list(sensors)
+    unknown = sorted(set(chosen) - set(available))
     if unknown:
-        raise KeyError(f"model {model.name} has no sensor {unknown[0]!r}; it has {', '.join(known)}")
+        raise KeyError(f"model {model.name} has no sensor {unknown[0]!r}; it has {', '.join(available)}")
     return replace(
         model,
         sensors=tuple(
-            replace(s, outputs=tuple(replace(o, robust=True) for o in s.outputs)) if s.name in wanted else s
+            replace(s, outputs=tuple(replace(o, robust=True) for o in s.outputs)) if s.name in chosen else s
             for s in model.sensors
         ),
     )

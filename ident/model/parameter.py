@@ -129,8 +129,11 @@ class Parameter:
     @property
     def provenance(self) -> ParameterOrigin:
         """Origin of the value after a fit."""
-        known = self.prior is not None and self.origin in (ParameterOrigin.MEASURED, ParameterOrigin.PRIOR)
-        return self.origin if known or not self.free else ParameterOrigin.ESTIMATED
+        informative = self.prior is not None and self.origin in (
+            ParameterOrigin.MEASURED,
+            ParameterOrigin.PRIOR,
+        )
+        return self.origin if informative or not self.free else ParameterOrigin.ESTIMATED
 
     def to_free(self, value: float) -> float:
         """Convert a value to the coordinate of the estimator."""

@@ -104,13 +104,13 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     if kind == "kinematic":
         return _kinematic(source, options, sensors)
     module = importlib.import_module(f"seatrial.ident.models.{kind}")
-    maker: Callable[..., Model] = getattr(module, f"{kind}_model")
+    make: Callable[..., Model] = getattr(module, f"{kind}_model")
     for place, option in enumerate(options):
         allowed = OPTIONS[kind][place] if place < len(OPTIONS[kind]) else ()
         if option not in allowed:
             advice = f"choose {', '.join(allowed)}" if allowed else "no further option is possible"
             raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} at this place; {advice}")
-    return maker(*options)
+    return make(*options)
 
 
 def _is_step(options: Sequence[str]) -> bool:

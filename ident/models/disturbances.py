@@ -305,8 +305,8 @@ def variables_of(model: Model) -> tuple[Variable, ...]:
     """
     if model.variables or "hull" not in model.provides:
         return model.variables
-    known = {i.name for i in model.inputs} | {s.name for s in model.states}
-    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= known for letter in ("n", "f"))
+    signal_names = {i.name for i in model.inputs} | {s.name for s in model.states}
+    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= signal_names for letter in ("n", "f"))
     return MOTION + (SHAFTS if shafts else THRUSTS if thrusts else ())
 
 

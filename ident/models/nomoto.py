@@ -279,7 +279,7 @@ def _inputs(s: Signals, ago: Any) -> list[Any]:
     The current estimate of their time errors is included.
     """
     weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / STEP - TAPS[0], len(TAPS))
-    found = []
+    inputs = []
     for side in SIDES:
         copies = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
         value = sum(w * n for w, n in zip(weights, copies, strict=True))
@@ -288,8 +288,8 @@ def _inputs(s: Signals, ago: Any) -> list[Any]:
             change = [(late - early) / (2 * STEP) for early, late in zip(extended[:-2], extended[2:], strict=True)]
             delay = s.p.sigma_n * getattr(s.x, STAMP_ERROR_PREFIX + side) * np.exp(-ago / STAMP_ERROR_TIME_S)
             value = value + delay * sum(w * d for w, d in zip(weights, change, strict=True))
-        found.append(value)
-    return found
+        inputs.append(value)
+    return inputs
 
 
 def delayed(s: Signals) -> None:

@@ -65,10 +65,10 @@ def dimension(unit: str) -> Dimension:
 
 def unit_over(unit: str, *others: str) -> str:
     """Return ``unit`` divided by the other units. For example, ``N m`` over ``N`` is ``m``."""
-    found = dimension(unit)
+    result = dimension(unit)
     for other in others:
-        found = Dimension(*(a - b for a, b in zip(found, dimension(other), strict=True)))
-    return found.unit
+        result = Dimension(*(a - b for a, b in zip(result, dimension(other), strict=True)))
+    return result.unit
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ class VesselScale:
 
     def of(self, unit: str) -> float:
         """Return the factor by which a quantity of this unit scales."""
-        found = dimension(unit)
-        return float(self.mass**found.mass * self.length ** (found.length + 0.5 * found.time))
+        exponents = dimension(unit)
+        return float(self.mass**exponents.mass * self.length ** (exponents.length + 0.5 * exponents.time))
 
 
 def force_power(unit: str) -> int:

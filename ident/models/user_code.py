@@ -70,10 +70,10 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
     if not path.is_file():
         place = os.path.normpath(path)
         raise SeatrialError(f"{named_by}: {place}: no such Python file; the model was made with it, so put it there")
-    found = Path(os.path.normpath(path))
+    normal_path = Path(os.path.normpath(path))
     if _TRUST.get():
-        remember(found)
-        return found
+        remember(normal_path)
+        return normal_path
     if not path.resolve().is_relative_to(folder):
         reason = "is not in its folder"
     elif digest is None:
@@ -83,8 +83,8 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
     elif _full_digest(path) not in _known_digests():
         reason = "was never run by you before"
     else:
-        return found
-    raise SeatrialError(f"{named_by}: {found} {reason}, so it is not run; read it, and run it with --trust-code")
+        return normal_path
+    raise SeatrialError(f"{named_by}: {normal_path} {reason}, so it is not run; read it, and run it with --trust-code")
 
 
 def known_file() -> Path:
@@ -162,8 +162,8 @@ def load_object(source: str) -> Any:
     file, _, name = source.rpartition(":")
     module = load_python(Path(file))
     try:
-        found = getattr(module, name)
-        return found() if callable(found) else found
+        loaded = getattr(module, name)
+        return loaded() if callable(loaded) else loaded
     except Exception as problem:
         raise SeatrialError(
             f"{error_place(problem, Path(file))}: {name} cannot be loaded: {error_message(problem)}"
@@ -179,10 +179,10 @@ def load_effects(path: Path) -> dict[str, Effect]:
         If the file cannot be loaded or defines no effects.
     """
     module = load_python(path)
-    found = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
-    if not found or not all(isinstance(e, Effect) for e in found):
+    effects = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
+    if not effects or not all(isinstance(e, Effect) for e in effects):
         raise SeatrialError(f"{path}: defines neither EFFECT nor EFFECTS of seatrial.ident.model.structure.Effect")
-    return {e.name: e for e in found}
+    return {e.name: e for e in effects}
 
 
 def effects_for(model: Model, path: Path) -> dict[str, Effect]:
@@ -195,11 +195,11 @@ def effects_for(model: Model, path: Path) -> dict[str, Effect]:
     SeatrialError
         If an effect cannot be evaluated. The message has the file, the line and the reason.
     """
-    found = load_effects(path)
-    for effect in found.values():
+    effects = load_effects(path)
+    for effect in effects.values():
         if model.accepts(effect):
             check_user_model(model + effect, path)
-    return found
+    return effects
 
 
 def check_user_model(model: Model, path: Path) -> Model:

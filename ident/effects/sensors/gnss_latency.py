@@ -84,11 +84,11 @@ def _earlier_lag_states(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]
     half, lag = s.p.tau_gnss / 2, np.maximum(s.p.T_lag, SHORTEST_LAG)
     far = np.maximum(half / lag, 0.5)
     by_rate = np.minimum((2 / far - 1) / far, 1.0)
-    led, found = s.again({}, inputs, {}), {}
+    led, states = s.again({}, inputs, {}), {}
     for name in (f"late_{side}" for side in SIDES):
         change = lag * (led.rate[name] - s.rate[name])  # change of the input that the state follows
-        found[name] = getattr(s.x, name) - by_rate * half * s.rate[name] + (1 - by_rate) * change
-    return found
+        states[name] = getattr(s.x, name) - by_rate * half * s.rate[name] + (1 - by_rate) * change
+    return states
 
 
 TAU = Parameter(
