@@ -262,8 +262,8 @@ def shape(
 def whole_band(B: Array, P: Array, n: int = 4000) -> float:
     """Return the critical value of the simultaneous 95 % band of a curve ``B t``.
 
-    It is the number of pointwise standard deviations within which the whole curve lies with a probability of 95 %
-    (Ruppert, Wand and Carroll 2003, section 6.5).
+    The critical value is the number of pointwise standard deviations within which the whole curve lies with a
+    probability of 95 % (Ruppert, Wand and Carroll 2003, section 6.5).
 
     Parameters
     ----------
@@ -284,7 +284,8 @@ def whole_band(B: Array, P: Array, n: int = 4000) -> float:
 def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array:
     """Return a bound of the error of linear interpolation between knots, shape (n_points,).
 
-    It is an eighth of the second difference of the knots at the middle of an interval, and less towards the knots.
+    The bound is an eighth of the second difference of the knots at the middle of an interval, and less towards the
+    knots.
 
     Parameters
     ----------

@@ -8,8 +8,9 @@ of the Kalman gain. With P, H and S of the filter along the predicted path,
 
     de = H X + dh/dp,   F += de' S^-1 de,   X -= K de,   X <- d step / d (x, p) (X, 1)
 
-This is exact for the part ``de' S^-1 de`` of the Fisher information. The part ``1/2 tr(S^-1 dS S^-1 dS)`` informs the
-noise parameters; only `filter_plans` computes it. Without process noise (output error), P and K are zero and S is R.
+The recursion is exact for the part ``de' S^-1 de`` of the Fisher information. The part ``1/2 tr(S^-1 dS S^-1 dS)``
+informs the noise parameters; only `filter_plans` computes it. Without process noise (output error), P and K are zero
+and S is R.
 """
 
 from __future__ import annotations

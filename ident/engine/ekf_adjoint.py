@@ -216,7 +216,7 @@ def _of_series(A: Any, Phi: Any, T: Any) -> Any:
 
 
 def _taped(g: EkfGraphs, both: Any, early: Any, late: Any) -> tuple[Any, Any, Any]:
-    """Replace slow operations of an adjoint by symbols and collect what it reads from the tape.
+    """Replace slow operations of an adjoint by symbols, and collect the values that it reads from the tape.
 
     Only the entries of the state on which the adjoint depends are stored. In a filter these are less than half of the
     entries. Storing all of them would make the forward pass a sixth slower by memory traffic alone.

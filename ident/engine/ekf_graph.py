@@ -290,7 +290,7 @@ class EkfGraphs:
         return tuple(result)
 
     def _update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
-        """Update by one scalar after the other. This is exact for independent noises and inverts no matrix."""
+        """Update by one scalar after the other, which is exact for independent noises. No matrix is inverted."""
         dx, P, ll, steps = 0 * self.mean, self.P if self.covariance else None, 0, []
         for i, output in enumerate(sensor.outputs):
             sample = Sample(output, y[i] - z[i], None if H is None else H[i, :], self._parameter(output.noise) ** 2)

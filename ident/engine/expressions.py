@@ -113,7 +113,7 @@ def reverse_mode(expression: Any, by: Any, weight: Any) -> Any:
 
     Notes ----- The result has fewer products than CasADi's own derivative. ``x / y`` is differentiated as ``x r`` with
     ``r = 1 / y``, which is how the kernels compute it. The derivatives by r of all quotients with the same y are added
-    before they pass on to y. This takes one product for each quotient instead of two. The derivative of ``x |x|`` is
+    before they pass on to y. Each quotient then takes one product instead of two. The derivative of ``x |x|`` is
     ``2 |x|``.
     """
     other_symbols = [v for v in ca.symvar(expression) if not any(ca.which_depends(v, by))]

@@ -50,8 +50,8 @@ def score(z: Any) -> Any:
 def score_slope(z: Any) -> Any:
     """Return ``psi'``, which never exceeds 1, so that P stays positive.
 
-    It is 1 for good samples and about 0 for outliers. It is negative between them, where a sample may be good or an
-    outlier. The update then increases the variance of the state, because two values of the state are plausible.
+    The slope is 1 for good samples and about 0 for outliers. The slope is negative in between, if a sample may be good
+    or an outlier. The update then increases the variance of the state, because two values of the state are plausible.
     """
     w, apart, square = robust_weight(z), z - _outlier_score(z), WIDTH**2 + z * z
     return w + (1.0 - w) * 2.0 * (WIDTH**2 - z * z) / (square * square) - w * (1.0 - w) * apart * apart

@@ -133,8 +133,8 @@ class Input:
     delay : float
         Delay of the copy [s].
     prefilter : bool
-        Whether the input is averaged over the same time as the sensors. It is True if forces follow the input at once.
-        It is False for a command that a lag of the model smooths anyway, and for a measured signal of a sensor.
+        Whether the input is averaged over the same time as the sensors. Inputs that forces follow at once are averaged.
+        A command that a lag of the model smooths anyway, and a measured signal of a sensor, are not averaged.
     """
 
     name: str

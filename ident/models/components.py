@@ -1,7 +1,7 @@
 """Components that the rig file, the logs or the user request, and that the search for missing effects never adds.
 
-They are the lever arm of the antenna, the age of telemetry, a random-walk current, navigation errors of an estimator,
-and the calibration of a thrust curve.
+The components are the lever arm of the antenna, the age of telemetry, a random-walk current, navigation errors of an
+estimator, and the calibration of a thrust curve.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Augmented disturbance states: first-order Gauss-Markov forces and random-walk sensor biases.
 
-They keep prediction intervals calibrated while an effect is missing from the model. The smoother turns them into
-residual forces. The diagnosis starts from the forces and measurement errors of a model, and from the variables on which
-they may depend (`residuals_of`, `readings_of`, `variables_of`).
+The disturbance states keep prediction intervals calibrated while an effect is missing from the model. The smoother
+turns them into residual forces. The diagnosis starts from the forces and measurement errors of a model, and from the
+variables on which they may depend (`residuals_of`, `readings_of`, `variables_of`).
 """
 
 from __future__ import annotations
@@ -139,8 +139,8 @@ PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
     """Return first-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw.
 
-    They represent the part of the motion that the model does not explain. The smoother turns them into residual forces
-    with a covariance (Kristensen, Madsen and Jorgensen 2004).
+    The forces represent the part of the motion that the model does not explain. The smoother turns them into residual
+    forces with a covariance (Kristensen, Madsen and Jorgensen 2004).
 
     Parameters
     ----------
@@ -201,8 +201,8 @@ def forces_of(model: Model) -> tuple[str, ...]:
 def shaft_disturbance() -> Effect:
     """Return an Ornstein-Uhlenbeck acceleration ``b_n`` [1/s] of a shaft on the bench.
 
-    It represents deviations from the first-order response to the command. The model has its own disturbance force
-    ``b_f``.
+    The acceleration represents deviations from the first-order response to the command. The model has its own
+    disturbance force ``b_f``.
     """
     tau, sd = 0.3, 0.03
     q = sd * float(np.sqrt(2 / tau))

@@ -314,7 +314,7 @@ def _arms(p: Any) -> dict[str, Any]:
 def symmetric_arms(model: Model) -> Model:
     """Return the model with one estimated arm ``y_arm`` for both thrusters, in the place of ``y_left`` and ``y_right``.
 
-    It is for a boat with unknown arms. The prior is wide: a factor of e in both directions.
+    Use this model for a boat with unknown arms. The prior of the arm is wide: a factor of e in both directions.
     """
     own = tuple(p for p in model.parameters if p.name not in ("y_left", "y_right"))
     return replace(model, parameters=(*own, *UNKNOWN_ARM), source=f"{model.source}:{SYMMETRIC}")

@@ -1,7 +1,7 @@
 """Surge and steering without sideslip: first-order Nomoto model (Nomoto 1957; Fossen 2011, section 7.2).
 
-It is for vehicles that move in the direction of their heading, and whose yaw rate follows the difference of their sides
-at once or with one time constant. Examples are tracked and wheeled vehicles, jets, rudders or vanes behind two
+The model suits vehicles that move in the direction of their heading, and whose yaw rate follows the difference of their
+sides at once or with one time constant. Examples are tracked and wheeled vehicles, jets, rudders or vanes behind two
 thrusters, and most autopilot simulators. The model has no sway force and no yaw moment, so it needs no arm and no
 moment of inertia in yaw.
 
@@ -341,8 +341,8 @@ def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]
     """Return the yaw rate [rad/s] and the acceleration [m/s2] a time ``ago`` [s], with the present disturbances.
 
     Influences of effects on the inputs are treated like disturbances: only the inputs themselves are changed to their
-    earlier values. A change of thrust is therefore reverted without effects such as a lag, a dead band or a loss. This
-    is exact in steady state.
+    earlier values. A change of thrust is therefore reverted without effects such as a lag, a dead band or a loss. The
+    result is exact in steady state.
     """
     x, p, now = s.x, s.p, s.n_now
     direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows the inputs without a lag

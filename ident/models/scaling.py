@@ -2,8 +2,8 @@
 
 The priors of effects are for the boat of the catalogue. For example, a moment of 2 N m is plausible on a boat of 37 kg
 and negligible on a ferry. The boat at hand is treated as a scaled copy of the boat of the catalogue, with ``mass``
-times the mass and ``length`` times the length. It moves by Froude's law: accelerations are equal because gravity is
-equal, so times and speeds scale with the square root of the length. A quantity of the unit kg^a m^b s^c then scales
+times the mass and ``length`` times the length. The boat moves by Froude's law: accelerations are equal because gravity
+is equal, so times and speeds scale with the square root of the length. A quantity of the unit kg^a m^b s^c then scales
 with
 
     mass^a length^(b + c/2),

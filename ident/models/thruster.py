@@ -5,9 +5,9 @@
 ``n_ref`` is the command, delayed by ``tau``. It is zero inside the dead zone ``|n_cmd| < d``.
 
 The data set contains copies of the command with delays of multiples of a step (``delayed_channels``). The model mixes
-the two or four copies next to ``tau`` by cubic convolution (Keys 1981). This keeps the mean and variance of the delay
-exact and has a continuous derivative by ``tau``. No states are needed, and a step of the command stays a step in every
-copy.
+the two or four copies next to ``tau`` by cubic convolution (Keys 1981). The convolution keeps the mean and variance of
+the delay exact, and its derivative by ``tau`` is continuous. No states are needed, and a step of the command stays a
+step in every copy.
 
 ``b_f`` is an Ornstein-Uhlenbeck force. It models the oscillation of the load cell, which is not white noise.
 """

@@ -90,7 +90,7 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
 def known_file() -> Path:
     """Return the file with the hashes of Python files that this user has run.
 
-    It is ``SEATRIAL_KNOWN_CODE``, or ``~/.local/state/seatrial/known-code``.
+    The file is ``SEATRIAL_KNOWN_CODE``, or ``~/.local/state/seatrial/known-code``.
     """
     chosen = os.environ.get("SEATRIAL_KNOWN_CODE")
     return Path(chosen) if chosen else Path.home() / ".local" / "state" / "seatrial" / "known-code"

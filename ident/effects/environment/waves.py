@@ -1,9 +1,9 @@
 """First-order wave forces: narrow-band forces with a spectral peak that no input explains.
 
 Each force is the output of a second-order filter driven by white noise (linear approximation of the wave spectrum,
-Fossen 2011, section 8.2). Its size A is a standard deviation, so the likelihood is an even function of A and its score
-at zero vanishes. A score test therefore cannot detect waves. They are detected as a peak in the spectrum of the
-innovations (``seatrial.ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
+Fossen 2011, section 8.2). The size A of a force is a standard deviation. The likelihood is therefore an even function
+of A, and its score at zero vanishes. A score test cannot detect waves. Waves are detected as a peak in the spectrum of
+the innovations (``seatrial.ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ def blow(s: Signals) -> None:
     (F_wx, F_wy) is the wind force in NED on a boat at rest with the wind on the broadside. The wind velocity follows
     from this force and k_air.
 
-    The velocity of the boat changes the relative wind. This part has no derivative at zero wind, because the wind
-    velocity is the square root of the force. It is therefore faded out below the force of a wind of 1 m/s. The
+    The velocity of the boat changes the relative wind. This change has no derivative at zero wind, because the wind
+    velocity is the square root of the force. The change is therefore faded out below the force of a wind of 1 m/s. The
     derivative at zero wind is then that of a steady force.
     """
     p, psi = s.p, s.x.psi

@@ -2,8 +2,8 @@
 
 The delay uses delayed copies of the input (``NAME~k``: the input k steps of 0.1 s earlier, with the same hold). It
 interpolates them by cubic convolution (``seatrial.ident.models.horizontal.shift_in_time``). The lag is a state of each
-thruster. Each of them has a separate stage in the chain of the thruster, so that the order in which they are added does
-not matter. Both have a derivative at zero.
+thruster. Delay and lag have separate stages in the chain of the thruster, so that the order in which the effects are
+added does not matter. Both effects have a derivative at zero.
 
 A Nomoto model is integrated back to the times of a GNSS fix and a gyro sample. In such a model the lag is approximate
 while the thrust changes: the earlier thrust and steering differ from the present ones only by the direct influence of

@@ -16,7 +16,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 def turn_body_velocity(s: Signals, angle: Any) -> None:
     """Rotate the measured body velocity by a heading error.
 
-    It is for a body velocity that was computed from the velocity over ground and the measured heading.
+    Use this function if the body velocity was computed from the velocity over ground and the measured heading.
 
     Parameters
     ----------
