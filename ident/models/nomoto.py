@@ -30,7 +30,7 @@ constant, and much influence while they change quickly. If sampled inputs were t
 straight lines between samples would bias masses and damping.
 
 GNSS. A fix is ``tau_gnss`` old, and is a mean over a time with the standard deviation ``sigma_gnss``. The smoothing of
-a receiver shortens the path in a turn by the factor ``r^2 sigma_gnss^2 / 2``, which is 5 % at 3 rad/s and 0.1 s. The
+a receiver shortens the path in a turn by a share of ``r^2 sigma_gnss^2 / 2``, or 5 % at 3 rad/s and 0.1 s. The
 modelled fix is the mean of the states ``sigma_gnss`` before and after the time ``tau_gnss`` ago (Gauss-Hermite
 quadrature with two points). The model is integrated backwards to these times. Accelerometers are not used, because they
 have a separate delay and measure gravity as the vehicle pitches.
