@@ -99,7 +99,10 @@ def refusal(folder: Path, text: str) -> str:
         ('return {"level": [1.0, 2.0]}', "tank.py:5: model tank: the rate of the state level is not a scalar"),
         ('return {"level": "full"}', "tank.py:5: one of the returned rates or outputs is not a number"),
         ('return {"level": math.sin(x.level)}', "tank.py:5: model tank: the rate of the state level has lost its"),
-        ('return {"level": (1, 2)[x.level]}', "tank.py:6: tuple indices must be integers or slices, not SX (the function is called with symbols"),
+        (
+            'return {"level": (1, 2)[x.level]}',
+            "tank.py:6: tuple indices must be integers or slices, not SX (the function is called with symbols",
+        ),
         ('return {"level": {}["a"]}', "tank.py:6: KeyError: 'a'"),
     ],
 )
