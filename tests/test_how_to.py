@@ -208,7 +208,7 @@ def test_a_model_of_another_package_has_a_name(installed: Path) -> None:
     assert [i.name for i in model.inputs] == ["n_main", "rudder"]
     with pytest.raises(SeatrialError, match=r"model 'rudder-boat:wide' .*TypeError"):
         make_model("rudder-boat:wide")
-    with pytest.raises(SeatrialError, match=r"there are horizontal, .*rudder-boat, or FILE.py:NAME"):
+    with pytest.raises(SeatrialError, match=r"choose horizontal, .*rudder-boat, or FILE.py:NAME"):
         make_model("sailboat")
 
 

@@ -1,4 +1,4 @@
-"""The catalogue of effects that a nominal model may lack, one file each, by physical origin."""
+"""Catalogue of effects that a nominal model may lack, one file each, by physical origin."""
 
 import lazy_loader
 

@@ -1,7 +1,8 @@
-"""Nonparametric effects: a residual force or sensor error as a curve over one variable, a linear spline with rounded
-corners, or harmonics of an angle.
+"""Nonparametric effects: a residual force or a sensor error as a curve over one variable.
 
-Besides, two responses to an input that no catalogue lists: first-order lagged and second-order resonant.
+The curve is a linear spline with rounded corners, or a sum of harmonics of an angle. The module also contains two
+responses of a force to an input that are not in the catalogue: a first-order lagged and a second-order resonant
+response.
 """
 
 from __future__ import annotations
@@ -32,19 +33,32 @@ from seatrial.ident.models import TIME, readings_of, residuals_of, thrust_losses
 from seatrial.ident.numerics import Array
 
 N_KNOTS, N_HARMONICS = 9, 3
-ROUNDING = 0.25  # of the spacing of the knots, to either side of a corner
+ROUNDING = 0.25  # half width of a rounded corner, relative to the spacing of the knots
 TIME_CONSTANTS = (0.25, 1.0, 4.0)  # s, time constants of the first-order lags
-FREQUENCIES = (0.2, 0.32, 0.5, 0.8, 1.2)  # Hz, natural frequencies that are tried
-DAMPING = 0.1
-OF_SENSORS = ("output", "reading")  # stages of what a sensor gets wrong, which is not the boat's
-FULL = 40.0  # N, full thrust of a thruster of the catalogue's boat: what an input in newtons usually is
+FREQUENCIES_HZ = (0.2, 0.32, 0.5, 0.8, 1.2)  # natural frequencies to try for a resonant response
+DAMPING = 0.1  # damping ratio of a resonant response
+SENSOR_STAGES = ("output", "reading")  # stages of sensor errors, which do not scale with the size of the boat
+FULL_THRUST_N = 40.0  # full thrust of a thruster on the boat of the catalogue: the scale of an input in newtons
 Signal = Callable[[Signals], Any]
 
 
 @dataclass(frozen=True)
 class NonparametricForce:
-    """A fitted nonparametric curve: the force over a grid of the variable, its pointwise standard deviation, and the
-    half width of the simultaneous 95 % band."""
+    """Fitted nonparametric curve.
+
+    Attributes
+    ----------
+    force, variable : str
+        Residual quantity and its variable.
+    grid : Array (n,)
+        Values of the variable [variable_unit].
+    value : Array (n,)
+        Residual quantity [unit].
+    sd : Array (n,)
+        Pointwise standard deviation [unit].
+    band : Array (n,)
+        Half width of the simultaneous 95 % band [unit].
+    """
 
     force: str
     variable: str
@@ -54,39 +68,50 @@ class NonparametricForce:
     band: Array
     unit: str
     variable_unit: str
-    reading: bool = False  # the error of a sensor, not a force
+    reading: bool = False  # whether the quantity is a sensor error instead of a force
 
 
 def harmonics(z: Any) -> list[Any]:
-    """Sines and cosines of an angle, its double and its triple."""
+    """Return the sines and cosines of an angle [rad], of twice and of three times the angle."""
     return [f(k * z) for k in range(1, N_HARMONICS + 1) for f in (np.sin, np.cos)]
 
 
 def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
-    """Linear B-splines (hat functions) over the span, constant beyond it, their corners rounded; harmonics for an
-    angle.
+    """Return the basis functions of a curve at z: linear B-splines with rounded corners, or harmonics of an angle.
 
-    At a corner the slope would jump, and the filter linearises by the slope: a sample that passes a knot would make the
-    likelihood jump (by 2.4 on a boat with a steep curve), on whose edge a search stops short of the top. Each hat is
-    therefore the mean of itself over ROUNDING of the spacing to either side, which leaves lines and their sum of one as
-    they are.
+    Parameters
+    ----------
+    z : float, Array or symbol
+        Variable.
+    angle : bool
+        Whether the variable is an angle [rad].
+    span : tuple[float, float]
+        Range of the knots. Beyond this range the curve is constant.
+
+    Notes ----- The slope of a linear spline jumps at its knots, and the filter linearises by the slope. The likelihood
+    would therefore jump when a sample passes a knot (by 2.4 on a boat with a steep curve), and a search would stop at
+    the jump, below the maximum. Each spline is therefore replaced by its moving average over ROUNDING of the spacing in
+    both directions. Straight lines, and the sum of one of all splines, are not changed by the average.
     """
     if angle:
         return harmonics(z)
     low, high = span
     at = (z - low) / (high - low) * (N_KNOTS - 1)
-    bent = [_rounded_abs(at - k) for k in range(N_KNOTS)]
-    rise = [(1 + a - b) / 2 for a, b in pairwise(bent)]  # from 0 to 1 between two knots
+    distances = [_rounded_abs(at - k) for k in range(N_KNOTS)]
+    rise = [(1 + a - b) / 2 for a, b in pairwise(distances)]  # from 0 to 1 between two knots
     return [1 - rise[0], *(a - b for a, b in pairwise(rise)), rise[-1]]
 
 
 def _rounded_abs(z: Any) -> Any:
-    """The mean of the absolute value over ROUNDING to either side."""
+    """Return the moving average of the absolute value over ROUNDING in both directions."""
     return abs(z) + (ROUNDING - abs(z)) ** 2 / (2 * ROUNDING) * (abs(z) < ROUNDING)
 
 
 def _basis(residual: Residual, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
-    """The basis of the variable; of a relative residual without what it is at zero, the scale of the thrust."""
+    """Return the basis functions of the variable.
+
+    For a relative residual, their values at zero are subtracted: a constant factor belongs to the scale of the thrust.
+    """
     basis = spline_basis(z, angle, span)
     if not residual.relative:
         return basis
@@ -94,20 +119,26 @@ def _basis(residual: Residual, z: Any, angle: bool, span: tuple[float, float]) -
 
 
 def partition(model: Model, curve: ForceCurve) -> tuple[Residual, list[Variable]]:
-    """The residual and the variable, or the two of a product. Raises ValueError for what the model has not."""
+    """Return the residual of a curve and its variable, or the two variables of a product.
+
+    Raises
+    ------
+    ValueError
+        If the model lacks the residual or a variable.
+    """
     residuals = {r.name: r for r in (*residuals_of(model), *readings_of(model), *thrust_losses_of(model))}
     variables = {v.name: v for v in (*variables_of(model), TIME)}
     of = [curve.variable, curve.second] if curve.second else [curve.variable]
-    wanted = [(curve.force, list(residuals)), *((v, list(variables)) for v in of)]
-    for name, known in wanted:
-        if name not in known:
-            there = ", ".join(known)
-            raise ValueError(f"model {model.name} has no {name!r} for a nonparametric curve; it has {there}")
+    required = [(curve.force, list(residuals)), *((v, list(variables)) for v in of)]
+    for name, available in required:
+        if name not in available:
+            names = ", ".join(available)
+            raise ValueError(f"model {model.name} has no {name!r} for a nonparametric curve; it has {names}")
     return residuals[curve.force], [variables[name] for name in of]
 
 
 def _terms(of: Sequence[Variable]) -> list[str]:
-    """The meaning of each coefficient."""
+    """Return the meaning of each coefficient of a curve, by its term."""
     a = of[0].name
     if len(of) == 2:
         b = of[1].name
@@ -118,8 +149,23 @@ def _terms(of: Sequence[Variable]) -> list[str]:
 
 
 def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, float]) -> Effect:
-    """``force += sum_k t_k basis_k(variable)``, or coefficients of the products of two variables; of a thrust its
-    relative change."""
+    """Return the nonparametric effect ``force += sum_k t_k basis_k(variable)``.
+
+    Parameters
+    ----------
+    model : Model
+        Model with the residual and the variables.
+    curve : ForceCurve
+        Residual quantity and its variable. With two variables, the terms are products of them. For a relative residual,
+        the sum is a relative change of the thrust.
+    span : tuple[float, float]
+        Range of the variable that the knots cover.
+
+    Raises
+    ------
+    ValueError
+        If the model lacks the residual or a variable.
+    """
     residual, of = partition(model, curve)
     force, variable = curve.force, curve.variables
     terms_of = _terms(of)
@@ -143,18 +189,18 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
                 n,
                 0.0,
                 unit,
-                f"{force} {what}",
+                f"{force} {term}",
                 prior=(0.0, residual.scale),
                 step=0.03 * residual.scale,
-                scales=residual.stage not in OF_SENSORS,
+                scales=residual.stage not in SENSOR_STAGES,
             )
-            for n, what in zip(names, terms_of, strict=True)
+            for n, term in zip(names, terms_of, strict=True)
         ),
         inputs=(Input("t", "s", "linear"),) if curve.variable == "t" else (),
         place=residual.place,
         formula=f"{force} {'*= 1 +' if residual.relative else '+='} g({variable}), a nonparametric curve",
-        source="the residual itself",
-        experiment=f"runs that vary {variable} slowly over its whole range, with all else held",
+        source="the residuals of the fit",
+        experiment=f"runs that vary {variable} slowly over its whole range, with all other variables constant",
         requires=residual.requires,
         kind=EffectKind.NONPARAMETRIC,
         curve=curve,
@@ -170,10 +216,28 @@ def shape(
     covariance: Array,
     n: int = 60,
 ) -> NonparametricForce | None:
-    """The fitted curve with its band, without its mean (a constant belongs to other parameters), or of a relative
-    residual what it is beyond that at zero.
+    """Return the fitted nonparametric curve of an effect with its simultaneous 95 % band.
 
-    None for products of two variables, and for lagged and resonant responses.
+    Parameters
+    ----------
+    model : Model
+        Model with the residual and the variable.
+    effect : Effect
+        Nonparametric effect.
+    values : Mapping[str, float]
+        Fitted parameters by name.
+    names : Sequence[str]
+        Names of the parameters of `covariance`, in order.
+    covariance : Array (n_parameters, n_parameters)
+        Covariance of the estimates.
+    n : int
+        Number of points.
+
+    Returns
+    -------
+    NonparametricForce or None
+        The curve less its mean, because a constant belongs to other parameters. For a relative residual, the curve less
+        its value at zero. None for products of two variables, and for lagged and resonant responses.
     """
     span, curve = effect.span, effect.curve
     if span is None or curve is None or curve.second:
@@ -191,14 +255,25 @@ def shape(
     if not of[0].angle:
         band = band + between_knots(np.array([values[name] for name in own]), grid, span)
     return NonparametricForce(
-        curve.force, curve.variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage in OF_SENSORS
+        curve.force, curve.variable, grid, value, sd, band, residual.unit, of[0].unit, residual.stage in SENSOR_STAGES
     )
 
 
 def whole_band(B: Array, P: Array, n: int = 4000) -> float:
-    """Critical value of the simultaneous 95 % band of a curve ``B t``, t having the covariance P: the number of
-    standard deviations that hold the whole curve (Ruppert, Wand and Carroll 2003, section 6.5), from n draws of a
-    fixed seed."""
+    """Return the critical value of the simultaneous 95 % band of a curve ``B t``.
+
+    The critical value is the number of pointwise standard deviations within which the whole curve lies with a
+    probability of 95 % (Ruppert, Wand and Carroll 2003, section 6.5).
+
+    Parameters
+    ----------
+    B : Array (n_points, n_coefficients)
+        Basis functions.
+    P : Array (n_coefficients, n_coefficients)
+        Covariance of t.
+    n : int
+        Number of random curves, from a fixed seed.
+    """
     w, V = np.linalg.eigh(P)
     curves = B @ (V * np.sqrt(np.maximum(w, 0.0))) @ np.random.default_rng(0).standard_normal((len(P), n))
     sd = curves.std(axis=1, keepdims=True)
@@ -207,20 +282,37 @@ def whole_band(B: Array, P: Array, n: int = 4000) -> float:
 
 
 def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array:
-    """Error bound of linear interpolation between knots, (grid,): an eighth of the second difference in the middle of
-    an interval, less towards the knots."""
+    """Return a bound of the error of linear interpolation between knots, shape (n_points,).
+
+    The bound is an eighth of the second difference of the knots at the middle of an interval, and less towards the
+    knots.
+
+    Parameters
+    ----------
+    knots : Array (N_KNOTS,)
+        Values at the knots.
+    grid : Array (n_points,)
+        Values of the variable.
+    span : tuple[float, float]
+        First and last knot.
+    """
     bend = np.abs(np.diff(knots, 2))
-    worst = np.concatenate([bend[:1], np.maximum(bend[:-1], bend[1:]), bend[-1:]])  # of each interval, by its ends
+    # second difference of each interval: the larger value of its two ends
+    worst = np.concatenate([bend[:1], np.maximum(bend[:-1], bend[1:]), bend[-1:]])
     at = np.clip((grid - span[0]) / (span[1] - span[0]) * (N_KNOTS - 1), 0, N_KNOTS - 1)
     k = np.minimum(at.astype(int), N_KNOTS - 2)
     part = at - k
-    return np.asarray(worst[k] / 8 * np.maximum(4 * part * (1 - part), 0.5))  # a fit puts its knots off the curve, too
+    # at least half of the bound everywhere, because the fitted knots do not lie on the true curve either
+    return np.asarray(worst[k] / 8 * np.maximum(4 * part * (1 - part), 0.5))
 
 
 def input_response_effects(model: Model) -> list[Effect]:
-    """Lagged and resonant responses to each input that the model does not have; none without a pair of thrusters."""
+    """Return the lagged and the resonant response to each pair of thrusters that the model does not have yet.
+
+    Return [] for a model without a pair of thrusters.
+    """
     forces = {r.name: r for r in residuals_of(model)}
-    found = []
+    effects = []
     for variable in variables_of(model):
         pair = variable.pair
         force = forces.get("N" if pair.difference else "X") if pair is not None else None
@@ -231,13 +323,16 @@ def input_response_effects(model: Model) -> list[Effect]:
                 resonant_response(force, variable.name, drive, unit),
             ):
                 if model.accepts(effect):
-                    found.append(effect)
-    return found
+                    effects.append(effect)
+    return effects
 
 
 def _thrust(pair: ThrusterPair) -> Signal:
-    """Mean or half difference of the thrusts, of shafts relative to full thrust (quadratic in shaft speed), else as
-    given [N]."""
+    """Return the function that reads the mean or half difference of two thrusts.
+
+    Shaft speeds are converted to thrust relative to full thrust, quadratic in the shaft speed. Thrusts are used as
+    given [N].
+    """
 
     def read(s: Signals) -> Any:
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
@@ -249,13 +344,18 @@ def _thrust(pair: ThrusterPair) -> Signal:
 
 
 def _per_drive(force: Residual, unit: str) -> tuple[str, float, float]:
-    """Unit and scale of a coefficient of a drive in this unit, and the drive's own scale; without a unit it is a part
-    of full thrust."""
-    return unit_over(force.unit, unit), force.scale / (FULL if unit else 1.0), FULL if unit else 1.0
+    """Return unit and scale of a coefficient of force per drive, and the scale of the drive.
+
+    ``unit`` is the unit of the drive. A drive without a unit is thrust relative to full thrust.
+    """
+    full = FULL_THRUST_N if unit else 1.0
+    return unit_over(force.unit, unit), force.scale / full, full
 
 
 def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effect:
-    """First-order lagged response to w [``unit``]: ``F += sum_k t_k (z_k - w)``, ``z_k' = (w - z_k) / T_k``."""
+    """Return the first-order lagged response to w [``unit``]: ``F += sum_k t_k (z_k - w)``,
+    ``z_k' = (w - z_k) / T_k``.
+    """
     of_drive, scale, full = _per_drive(force, unit)
     names = [f"{force.name}_{of}_late_{k}" for k in range(len(TIME_CONSTANTS))]
     states = [f"late_{of}_{k}" for k in range(len(TIME_CONSTANTS))]
@@ -266,8 +366,8 @@ def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effec
         force.add(s, sum(getattr(s.p, name) * (getattr(s.x, state) - w) for name, state in terms))
 
     def follow(s: Signals) -> None:
-        for state, memory in zip(states, TIME_CONSTANTS, strict=True):
-            s.rate[state] = (drive(s) - getattr(s.x, state)) / memory
+        for state, time_constant in zip(states, TIME_CONSTANTS, strict=True):
+            s.rate[state] = (drive(s) - getattr(s.x, state)) / time_constant
 
     curve = ForceCurve(force.name, of)
     return Effect(
@@ -276,18 +376,23 @@ def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effec
         {force.stage: add, "rate": follow},
         parameters=tuple(
             Parameter(
-                n, 0.0, of_drive, f"{force.name} behind {of} by {memory:g} s", prior=(0.0, 2 * scale), step=0.03 * scale
+                n,
+                0.0,
+                of_drive,
+                f"{force.name} that follows {of} with a lag of {T:g} s",
+                prior=(0.0, 2 * scale),
+                step=0.03 * scale,
             )
-            for n, memory in zip(names, TIME_CONSTANTS, strict=True)
+            for n, T in zip(names, TIME_CONSTANTS, strict=True)
         ),
         states=tuple(
-            State(n, unit, f"{of} behind by {memory:g} s", 0.0, sd0=0.05 * full)
-            for n, memory in zip(states, TIME_CONSTANTS, strict=True)
+            State(n, unit, f"{of} after a lag of {T:g} s", 0.0, sd0=0.05 * full)
+            for n, T in zip(states, TIME_CONSTANTS, strict=True)
         ),
         formula=f"{force.name} += sum t_k (z_k - w), z_k' = (w - z_k) / T_k, "
-        f"w the {'thrust' if unit else 'part of full thrust'}",
-        source="the residual itself",
-        experiment=f"steps of {of} from rest, each held until all has settled",
+        f"w the {'thrust' if unit else 'thrust relative to full thrust'}",
+        source="the residuals of the fit",
+        experiment=f"steps of {of} from rest, each held until the motion has settled",
         requires=("hull",),
         kind=EffectKind.LAGGED,
         curve=curve,
@@ -295,20 +400,22 @@ def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effec
 
 
 def resonant_response(force: Residual, of: str, drive: Signal, unit: str) -> Effect:
-    """``F += a (z - w) + b z' / omega``, z a second-order mode driven by w: resonant response to w, in ``unit``."""
+    """Return the resonant response to w [``unit``]: ``F += a (z - w) + b z' / omega``, z a
+    second-order mode driven by w.
+    """
     of_drive, scale, full = _per_drive(force, unit)
     names = (f"{force.name}_{of}_swing", f"{force.name}_{of}_swing_rate")
     states, f_name = (f"swing_{of}", f"swing_{of}_rate"), f"f_{force.name}_{of}"
 
     def add(s: Signals) -> None:
-        z, ahead = (getattr(s.x, n) for n in states)
-        force.add(s, getattr(s.p, names[0]) * (z - drive(s)) + getattr(s.p, names[1]) * ahead)
+        z, quadrature = (getattr(s.x, n) for n in states)
+        force.add(s, getattr(s.p, names[0]) * (z - drive(s)) + getattr(s.p, names[1]) * quadrature)
 
     def swing(s: Signals) -> None:
         omega = 2 * math.pi * getattr(s.p, f_name)
-        z, ahead = (getattr(s.x, n) for n in states)
-        s.rate[states[0]] = omega * ahead
-        s.rate[states[1]] = omega * (drive(s) - z) - 2 * DAMPING * omega * ahead
+        z, quadrature = (getattr(s.x, n) for n in states)
+        s.rate[states[0]] = omega * quadrature
+        s.rate[states[1]] = omega * (drive(s) - z) - 2 * DAMPING * omega * quadrature
 
     curve = ForceCurve(force.name, of)
     return Effect(
@@ -318,22 +425,28 @@ def resonant_response(force: Residual, of: str, drive: Signal, unit: str) -> Eff
         parameters=(
             *(
                 Parameter(
-                    n, 0.0, of_drive, f"{force.name} resonant to {of}{what}", prior=(0.0, 2 * scale), step=0.03 * scale
+                    n,
+                    0.0,
+                    of_drive,
+                    f"resonant response of {force.name} to {of}{part}",
+                    prior=(0.0, 2 * scale),
+                    step=0.03 * scale,
                 )
-                for n, what in zip(names, ("", ", its quadrature"), strict=True)
+                for n, part in zip(names, ("", ", quadrature"), strict=True)
             ),
-            Parameter(
-                f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5), scales=False
-            ),  # nobody knows what swings: the frequencies are those that a log can tell
+            # The resonating part is unknown, so the frequencies do not scale: they are those that a log can show
+            Parameter(f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5), scales=False),
         ),
         states=tuple(
-            State(n, unit, what, 0.0, sd0=0.05 * full)
-            for n, what in zip(states, (f"resonant response to {of}", "its quadrature"), strict=True)
+            State(n, unit, meaning, 0.0, sd0=0.05 * full)
+            for n, meaning in zip(
+                states, (f"resonant response to {of}", f"quadrature of the resonant response to {of}"), strict=True
+            )
         ),
-        scan={f_name: FREQUENCIES},
+        scan={f_name: FREQUENCIES_HZ},
         formula=f"{force.name} += a (z - w) + b z'/w0, z'' + 2 zeta w0 z' = w0^2 (w - z), "
-        f"w the {'thrust' if unit else 'part of full thrust'}",
-        source="the residual itself",
+        f"w the {'thrust' if unit else 'thrust relative to full thrust'}",
+        source="the residuals of the fit",
         experiment=f"a chirp of {of} through 0.1 to 1.5 Hz",
         requires=("hull",),
         kind=EffectKind.RESONANT,

@@ -63,9 +63,9 @@ def _effects_of(loaded: object, place: str) -> tuple[Effect, ...]:
     return found
 
 
-def _register(module: ModuleType, found: dict[str, Effect]) -> None:
-    """Add the effects that a module defines."""
+def _register(module: ModuleType, effects: dict[str, Effect]) -> None:
+    """Add the effects of a module. Raise ValueError if a name is already in use."""
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
-        if effect.name in found:
+        if effect.name in effects:
             raise ValueError(f"two effects are called {effect.name!r}")
-        found[effect.name] = effect
+        effects[effect.name] = effect

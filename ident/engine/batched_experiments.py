@@ -1,13 +1,16 @@
-"""Fisher information of many experiments at once, one in each lane of the vectors.
+"""Fisher information of many experiments at once, with one experiment in each lane of the vector registers.
 
-Where `filter_plans` gives one lane to each parameter of one record, here a lane is a whole experiment: its own inputs
-(or the same for all) and its own values of the parameters. Data are what the model itself predicts, so innovations
-are zero and sensitivities need no derivative of the filter's gain: with P, H and S of the filter along that path,
+In `filter_plans`, each lane holds one parameter of the same record. Here, each lane holds a whole experiment. Each
+experiment has its own parameter values. Its inputs are its own or common to all experiments.
+
+The data are the predictions of the model, so all innovations are zero. The sensitivities therefore need no derivative
+of the Kalman gain. With P, H and S of the filter along the predicted path,
 
     de = H X + dh/dp,   F += de' S^-1 de,   X -= K de,   X <- d step / d (x, p) (X, 1)
 
-which is exact for the part ``de' S^-1 de`` of the Fisher information; ``1/2 tr(S^-1 dS S^-1 dS)`` tells of noise and is
-left to `filter_plans`. Without process noise (output error) P and K are zero and S is R.
+The recursion is exact for the part ``de' S^-1 de`` of the Fisher information. The part ``1/2 tr(S^-1 dS S^-1 dS)``
+informs the noise parameters; only `filter_plans` computes it. Without process noise (output error), P and K are zero
+and S is R.
 """
 
 from __future__ import annotations
@@ -30,23 +33,64 @@ _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
 
 def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> ExperimentBatch:
-    """The kernels of a model and the parameters to differentiate by, shared by all that differ only in values."""
+    """Return the information kernels of a model. Models that differ only in parameter values share them.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the experiments.
+    free : Sequence[str]
+        Names of the parameters to differentiate by.
+    covariance : bool
+        True for prediction error (Kalman filter), False for output error.
+
+    Returns
+    -------
+    ExperimentBatch
+        Kernels, compiled on first use.
+    """
     with _lock:
         key = (EkfGraphs(model, covariance=covariance).key, *free)
         return _batches.setdefault(key, ExperimentBatch(model, free, covariance))
 
 
 def contest_for(model: Model, free: Sequence[str], truth: Model, *, covariance: bool) -> DiscriminationBatch:
-    """The kernel of a model that explains another's data."""
+    """Return the kernel that fits one model to the data of another model, for T-optimal discrimination.
+
+    Parameters
+    ----------
+    model : Model
+        Model whose filter processes the data.
+    free : Sequence[str]
+        Names of the parameters of `model` to differentiate by.
+    truth : Model
+        Model that generates the data, without noise.
+    covariance : bool
+        True for prediction error (Kalman filter), False for output error.
+
+    Returns
+    -------
+    DiscriminationBatch
+        Kernel, compiled on first use.
+
+    Raises
+    ------
+    ValueError
+        If the models have different sensors.
+    """
     with _lock:
         key = (EkfGraphs(model, covariance=covariance).key, EkfGraphs(truth, covariance=False).key, *free)
         return _contests.setdefault(key, DiscriminationBatch(model, free, truth, covariance))
 
 
 class Filter:
-    """A model's symbols and its filter: ``s`` mean and covariance, ``X`` d mean / d free by columns."""
+    """Symbols of a model and of its filter.
+
+    ``s`` is the mean and covariance. ``X`` is the derivative of the mean by the free parameters, column by column.
+    """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
+        """Build the symbols of the model and the unit vectors of the free parameters."""
         g = self.graphs = EkfGraphs(model, covariance=covariance)
         names = [p.name for p in model.parameters]
         self.q = len(free)
@@ -59,7 +103,10 @@ class Filter:
         self.inputs = {"s": g.s, "X": self.X, "u": g.u, "u_next": g.u_next, "p": g.p, "h": g.h}
 
     def slopes(self, expression: Any) -> Any:
-        """d expression / d free (n, q), of what depends on the mean and the parameters."""
+        """Return the derivative of an expression by the free parameters, shape (n, q).
+
+        The expression depends on the mean and on the parameters.
+        """
         g = self.graphs
         if not self.q:
             return ca.SX(expression.numel(), 0)
@@ -67,19 +114,40 @@ class Filter:
 
     @property
     def stepped(self) -> dict[str, Any]:
+        """State and sensitivities at the end of the interval, by name."""
         g = self.graphs
         result = {"s": g.predict[0]}
         return result | {"X": ca.vec(self.slopes(g.step(g.mean)[0]))} if self.q else result
 
     def sensors(self) -> list[tuple[int, Sensor, int]]:
-        """Bit of the mask, sensor, and its first output."""
+        """Return a tuple (bit of the mask, sensor, index of its first output) for each sensor."""
         sensors = self.graphs.model.sensors
         firsts = [sum(len(s.outputs) for s in sensors[:k]) for k in range(len(sensors))]
         return list(zip(range(len(sensors)), sensors, firsts, strict=True))
 
     def update(self, sensor: Sensor, first: int, y: Any = None) -> tuple[dict[str, Any], list[Any], list[Any]]:
-        """State and sensitivities after a sensor's sample, and the scaled sensitivities (1, q) and innovations of its
-        outputs, one after the other. ``y``: the sample; None: as predicted."""
+        """Update the state and its sensitivities by the sample of one sensor.
+
+        The outputs of the sensor are processed one after the other.
+
+        Parameters
+        ----------
+        sensor : Sensor
+            Sensor that is sampled.
+        first : int
+            Index of its first output.
+        y : SX (n_outputs of the sensor, 1), optional
+            Sample. None: the sample equals its prediction.
+
+        Returns
+        -------
+        dict[str, SX]
+            State ``s`` and sensitivities ``X`` after the update. Empty without a covariance.
+        list[SX]
+            For each output, the sensitivities (1, q) of the innovation, divided by its standard deviation.
+        list[SX]
+            For each output, the innovation divided by its standard deviation.
+        """
         g, P, X, dx = self.graphs, None, self.columns, 0 * self.graphs.mean
         slopes, innovations = [], []
         H = ca.jacobian(self.z, g.mean) if g.covariance else None
@@ -107,31 +175,34 @@ class Filter:
         return after | {"X": ca.vec(X)} if self.q else after, slopes, innovations
 
     def _direct(self) -> Any:
-        """d output / d free (n_outputs, q) with the state held."""
+        """Return the derivative of the outputs by the free parameters with the state held, shape (n_outputs, q)."""
         return ca.jtimes(self.z, self.graphs.p, self._unit) if self.q else ca.SX(self.z.numel(), 0)
 
     def bounds(self) -> LoopSegment:
-        """Carries the least and the largest of what ``extremes`` names."""
+        """Return the stage that carries the minimum ``low`` and maximum ``high`` of the quantities in `extremes`."""
         model, mean = self.graphs.model, self.graphs.mean
         names = [v.name for v in model.states]
         speed = [sum(mean[names.index(n)] ** 2 for n in ("u", "v") if n in names)] if "u" in names else []
-        seen = ca.vertcat(mean, *speed)
-        low, high = ca.SX.sym("low", seen.numel()), ca.SX.sym("high", seen.numel())
+        values = ca.vertcat(mean, *speed)
+        low, high = ca.SX.sym("low", values.numel()), ca.SX.sym("high", values.numel())
         return stage(
-            {"s": self.graphs.s, "low": low, "high": high}, {"low": ca.fmin(low, seen), "high": ca.fmax(high, seen)}
+            {"s": self.graphs.s, "low": low, "high": high}, {"low": ca.fmin(low, values), "high": ca.fmax(high, values)}
         )
 
 
 def extremes(model: Model) -> tuple[str, ...]:
-    """What ``low`` and ``high`` are of: the states, and the squared speed where there is a surge speed."""
+    """Return the names of the quantities in the arrays ``low`` and ``high``.
+
+    The quantities are the states, then the squared speed ``speed2`` if the model has a surge speed.
+    """
     names = tuple(s.name for s in model.states)
     return (*names, "speed2") if "u" in names else names
 
 
 class ExperimentBatch:
-    """Kernels of one model, each made when first asked for; lanes: experiments.
+    """Kernels of one model with one experiment in each lane, compiled on first use.
 
-    Of each pair the first has the same inputs in all lanes, the second each lane its own.
+    In each pair of kernels, the first has common inputs for all lanes. The second has separate inputs for each lane.
     """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
@@ -140,7 +211,11 @@ class ExperimentBatch:
 
     @cached_property
     def information(self) -> tuple[Kernel, Kernel]:
-        """``fisher``: upper triangle (q (q + 1) / 2), summed; low, high."""
+        """Pair of kernels of the Fisher information.
+
+        Results: ``fisher``, the upper triangle of the information (q (q + 1) / 2 entries), summed over the rows;
+        ``low`` and ``high``, the bounds of `extremes`.
+        """
         with _lock:
             f = Filter(self.model, self.free, self.covariance)
             stages: list[LoopSegment] = []
@@ -152,17 +227,25 @@ class ExperimentBatch:
 
     @cached_property
     def tracks(self) -> tuple[Kernel, Kernel]:
-        """Only ``low`` and ``high`` of a simulation."""
+        """Pair of kernels that simulate without an update. Results: only ``low`` and ``high``."""
         with _lock:
             f = Filter(self.model, (), covariance=False)
             inputs = {n: v for n, v in f.inputs.items() if n != "X"}
             return _pair([f.bounds(), stage(inputs, f.stepped)], frozenset({"s", "p", "low", "high"}))
 
     def tracks_in_noise(self, n_common: int) -> Kernel:
-        """``tracks``, where the first inputs, so many, are the same in all lanes, and each lane has its own others.
+        """Return a kernel like ``tracks`` with common and separate inputs.
 
-        The others are the arrays ``w`` and ``w_next``. A command model has dozens of inputs: a copy of them for each
-        lane would take ten times as long as the simulation.
+        Parameters
+        ----------
+        n_common : int
+            The first `n_common` inputs (``u``, ``u_next``) are common to all lanes.
+            Each lane has its own values of the remaining inputs (``w``, ``w_next``).
+
+        Notes
+        -----
+        A command model has dozens of inputs. Copying all of them for each lane would take ten times as long as the
+        simulation.
         """
         with _lock:
             if n_common not in self._tracks_in_noise:
@@ -171,8 +254,8 @@ class ExperimentBatch:
                 for end in ends:
                     symbols[f"u{end}"] = ca.SX.sym(f"u{end}", n_common)
                     symbols[f"w{end}"] = ca.SX.sym(f"w{end}", f.inputs["u"].numel() - n_common)
-                whole = [ca.vertcat(symbols[f"u{end}"], symbols[f"w{end}"]) for end in ends]
-                (after,) = ca.substitute([f.stepped["s"]], [f.inputs["u"], f.inputs["u_next"]], whole)
+                all_inputs = [ca.vertcat(symbols[f"u{end}"], symbols[f"w{end}"]) for end in ends]
+                (after,) = ca.substitute([f.stepped["s"]], [f.inputs["u"], f.inputs["u_next"]], all_inputs)
                 inputs = {name: f.inputs[name] for name in ("s", "p", "h")} | symbols
                 stages = (f.bounds(), stage(inputs, {"s": after}))
                 rows, lanes = {*symbols, "h"}, {"s", "p", "low", "high", "w", "w_next"}
@@ -181,12 +264,16 @@ class ExperimentBatch:
 
 
 def _pair(stages: list[LoopSegment], lanes: frozenset[str]) -> tuple[Kernel, Kernel]:
+    """Return the kernels with common inputs for all lanes, and with separate inputs for each lane."""
     rows = frozenset({"u", "u_next", "h"})
     return Kernel(Plan(tuple(stages), rows, lanes)), Kernel(Plan(tuple(stages), rows, lanes | {"u", "u_next"}))
 
 
 class DiscriminationBatch:
-    """A model's filter on the undisturbed data of another: what it cannot explain. Lanes: experiments."""
+    """Filter of one model on the noise-free data of another model, with one experiment in each lane.
+
+    Its innovations are the part of the data that the model cannot explain.
+    """
 
     def __init__(self, model: Model, free: Sequence[str], truth: Model, covariance: bool) -> None:
         if [(s.name, [o.name for o in s.outputs]) for s in model.sensors] != [
@@ -197,25 +284,29 @@ class DiscriminationBatch:
 
     @cached_property
     def unexplained(self) -> Kernel:
-        """``ee``: sum e' S^-1 e of the model's innovations; ``score`` (q,): sum de' S^-1 e; ``fisher``. The truth's
-        arrays end in ``_true``; low, high: of the model's states."""
+        """Kernel of the innovations of the model on the data of the other model.
+
+        Results, summed over the rows: ``ee``, the sum of ``e' S^-1 e``; ``score`` (q,), the sum of ``de' S^-1 e``;
+        ``fisher``, as in `ExperimentBatch.information`. ``low`` and ``high`` are the bounds of the model's states.
+        The arrays of the model that generates the data end in ``_true``.
+        """
         with _lock:
             f, true = Filter(self.model, self.free, self.covariance), Filter(self.truth, (), covariance=False)
-            theirs = {f"{n}_true": v for n, v in true.inputs.items() if n not in ("X", "h")}
-            inputs: Mapping[str, Any] = f.inputs | theirs
+            true_inputs = {f"{n}_true": v for n, v in true.inputs.items() if n not in ("X", "h")}
+            inputs: Mapping[str, Any] = f.inputs | true_inputs
             stages: list[LoopSegment] = []
             for bit, sensor, first in f.sensors():
                 after, slopes, e = f.update(sensor, first, true.z[first : first + len(sensor.outputs)])
                 V, r = ca.vertcat(*slopes), ca.vertcat(*e)
                 stages.append(stage(inputs, after | {"fisher": _triangle(V), "score": V.T @ r, "ee": r.T @ r}, bit))
             h = {"h": true.graphs.h}
-            stages += [f.bounds(), stage(f.inputs, f.stepped), stage(theirs | h, {"s_true": true.stepped["s"]})]
+            stages += [f.bounds(), stage(f.inputs, f.stepped), stage(true_inputs | h, {"s_true": true.stepped["s"]})]
             rows = frozenset({"u", "u_next", "u_true", "u_next_true", "h"})
             lanes = frozenset({*inputs, "fisher", "score", "ee", "low", "high"}) - {"h"}
             return Kernel(Plan(tuple(stages), rows, lanes))
 
 
 def _triangle(v: Any) -> Any:
-    """Upper triangle by rows of v'v, as a column; v (n, q), its rows scaled already."""
+    """Return the upper triangle of v'v by rows, as a column. v (n, q) has scaled rows."""
     q = v.shape[1]
     return ca.vertcat(*[ca.dot(v[:, i], v[:, j]) for i in range(q) for j in range(i, q)])

@@ -1,4 +1,4 @@
-"""Kernels of a filter, compiled when first asked for or loaded from the cache."""
+"""Kernels of a filter, compiled on first use or loaded from the cache."""
 
 from __future__ import annotations
 
@@ -18,39 +18,57 @@ if TYPE_CHECKING:
     from seatrial.ident.engine.filter_plans import Plans
     from seatrial.ident.engine.loop_plan import Plan
 
-_known: WeakValueDictionary[str, Programs] = WeakValueDictionary()
-_met: dict[tuple[int, bool, bool], tuple[ref[Model], ref[Programs]]] = {}  # by the model's id
-_recent: deque[Programs] = deque(maxlen=12)  # kept alive: a search that refits makes hundreds, of some megabytes each
+_known: WeakValueDictionary[str, Programs] = WeakValueDictionary()  # by ``Programs.key``
+# by the id of the model, so that the model is traced only once
+_by_model: dict[tuple[int, bool, bool], tuple[ref[Model], ref[Programs]]] = {}
+# Only the most recent kernels stay alive. A search with refits makes hundreds of them, of some megabytes each.
+_recent: deque[Programs] = deque(maxlen=12)
 _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
 
 def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> Programs:
-    """The kernels of a model, shared by all models that differ only in their values."""
+    """Return the kernels of a model. Models that differ only in parameter values share them.
+
+    Parameters
+    ----------
+    model : Model
+        Model to filter.
+    covariance : bool
+        True for the extended Kalman filter, False for simulation (output error).
+    joseph : bool
+        Whether to update the covariance in Joseph's form.
+
+    Returns
+    -------
+    Programs
+        Kernels, compiled or loaded on first use.
+    """
     with _lock:
         at = id(model), covariance, joseph
-        met, programs = _met.get(at, (None, None))
-        found = programs() if programs and met and met() is model else None
-        if found is None:
-            made = Programs(model, covariance, joseph)
-            found = _known.setdefault(made.key, made)
-            _met[at] = ref(model, lambda _: _met.pop(at, None)), ref(found)
-        if found in _recent:
-            _recent.remove(found)
-        _recent.append(found)
-        return found
+        known_model, programs = _by_model.get(at, (None, None))
+        kernels = programs() if programs and known_model and known_model() is model else None
+        if kernels is None:
+            new = Programs(model, covariance, joseph)
+            kernels = _known.setdefault(new.key, new)
+            _by_model[at] = ref(model, lambda _: _by_model.pop(at, None)), ref(kernels)
+        if kernels in _recent:
+            _recent.remove(kernels)
+        _recent.append(kernels)
+        return kernels
 
 
 class Programs:
-    """Kernels of a model by name: what each does is said in ``plans.Plans``."""
+    """Kernels of one model, by name. `filter_plans.Plans` describes what each kernel computes."""
 
     def __init__(self, model: Model, covariance: bool, joseph: bool) -> None:
         self._model, self._covariance, self._joseph = model, covariance, joseph
-        written = kernel_cache.kernel_key(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
-        self._kept = written if jit.AVAILABLE else None
-        self.key = written or self.graphs.key
+        traced_key = kernel_cache.kernel_key(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
+        self._cache_key = traced_key if jit.AVAILABLE else None
+        self.key = traced_key or self.graphs.key
 
     @cached_property
     def graphs(self) -> EkfGraphs:
+        """CasADi graphs of the filter, built on first use."""
         from seatrial.ident.engine.ekf_graph import EkfGraphs
 
         return EkfGraphs(self._model, covariance=self._covariance, joseph=self._joseph)
@@ -87,11 +105,12 @@ class Programs:
 
     @property
     def tapes(self) -> frozenset[str]:
-        """Rows in which ``forward`` keeps what ``backward`` needs of it."""
+        """Names of the arrays in rows that ``forward`` writes and ``backward`` reads."""
         layout = self.backward.layout
         return (layout.rows - ROWS).intersection(layout.sizes)
 
     def _kernel(self, name: str) -> Kernel:
+        """Return a kernel from the cache, or compile the kernel and store it in the cache."""
         with _lock:
 
             def plan() -> Plan:
@@ -99,10 +118,10 @@ class Programs:
                     made: Any = getattr(self._plans, name)()
                     return made  # type: ignore[no-any-return]
 
-            known = kernel_cache.load_kernel(self._kept, name) if self._kept else None
-            kernel = Kernel.at_hand(*known, plan) if known else None
+            cached = kernel_cache.load_kernel(self._cache_key, name) if self._cache_key else None
+            kernel = Kernel.from_cache(*cached, plan) if cached else None
             if kernel is None:
                 kernel = Kernel(plan())
-                if self._kept:
-                    kernel_cache.store_kernel(self._kept, name, kernel.layout, kernel.code)
+                if self._cache_key:
+                    kernel_cache.store_kernel(self._cache_key, name, kernel.layout, kernel.code)
             return kernel

@@ -1,4 +1,7 @@
-"""Interpreter of plans: CasADi evaluates every stage, row by row. Slow; the reference for compiled kernels."""
+"""Interpreter of plans, the reference for compiled kernels.
+
+CasADi evaluates every stage, row by row, which is slow.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,21 @@ Mask = NDArray[np.uint32]
 def interpret(
     plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]
 ) -> None:
-    """Do what the compiled kernel does, in place."""
+    """Run a plan in place, as the compiled kernel does.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan to run.
+    n_rows, groups : int
+        Number of rows, and number of groups of lanes.
+    mask : Array (n_rows,)
+        Bits of the stages that run in each row.
+    arrays : Mapping[str, Array]
+        Arguments and results by name; results are overwritten.
+    per_row : Set[str]
+        Summed results that are kept for each row.
+    """
     shaped = {name: a.reshape(plan.shape(name, n_rows, groups, name in per_row)) for name, a in arrays.items()}
     order = range(n_rows - 1, -1, -1) if plan.backward else range(n_rows)
     for row in order:
@@ -34,6 +51,7 @@ def interpret(
 
 
 def _stage(plan: Plan, part: LoopSegment, now: Mapping[str, Array], groups: int) -> None:
+    """Evaluate one stage in one row: once, or for each lane if the stage has arrays in lanes."""
     f = part.function
     names_in, names_out = f.name_in(), f.name_out()
     if plan.lanes.isdisjoint([*names_in, *names_out]):
@@ -55,6 +73,7 @@ def _store(plan: Plan, name: str, target: Array, value: Array) -> None:
 
 
 def _gram(part: Gram, now: Mapping[str, Array], groups: int) -> None:
+    """Add the products of all pairs of lanes to the blocks on and above the diagonal."""
     v = now[part.source]
     for first in range(groups):
         for second in range(first, groups):

@@ -1,4 +1,7 @@
-"""Just-in-time compilation of LLVM IR; machine code is cached by a hash of the IR, the processor and LLVM's version."""
+"""Just-in-time compilation of LLVM IR.
+
+Machine code is cached under a hash of the IR, the processor and the version of LLVM.
+"""
 
 from __future__ import annotations
 
@@ -12,27 +15,29 @@ from typing import Any
 
 try:
     import llvmlite.binding as llvm
-except ImportError:  # no wheel for this machine: kernels are interpreted then
+except ImportError:  # llvmlite has no wheel for this machine; kernels are interpreted instead
     llvm = None
 
 AVAILABLE = llvm is not None
 OPTIMISE = 1  # level of the IR passes; -O2 takes longer and its code is slower
 CODEGEN = 2  # level of the code generation
-QUICK = 0  # level of both for `quickly`: a third of the time, and code that takes three quarters longer to run
-QUICK_ROWS = 10_000  # of the records of a model, beyond which that costs more than it saves
-# Of the instructions in a block. The default asks what the processor could do at once, and in stages of some thousand
-# instructions, which leave the registers full, a tenth more of them then only put values away and fetch them again.
-# An option that LLVM does not know would end the process, so none is given to an LLVM that it was not tried with.
+# Level of both for `quickly`: compilation takes a third of the time, and the code takes three quarters longer to run
+QUICK = 0
+QUICK_ROWS = 10_000  # rows in the records of a model; with more rows, quick compilation costs more than it saves
+# Scheduler of the instructions in a block. The default scheduler favours instructions that can run in parallel. The
+# stages have thousands of instructions and fill all registers, so the default adds a tenth more instructions that only
+# spill and reload values. LLVM ends the process if an option is unknown; versions above 22 were not tested.
 ORDER = "--pre-RA-sched=fast" if AVAILABLE and llvm.llvm_version_info[0] <= 22 else ""
 DIGEST_BYTES = 32
-LARGEST_CACHE = 400_000_000  # bytes; beyond that what was not used for longest goes
-KEPT_SHARE = 0.7  # of the cache that then stays
-COUNT_SHARE = 0.01  # of it that is written until its files are counted again, of which there may be ten thousand
-_written: dict[Path, int] = {}  # bytes since then, by folder; the first file of a process is counted, too
+LARGEST_CACHE = 400_000_000  # bytes; above this size the least recently used files are deleted
+KEPT_SHARE = 0.7  # share of LARGEST_CACHE that remains after the deletion
+# Share of LARGEST_CACHE that is written between two scans of the folder. A scan is slow with ten thousand files
+COUNT_SHARE = 0.01
+_written: dict[Path, int] = {}  # bytes since the last scan, by folder; the first file of a process starts a scan
 
 
 def _host() -> tuple[str, str, int]:
-    """Processor, its features, and how many doubles its vector registers hold."""
+    """Return the processor, its features, and the number of doubles in a vector register."""
     if not AVAILABLE:
         return "", "", 8
     if ORDER:
@@ -49,7 +54,7 @@ CPU, FEATURES, WIDTH = _host()
 
 
 def cache_folder() -> Path:
-    """Where machine code is kept: ``SEATRIAL_CACHE``, or kernels in the user's cache folder."""
+    """Return the folder of cached machine code: ``SEATRIAL_CACHE``, or ``~/.cache/seatrial/kernels``."""
     chosen = os.environ.get("SEATRIAL_CACHE")
     return Path(chosen) if chosen else Path.home() / ".cache" / "seatrial" / "kernels"
 
@@ -59,8 +64,15 @@ _quickly: list[object] = []
 
 @contextmanager
 def quickly(n_rows: int) -> Iterator[None]:
-    """Kernels compiled meanwhile, in whatever thread, are made in a hurry: for models that are fitted once, to as many
-    rows, if these are few."""
+    """Compile kernels quickly, with less optimisation, inside this context. The setting applies to all threads.
+
+    Use it for models that are fitted only once. Above `QUICK_ROWS` rows, the context has no effect.
+
+    Parameters
+    ----------
+    n_rows : int
+        Number of rows of all records that the model is fitted to.
+    """
     if n_rows > QUICK_ROWS:
         yield
         return
@@ -73,35 +85,57 @@ def quickly(n_rows: int) -> Iterator[None]:
 
 
 def _levels() -> tuple[int, int]:
-    """Of the passes and of the code generation."""
+    """Return the optimisation levels of the IR passes and of the code generation."""
     return (QUICK, QUICK) if _quickly else (OPTIMISE, CODEGEN)
 
 
 def target() -> tuple[Any, ...]:
-    """What machine code depends on beside the IR."""
+    """Return what the machine code depends on, besides the IR: LLVM's version, processor and options."""
     return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, OPTIMISE, CODEGEN, ORDER)
 
 
 def machine_code_key(ir: str) -> str:
-    """The name of the machine code of ``ir``."""
+    """Return the hash that names the machine code of ``ir`` in the cache."""
     return hashlib.sha256(repr((*target(), _levels(), ir)).encode()).hexdigest()
 
 
 def load_machine_code(ir: str, symbol: str) -> tuple[Any, int]:
-    """The library made of ``ir`` (keep it as long as the code is used) and the address of ``symbol``."""
+    """Load or compile the machine code of ``ir``.
+
+    Parameters
+    ----------
+    ir : str
+        LLVM IR of a module.
+    symbol : str
+        Name of a function in the module.
+
+    Returns
+    -------
+    library : object
+        Linked library. The caller keeps a reference to it as long as the code is used.
+    address : int
+        Address of the function.
+
+    Raises
+    ------
+    RuntimeError
+        If llvmlite is not installed.
+    """
     if not AVAILABLE:
-        raise RuntimeError("llvmlite is not installed, so nothing can be compiled")
+        raise RuntimeError("llvmlite is not installed, so kernels cannot be compiled; install llvmlite")
     key = machine_code_key(ir)
-    known = load_known(key, symbol)
-    if known is not None:
-        return known
+    cached = load_known(key, symbol)
+    if cached is not None:
+        return cached
     machine_code = _compile(ir)
     write_cache(f"{key}.o", machine_code)
     return _link(machine_code, key, symbol)
 
 
 def load_known(key: str, symbol: str) -> tuple[Any, int] | None:
-    """The same by the name of the machine code; None where it is not at hand."""
+    """Load machine code from the cache by its key. Return the library and the address of ``symbol``, or None if not
+    cached.
+    """
     machine_code = read_cache(f"{key}.o") if AVAILABLE else None
     return None if machine_code is None else _link(machine_code, key, symbol)
 
@@ -117,6 +151,7 @@ def _machine() -> Any:
 
 
 def _compile(ir: str) -> bytes:
+    """Return the object file of ``ir``."""
     machine = _machine()
     module = llvm.parse_assembly(ir)
     module.verify()
@@ -126,32 +161,41 @@ def _compile(ir: str) -> bytes:
 
 
 def read_cache(name: str) -> bytes | None:
-    """A file of the cache; None if it is not there, not as it was written, or where somebody else may write: what is
-    in it is run."""
+    """Return the content of a file of the cache.
+
+    Returns
+    -------
+    bytes or None
+        None if the file is missing or damaged, or if another user may write to it or to its folder.
+
+    Notes
+    -----
+    The content is executed as machine code. Files that another user may have written are therefore ignored.
+    """
     try:
         path = cache_folder() / name
         if not (_is_ours(path) and _is_ours(path.parent)):
             return None
         content = path.read_bytes()
-        os.utime(path)  # so that what is used stays
-    except (OSError, RuntimeError):  # RuntimeError: the user has no home
+        os.utime(path)  # `_prune` deletes the least recently used files
+    except (OSError, RuntimeError):  # RuntimeError: the user has no home folder
         return None
-    digest, kept = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
-    return kept if hashlib.sha256(kept).digest() == digest else None
+    digest, data = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+    return data if hashlib.sha256(data).digest() == digest else None
 
 
 def _is_ours(path: Path) -> bool:
-    """Whether only this user, or the administrator, can have written there."""
+    """Return whether only this user or the administrator can have written to the path."""
     about = path.stat()
     return about.st_uid in (os.geteuid(), 0) and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def write_cache(name: str, content: bytes) -> None:
-    """Keep a file for the next process. A cache that cannot be written is not an error."""
+    """Store a file in the cache for later processes. A cache that cannot be written is not an error."""
     try:
         folder = cache_folder()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        scratch = folder / f"{name}.{os.getpid()}"
+        scratch = folder / f"{name}.{os.getpid()}"  # renamed at the end, so that no process reads half a file
         scratch.write_bytes(hashlib.sha256(content).digest() + content)
         scratch.chmod(0o600)
         scratch.replace(folder / name)
@@ -164,7 +208,10 @@ def write_cache(name: str, content: bytes) -> None:
 
 
 def _prune(folder: Path) -> None:
-    """Nonparametric effects and user models are compiled anew each time: without a limit they would fill the disk."""
+    """Delete the least recently used files if the cache exceeds `LARGEST_CACHE`.
+
+    Nonparametric effects and user models are compiled anew each time. Without a limit they would fill the disk.
+    """
     with os.scandir(folder) as entries:
         files = [(about.st_mtime, about.st_size, f.path) for f in entries for about in (f.stat(),)]
     total = sum(size for _, size, _ in files)

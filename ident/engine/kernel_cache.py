@@ -1,9 +1,12 @@
-"""Cache of kernels, read without CasADi, whose import and graphs cost more than the kernels' work.
+"""Cache of kernels that is read without CasADi.
 
-A model's functions are traced: run on objects that record the operations. The text, with all else that a kernel depends
-on (`EkfGraphs.key`) and the code of this package, is the name under which the layout of its arrays
-and the name of its machine code are kept beside the latter. A function that does something which cannot be written
-down (a condition, an array) has no such name, and its kernels are made anew by way of CasADi.
+Importing CasADi and building graphs takes longer than the work of the kernels. The functions of a model are therefore
+traced: they run on objects that record the operations. A hash of the recorded text, of the other properties in
+`EkfGraphs.key` and of the source code of this package is the key of the kernel. The layout of the arrays and the key
+of the machine code are stored under this key, beside the machine code.
+
+Some functions cannot be recorded, for example functions with a condition or an array. Their kernels have no key and
+are built by CasADi in each process.
 """
 
 from __future__ import annotations
@@ -22,114 +25,138 @@ from seatrial.ident.engine.array_layout import Layout
 from seatrial.ident.model import Model
 
 
-class CachedKernel:
-    """A number that is not known yet; operations with it are appended to ``lines``, its own is the one at ``place``."""
+class TracedNumber:
+    """Number without a value that records the operations on it.
+
+    Attributes
+    ----------
+    lines : list[str]
+        All operations recorded so far.
+    place : int
+        Index of the line that defines this number.
+    """
 
     __slots__ = ("lines", "place")
 
-    def __init__(self, lines: list[str], what: str) -> None:
+    def __init__(self, lines: list[str], line: str) -> None:
         self.lines, self.place = lines, len(lines)
-        lines.append(what)
+        lines.append(line)
 
-    def _then(self, name: str, *operands: Any) -> CachedKernel:
-        return CachedKernel(self.lines, f"{name} {' '.join(_name(o) for o in operands)}")
+    def _then(self, name: str, *operands: Any) -> TracedNumber:
+        return TracedNumber(self.lines, f"{name} {' '.join(_name(o) for o in operands)}")
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> CachedKernel:
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> TracedNumber:
         if method != "__call__" or options:
-            raise TypeError(f"{ufunc.__name__}.{method} is not written down")
+            raise TypeError(f"{ufunc.__name__}.{method} cannot be recorded")
         return self._then(ufunc.__name__, *inputs)
 
     def __bool__(self) -> bool:
-        raise TypeError("a condition is not written down")
+        raise TypeError("a condition cannot be recorded")
 
-    def __add__(self, other: Any) -> CachedKernel:
+    def __add__(self, other: Any) -> TracedNumber:
         return self._then("add", self, other)
 
-    def __radd__(self, other: Any) -> CachedKernel:
+    def __radd__(self, other: Any) -> TracedNumber:
         return self._then("add", other, self)
 
-    def __sub__(self, other: Any) -> CachedKernel:
+    def __sub__(self, other: Any) -> TracedNumber:
         return self._then("subtract", self, other)
 
-    def __rsub__(self, other: Any) -> CachedKernel:
+    def __rsub__(self, other: Any) -> TracedNumber:
         return self._then("subtract", other, self)
 
-    def __mul__(self, other: Any) -> CachedKernel:
+    def __mul__(self, other: Any) -> TracedNumber:
         return self._then("multiply", self, other)
 
-    def __rmul__(self, other: Any) -> CachedKernel:
+    def __rmul__(self, other: Any) -> TracedNumber:
         return self._then("multiply", other, self)
 
-    def __truediv__(self, other: Any) -> CachedKernel:
+    def __truediv__(self, other: Any) -> TracedNumber:
         return self._then("divide", self, other)
 
-    def __rtruediv__(self, other: Any) -> CachedKernel:
+    def __rtruediv__(self, other: Any) -> TracedNumber:
         return self._then("divide", other, self)
 
-    def __pow__(self, other: Any) -> CachedKernel:
+    def __pow__(self, other: Any) -> TracedNumber:
         return self._then("power", self, other)
 
-    def __rpow__(self, other: Any) -> CachedKernel:
+    def __rpow__(self, other: Any) -> TracedNumber:
         return self._then("power", other, self)
 
-    def __neg__(self) -> CachedKernel:
+    def __neg__(self) -> TracedNumber:
         return self._then("negative", self)
 
-    def __pos__(self) -> CachedKernel:
+    def __pos__(self) -> TracedNumber:
         return self
 
-    def __abs__(self) -> CachedKernel:
+    def __abs__(self) -> TracedNumber:
         return self._then("absolute", self)
 
-    def __lt__(self, other: Any) -> CachedKernel:
+    def __lt__(self, other: Any) -> TracedNumber:
         return self._then("less", self, other)
 
-    def __le__(self, other: Any) -> CachedKernel:
+    def __le__(self, other: Any) -> TracedNumber:
         return self._then("less_equal", self, other)
 
-    def __gt__(self, other: Any) -> CachedKernel:
+    def __gt__(self, other: Any) -> TracedNumber:
         return self._then("greater", self, other)
 
-    def __ge__(self, other: Any) -> CachedKernel:
+    def __ge__(self, other: Any) -> TracedNumber:
         return self._then("greater_equal", self, other)
 
-    def __eq__(self, other: object) -> CachedKernel:  # type: ignore[override]
+    def __eq__(self, other: object) -> TracedNumber:  # type: ignore[override]
         return self._then("equal", self, other)
 
-    def __ne__(self, other: object) -> CachedKernel:  # type: ignore[override]
+    def __ne__(self, other: object) -> TracedNumber:  # type: ignore[override]
         return self._then("not_equal", self, other)
 
 
 def _name(operand: Any) -> str:
-    if isinstance(operand, CachedKernel):
+    """Return the text of an operand: the index of a recorded number, or the hexadecimal digits of a constant."""
+    if isinstance(operand, TracedNumber):
         return f"#{operand.place}"
     if isinstance(operand, (int, float, np.integer, np.floating)):
         return float(operand).hex()
-    raise TypeError(f"{type(operand).__name__} is not written down")
+    raise TypeError(f"{type(operand).__name__} cannot be recorded")
 
 
 def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
-    """The same for two models only if their kernels are; None where a function of the model cannot be written down."""
+    """Return the cache key of a model's kernels.
+
+    Two models have the same key only if they have the same kernels.
+
+    Parameters
+    ----------
+    model : Model
+        Model to trace.
+    covariance, joseph : bool
+        As in `EkfGraphs`.
+
+    Returns
+    -------
+    str or None
+        None if a function of the model cannot be recorded.
+    """
     lines: list[str] = []
     try:
         x, u, p = (
-            [CachedKernel(lines, f"{kind} {i}") for i in range(len(of))]
+            [TracedNumber(lines, f"{kind} {i}") for i in range(len(of))]
             for kind, of in (("x", model.states), ("u", model.inputs), ("p", model.parameters))
         )
         s = model.signals(x, u, p)
         lines += [f"rate {_name(s.rate[v.name])}" for v in model.states]
         lines += [f"output {_name(s.y[o.name])}" for o in model.outputs]
-    except Exception:  # whatever it is, the graphs meet it again and say what is wrong
+    except Exception:  # an error of the model occurs again in `EkfGraphs`, which reports it
         return None
     noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
     names = [p.name for p in model.parameters]
-    what = (lines, noise, names, covariance, joseph, model.second_order, _code())
-    return hashlib.sha256(repr(what).encode()).hexdigest()
+    content = (lines, noise, names, covariance, joseph, model.second_order, _code())
+    return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
 @cache
 def _code() -> str:
-    """A hash of what makes kernels of models, and of the machine they are for."""
+    """Return a hash of the source code that builds kernels, and of the target machine."""
     folder = Path(__file__).parent
     digest = hashlib.sha256(repr(jit.target()).encode())
     for path in sorted([*folder.glob("*.py"), *(folder.parent / "model").glob("*.py")]):
@@ -138,7 +165,9 @@ def _code() -> str:
 
 
 def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
-    """Layout and name of the machine code of the kernel ``name``; None if it was never made here."""
+    """Return the layout and the key of the machine code of the kernel ``name``. Return None if the cache lacks the
+    kernel.
+    """
     content = jit.read_cache(f"{key}.{name}.json")
     if content is None:
         return None
@@ -149,6 +178,6 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
 
 
 def store_kernel(key: str, name: str, layout: Layout, code: str) -> None:
-    """Keep them for the next process."""
+    """Store the layout and the key of the machine code of a kernel in the cache."""
     table = {field: sorted(v) if isinstance(v, frozenset) else v for field, v in asdict(layout).items()}
     jit.write_cache(f"{key}.{name}.json", json.dumps(table | {"code": code}).encode())

@@ -1,9 +1,9 @@
-"""LLVM IR of a plan: the loop over rows with the instructions of its stages written out.
+"""LLVM IR of a plan: a loop over rows that contains the instructions of all stages.
 
-What depends on constants only is computed before the loop. A stage that touches lanes becomes a function of its own,
-called for each group of lanes, whose values are vectors where they depend on lanes and scalars where they do not. What
-is carried from stage to stage and from row to row is in memory only where it has to be. Arithmetic is taken over from
-CasADi operation by operation, and an instruction that was written before is not written again.
+Values that depend on constants only are computed before the loop. A stage with arrays in lanes becomes a separate
+function, called for each group of lanes. In this function, values that depend on lanes are vectors, and all other
+values are scalars. Carried values are kept in registers, unless a function needs their address. The arithmetic follows
+the instructions of CasADi, and equal instructions are written only once.
 """
 
 from __future__ import annotations
@@ -28,12 +28,21 @@ from seatrial.ident.engine.llvm_operations import (
 )
 from seatrial.ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
 
-FRAME = '"frame-pointer"="all"'  # so that LLVM can align the stack for the vectors it keeps there
+FRAME = '"frame-pointer"="all"'  # function attribute with which LLVM can align the stack for spilled vectors
 
 
 class Value(NamedTuple):
-    """A number of the program. text: its name or literal in the IR; vector: one for each lane; constant: the same in
-    all rows."""
+    """Number in the generated program.
+
+    Attributes
+    ----------
+    text : str
+        Name or literal in the IR.
+    vector : bool
+        Whether the number has one value for each lane.
+    constant : bool
+        Whether the number is the same in all rows.
+    """
 
     text: str
     vector: bool
@@ -41,6 +50,7 @@ class Value(NamedTuple):
 
 
 def _literal(x: float) -> Value:
+    """Return a number as a hexadecimal literal of LLVM."""
     return Value(f"0x{struct.unpack('<Q', struct.pack('<d', float(x)))[0]:016X}", False, True)
 
 
@@ -48,25 +58,37 @@ ZERO, ONE = _literal(0.0), _literal(1.0)
 
 
 def _pointers(names: Iterable[str], attribute: str = "") -> str:
+    """Return the pointer arguments of these arrays, separated by commas."""
     return ", ".join(f"ptr {attribute} %{name}" for name in names)
 
 
 class LlvmEmitter:
-    """Writes one plan. entry: what comes before the loop; body: what is in it; functions: what it calls."""
+    """Writer of the LLVM IR of one plan.
+
+    Attributes
+    ----------
+    entry : list[str]
+        Lines before the loop.
+    body : list[str]
+        Lines in the loop.
+    functions : list[str]
+        Lines of the functions that the loop calls.
+    """
 
     def __init__(self, plan: Plan) -> None:
+        """Prepare the writer; `ir` writes the module."""
         self.plan = plan
         self.entry: list[str] = []
         self.body: list[str] = []
         self.functions: list[str] = []
         self.declared: set[str] = set()  # functions of the C library
-        self.memo: dict[Any, Value] = {}  # values by the instruction that gives them
-        self.count = 0
+        self.memo: dict[Any, Value] = {}  # values by the instruction that computes them
+        self.count = 0  # number of named values so far
         self.flags = FAST
-        self.number = 0  # of the stage being written
-        self.grouped = False  # that stage is a function of its own
-        self.width = plan.width  # of the vectors that are being written
-        # what arrays hold that are not in memory within the loop, and what the stage being written puts into them
+        self.number = 0  # index of the current stage
+        self.grouped = False  # whether the current stage is a separate function
+        self.width = plan.width  # width of the current vectors
+        # values of the arrays in registers, and the new values that the current stage computes
         self.held = {
             name: [Value(f"%held.{name}.{j}", False, False) for j in range(plan.sizes[name])]
             for name in plan.sizes
@@ -75,7 +97,7 @@ class LlvmEmitter:
         self.fresh: dict[tuple[str, int], Value] = {}
 
     def ir(self) -> str:
-        """The module's text, with one function ``kernel``."""
+        """Return the text of the module, which defines one public function, ``kernel``."""
         for number, part in enumerate(self.plan.stages):
             self.number = number
             self._part(part)
@@ -114,7 +136,7 @@ class LlvmEmitter:
         )
 
     def _in_memory(self, name: str) -> bool:
-        """Whether a function or vectors of more than one entry need an address of a carried array."""
+        """Return whether a carried array needs an address, for a function or for vectors of several entries."""
         for part in self.plan.stages:
             if isinstance(part, Product) and name in (part.right, part.result):
                 return True
@@ -125,7 +147,9 @@ class LlvmEmitter:
         return name in self.plan.lanes
 
     def _ends(self) -> tuple[list[str], list[str], list[str]]:
-        """Of arrays that are not in memory: how they get there before the loop, from row to row, and back after it."""
+        """Return the lines that move arrays in registers: load before the loop, pass to the next row, store after the
+        loop.
+        """
         fetched, held, kept = [], [], []
         for name, values in self.held.items():
             for j, value in enumerate(values):
@@ -138,6 +162,7 @@ class LlvmEmitter:
     # Stages
 
     def _part(self, part: LoopSegment | Gram | Product) -> None:
+        """Write one stage. Skip the stage in rows whose mask lacks its bit."""
         q = self.number
         if part.bit is None:
             self._write(f"br label %do{q}")
@@ -162,7 +187,10 @@ class LlvmEmitter:
         self._settle(part.bit is not None)
 
     def _settle(self, sometimes: bool) -> None:
-        """Arrays that are not in memory hold what the stage has put into them, or ``sometimes`` what they held."""
+        """Assign the new values of the current stage to the arrays in registers.
+
+        ``sometimes``: the stage is skipped in some rows, where the arrays keep their old values.
+        """
         q, before = self.number, f"%end{self.number - 1}" if self.number else "%loop"
         for (name, j), value in self.fresh.items():
             old = self.held[name][j]
@@ -173,21 +201,23 @@ class LlvmEmitter:
         self.fresh = {}
 
     def _instructions(self, part: LoopSegment) -> None:
+        """Write the instructions of one stage."""
         f = part.function
-        given, names = f.name_in(), f.name_out()
+        arguments, names = f.name_in(), f.name_out()
         late: list[tuple[str, int, Value]] = []
 
         def done(i: int, j: int, value: Value) -> None:
-            if names[i] in given or names[i] in self.plan.summed:
-                late.append((names[i], j, value))  # what is in its place may have to be read yet
+            if names[i] in arguments or names[i] in self.plan.summed:
+                late.append((names[i], j, value))  # the stage may still have to read the old value
             else:
-                self._store(names[i], j, value)  # at once: one value less to keep
+                self._store(names[i], j, value)  # a value stored at once needs no register any more
 
-        instructions(f, lambda i, j: self._load(given[i], j), self._constant, self._apply, done)
+        instructions(f, lambda i, j: self._load(arguments[i], j), self._constant, self._apply, done)
         for result in late:
             self._store(*result)
 
     def _lanes(self, part: LoopSegment) -> None:
+        """Write a stage with arrays in lanes as a function, and its call for each group of lanes."""
         q, f = self.number, part.function
         used = list(dict.fromkeys([*f.name_in(), *f.name_out()]))
         steps = [name for name in used if name in self.plan.summed]
@@ -211,8 +241,11 @@ class LlvmEmitter:
         )
 
     def _group_loop(self, origin: str, index: str, first: str, body: list[str], end: str, tail: str = "") -> None:
-        """Blocks that run ``body`` for ``index`` from ``first`` to the last group; ``tail``: the last block of
-        the body, where it is more than one."""
+        """Write a loop of ``index`` from ``first`` to the last group.
+
+        ``origin`` is the block before the loop, ``end`` the block after it. ``tail`` is the last block of the body, if
+        the body has several blocks.
+        """
         block = f"loop.{index}"
         self._write(
             f"br label %{block}",
@@ -225,6 +258,7 @@ class LlvmEmitter:
         )
 
     def _gram(self, part: Gram) -> None:
+        """Write the loops over all pairs of groups on and above the diagonal."""
         q = self.number
         self._gram_function(part)
         call = f"call void @stage{q}(i64 %a{q}, i64 %b{q}, i64 %groups, {_pointers([part.source, part.result])})"
@@ -234,6 +268,7 @@ class LlvmEmitter:
         self._group_loop(f"do{q}", f"a{q}", "0", [*inner, f"tail{q}:"], f"end{q}", tail=f"tail{q}")
 
     def _gram_function(self, part: Gram) -> None:
+        """Write the function that adds the products of all lanes of two groups."""
         width, vector = self.plan.width, self._type(True)
         lines = [
             f"%left = mul i64 %a, {part.entries * width}",
@@ -275,6 +310,7 @@ class LlvmEmitter:
         ]
 
     def _product(self, part: Product) -> None:
+        """Write a matrix product with vectors along the rows of the right matrix."""
         self.width = part.width
         for i, line in enumerate(part.left):
             factors = [self._load(factor.array, factor.place) for factor in line]
@@ -293,8 +329,8 @@ class LlvmEmitter:
         self.width = self.plan.width
 
     def _sum(self, terms: list[Value]) -> Value:
-        """In two halves, which do not wait for each other."""
-        self.flags = STRICT  # or LLVM would make one chain of them
+        """Add the terms in two independent halves, which the processor can compute at the same time."""
+        self.flags = STRICT  # with FAST, LLVM would reorder the additions into one chain
         half = (len(terms) + 1) // 2
         first, *more = [
             reduce(partial(self._op, "fadd {F} {T} {0}, {1}"), part) for part in (terms[:half], terms[half:]) if part
@@ -306,15 +342,18 @@ class LlvmEmitter:
     # Instructions
 
     def _constant(self, x: float) -> Value:
+        """Return the literal of a number. Raise ValueError for NaN, which CasADi inserts for a lost symbol."""
         if math.isnan(x):
-            raise ValueError("the model makes numbers of its symbols, as by math.sin, float() or filling np.zeros")
+            raise ValueError(
+                "the model converts its symbols to numbers (math.sin, float(), np.zeros); use numpy's functions"
+            )
         return _literal(x)
 
     def _apply(self, code: int, *a: Value) -> Value:
         """Write one CasADi operation."""
         if code in TEMPLATES:
             return self._op(TEMPLATES[code], *a)
-        if code in (ca.OP_DIV, ca.OP_INV):  # by the reciprocal, which is shared, and hoisted if it is constant
+        if code in (ca.OP_DIV, ca.OP_INV):  # the reciprocal is shared, and moves before the loop if it is constant
             r = self._op("fdiv {F} {T} {0}, {1}", ONE, a[-1])
             return self._apply(ca.OP_MUL, a[0], r) if code == ca.OP_DIV else r
         if code in rewritten():
@@ -328,12 +367,16 @@ class LlvmEmitter:
             return self._select("une", a[0], ZERO, a[1])
         if code in LIBRARY:
             return self._call(LIBRARY[code], *a)
-        raise NotImplementedError(f"the engine does not know CasADi's operation {code}")
+        raise NotImplementedError(f"the engine does not support CasADi's operation {code}")
 
     def _op(
         self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False
     ) -> Value:
-        """Write an instruction, unless the same was written before; returns its value."""
+        """Write an instruction, unless it was written before. Return its value.
+
+        In the template, ``{T}`` is the type, ``{S}`` its name in intrinsics, ``{F}`` the floating-point flags.
+        ``again``: write the instruction in any case.
+        """
         vector = vector or any(a.vector for a in args)
         constant = constant and not self.grouped and all(a.constant for a in args)
         operands = [self._splat(a) if vector else a.text for a in args]
@@ -348,7 +391,7 @@ class LlvmEmitter:
         return self.memo[key]
 
     def _select(self, comparison: str, x: Value, y: Value, result: Value) -> Value:
-        """``result`` where the comparison holds, else zero."""
+        """Return ``result`` if the comparison holds, otherwise zero."""
         c = self._op(f"fcmp {comparison} {{T}} {{0}}, {{1}}", x, y)
         test = f"<{self.plan.width} x i1>" if c.vector else "i1"
         return self._op(
@@ -356,7 +399,7 @@ class LlvmEmitter:
         )
 
     def _call(self, name: str, *a: Value) -> Value:
-        """Call the C library, lane by lane."""
+        """Call a function of the C library, for each lane separately."""
         if not any(x.vector for x in a):
             self.declared.add(f"declare double @{name}({', '.join(['double'] * len(a))}) memory(none)")
             return self._op(f"call double @{name}({', '.join(f'double {{{i}}}' for i in range(len(a)))})", *a)
@@ -370,6 +413,7 @@ class LlvmEmitter:
         return result
 
     def _splat(self, a: Value) -> str:
+        """Return the text of a value as a vector, with scalars repeated in all lanes."""
         if a.vector:
             return a.text
         if a.text[0] != "%":
@@ -381,12 +425,12 @@ class LlvmEmitter:
     # Memory
 
     def _address(self, name: str, j: int) -> str:
-        """Pointer to entry j of the current row and group."""
+        """Return the pointer to entry j of an array in the current row and group."""
         kind, size, pointer = self._type(name in self.plan.lanes), self.plan.sizes[name], f"%{name}"
         offsets: list[str] = []
         if name in self.plan.rows or name in self.plan.summed:
             row = "%k"
-            if name in self.plan.summed:  # its step is 0, or 1 where every row keeps its own
+            if name in self.plan.summed:  # the step is 0 for a sum over rows and 1 for separate results in each row
                 row = self._op(f"mul i64 %k, %step.{name}", constant=False).text
             if name in self.plan.lanes:
                 row = self._op(f"mul i64 {row}, %groups", constant=False).text
@@ -399,6 +443,7 @@ class LlvmEmitter:
         return self._op(f"getelementptr {kind}, ptr {pointer}, i64 {j}", constant=not offsets).text
 
     def _load(self, name: str, j: int, again: bool = False) -> Value:
+        """Return entry j of an array. ``again``: load the entry even if it was loaded before."""
         if name in self.held:
             return self.held[name][j]
         varies = name in self.plan.rows or name in self.plan.carried or again
@@ -410,6 +455,7 @@ class LlvmEmitter:
         )
 
     def _store(self, name: str, j: int, value: Value) -> None:
+        """Write entry j of an array, or add to the entry if the array is summed."""
         if name in self.held:
             self.fresh[name, j] = value
             return
@@ -423,4 +469,5 @@ class LlvmEmitter:
         return f"<{self.width} x double>" if vector else "double"
 
     def _write(self, *lines: str, constant: bool = False) -> None:
+        """Append lines to the loop, or before the loop if they are constant."""
         (self.entry if constant else self.body).extend(lines)

@@ -1,7 +1,7 @@
 """CasADi's scalar operations as LLVM instructions.
 
-In a template ``{T}`` is the type (double or a vector of them), ``{S}`` its name in intrinsics, ``{F}`` the
-floating-point flags and ``{0}``, ``{1}`` the operands.
+In a template, ``{T}`` is the type (double or a vector of doubles), ``{S}`` its name in intrinsics, ``{F}`` the
+floating-point flags, and ``{0}`` and ``{1}`` the operands.
 """
 
 from __future__ import annotations
@@ -18,9 +18,19 @@ FAST = STRICT + " reassoc"
 
 
 class FlushToZero(NamedTuple):
-    """How a kernel has numbers below the smallest normal one (2e-308) taken for zero while it runs: what it declares,
-    and what comes first and last. A processor takes a hundred cycles for each of them, and covariances that die out, of
-    a biased sensor or a decaying state, stay there for good: filters were four to ten times slower on quiet data."""
+    """Instructions with which a kernel treats numbers below the smallest normal number (2e-308) as zero.
+
+    Attributes
+    ----------
+    declared : tuple[str, ...]
+        Declarations of the module.
+    first, last : tuple[str, ...]
+        Instructions at the start and at the end of the kernel.
+
+    Notes ----- A processor takes a hundred cycles for each subnormal number. Covariances that decay, for example of a
+    biased sensor, stay in this range permanently. Without these instructions, filters were four to ten times slower on
+    quiet data.
+    """
 
     declared: tuple[str, ...] = ()
     first: tuple[str, ...] = ()
@@ -45,6 +55,7 @@ FLUSH_TO_ZERO = {"x86_64": _X86, "AMD64": _X86, "aarch64": _ARM, "arm64": _ARM}.
 
 
 def _templates() -> dict[int, str]:
+    """Return the templates of the operations that LLVM has as instructions or intrinsics, by CasADi's code."""
     table = {
         ca.OP_ADD: "fadd {F} {T} {0}, {1}",
         ca.OP_SUB: "fsub {F} {T} {0}, {1}",
@@ -54,10 +65,10 @@ def _templates() -> dict[int, str]:
         ca.OP_NEG: "fneg {T} {0}",
         ca.OP_FMOD: "frem {T} {0}, {1}",
     }
-    one = "sqrt exp log fabs floor ceil tan asin acos atan sinh cosh tanh"
-    two = "pow constpow copysign atan2 fmin fmax"
+    unary = "sqrt exp log fabs floor ceil tan asin acos atan sinh cosh tanh"
+    binary = "pow constpow copysign atan2 fmin fmax"
     renamed = {"constpow": "pow", "fmin": "minnum", "fmax": "maxnum"}
-    for operands, names in (("{0}", one), ("{0}, {T} {1}", two)):
+    for operands, names in (("{0}", unary), ("{0}, {T} {1}", binary)):
         for name in names.split():
             intrinsic = renamed.get(name, name)
             table[getattr(ca, "OP_" + name.upper())] = f"call {{T}} @llvm.{intrinsic}.{{S}}({{T}} {operands})"
@@ -73,12 +84,13 @@ LIBRARY = {
 
 
 _SLOW = "sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh exp expm1 log log1p erf pow constpow hypot"
-SLOW = frozenset(getattr(ca, "OP_" + name.upper()) for name in _SLOW.split())  # to do again takes longer than to read
+# Operations that take longer to repeat than to read from memory
+SLOW = frozenset(getattr(ca, "OP_" + name.upper()) for name in _SLOW.split())
 
 
 @cache
 def rewritten() -> dict[int, Any]:
-    """Operations that are replaced by expressions of others, as functions of x and y."""
+    """Return the operations that are replaced by expressions of other operations, as functions of x and y."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     sine, cosine = _sine_and_cosine(x)
     table = {
@@ -93,7 +105,10 @@ def rewritten() -> dict[int, Any]:
 
 
 def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
-    """Reduction to +-pi/4 in two parts of pi/2 and the polynomials of fdlibm; for |x| below 1e5."""
+    """Return the sine and cosine of x, accurate for |x| below 1e5.
+
+    The argument is reduced to +-pi/4 with pi/2 in two parts. The polynomials are those of fdlibm.
+    """
     k = ca.floor(x * 0.6366197723675814 + 0.5)
     r = x - k * 1.5707963267948966 - k * 6.123233995736766e-17
     z = r * r

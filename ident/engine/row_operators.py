@@ -1,6 +1,7 @@
-"""One linear operator a row, on many columns at once: compiled, or by numpy where there is no LLVM.
+"""Linear recursion with one operator for each row, applied to many columns at once.
 
-What the sensitivities of a filter are: of its state from row to row, and of its whitened innovations.
+The recursion computes the sensitivities of a filter: of its state from row to row, and of its whitened innovations.
+The loop is compiled if llvmlite is installed. Otherwise numpy is used.
 """
 
 from __future__ import annotations
@@ -16,27 +17,48 @@ from numpy.typing import NDArray
 from seatrial.ident.engine import jit
 from seatrial.ident.numerics import Array
 
-VECTORS = 4  # worked on at a time: each number of an operator is loaded once for so many
-MULTIPLE = VECTORS * jit.WIDTH  # of columns
-NOWHERE = -1
+VECTORS = 4  # vectors processed together: each number of an operator is loaded once for all of them
+MULTIPLE = VECTORS * jit.WIDTH  # the number of columns is a multiple of this
+NOWHERE = -1  # row of ``out`` for an output that is not stored
 
 Index = NDArray[np.int64]
 
 
 def padded(n_columns: int) -> int:
-    """So many columns as ``apply_rows`` takes."""
+    """Return the number of columns, rounded up to the multiple that `apply_rows` requires."""
     return -(-n_columns // MULTIPLE) * MULTIPLE
 
 
 def apply_rows(
     operators: Array, drive: Array, columns: Index, ahead: Array, rows: Index, begin: Array, at: Index, out: Array
 ) -> Array:
-    """Go along the rows, ``[x_k+1; y_k] = B_k [x_k; d_k] + [a_k d_k+1; 0]``; y is written to ``out``.
+    """Run the recursion ``[x_k+1; y_k] = B_k [x_k; d_k] + [a_k d_k+1; 0]`` over the rows k, and write y to ``out``.
 
-    operators (n, s + m, s + t): B, s the size of x, m of y; drive (n + 1, p, w): d of each row, and of the end of the
-    last; columns (p,): which of B's t columns for d each of them has, those of rates first; ahead (n,): a; rows (r,):
-    of x, to which the first r of d_k+1 are added; begin (s, w): x of the first row; at (n, m): the row of ``out`` that
-    each y has, or NOWHERE; out (n_out, w). All are contiguous, and w is `padded`. Returns x behind the last row (s, w).
+    All arrays are contiguous. The number of columns w is a result of `padded`.
+
+    Parameters
+    ----------
+    operators : Array (n, s + m, s + t)
+        Matrices B, with s entries of x, m of y and t possible columns for d.
+    drive : Array (n + 1, p, w)
+        d of each row, and d at the end of the last row.
+    columns : Index (p,)
+        Column of B, among the t columns for d, of each entry of d. Entries that drive rates come first.
+    ahead : Array (n,)
+        Factors a.
+    rows : Index (r,)
+        Entries of x to which the first r entries of d_k+1 are added.
+    begin : Array (s, w)
+        x of the first row.
+    at : Index (n, m)
+        Row of ``out`` for each entry of y, or NOWHERE.
+    out : Array (n_out, w)
+        Written in place.
+
+    Returns
+    -------
+    Array (s, w)
+        x after the last row.
     """
     n, s = len(operators), len(begin)
     x: Array = np.zeros((2, *begin.shape))
@@ -50,28 +72,29 @@ def apply_rows(
         return np.asarray(x[n % 2])
     now = x[0]
     for k in range(n):
-        found = operators[k][:, where] @ np.concatenate([now, drive[k]])
-        known = at[k] != NOWHERE
-        out[at[k][known]] = found[s:][known]
-        now = found[:s]
+        products = operators[k][:, where] @ np.concatenate([now, drive[k]])
+        stored = at[k] != NOWHERE
+        out[at[k][stored]] = products[s:][stored]
+        now = products[:s]
         now[rows] += ahead[k] * drive[k + 1, : rows.size]
     return np.asarray(now)
 
 
 @cache
 def _compiled() -> Callable[..., None]:
+    """Return the compiled loop as a function of sizes and addresses."""
     library, address = jit.load_machine_code(_ir(), "rows")
     entry = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 7, *[ctypes.c_void_p] * 8)(address)
 
-    def run(*given: Any) -> None:
+    def run(*arguments: Any) -> None:
         assert library is not None  # the code lives as long as its library
-        entry(*given)
+        entry(*arguments)
 
     return run
 
 
 class _Text:
-    """LLVM IR, a line at a time; what changes lies in memory, from which the compiler takes it."""
+    """Writer of LLVM IR, line by line. Loop indices and sums are kept in memory; LLVM moves them to registers."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []
@@ -81,13 +104,13 @@ class _Text:
         self.lines.append(f"  {text}")
 
     def value(self, text: str) -> str:
-        """The name of a new value."""
+        """Append an instruction. Return the name of its value."""
         self._n += 1
         self(f"%v{self._n} = {text}")
         return f"%v{self._n}"
 
     def loop(self, end: str, body: Callable[[str], None], step: int = 1) -> None:
-        """Run the body for 0, step, ... below the end."""
+        """Write a loop that runs the body for 0, step, 2 step, ... below the end."""
         self._n += 1
         here = f"l{self._n}"
         self.lines.insert(1, f"  %{here} = alloca i64")
@@ -105,7 +128,7 @@ class _Text:
         self.lines.append(f"{here}.end:")
 
     def at(self, base: str, *index: tuple[str, str]) -> str:
-        """The place of an item: Horner's scheme of (size, index)."""
+        """Return the address of an item of an array. The index is a list of pairs (size of the dimension, index)."""
         place = index[0][1]
         for size, i in index[1:]:
             place = self.value(f"add i64 {self.value(f'mul i64 {place}, {size}')}, {i}")
@@ -113,35 +136,37 @@ class _Text:
 
 
 def _ir() -> str:
-    """``rows(n, s, m, t, p, w, r, B, where, x, d, a, to, at, out)``."""
+    """Return the LLVM IR of the function ``rows(n, s, m, t, p, w, r, B, where, x, d, a, to, at, out)``."""
     width = jit.WIDTH
     vector, fma = f"<{width} x double>", f"@llvm.fmuladd.v{width}f64"
     text, sums = _Text(), [f"%sum{k}" for k in range(VECTORS)]
     text.lines = ["entry:", *(f"  {name} = alloca {vector}" for name in sums)]
 
     def splat(number: str) -> str:
-        one = text.value(f"insertelement {vector} poison, double {number}, i32 0")
-        return text.value(f"shufflevector {vector} {one}, {vector} poison, <{width} x i32> zeroinitializer")
+        first = text.value(f"insertelement {vector} poison, double {number}, i32 0")
+        return text.value(f"shufflevector {vector} {first}, {vector} poison, <{width} x i32> zeroinitializer")
 
     def vectors(place: str) -> list[str]:
         return [text.value(f"getelementptr double, ptr {place}, i64 {k * width}") for k in range(VECTORS)]
 
     def product(row: str, column: str, item: str) -> None:
-        """Add B's number times VECTORS vectors of an item's columns to the sums."""
-        many = splat(text.value(f"load double, ptr {text.at('%B', ('', row), ('%t', column))}"))
+        """Add the entry (row, column) of B times VECTORS vectors of an item's columns to the sums."""
+        factor = splat(text.value(f"load double, ptr {text.at('%B', ('', row), ('%t', column))}"))
         for name, place in zip(sums, vectors(item), strict=True):
             x = text.value(f"load {vector}, ptr {place}, align 8")
             so_far = text.value(f"load {vector}, ptr {name}")
-            more = text.value(f"call {vector} {fma}({vector} {many}, {vector} {x}, {vector} {so_far})")
+            more = text.value(f"call {vector} {fma}({vector} {factor}, {vector} {x}, {vector} {so_far})")
             text(f"store {vector} {more}, ptr {name}")
 
     def of_row(k: str) -> None:
+        """Write the products of one row, its outputs, and the part of the next drive."""
         now = text.value(f"and i64 {k}, 1")
         later = text.value(f"xor i64 {now}, 1")
         after = text.value(f"add i64 {k}, 1")
         height = text.value("add i64 %s, %m")
 
         def of_result(i: str, target: str) -> None:
+            """Write the product of one row of B with all columns to ``target``."""
             row = text.value(f"add i64 {text.value(f'mul i64 {k}, {height}')}, {i}")
 
             def of_columns(c: str) -> None:
@@ -150,8 +175,8 @@ def _ir() -> str:
                 text.loop("%s", lambda j: product(row, j, text.at("%x", ("", now), ("%s", j), ("%w", c))))
 
                 def driven(j: str) -> None:
-                    known = text.value(f"add i64 %s, {j}")
-                    source = text.value(f"load i64, ptr {text.at('%where', ('', known))}")
+                    index = text.value(f"add i64 %s, {j}")
+                    source = text.value(f"load i64, ptr {text.at('%where', ('', index))}")
                     product(row, source, text.at("%d", ("", k), ("%p", j), ("%w", c)))
 
                 text.loop("%p", driven)
@@ -163,7 +188,8 @@ def _ir() -> str:
 
         text.loop("%s", lambda i: of_result(i, text.at("%x", ("", later), ("%s", i), ("%w", "0"))))
 
-        def seen(i: str) -> None:
+        def store_output(i: str) -> None:
+            """Write one output, unless its row is NOWHERE."""
             place = text.value(f"load i64, ptr {text.at('%at', ('', k), ('%m', i))}")
             text._n += 1
             here = f"if{text._n}"
@@ -173,17 +199,18 @@ def _ir() -> str:
             text(f"br label %{here}.end")
             text.lines.append(f"{here}.end:")
 
-        text.loop("%m", seen)
+        text.loop("%m", store_output)
         weight = splat(text.value(f"load double, ptr {text.at('%a', ('', k))}"))
 
         def ahead(e: str) -> None:
+            """Add the next drive, times its factor, to one entry of x."""
             i = text.value(f"load i64, ptr {text.at('%to', ('', e))}")
 
             def of_columns(c: str) -> None:
                 target = text.at("%x", ("", later), ("%s", i), ("%w", c))
                 source = text.at("%d", ("", after), ("%p", e), ("%w", c))
-                for to, what in zip(vectors(target), vectors(source), strict=True):
-                    x, y = (text.value(f"load {vector}, ptr {place}, align 8") for place in (what, to))
+                for to, drive in zip(vectors(target), vectors(source), strict=True):
+                    x, y = (text.value(f"load {vector}, ptr {place}, align 8") for place in (drive, to))
                     moved = text.value(f"call {vector} {fma}({vector} {weight}, {vector} {x}, {vector} {y})")
                     text(f"store {vector} {moved}, ptr {to}, align 8")
 

@@ -13,14 +13,14 @@ from seatrial.ident.numerics import Array
 
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 
-ROWS = 32  # of a Jacobian that are evaluated at a time
+ROWS = 32  # rows of states and inputs for which one call evaluates the Jacobian
 
 
 class VectorisedModel:
-    """``rates`` and ``outputs`` of a model for whole arrays of states and inputs.
+    """Rates and outputs of a model for whole arrays of states and inputs.
 
-    The model's own functions are called with columns instead of scalars; one that takes symbols but no columns is
-    evaluated by CasADi, which is five to ten times slower.
+    The functions of the model are called with columns instead of scalars. Functions that accept symbols but no columns
+    are evaluated by CasADi, which is five to ten times slower.
     """
 
     def __init__(self, model: Model) -> None:
@@ -28,50 +28,68 @@ class VectorisedModel:
         self.n_states, self.n_outputs = len(model.states), len(model.outputs)
 
     def __call__(self, x: Array, u: Array, values: Array) -> Array:
-        """Rates, then outputs: (n_rows, n_states + n_outputs) for x (n_rows, n_states), u (n_rows, n_inputs)."""
+        """Return the rates, followed by the outputs, of all rows.
+
+        Parameters
+        ----------
+        x : Array (n_rows, n_states)
+            States.
+        u : Array (n_rows, n_inputs)
+            Inputs.
+        values : Array (n_parameters,)
+            Values of the parameters.
+
+        Returns
+        -------
+        Array (n_rows, n_states + n_outputs)
+            Rates and outputs.
+        """
         columns = self.columns(x, u, values)
-        found = np.empty((len(columns), len(x))).T  # of which every column is a piece of memory
+        result = np.empty((len(columns), len(x))).T  # transposed, so that every column is contiguous
         for j, column in enumerate(columns):
-            found[:, j] = column
-        return found
+            result[:, j] = column
+        return result
 
     def columns(self, x: Array, u: Array, values: Array) -> list[Array]:
-        """The same one by one, each (n_rows,)."""
+        """Return the rates, followed by the outputs, as a list of columns (n_rows,)."""
         with np.errstate(all="ignore"):
             try:
                 s = self.model.signals(list(x.T), list(u.T), values.tolist())
-                found = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
-                return [c if np.shape(c) == (len(x),) else np.full(len(x), c, dtype=np.float64) for c in found]
+                signals = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
+                return [c if np.shape(c) == (len(x),) else np.full(len(x), c, dtype=np.float64) for c in signals]
             except (TypeError, ValueError):
                 return list(np.asarray(self._both(x.T, u.T, values)))
 
     def output_jacobian(self, x: Array, u: Array, values: Array) -> Array:
-        """(n_rows, n_outputs, n_states)."""
+        """Return the derivatives of the outputs by the states, shape (n_rows, n_outputs, n_states)."""
         return self._slopes(self._output_jacobian, self.n_outputs, x, u, values)
 
     def rate_jacobian(self, x: Array, u: Array, values: Array) -> Array:
-        """(n_rows, n_states, n_states)."""
+        """Return the derivatives of the rates by the states, shape (n_rows, n_states, n_states)."""
         return self._slopes(self._rate_jacobian, self.n_states, x, u, values)
 
     def _slopes(self, function: Any, n: int, x: Array, u: Array, values: Array) -> Array:
-        """Through buffers: what CasADi is given otherwise it copies several times."""
-        found = np.empty((len(x), n, self.n_states))
+        """Evaluate a Jacobian with n rows for all rows of states and inputs.
+
+        The arguments are passed in buffers, because CasADi copies other arguments several times.
+        """
+        jacobians = np.empty((len(x), n, self.n_states))
         part_x, part_u, p = np.zeros((ROWS, x.shape[1])), np.zeros((ROWS, u.shape[1])), np.array(values, np.float64)
         slopes = np.empty((ROWS, self.n_states, n))
         buffer, evaluate = function.buffer()
-        for k, given in enumerate((part_x, part_u, p)):
-            buffer.set_arg(k, given.data)
+        for k, argument in enumerate((part_x, part_u, p)):
+            buffer.set_arg(k, argument.data)
         buffer.set_res(0, slopes.data)
         for first in range(0, len(x), ROWS):
             size = len(x[first : first + ROWS])
             part_x[:size], part_u[:size] = x[first : first + ROWS], u[first : first + ROWS]
             evaluate()
-            found[first : first + size] = slopes[:size].swapaxes(1, 2)
-        return found
+            jacobians[first : first + size] = slopes[:size].swapaxes(1, 2)
+        return jacobians
 
     @cached_property
     def _symbols(self) -> tuple[list[Any], Any, Any]:
-        """x, u, p; rates; outputs."""
+        """Symbols [x, u, p], expressions of the rates, expressions of the outputs."""
         sizes = (("x", self.model.states), ("u", self.model.inputs), ("p", self.model.parameters))
         x, u, p = (ca.SX.sym(n, len(k)) for n, k in sizes)
         s = self.model.signals(ca.vertsplit(x), ca.vertsplit(u) if self.model.inputs else [], ca.vertsplit(p))
@@ -80,21 +98,23 @@ class VectorisedModel:
 
     @cached_property
     def _both(self) -> Any:
-        given, rate, y = self._symbols
-        return ca.Function("rates_and_outputs", given, [ca.densify(ca.vertcat(rate, y))])
+        symbols, rate, y = self._symbols
+        return ca.Function("rates_and_outputs", symbols, [ca.densify(ca.vertcat(rate, y))])
 
     @cached_property
     def _output_jacobian(self) -> Any:
-        given, _, y = self._symbols
-        return _by_rows("H", given, ca.jacobian(y, given[0]))
+        symbols, _, y = self._symbols
+        return _by_rows("H", symbols, ca.jacobian(y, symbols[0]))
 
     @cached_property
     def _rate_jacobian(self) -> Any:
-        given, rate, _ = self._symbols
-        return _by_rows("A", given, ca.jacobian(rate, given[0]))
+        symbols, rate, _ = self._symbols
+        return _by_rows("A", symbols, ca.jacobian(rate, symbols[0]))
 
 
-def _by_rows(name: str, given: list[Any], slopes: Any) -> Any:
-    """Slopes for ``ROWS`` rows of states and inputs, and the parameters of all."""
-    one = ca.Function(name, given, [ca.densify(slopes)])
-    return one.map(f"{name}_by_rows", "serial", ROWS, [2], [])
+def _by_rows(name: str, symbols: list[Any], slopes: Any) -> Any:
+    """Return a function of the derivatives for ``ROWS`` rows of states and inputs. The parameters are common to all
+    rows.
+    """
+    single_row = ca.Function(name, symbols, [ca.densify(slopes)])
+    return single_row.map(f"{name}_by_rows", "serial", ROWS, [2], [])

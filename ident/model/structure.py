@@ -1,13 +1,13 @@
-"""A model: named states, inputs, sensors and parameters, and the functions between them.
+"""Model of a vehicle, thruster or sensor: named states, inputs, sensors and parameters, and the functions between them.
 
-The functions are plain Python over scalars (numpy functions work; the engine calls them with symbols).
-They are ordered in stages, each reading and writing one bag of signals:
+The functions are plain Python functions of scalars. They may use numpy functions, because the engine calls them with
+symbols. The functions are ordered in stages. All stages read and write one `Signals` object:
 
     shaft -> thrust -> force -> rate -> output
 
-An effect is a part that hooks in behind a stage; ``model + effect`` is a model again. What has to see the work of all
-other effects of a stage hooks in behind one of its ``LATER`` places, so that it does not matter which was added first.
-A model of one's own needs no stages: ``plain_model`` takes ``f(x, u, p)`` and ``h(x, u, p)``.
+An effect hooks in after a stage; ``model + effect`` is again a model. Some effects depend on the result of all other
+effects of a stage. They hook in at one of the ``LATER`` places of the stage, so that the order in which effects are
+added does not matter. User-defined models need no stages: ``plain_model`` takes ``f(x, u, p)`` and ``h(x, u, p)``.
 """
 
 from __future__ import annotations
@@ -22,31 +22,42 @@ from typing import Any, Literal
 from seatrial.ident.model.parameter import Parameter, ParameterRole, tap_name
 
 HISTORY_STEP = 0.1  # s between the taps of an input
-PARAMETERS = "parameters"  # a hook of this label changes parameters before the first stage
-# By stage: places for effects behind all that hook in at the stage itself, in this order
+PARAMETERS = "parameters"  # a hook with this label changes parameters before the first stage
+# Places after each stage, in order, for effects that run after all effects at the stage itself
 LATER: Mapping[str, tuple[str, ...]] = {
-    "thrust": ("thrust_loss",),  # factors on the thrust that was made
-    "force": ("loose_mass",),  # what takes its part of the whole force
-    "rate": ("carried",),  # what the boat's acceleration moves
-    # a fix that is late, of where the antenna is; sensors that stand askew or err with heading; their own offsets
+    "thrust": ("thrust_loss",),  # factors on the generated thrust
+    "force": ("loose_mass",),  # a moving mass that takes a part of the total force
+    "rate": ("carried",),  # states that the acceleration of the boat excites
+    # latency of the antenna's position fix; misaligned axes and heading errors; offsets of the sensors
     "output": ("late_fix", "axes", "reading"),
 }
 
 
 class Named(SimpleNamespace):
-    """Scalars, symbols or columns by name. AttributeError of a name that is not there says which there are."""
+    """Scalars, symbols or columns by name. An unknown name raises an AttributeError that lists the available names."""
 
     _kind = "signal"
 
-    def __getattr__(self, name: str) -> Any:  # only what is not there comes here
-        there = ", ".join(vars(self)) or "none"
-        raise AttributeError(f"no {self._kind} {name!r}; there is {there}", name=name, obj=self)
+    def __getattr__(self, name: str) -> Any:  # Python calls this only for missing attributes
+        available = ", ".join(vars(self)) or "none"
+        raise AttributeError(f"no {self._kind} {name!r}; there is {available}", name=name, obj=self)
 
 
 class Signals(Named):
-    """``x``, ``u``, ``p`` by name, ``rate`` and ``y`` as dictionaries, and the rest as each model names it (vehicle
-    models: ``n`` and ``f`` by thruster, ``X``, ``Y``, ``N``). ``again``: a bag of other states, inputs and parameters,
-    by name, in which all has run up to the rates, for an effect that has to know what they were."""
+    """Signals of one row, or of all rows as columns.
+
+    Attributes
+    ----------
+    x, u, p : Named
+        States, inputs and parameters by name.
+    rate, y : dict
+        Rates of the states, and outputs.
+    again : Callable
+        ``again(x, u, p)`` runs the model again up to the rates, with other values of some states, inputs and
+        parameters. It is for effects that depend on earlier rates.
+
+    Each model adds signals of its own. Vehicle models add ``n`` and ``f`` by thruster, and ``X``, ``Y`` and ``N``.
+    """
 
     x: Any
     u: Any
@@ -56,7 +67,7 @@ class Signals(Named):
     again: Callable[[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]], Signals]
 
     def state_or_input(self, name: str) -> Any:
-        """The state of this name where there is one, else the input."""
+        """Return the state of this name if there is one, otherwise the input."""
         return getattr(self.x if hasattr(self.x, name) else self.u, name)
 
 
@@ -65,11 +76,11 @@ Hold = Literal["zero", "average", "linear"]
 
 
 class ModelKind(StrEnum):
-    """What is modelled, which tells how its logs are read."""
+    """Kind of the modelled object. It determines how its logs are read."""
 
     VEHICLE = "vehicle"
-    BENCH = "bench"  # a thruster on its bench, from a log of it alone
-    NOISE = "noise"  # a sensor at rest
+    BENCH = "bench"  # a thruster on a test bench, from a log of this thruster alone
+    NOISE = "noise"  # a sensor at rest, for its noise
 
 
 Place = Literal["actuator", "hull", "environment", "sensor", "bench"]
@@ -77,10 +88,19 @@ Place = Literal["actuator", "hull", "environment", "sensor", "bench"]
 
 @dataclass(frozen=True)
 class State:
-    """``noise``: diffusion in unit/sqrt(s), a number or the name of the parameter that holds it.
-    ``x0`` and ``sd0``: mean and standard deviation at the start of a record, numbers or, for the mean, the
-    name of a parameter; ``from_output`` starts it at the first measurement of that output. ``nuisance``: a disturbance
-    or an offset of a sensor, which a controller does not want."""
+    """State of a model.
+
+    Attributes
+    ----------
+    noise : float or str
+        Diffusion in unit/sqrt(s): a number, or the name of a parameter.
+    x0, sd0 : float or str
+        Mean and standard deviation at the start of a record: a number, or the name of a parameter.
+    from_output : str
+        Output whose first measurement is the initial mean; empty: `x0` is the initial mean.
+    nuisance : bool
+        Whether the state is a disturbance or a sensor offset, which a model for control does not need.
+    """
 
     name: str
     unit: str = ""
@@ -94,18 +114,27 @@ class State:
 
 @dataclass(frozen=True)
 class Input:
-    """A known signal.
+    """Known signal that drives a model.
 
-    Attributes:
-        hold: ``zero``: zero-order, and every change is a row unless it is averaged; ``average``: zero-order, and
-            between rows a straight line of the same mean and first moment; ``linear`` between samples.
-        angle: unwrapped before it is interpolated.
-        label: what people see it as; None: its name; empty: they do not look at it.
-        tap_of: the signal that this one is a delayed copy of.
-        tap: that many steps later (negative: earlier), made of the signal; 0: the data have it.
-        delay: by which the copy is later [s].
-        prefilter: forces follow it at once, and where sensors are averaged, it is averaged over as long; not so for a
-            command that a lag of the model smooths by more, nor for a sensor's reading.
+    Attributes
+    ----------
+    hold : "zero", "average" or "linear"
+        Hold between samples. ``zero``: constant, and every change starts a new row, unless the input is averaged.
+        ``average``: constant, replaced between rows by a straight line of the same mean and first moment.
+        ``linear``: linear interpolation.
+    angle : bool
+        Whether the signal is an angle, which is unwrapped before it is interpolated.
+    label : str or None
+        Name in plots. None: `name`; empty: not plotted.
+    tap_of : str
+        Name of the signal of which this input is a delayed copy.
+    tap : int
+        Number of steps of the delay (negative: earlier). 0: the input is in the data.
+    delay : float
+        Delay of the copy [s].
+    prefilter : bool
+        Whether the input is averaged over the same time as the sensors. Inputs that forces follow at once are averaged.
+        A command that a lag of the model smooths anyway, and a measured signal of a sensor, are not averaged.
     """
 
     name: str
@@ -119,7 +148,9 @@ class Input:
     prefilter: bool = True
 
     def delayed(self, tap: int, step: float = HISTORY_STEP) -> Input:
-        """This input ``tap`` steps [s] ago, named ``NAME~tap``; itself for none."""
+        """Return this input ``tap`` steps of ``step`` [s] ago, named ``NAME~tap``. For ``tap`` 0, return the input
+        itself.
+        """
         if not tap:
             return self
         return replace(self, name=tap_name(self.name, tap), label="", tap_of=self.name, tap=tap, delay=step * tap).held(
@@ -127,11 +158,14 @@ class Input:
         )
 
     def like(self, source: Input) -> Input:
-        """This delayed copy, held and averaged as its source is."""
+        """Return this delayed copy with the hold and the averaging of its source."""
         return replace(self.held(source.hold), prefilter=source.prefilter)
 
     def held(self, hold: str) -> Input:
-        """This input as a log holds its signal; of a copy no change is a row. Empty: as it is."""
+        """Return this input with the hold of its signal in a log. Empty ``hold``: return the input itself.
+
+        Changes of a delayed copy do not start new rows, so its zero-order hold becomes ``average``.
+        """
         if hold == "zero" and (self.tap or self.hold == "average"):
             hold = "average"
         return replace(self, hold=hold) if hold else self  # type: ignore[arg-type]
@@ -139,7 +173,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """``noise``: standard deviation of the white measurement noise, the name of a parameter."""
+    """Output of a sensor. ``noise`` is the parameter with the standard deviation of the white measurement noise."""
 
     name: str
     unit: str = ""
@@ -150,8 +184,14 @@ class Output:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Outputs that arrive together; a sample of a sensor is there as a whole or not at all. ``averaged``: over a row's
-    time, where samples are closer; else one of them is taken, as of what follows the inputs within that time."""
+    """Sensor whose outputs arrive together: a row has a sample of all of its outputs or of none.
+
+    Attributes
+    ----------
+    averaged : bool
+        Whether samples within the time of a row are averaged. If False, one of them is used. It is False for outputs
+        that follow the inputs quickly, within the time of a row.
+    """
 
     name: str
     outputs: tuple[Output, ...]
@@ -160,12 +200,16 @@ class Sensor:
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """A residual quantity as a function of one variable, or of the products of two.
+    """Nonparametric curve: a residual quantity as a function of one variable, or of the products of two variables.
 
-    Attributes:
-        force: name of the ``Residual``, ``X``.
-        variable: name of the ``Variable``, ``u``.
-        second: of a product's other variable; empty for a function of one.
+    Attributes
+    ----------
+    force : str
+        Name of the ``Residual``, for example ``X``.
+    variable : str
+        Name of the ``Variable``, for example ``u``.
+    second : str
+        Second variable of the products; empty for a function of one variable.
     """
 
     force: str
@@ -174,45 +218,58 @@ class ForceCurve:
 
     @property
     def variables(self) -> str:
-        """The variables as people read them: ``u``, or ``u, r``."""
+        """Variables for display: ``u``, or ``u, r``."""
         return f"{self.variable}, {self.second}" if self.second else self.variable
 
 
 class EffectKind(StrEnum):
-    """What an effect is a model of."""
+    """Kind of an effect."""
 
     CATALOGUE = "catalogue"  # a named physical effect
     BETWEEN_RUNS = "between-runs"  # a parameter that differs between runs
     NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
-    LAGGED = "lagged"  # a force of first order behind an input
-    RESONANT = "resonant"  # a force of second order behind an input
+    LAGGED = "lagged"  # a force that follows an input by a first-order lag
+    RESONANT = "resonant"  # a force that follows an input by a second-order, oscillating response
     DISTURBANCE = "disturbance"  # a disturbance force, for the filter
-    SENSOR_OFFSET = "sensor-offset"  # a walking offset or an age of a sensor, for the filter
+    SENSOR_OFFSET = "sensor-offset"  # a random-walk offset or a latency of a sensor, for the filter
 
     @property
     def unknown(self) -> bool:
-        """Whether it has no name in any catalogue."""
+        """Return whether no catalogue has a name for the effect."""
         return self in (EffectKind.NONPARAMETRIC, EffectKind.LAGGED, EffectKind.RESONANT)
 
     @property
     def nuisance(self) -> bool:
-        """Whether it is there for the filter's sake: no part of the boat."""
+        """Return whether the effect serves the filter only and is no property of the boat."""
         return self in (EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET)
 
 
 def curve_name(kind: EffectKind, curve: ForceCurve) -> str:
-    """The display name of an effect that no catalogue lists: ``X(u)``, ``N(u, r)``, ``X(past of n_sum)``."""
-    way = {EffectKind.LAGGED: "past of ", EffectKind.RESONANT: "swing after "}.get(kind, "")
-    return f"{curve.force}({way}{curve.variables})"
+    """Return the display name of an effect without a catalogue name: ``X(u)``, ``N(u, r)``, ``X(past of n_sum)``."""
+    response = {EffectKind.LAGGED: "past of ", EffectKind.RESONANT: "swing after "}.get(kind, "")
+    return f"{curve.force}({response}{curve.variables})"
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A part that changes a model: a candidate for what the model lacks, or a disturbance it needs.
+    """Extension of a model: a candidate for a missing effect, or a disturbance that the filter needs.
 
-    ``hooks`` maps a stage, or a place behind one (``LATER``), to a function that runs after it (``PARAMETERS``: before
-    all of them). At the parameters' given values the effect does nothing. ``requires`` names signals a model must
-    provide (``f``: thrust by thruster).
+    With the default values of its parameters, the effect changes nothing.
+
+    Attributes
+    ----------
+    name, title : str
+        Identifier, and name in reports.
+    hooks : Mapping[str, ModelFunction]
+        Functions by the stage, or the ``LATER`` place, after which they run. ``PARAMETERS``: before all stages.
+    place : str
+        Physical origin.
+    formula, source, experiment : str
+        Equation, literature, and the experiment that identifies the effect.
+    requires : tuple[str, ...]
+        Signals that the model must provide, for example ``f`` (thrust by thruster).
+    alternatives : tuple[str, ...]
+        Competing effects that explain similar data.
     """
 
     name: str
@@ -226,31 +283,39 @@ class Effect:
     source: str = ""
     experiment: str = ""
     requires: tuple[str, ...] = ()
-    one_sided: bool = False  # the first parameter cannot be negative: its lower bound is 0
+    one_sided: bool = False  # whether the first parameter cannot be negative: its lower bound is 0
     alternatives: tuple[str, ...] = ()
-    nests: tuple[str, ...] = ()  # effects that it is for some values of its parameters: it always explains as much
-    scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)  # values to try where there is no gradient
+    nests: tuple[
+        str, ...
+    ] = ()  # effects that are special cases of this effect; it explains at least as much as they do
+    # values to try for a parameter that has no gradient while the effect is zero, by name
+    scan: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     kind: EffectKind = EffectKind.CATALOGUE
-    curve: ForceCurve | None = None  # of an effect that no catalogue lists: what depends on what
-    span: tuple[float, float] | None = None  # of a nonparametric one: the range of its variable that it covers
-    parametric_form_of: ForceCurve | None = None  # it is one shape of this curve; others differ in shape only
-    nonparametric_of: ForceCurve | None = None  # a series for this curve, of no shape: its name says no more
-    fixed_point: bool = False  # it is at one place over ground: x and y of all logs must count from one origin
+    curve: ForceCurve | None = None  # force and variables, for an effect without a catalogue name
+    span: tuple[float, float] | None = None  # range of the variable that a nonparametric effect covers
+    parametric_form_of: ForceCurve | None = None  # curve of which this effect is one parametric form among others
+    nonparametric_of: ForceCurve | None = None  # curve that this effect describes by a series, without a specific form
+    fixed_point: bool = False  # whether the effect acts at a point fixed over ground: all logs must share one origin
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
-        """Whether it is this curve as a nonparametric effect."""
+        """Return whether the effect is the nonparametric form of this curve."""
         return self.kind is EffectKind.NONPARAMETRIC and self.curve is not None and self.curve == curve
 
 
 @dataclass(frozen=True)
 class StartGrid:
-    """Alternative initial values for a multimodal likelihood: every combination is tried, the best are fitted.
+    """Alternative initial values for a multimodal likelihood. Every combination is evaluated, and the best are fitted.
 
-    Attributes:
-        names: parameters; the first tells starts apart.
-        values: values of each to try.
-        apart: least distance of two starts in the first parameter, in its unit.
-        gaining: only those that are likelier than the fit, with all else as it was fitted.
+    Attributes
+    ----------
+    names : tuple[str, ...]
+        Parameters. The first parameter distinguishes the starts.
+    values : tuple[tuple[float, ...], ...]
+        Values to try for each parameter.
+    apart : float
+        Minimum distance of two starts in the first parameter, in its unit.
+    gaining : bool
+        Whether to fit only starts that are more likely than the current fit, with all other parameters as fitted.
     """
 
     names: tuple[str, ...]
@@ -261,14 +326,24 @@ class StartGrid:
 
 @dataclass(frozen=True)
 class Residual:
-    """Where something unexplained may enter a model: a force on the hull, a force on the load cell, a reading.
+    """Quantity of a model to which an unexplained part can be added: a force on the hull or load cell, or a sensor
+    output.
 
-    ``state``: the disturbance that stands for it (``seatrial.ident.models.disturbances``); ``scale``: what an unknown
-    table of it may reach, one standard deviation of the prior; ``add``: how an extra of its unit enters, behind
-    ``stage``;
-    ``of``: the variables that it may depend on, all of the model's where none are named; ``place`` and ``requires``:
-    of the nonparametric effects on it. ``relative``: a factor, whose part at zero of the variable belongs to other
-    parameters, and for which no disturbance stands.
+    Attributes
+    ----------
+    state : str
+        Disturbance state for this quantity (`seatrial.ident.models.disturbances`).
+    scale : float
+        Standard deviation of the prior of a nonparametric curve of this quantity.
+    add : Callable
+        ``add(signals, extra)`` adds a value of `unit` to the quantity, after the stage `stage`.
+    of : tuple[str, ...]
+        Variables on which the quantity may depend. Empty: all variables of the model.
+    place, requires
+        Properties of the nonparametric effects on the quantity, as in `Effect`.
+    relative : bool
+        Whether the unexplained part is a factor. Its value at zero of the variable then belongs to other parameters,
+        and it has no disturbance state.
     """
 
     name: str
@@ -286,7 +361,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class ThrusterPair:
-    """Shaft speeds (``n``) or thrusts (``f``) of two thrusters, their mean or their difference."""
+    """Mean or difference of the shaft speeds (``n``) or thrusts (``f``) of two thrusters."""
 
     quantity: Literal["n", "f"]
     difference: bool
@@ -294,20 +369,29 @@ class ThrusterPair:
 
 @dataclass(frozen=True)
 class Variable:
-    """What a residual may depend on, read from the signals of a row. ``angle``: wrapped, and described by harmonics;
-    ``functions``: how many splines describe it else."""
+    """Variable on which a residual may depend.
+
+    Attributes
+    ----------
+    read : Callable
+        Returns the variable, given the signals of a row.
+    angle : bool
+        Whether the variable is an angle, which is wrapped. Harmonics describe the residual as a function of an angle.
+    functions : int
+        Number of splines that describe the residual as a function of another variable.
+    """
 
     name: str
     unit: str
     read: Callable[[Signals], Any]
     angle: bool = False
     functions: int = 6
-    pair: ThrusterPair | None = None  # of two thrusters: what a force may follow late
+    pair: ThrusterPair | None = None  # thrusters of the variable: a force may follow them with a lag
 
 
 @dataclass(frozen=True)
 class Model:
-    """Continuous time, ``dx = f(x, u; p) dt + noise``, and ``y_k = h(x(t_k), u(t_k); p) + e_k``."""
+    """Model in continuous time: ``dx = f(x, u; p) dt + noise``, and ``y_k = h(x(t_k), u(t_k); p) + e_k``."""
 
     name: str
     states: tuple[State, ...]
@@ -317,61 +401,69 @@ class Model:
     stages: tuple[tuple[str, ModelFunction], ...]
     provides: tuple[str, ...] = ()  # signals that effects may require
     effects: tuple[Effect, ...] = field(default=())
-    source: str = ""  # how to make it again: "horizontal", "FILE.py:NAME"
-    # what a diagnosis looks for: unexplained quantities, what they may depend on, and products of two of these
+    source: str = ""  # text from which `make_model` builds the model again: "horizontal", "FILE.py:NAME"
+    # for the diagnosis: unexplained quantities, the variables they may depend on, and products of two variables
     residuals: tuple[Residual, ...] = ()
     variables: tuple[Variable, ...] = ()
     products: tuple[tuple[str, str], ...] = ()
-    block: float = 5.0  # s, several times the memory of what is unexplained: scores are summed over blocks as long
-    start_grid: StartGrid | None = None  # where else a fit starts, for a multimodal likelihood
+    block: float = 5.0  # s, length of the blocks over which scores are summed: several correlation times of residuals
+    start_grid: StartGrid | None = None  # additional initial values, for a multimodal likelihood
     kind: ModelKind = ModelKind.VEHICLE
-    horizon: float = 10.0  # s that predictions go ahead where nobody says otherwise
-    disturbance: Effect | None = None  # what it does not explain, as states; None: forces on the hull, where it has one
-    max_step: float = 0.1  # s between two rows, at most, for its quickest states
-    second_order: bool = False  # the filter's mean goes with the curvature of the rates (engine.graphs)
+    horizon: float = 10.0  # s, default horizon of predictions
+    # disturbance states; None: forces on the hull if the model has a hull
+    disturbance: Effect | None = None
+    max_step: float = 0.1  # s, maximum time between two rows, for the fastest states
+    second_order: bool = False  # whether the filter is of second order (`engine.ekf_graph`)
 
     def __post_init__(self) -> None:
+        """Check the names of the components. Raise ValueError for a repeated or unknown name."""
         for kind, names in (
             ("state", [s.name for s in self.states]),
             ("input", [i.name for i in self.inputs]),
             ("output", [o.name for o in self.outputs]),
             ("parameter", [p.name for p in self.parameters]),
         ):
-            twice = sorted({n for n in names if names.count(n) > 1})
-            if twice:
-                raise ValueError(f"model {self.name}: {kind} {twice[0]} is defined twice")
-        known, seen = {p.name for p in self.parameters}, {o.name for o in self.outputs}
-        for what, name in (
+            repeated = sorted({n for n in names if names.count(n) > 1})
+            if repeated:
+                raise ValueError(f"model {self.name}: {kind} {repeated[0]} is defined twice")
+        parameters, outputs = {p.name for p in self.parameters}, {o.name for o in self.outputs}
+        for field_name, name in (
             *((f"the noise of {s.name}", s.noise) for s in self.states),
             *((f"the noise of {o.name}", o.noise) for o in self.outputs),
             *((f"x0 of the state {s.name}", s.x0) for s in self.states),
             *((f"sd0 of the state {s.name}", s.sd0) for s in self.states),
         ):
-            if isinstance(name, str) and name not in known:
-                raise ValueError(f"model {self.name}: {what} names no parameter: {name!r}")
+            if isinstance(name, str) and name not in parameters:
+                raise ValueError(f"model {self.name}: {field_name} names no parameter: {name!r}")
         for s in self.states:
-            if s.from_output and s.from_output not in seen:
+            if s.from_output and s.from_output not in outputs:
                 raise ValueError(
                     f"model {self.name}: from_output of the state {s.name} names no output: "
-                    f"{s.from_output!r}; there is {', '.join(sorted(seen))}"
+                    f"{s.from_output!r}; there is {', '.join(sorted(outputs))}"
                 )
 
     @property
     def outputs(self) -> tuple[Output, ...]:
+        """Outputs of all sensors, in order."""
         return tuple(o for s in self.sensors for o in s.outputs)
 
     @property
     def values(self) -> dict[str, float]:
+        """Values of the parameters by name."""
         return {p.name: p.value for p in self.parameters}
 
     def parameter(self, name: str) -> Parameter:
+        """Return the parameter of this name. Raise KeyError if the model lacks it."""
         for p in self.parameters:
             if p.name == name:
                 return p
         raise KeyError(f"model {self.name} has no parameter {name!r}; it has {', '.join(self.values)}")
 
     def bag(self, x: Any, u: Any, p: Any) -> Signals:
-        """States, inputs and parameters by name, before any stage has run; scalars, symbols or columns."""
+        """Return the signals before any stage has run: states, inputs and parameters by name.
+
+        The arguments are scalars, symbols or columns, in the order of `states`, `inputs` and `parameters`.
+        """
         return Signals(
             x=States(**dict(zip([v.name for v in self.states], x, strict=True))),
             u=Inputs(**dict(zip([v.name for v in self.inputs], u, strict=True))),
@@ -381,7 +473,10 @@ class Model:
         )
 
     def signals(self, x: Any, u: Any, p: Any) -> Signals:
-        """Run all stages on scalars or symbols in the order of states, inputs and parameters."""
+        """Run all stages and return the signals.
+
+        The arguments are scalars, symbols or columns, in the order of `states`, `inputs` and `parameters`.
+        """
         s = self.bag(x, u, p)
         for effect in self.effects:
             if PARAMETERS in effect.hooks:
@@ -392,6 +487,7 @@ class Model:
         return s
 
     def _run(self, label: str, stage: ModelFunction, s: Signals) -> None:
+        """Run one stage, then the hooks of the effects at the stage and at its ``LATER`` places."""
         stage(s)
         for place in (label, *LATER.get(label, ())):
             for effect in self.effects:
@@ -399,24 +495,24 @@ class Model:
                     effect.hooks[place](s)
 
     def _until_rates(self, s: Signals, x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]) -> Signals:
-        """The stages once more, up to the rates, with some states, inputs and parameters other than those of ``s``."""
+        """Run the stages again up to the rates, with some states, inputs and parameters other than those of ``s``."""
         x, u, p = vars(s.x) | x, vars(s.u) | u, vars(s.p) | p
-        other = Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
+        changed = Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
         for label, stage in self.stages:
             if label == "output":
                 break
-            self._run(label, stage, other)
-        return other
+            self._run(label, stage, changed)
+        return changed
 
     def with_values(self, values: Mapping[str, float]) -> Model:
-        """The same model with other parameter values; unknown names are an error."""
+        """Return the model with other parameter values. Raise KeyError for an unknown name."""
         unknown = set(values) - set(self.values)
         if unknown:
             raise KeyError(f"model {self.name} has no parameter {sorted(unknown)[0]!r}")
         return replace(self, parameters=tuple(p.at(values.get(p.name, p.value)) for p in self.parameters))
 
     def with_free(self, names: Iterable[str]) -> Model:
-        """Free exactly the named parameters and fix all others."""
+        """Return the model with exactly the named parameters free. Raise KeyError for an unknown name."""
         wanted = set(names)
         unknown = wanted - set(self.values)
         if unknown:
@@ -425,21 +521,24 @@ class Model:
 
     @property
     def free(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
         return tuple(p.name for p in self.parameters if p.free)
 
     @property
     def considered(self) -> tuple[str, ...]:
-        """Parameters that are not estimated, but whose uncertainty goes into the errors of those that are."""
+        """Names of the considered parameters: they are not estimated, but their uncertainty adds to the errors of the
+        estimates.
+        """
         return tuple(p.name for p in self.parameters if p.considered_sd is not None)
 
     @property
     def noises(self) -> frozenset[str]:
-        """Parameters that only set covariances: standard deviations and diffusions."""
+        """Names of the parameters that set only covariances: standard deviations and diffusions."""
         named = [o.noise for o in self.outputs] + [s.noise for s in self.states] + [s.sd0 for s in self.states]
         return frozenset(n for n in named if isinstance(n, str))
 
     def role(self, name: str) -> ParameterRole:
-        """What a parameter is for: by its use as noise or as an initial state, else as it says itself."""
+        """Return the role of a parameter: noise or initial state by its use, otherwise its declared role."""
         if name in self.noises:
             return ParameterRole.NOISE
         if name in {s.x0 for s in self.states}:
@@ -448,20 +547,26 @@ class Model:
 
     @property
     def noise_parameters(self) -> frozenset[str]:
-        """Parameters of the noise alone: standard deviations, diffusions, and what else no prediction of the mean
-        depends on, such as the memory of a disturbance that is zero on average."""
+        """Names of the parameters on which no prediction of the mean depends.
+
+        These are standard deviations, diffusions, and properties of zero-mean disturbances, such as a correlation time.
+        """
         disturbance = {p.name for p in self.parameters if self.role(p.name) is ParameterRole.DISTURBANCE}
         return self.noises | disturbance
 
     def replace_parameters(self, *new: Parameter) -> Model:
+        """Return the model with these parameters in the place of those with the same names."""
         by_name = {p.name: p for p in new}
         return replace(self, parameters=tuple(by_name.get(p.name, p) for p in self.parameters))
 
     def __add__(self, effect: Effect) -> Model:
+        """Return the model with the effect added. Raise ValueError if the model lacks a signal that the effect
+        requires.
+        """
         missing = self._missing(effect)
         if missing:
             raise ValueError(
-                f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} has not"
+                f"effect {effect.name} needs the signal {sorted(missing)[0]!r}, which model {self.name} does not have"
             )
         own = {i.name: i for i in self.inputs}
         return replace(
@@ -474,34 +579,37 @@ class Model:
         )
 
     def without(self, name: str) -> Model:
-        """The model without its effect ``name``: without its hooks, states and parameters, and without those of its
-        inputs that no other effect reads. The model itself where it has no such effect."""
-        gone = [e for e in self.effects if e.name == name]
+        """Return the model without the effect ``name``: without its hooks, states, parameters and inputs.
+
+        Inputs that another effect reads are kept. Return the model itself if it lacks the effect.
+        """
+        removed = [e for e in self.effects if e.name == name]
         kept = tuple(e for e in self.effects if e.name != name)
-        lost = {i.name for e in gone for i in e.inputs} - {i.name for e in kept for i in e.inputs}
-        states, parameters = {s.name for e in gone for s in e.states}, {p.name for e in gone for p in e.parameters}
+        unused = {i.name for e in removed for i in e.inputs} - {i.name for e in kept for i in e.inputs}
+        states = {s.name for e in removed for s in e.states}
+        parameters = {p.name for e in removed for p in e.parameters}
         return replace(
             self,
             states=tuple(s for s in self.states if s.name not in states),
-            inputs=tuple(i for i in self.inputs if i.name not in lost),
+            inputs=tuple(i for i in self.inputs if i.name not in unused),
             parameters=tuple(p for p in self.parameters if p.name not in parameters),
             effects=kept,
         )
 
     def accepts(self, effect: Effect) -> bool:
-        """Whether the effect can be added, and neither it nor what it is about is there already."""
+        """Return whether the effect can be added: the model provides its signals and has none of its names."""
         return self.refusal(effect) is None
 
     def refusal(self, effect: Effect) -> str | None:
-        """Why the effect cannot be added; None: it can."""
+        """Return the reason why the effect cannot be added, or None if it can be added."""
         if missing := self._missing(effect):
-            return f"it needs the signal {min(missing)!r}, which model {self.name} has not"
-        had = {e.name for e in self.effects} | set(self.values) | {s.name for s in self.states}
-        there = had & {effect.name, *(p.name for p in effect.parameters), *(s.name for s in effect.states)}
-        return f"model {self.name} has {min(there)} already" if there else None
+            return f"it needs the signal {min(missing)!r}, which model {self.name} does not have"
+        present = {e.name for e in self.effects} | set(self.values) | {s.name for s in self.states}
+        common = present & {effect.name, *(p.name for p in effect.parameters), *(s.name for s in effect.states)}
+        return f"model {self.name} has {min(common)} already" if common else None
 
     def _missing(self, effect: Effect) -> set[str]:
-        """Signals that an effect requires and the model does not provide; a hull moves in the plane."""
+        """Return the signals that an effect requires and the model does not provide. Every hull provides ``plane``."""
         provided = {*self.provides, *(["plane"] if "hull" in self.provides else [])}
         return set(effect.requires) - provided
 
@@ -517,7 +625,21 @@ def plain_model(
     parameters: tuple[Parameter, ...],
     source: str = "",
 ) -> Model:
-    """A model from ``f(x, u, p) -> {state: rate}`` and ``h(x, u, p) -> {output: value}``."""
+    """Return a model without stages, from a function of the rates and a function of the outputs.
+
+    Parameters
+    ----------
+    name : str
+        Name of the model.
+    f : Callable
+        ``f(x, u, p)`` returns a dictionary {state: rate}.
+    h : Callable
+        ``h(x, u, p)`` returns a dictionary {output: value}.
+    states, inputs, sensors, parameters
+        Components of the model.
+    source : str
+        Text from which the model can be built again, for example "FILE.py:NAME".
+    """
 
     def rate(s: Signals) -> None:
         s.rate.update(_by_name(f(s.x, s.u, s.p), "f", "{state: rate}"))
@@ -526,29 +648,39 @@ def plain_model(
         s.y.update(_by_name(h(s.x, s.u, s.p), "h", "{output: value}"))
 
     for stage, own in ((rate, f), (output, h)):
-        update_wrapper(stage, own)  # so that an error is found in the user's own lines
+        update_wrapper(stage, own)  # so that error messages name the line of the user's function
     return Model(name, states, inputs, sensors, parameters, (("rate", rate), ("output", output)), source=source)
 
 
-def _by_name(found: Any, function: str, wanted: str) -> Mapping[str, Any]:
+def _by_name(found: Any, function: str, expected: str) -> Mapping[str, Any]:
+    """Return the dictionary, or raise TypeError if the user's function returned another type."""
     if not isinstance(found, Mapping):
-        raise TypeError(f"{function} returns a {type(found).__name__}, not a dictionary {wanted}")
+        raise TypeError(f"{function} returns a {type(found).__name__}, not a dictionary {expected}")
     return found
 
 
 def resolve_initial_states(states: Iterable[State], sensors: Iterable[Sensor]) -> tuple[State, ...]:
-    """The states; those that begin at an output that none of the sensors has begin at their ``x0``."""
-    seen = {o.name for s in sensors for o in s.outputs}
-    return tuple(s if s.from_output in seen else replace(s, from_output="") for s in states)
+    """Return the states for these sensors.
+
+    A state whose `from_output` no sensor measures starts from its `x0` instead.
+    """
+    measured = {o.name for s in sensors for o in s.outputs}
+    return tuple(s if s.from_output in measured else replace(s, from_output="") for s in states)
 
 
 class States(Named):
+    """States by name."""
+
     _kind = "state"
 
 
 class Inputs(Named):
+    """Inputs by name."""
+
     _kind = "input"
 
 
 class Parameters(Named):
+    """Values of the parameters by name."""
+
     _kind = "parameter"

@@ -1,4 +1,4 @@
-"""Catalogue of model structures, one module each, and their construction by name."""
+"""Catalogue of model structures, one module each, and the construction of a model by name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from seatrial.ident.models.user_code import check_user_model, load_object
 
 BUILT_IN = ("horizontal", "nomoto", "kinematic", "surge", "yaw", "thruster")
 GROUP = "seatrial.models"  # entry points by which other packages add models
-# What may follow the name, each in its place: surge:shaft:speed, yaw:both.
+# Options after the name, by position: surge:shaft:speed, yaw:both
 OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
     "surge": (("force", "shaft"), ("position", "speed", "both")),
     "yaw": (("rate", "both"),),
@@ -24,7 +24,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], ...]] = {
 }
 
 
-# Signals that some built-in model takes, with their units; what is said in docs/formats/import.md
+# Signals of the built-in models, with their units; docs/formats/import.md has the same list
 KNOWN_SIGNALS = {
     "x": "m",
     "y": "m",
@@ -55,22 +55,42 @@ KNOWN_SIGNALS = {
 
 
 def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
-    """A model as typed: a name of the catalogue, or ``FILE.py:NAME``, where NAME is a Model or a function that returns
-    one. ``sensors`` leaves out those that a log does not have.
+    """Return a model by name.
 
-    Raises SeatrialError when there is no such model.
+    Parameters
+    ----------
+    source : str
+        Name in the catalogue, or ``FILE.py:NAME``. NAME is a Model or a function that returns a Model.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors of a catalogue model are left out.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such model.
     """
     return own_model(source) if is_own_model(source) else catalogue_model(source, sensors)
 
 
 def is_own_model(source: str) -> bool:
-    """Whether a model is ``FILE.py:NAME``, and not one of the catalogue."""
+    """Return whether a model is user-defined, ``FILE.py:NAME``, and not a name in the catalogue."""
     return source.rpartition(":")[0].endswith(".py")
 
 
 def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
-    """A model by name: ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``, ``surge``. Loads
-    no file, whatever the name. Raises SeatrialError when there is no such model.
+    """Return a model of the catalogue by name. No file is loaded, whatever the name.
+
+    Parameters
+    ----------
+    source : str
+        Name with options, for example ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors of the model are left out.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such model.
     """
     kind, *options = source.split(":")
     if kind not in BUILT_IN:
@@ -86,13 +106,13 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     if kind == "kinematic":
         return _kinematic(source, options, sensors)
     module = importlib.import_module(f"seatrial.ident.models.{kind}")
-    maker: Callable[..., Model] = getattr(module, f"{kind}_model")
+    make: Callable[..., Model] = getattr(module, f"{kind}_model")
     for place, option in enumerate(options):
         allowed = OPTIONS[kind][place] if place < len(OPTIONS[kind]) else ()
         if option not in allowed:
-            known = f"there is {', '.join(allowed)}" if allowed else "it takes no more"
-            raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} there; {known}")
-    return maker(*options)
+            advice = f"choose {', '.join(allowed)}" if allowed else "no further option is possible"
+            raise SeatrialError(f"no model {source!r}: {kind} has no option {option!r} at this place; {advice}")
+    return make(*options)
 
 
 def _plugin_model(source: str, kind: str, options: Sequence[str]) -> Model:
@@ -106,7 +126,7 @@ def _plugin_model(source: str, kind: str, options: Sequence[str]) -> Model:
     point = plugins(GROUP).get(kind)
     if point is None:
         names = ", ".join((*BUILT_IN, *plugins(GROUP)))
-        raise SeatrialError(f"no model {source!r}: there are {names}, or FILE.py:NAME for your own")
+        raise SeatrialError(f"no model {source!r}: choose {names}, or FILE.py:NAME for your own")
     make: Callable[..., Any] = load_plugin(point, Callable)  # type: ignore[arg-type]
     try:
         model = make(*options)
@@ -118,7 +138,7 @@ def _plugin_model(source: str, kind: str, options: Sequence[str]) -> Model:
 
 
 def _is_step(options: Sequence[str]) -> bool:
-    """The delay from one copy of a thruster's command to the next, s."""
+    """Return whether the only option is the delay [s] from one copy of a thruster's command to the next."""
     try:
         return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
     except ValueError:
@@ -126,13 +146,14 @@ def _is_step(options: Sequence[str]) -> bool:
 
 
 def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    """Return a horizontal model with the options of its name."""
     from seatrial.ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
 
     kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
-    wrong = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
-    if wrong or (SYMMETRIC in options and "general" in options):
+    unknown = [o for o in options if o not in (*kinds, *currents, SYMMETRIC)]
+    if unknown or (SYMMETRIC in options and "general" in options):
         others = f"{', '.join(currents)} or {SYMMETRIC}"
-        raise SeatrialError(f"no model {source!r}: horizontal has {', '.join(kinds)}, and {others}")
+        raise SeatrialError(f"no model {source!r}: the options of horizontal are {', '.join(kinds)}, and {others}")
     propulsion: Any = next((o for o in options if o in kinds), "shaft")
     chosen = [s for s in SENSORS if s in sensors] if sensors is not None else None
     current = "no-current" not in options
@@ -142,16 +163,20 @@ def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | No
 
 
 def _nomoto(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    """Return a Nomoto model with the options of its name."""
     from seatrial.ident.models.nomoto import SEEN, nomoto_model
 
     if [o for o in options if o != "sampled"] not in ([], ["no-current"], ["random-walk-current"]):
-        raise SeatrialError(f"no model {source!r}: nomoto has sampled, and no-current or random-walk-current")
+        raise SeatrialError(
+            f"no model {source!r}: the options of nomoto are sampled, and no-current or random-walk-current"
+        )
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     model = nomoto_model(chosen, current="no-current" not in options, sampled="sampled" in options)
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 
 def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    """Return a kinematic model with the options of its name."""
     from seatrial.ident.models.horizontal import SYMMETRIC, symmetric_arms
     from seatrial.ident.models.kinematic import SEEN, kinematic_model
 
@@ -162,8 +187,8 @@ def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | Non
     ]
     if unknown:
         raise SeatrialError(
-            f"no model {source!r}: it is kinematic:shaft|force, then :yaw, :no-current and :random-walk-current "
-            "as wanted"
+            f"no model {source!r}: write kinematic:shaft or kinematic:force, followed by any of :yaw, :no-current and "
+            ":random-walk-current"
         )
     chosen = SEEN if sensors is None else [s for s in SEEN if s in sensors] or SEEN
     propulsion: Any = options[0] if options else "shaft"
@@ -173,9 +198,15 @@ def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | Non
 
 
 def own_model(source: str) -> Model:
-    """The model of ``FILE.py:NAME``; runs the file. Raises SeatrialError."""
+    """Run the file of ``FILE.py:NAME`` and return its model.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be loaded, NAME is no Model, or a function of the model cannot be evaluated.
+    """
     file, _, name = source.rpartition(":")
     model = load_object(source)
     if not isinstance(model, Model):
         raise SeatrialError(f"{file}: {name} is no seatrial.ident.model.structure.Model but {type(model).__name__}")
-    return check_user_model(replace(model, source=source), Path(file))  # by its source model.toml finds it again
+    return check_user_model(replace(model, source=source), Path(file))  # model.toml stores the source to load it again

@@ -1,5 +1,8 @@
-"""Components that the rig, the logs or the user ask for, and no search adds: antenna lever arm, age of telemetry,
-random-walk current, navigation errors of an estimator, calibration of a thrust curve."""
+"""Components that the rig file, the logs or the user request, and that the search for missing effects never adds.
+
+The components are the lever arm of the antenna, the age of telemetry, a random-walk current, navigation errors of an
+estimator, and the calibration of a thrust curve.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +31,23 @@ ESTIMATOR_ERROR = "estimator-error"
 
 
 class NavigationError(NamedTuple):
-    """An error of an estimator's output that lasts. axes: a state of each; sensors: of one of which the model needs an
-    output; sd, unit, tau: usual standard deviation of its own part and correlation time [s] on a small boat; whole:
-    that of all of it, with what it integrates; shortest: correlation time [s] that rows 0.1 s apart can carry."""
+    """Time-correlated error of an estimator's output.
+
+    Attributes
+    ----------
+    of, name : str
+        Quantity with the error, and suffix of the parameters.
+    axes : tuple[str, ...]
+        Axes of the error, with one state each.
+    sensors : tuple[str, ...]
+        Sensors with this quantity. A model needs one of them.
+    sd, unit, tau : float, str, float
+        Typical standard deviation [unit] of the error's own part, and its correlation time [s], on a small boat.
+    whole : float
+        Typical standard deviation [unit] of the whole error, including the integral of another error.
+    shortest : float
+        Shortest correlation time [s] that rows 0.1 s apart can represent.
+    """
 
     of: str
     name: str
@@ -43,7 +60,8 @@ class NavigationError(NamedTuple):
     shortest: float = 0.2
 
 
-ERRORS = (  # each is part of the rate of another: yaw rate of heading, acceleration of velocity, velocity of position
+# Some errors are integrated by others: heading integrates yaw rate, velocity acceleration, position velocity
+ERRORS = (
     NavigationError("yaw rate", "r", ("r",), ("gyro",), 0.003, "rad/s", 0.1, 0.003, 0.08),
     NavigationError("heading", "psi", ("psi",), ("attitude",), 0.01, "rad", 3.0, 0.01),
     NavigationError("acceleration", "axy", ("ax", "ay"), VELOCITIES, 0.05, "m/s2", 50.0, 0.05),
@@ -51,12 +69,20 @@ ERRORS = (  # each is part of the rate of another: yaw rate of heading, accelera
     NavigationError("position", "xy", ("x", "y"), ("position",), 0.1, "m", 3.0, 0.45),
 )
 LASTING = frozenset(sensor for e in ERRORS for sensor in e.sensors)
-UNCERTAIN = 2.0  # times its usual standard deviation: how far off an error may begin
-N_AHEAD = 5  # copies of a shaft speed that is known late, each a step earlier: ages up to half a second; and one later
+INITIAL_ERROR_RATIO = 2.0  # standard deviation of an initial error, relative to its typical standard deviation
+N_LATER_SAMPLES = 5  # later samples of a shaft speed, one step each, for ages up to 0.5 s; one earlier sample is added
 
 
 def shift(s: Signals, l_x: Any, l_y: Any) -> None:
-    """Position and velocity over ground of a point ahead and to starboard of the origin (Groves 2013, 2.5)."""
+    """Move the measured position and velocity over ground to a point of the hull (Groves 2013, 2.5).
+
+    Parameters
+    ----------
+    s : Signals
+        Signals whose outputs are changed.
+    l_x, l_y : float or symbol
+        Position of the point from the origin, forward and to starboard [m].
+    """
     cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
     s.y["x"] = s.y["x"] + cos * l_x - sin * l_y
     s.y["y"] = s.y["y"] + sin * l_x + cos * l_y
@@ -65,16 +91,25 @@ def shift(s: Signals, l_x: Any, l_y: Any) -> None:
 
 
 def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
-    """The GNSS antenna where the rig file says [m, ahead, to starboard, down]; an error in that is the effect
-    lever-arm. ``z``: for a model with measured attitude; in a level one the height of the antenna does not count."""
-    places = [("x", x, "antenna ahead of the origin"), ("y", y, "antenna to starboard")]
+    """Return the component of the antenna position from the rig file.
+
+    An error of this position is a separate effect, ``lever-arm``.
+
+    Parameters
+    ----------
+    x, y : float
+        Position of the antenna from the origin, forward and to starboard [m].
+    z : float, optional
+        Position below the origin [m], for a model with measured attitude. The height has no effect in a level model.
+    """
+    places = [("x", x, "antenna forward of the origin"), ("y", y, "antenna to starboard of the origin")]
     places += [] if z is None else [("z", z, "antenna below the origin")]
     return Effect(
         ANTENNA,
-        "the antenna where the rig file says",
+        "the antenna position from the rig file",
         {"output": _level if z is None else _tilted},
         parameters=tuple(
-            Parameter(f"antenna_{axis}", value, "m", f"{meaning}, by the rig file", free=False, step=0.01)
+            Parameter(f"antenna_{axis}", value, "m", f"{meaning}, from the rig file", free=False, step=0.01)
             for axis, value, meaning in places
         ),
         place="sensor",
@@ -83,7 +118,15 @@ def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
 
 
 def antenna_component(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> Effect:
-    """The same as this model can have it; arm (3,) m, ahead, to starboard and down."""
+    """Return the component of the antenna position that suits a model.
+
+    Parameters
+    ----------
+    model : Model
+        Model to extend.
+    arm : Sequence[float] (3,)
+        Position of the antenna from the origin: forward, to starboard and down [m].
+    """
     return antenna(*arm) if "attitude" in model.provides else antenna(*arm[:2])
 
 
@@ -96,7 +139,7 @@ def _tilted(s: Signals) -> None:
 
 
 def current_walk() -> Effect:
-    """A current with a random walk in NED beside the constant one (Fossen 2011, section 8.3)."""
+    """Return a random-walk current in NED, in addition to the constant current (Fossen 2011, section 8.3)."""
 
     def drift(s: Signals) -> None:
         s.rate["x"], s.rate["y"] = s.rate["x"] + s.x.drift_x, s.rate["y"] + s.x.drift_y
@@ -112,8 +155,8 @@ def current_walk() -> Effect:
             ),
         ),
         states=(
-            State("drift_x", "m/s", "current to the north, beyond V_x", "q_V", sd0=0.0),
-            State("drift_y", "m/s", "current to the east, beyond V_y", "q_V", sd0=0.0),
+            State("drift_x", "m/s", "current to the north, in addition to V_x", "q_V", sd0=0.0),
+            State("drift_y", "m/s", "current to the east, in addition to V_y", "q_V", sd0=0.0),
         ),
         place="environment",
         requires=("plane",),
@@ -121,8 +164,10 @@ def current_walk() -> Effect:
 
 
 def telemetry_age() -> Effect:
-    """Shaft speeds that bear the time at which they arrived: the thrust is that of the telemetry ``tau_age`` later, as
-    the record of a past run knows it."""
+    """Return the component for shaft speeds that are stamped with their time of arrival.
+
+    The thrust at a time follows from the telemetry ``tau_age`` later. The record of a past run contains this telemetry.
+    """
 
     def earlier(s: Signals) -> None:
         shift_in_time(s, "n")
@@ -130,30 +175,39 @@ def telemetry_age() -> Effect:
     now = [Input(f"n_{side}", "", "linear") for side in SIDES]
     return Effect(
         TELEMETRY_AGE,
-        "shaft speeds that arrive late",
+        "the age of the shaft-speed telemetry",
         {"shaft": earlier},
         parameters=(
             Parameter(
                 "tau_age",
                 0.02,
                 "s",
-                "age of the shaft speeds at their time stamp, beyond that of the sensors",
+                "age of the shaft speeds at their time stamp, relative to the sensors",
                 prior=(0.0, 0.1),
                 bounds=(-0.03, 0.4),
                 step=0.01,
                 scales=False,
             ),
         ),
-        inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_AHEAD + 1) if k),
+        inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_LATER_SAMPLES + 1) if k),
         place="sensor",
-        requires=("n_stamp",),  # a Nomoto model has a delay of its inputs of its own
+        requires=("n_stamp",),  # a Nomoto model already has a delay of its inputs
         kind=EffectKind.SENSOR_OFFSET,
     )
 
 
 def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
-    """A factor of all given thrust, for a curve measured with a load cell that is calibrated to ``sd`` (relative
-    standard uncertainty): the data do not tell it from masses and damping, so its prior is in their errors."""
+    """Return a common factor of the thrust, for a thrust curve from a load cell.
+
+    The data cannot distinguish this factor from masses and damping. The standard errors therefore include its prior.
+
+    Parameters
+    ----------
+    model : Model
+        Model to extend.
+    sd : float
+        Relative standard uncertainty of the calibration.
+    """
 
     def scale_each(s: Signals) -> None:
         s.f = {side: s.p.k_thrust * f for side, f in s.f.items()}
@@ -181,40 +235,49 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
 
 
 def navigation_errors(sensors: Collection[str]) -> list[NavigationError]:
-    """Those that a model with these sensors has, as far as it is an estimator's output that they read."""
+    """Return the errors that apply to a model with these sensors, if the sensors are outputs of an estimator."""
     return [e for e in ERRORS if not set(sensors).isdisjoint(e.sensors)]
 
 
 def estimator_error(sensors: Sequence[str]) -> Effect:
-    """Errors of a state estimator's output: those of inertial navigation (Groves 2013, chapter 14), as augmented states
-    beside the white noise (Gelb 1974, section 4.5).
+    """Return the navigation errors of a state estimator's outputs as augmented states.
 
-    What an autopilot's filter makes of a receiver, a gyro and accelerometers is smooth from sample to sample, and off
-    for seconds, in all channels together: its heading is off by the integral of what its gyro is, its velocity by that
-    of its accelerometers, its position by that of its velocity, and fixes and compass draw each back in a correlation
-    time. With white noise of its own beside what it integrates, each is
+    Parameters
+    ----------
+    sensors : Sequence[str]
+        Sensors of the model. Yaw rate, heading, velocity and position have errors if one of the sensors measures them.
 
-        e' = -e / tau + (the one before it) + A sqrt(2 / tau) w
+    Notes ----- The errors are those of inertial navigation (Groves 2013, chapter 14). They are states in addition to
+    the white noise (Gelb 1974, section 4.5).
 
-    in north and east; accelerations are off in the axes of the boat, where accelerometers are, and velocities of the
-    body are those over ground turned by the heading and its error. What the heading's error adds to the velocity's,
-    itself times the acceleration, is left out. Taken for white, such errors look like motion: masses and damping become
-    those that explain them.
+    An autopilot's filter combines a GNSS receiver, a gyro and accelerometers. Its output is smooth from sample to
+    sample, but has errors that last for seconds in all channels. The heading error integrates the gyro error, the
+    velocity error integrates the accelerometer error, and the position error integrates the velocity error. Position
+    fixes and compass pull each error back with a correlation time. Each error e therefore integrates the error before
+    it in this chain, and has white driving noise w:
 
-    sensors: those of the model; yaw rate, heading, velocities and position get such errors, each where it is measured.
+        e' = -e / tau + (error before it) + A sqrt(2 / tau) w
+
+    Errors of position and velocity are in north and east. Errors of the acceleration are in the axes of the boat, as
+    are the accelerometers. Body velocities are the velocities over ground, rotated by the heading with its error. The
+    product of heading error and acceleration, a part of the velocity error, is neglected.
+
+    If these errors were modelled as white noise, they would look like motion, and masses and damping would be biased.
     """
     errors = {e.of: e for e in navigation_errors(sensors)}
 
     def size(s: Signals, e: NavigationError) -> Any:
-        """Of the unit noise that drives its states."""
+        """Return the factor from the scaled states, which unit noise drives, to the error."""
         return getattr(s.p, f"A_{e.name}") * np.sqrt(2 / getattr(s.p, f"tau_{e.name}"))
 
     def value(s: Signals, of: str) -> list[Any]:
+        """Return the error of a quantity in its axes, or zeros if the quantity has no error."""
         if of not in errors:
             return [0.0, 0.0]
         return [size(s, errors[of]) * getattr(s.x, f"error_{axis}") for axis in errors[of].axes]
 
     def grow(s: Signals) -> None:
+        """Set the rates of the scaled error states."""
         cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
         ahead, starboard = value(s, "acceleration")
         integrated = {
@@ -228,6 +291,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                 s.rate[state] = rate / size(s, e) - getattr(s.x, state) / getattr(s.p, f"tau_{e.name}")
 
     def add(s: Signals) -> None:
+        """Add the errors to the outputs."""
         turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
         for of in ("yaw rate", "heading", "position"):
             if of in errors:
@@ -242,7 +306,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
 
     return Effect(
         ESTIMATOR_ERROR,
-        "errors of the estimator that last",
+        "time-correlated errors of the estimator",
         {"rate": grow, "reading": add},
         parameters=tuple(
             p
@@ -252,7 +316,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                     f"A_{e.name}",
                     e.sd,
                     e.unit,
-                    f"error of the estimator's {e.of} that lasts, its own part",
+                    f"time-correlated error of the estimator's {e.of}, its own part",
                     "log",
                     prior=(e.sd, 3 * e.sd),
                     role=ParameterRole.DISTURBANCE,
@@ -275,9 +339,9 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
             State(
                 f"error_{axis}",
                 "",
-                f"error of the estimator's {e.of} ({axis}) that lasts, scaled",
+                f"time-correlated error of the estimator's {e.of} ({axis}), scaled",
                 1.0,
-                sd0=UNCERTAIN * e.whole / e.sd * float(np.sqrt(e.tau / 2)),
+                sd0=INITIAL_ERROR_RATIO * e.whole / e.sd * float(np.sqrt(e.tau / 2)),
                 nuisance=True,
             )
             for e in errors.values()

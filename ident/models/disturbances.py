@@ -1,8 +1,8 @@
 """Augmented disturbance states: first-order Gauss-Markov forces and random-walk sensor biases.
 
-They keep intervals calibrated while an effect is missing from the model, and the smoother turns them into residual
-forces. Which forces and measurement errors a model has, and the variables that they may depend on, is what a diagnosis
-starts from (`residuals_of`, `readings_of`, `variables_of`).
+The disturbance states keep prediction intervals calibrated while an effect is missing from the model. The smoother
+turns them into residual forces. The diagnosis starts from the forces and measurement errors of a model, and from the
+variables on which they may depend (`residuals_of`, `readings_of`, `variables_of`).
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from seatrial.ident.model import (
     Variable,
 )
 
-# stationary standard deviations of the disturbances [N, N, N m, rad/s], and the units of their diffusions
+# Stationary standard deviations of the disturbances [N, N, N m, rad/s], and the units of their diffusions
 SIZES = {"X": (1.0, "N/sqrt(s)"), "Y": (1.0, "N/sqrt(s)"), "N": (0.15, "N m/sqrt(s)"), "r_ref": (0.05, "rad/s/sqrt(s)")}
 TIME = Variable("t", "s", lambda s: s.u.t)
 
 
 def adder(name: str) -> Callable[[Signals, Any], None]:
-    """Adds an extra to the signal of this name."""
+    """Return a function that adds a value to the signal of this name."""
 
     def add(s: Signals, extra: Any) -> None:
         setattr(s, name, getattr(s, name) + extra)
@@ -46,7 +46,7 @@ HULL = tuple(
 
 
 def _reader(name: str) -> Callable[[Signals, Any], None]:
-    """Adds an extra to the reading of this channel."""
+    """Return a function that adds a value to the measurement of this channel."""
 
     def add(s: Signals, extra: Any) -> None:
         s.y[name] = s.y[name] + extra
@@ -54,21 +54,21 @@ def _reader(name: str) -> Callable[[Signals, Any], None]:
     return add
 
 
-# What a sensor may get wrong: a compass by the heading and by the motors' currents, the others by what shakes or turns
+# Sensor errors and their variables: a compass errs with heading and motor currents, inertial sensors err with motion
 READINGS = tuple(
     Residual(
         name,
         unit,
         f"bias_{name}",
         scale,
-        f"the reading of the {what}",
+        f"the measured {quantity}",
         _reader(name),
         "reading",
         of,
         place="sensor",
         requires=("hull",),
     )
-    for name, what, unit, scale, of in (
+    for name, quantity, unit, scale, of in (
         ("psi", "heading", "rad", 0.1, ("psi", "n_sum", "n_diff")),
         ("r", "yaw rate", "rad/s", 0.05, ("r",)),
         ("ax", "surge acceleration", "m/s2", 0.3, ("u", "r")),
@@ -78,7 +78,7 @@ READINGS = tuple(
 
 
 def _factor(*sides: str) -> Callable[[Signals, Any], None]:
-    """Changes the thrust of these sides by a part of itself."""
+    """Return a function that changes the thrust of these sides by a relative amount."""
 
     def add(s: Signals, extra: Any) -> None:
         for side in sides:
@@ -87,7 +87,7 @@ def _factor(*sides: str) -> Callable[[Signals, Any], None]:
     return add
 
 
-# What a stalled propeller does: it acts on surge and yaw at once, as no curve of one force can
+# Thrust losses, for example of a stalled propeller. They act on surge and yaw together, unlike a curve of one force
 THRUST_LOSSES = tuple(
     Residual(
         name,
@@ -137,11 +137,16 @@ PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 
 
 def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
-    """First-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw, for what the model does not explain.
+    """Return first-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw.
 
-    ``forces``: those that the model has (``forces_of``), or ``r_ref``, a steady yaw rate. Their stationary standard
-    deviations start at ``SIZES``. The smoother turns them into residual forces with covariance (Kristensen, Madsen and
-    Jorgensen 2004).
+    The forces represent the part of the motion that the model does not explain. The smoother turns them into residual
+    forces with a covariance (Kristensen, Madsen and Jorgensen 2004).
+
+    Parameters
+    ----------
+    forces : Sequence[str]
+        Forces of the model (``forces_of``), or ``r_ref``, a steady yaw rate. Their stationary standard deviations start
+        at ``SIZES``.
     """
     tau = 1.5
     names = tuple(forces)
@@ -182,19 +187,23 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
 
 
 def _diffusion(force: str, q: float, unit: str) -> Parameter:
+    """Return the parameter of the diffusion of a disturbance force."""
     return Parameter(f"q_{force}", q, unit, f"diffusion of the unexplained {force}", "log", prior=(q, 3 * q))
 
 
 def forces_of(model: Model) -> tuple[str, ...]:
-    """The forces of a model that unexplained ones are added to; none where it has no hull."""
+    """Return the forces of a model to which disturbance forces are added. Return () if the model has no hull."""
     if {"hull", "turn"} & set(model.provides):
         return ("X", "Y", "N")
     return ("X", "Y") if "plane" in model.provides else ()
 
 
 def shaft_disturbance() -> Effect:
-    """An Ornstein-Uhlenbeck acceleration ``b_n`` of a shaft on the bench [1/s], beside the force ``b_f`` that its model
-    has: what the first-order response to the command does not explain."""
+    """Return an Ornstein-Uhlenbeck acceleration ``b_n`` [1/s] of a shaft on the bench.
+
+    The acceleration represents deviations from the first-order response to the command. The model has its own
+    disturbance force ``b_f``.
+    """
     tau, sd = 0.3, 0.03
     q = sd * float(np.sqrt(2 / tau))
 
@@ -212,7 +221,7 @@ def shaft_disturbance() -> Effect:
                 "tau_n",
                 tau,
                 "s",
-                "memory of the unexplained acceleration",
+                "correlation time of the unexplained acceleration",
                 "log",
                 prior=(tau, tau),
                 bounds=(0.05, 5.0),
@@ -226,12 +235,12 @@ def shaft_disturbance() -> Effect:
 
 
 def disturbance_of(model: Model) -> Effect:
-    """What the model names itself, or the disturbance forces of a vehicle."""
+    """Return the disturbance that the model declares, otherwise the disturbance forces of a vehicle."""
     return model.disturbance or disturbance(forces_of(model))
 
 
 def sensor_bias(sensors: Sequence[str]) -> Effect:
-    """Random-walk biases of gyro, heading and accelerometers, beside their white noise (thesis 4.1)."""
+    """Return random-walk biases of gyro, heading and accelerometers, in addition to their white noise (thesis 4.1)."""
     table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
         "attitude": (("psi", "rad", 0.005, 1.7e-4),),
         "gyro": (("r", "rad/s", 0.01, 1e-5),),
@@ -243,14 +252,14 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
         for name, *_ in rows:
             s.y[name] = s.y[name] + getattr(s.x, f"bias_{name}")
 
-    def still(s: Signals) -> None:
+    def hold_bias(s: Signals) -> None:
         for name, *_ in rows:
             s.rate[f"bias_{name}"] = 0.0
 
     return Effect(
         "sensor-bias",
         "offsets of the sensors",
-        {"rate": still, "reading": add},
+        {"rate": hold_bias, "reading": add},
         states=tuple(State(f"bias_{n}", unit, f"offset of {n}", walk, sd0=sd) for n, unit, sd, walk in rows),
         place="sensor",
         kind=EffectKind.SENSOR_OFFSET,
@@ -258,7 +267,10 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
 
 
 def for_diagnosis(model: Model) -> Model:
-    """The model augmented by disturbance forces and sensor biases; velocities get no white noise of their own."""
+    """Return the model with disturbance forces and sensor biases.
+
+    The white process noise of the velocities is fixed at a negligible value.
+    """
     out: Model = model + disturbance_of(model)
     present = [s.name for s in model.sensors]
     if {"attitude", "gyro", "accelerometer"} & set(present):
@@ -268,30 +280,36 @@ def for_diagnosis(model: Model) -> Model:
 
 
 def residuals_of(model: Model) -> tuple[Residual, ...]:
-    """Where something unexplained may enter; none for a model that cannot be diagnosed."""
+    """Return the quantities to which an unexplained part can be added. Return () for a model
+    that cannot be diagnosed.
+    """
     return model.residuals or (HULL if "hull" in model.provides else ())
 
 
 def readings_of(model: Model) -> tuple[Residual, ...]:
-    """The sensors whose readings may be off by more than the offsets that the model has for them."""
+    """Return the sensor channels that may have errors beyond their modelled biases."""
     states = {s.name for s in model.states}
     return tuple(r for r in READINGS if r.state in states) if "hull" in model.provides else ()
 
 
 def thrust_losses_of(model: Model) -> tuple[Residual, ...]:
-    """The thrusts of a vehicle that may fall in turns."""
+    """Return the thrusts of a vehicle that may decrease in turns."""
     return THRUST_LOSSES if {"hull", "f"} <= set(model.provides) else ()
 
 
 def variables_of(model: Model) -> tuple[Variable, ...]:
-    """What residuals may depend on: the model's own list, or for a hull its motion, time and thrusters."""
+    """Return the variables on which residuals may depend.
+
+    These are the variables that the model declares. For a hull without such a list, they are motion, time and
+    thrusters.
+    """
     if model.variables or "hull" not in model.provides:
         return model.variables
-    known = {i.name for i in model.inputs} | {s.name for s in model.states}
-    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= known for letter in ("n", "f"))
+    signal_names = {i.name for i in model.inputs} | {s.name for s in model.states}
+    shafts, thrusts = ({f"{letter}_left", f"{letter}_right"} <= signal_names for letter in ("n", "f"))
     return MOTION + (SHAFTS if shafts else THRUSTS if thrusts else ())
 
 
 def products_of(model: Model) -> tuple[tuple[str, str], ...]:
-    """Pairs of variables whose products are tried too."""
+    """Return the pairs of variables whose products are also tested."""
     return model.products or (PRODUCTS if "hull" in model.provides else ())

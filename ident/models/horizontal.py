@@ -1,24 +1,25 @@
-"""Horizontal motion, three degrees of freedom, with a constant current (thesis eq. 3.2 and 3.3, corrected).
+"""Horizontal motion in three degrees of freedom, with a constant current (thesis eq. 3.2 and 3.3, corrected).
 
-States ``u, v`` are velocities through the water; ``x, y`` move over ground by those and the current. For a
-current that is constant and irrotational in NED this is exact with the total masses in the Coriolis terms
-(Fossen 2011, property 8.1), so no split into rigid-body and added mass is needed:
+The states ``u, v`` are velocities through the water. Position ``x, y`` over ground follows from these velocities and
+the current. For a current that is constant and irrotational in NED, the equations are exact with the total masses in
+the Coriolis terms (Fossen 2011, property 8.1). A split into rigid-body and added mass is therefore not needed:
 
     m_u u' = X + m_v v r - d_u u - d_uu |u| u
     m_v v' = Y - m_u u r - d_v v - d_vv |v| v
     m_r r' = N + (m_u - m_v) u v - d_r r - d_rr |r| r
 
-Thrust: ``f = c1 n|n| + c2 n^2`` with n normalised to [-1, 1] (thesis section 4.2), at ``y_L`` and ``y_R``. Multiplied
-by one factor, c1, c2, masses and damping give the same motion: the scale has to be known. The arms scale the yaw
-equation alone, but for its Munk moment ``(m_u - m_v) u v``: where they are unknown, that estimates them
-(``symmetric_arms``).
+The thrust is ``f = c1 n|n| + c2 n^2`` with n normalised to [-1, 1] (thesis section 4.2), at ``y_L`` and ``y_R``. If c1,
+c2, masses and damping are multiplied by one factor, the motion is the same. The scale of the thrust must therefore be
+known. The arms scale the yaw equation except its Munk moment ``(m_u - m_v) u v``. If the arms are unknown, they are
+estimated from the Munk moment (``symmetric_arms``).
 
-Each thruster is one chain, whose parts have their own stages, so that effects in it compose in any order:
+Each thruster is a chain of parts. Each part has its own stage, so that effects on the parts can be combined in any
+order:
 
     command -> delay -> dead zone -> shaft lag (stage ``shaft``) -> dead band -> lag of the thrust -> thrust -> losses
 
-Where the shaft speed is measured, it is the input; where it is not, commands are, and it is a state:
-``T_n n' = n_ref(t - tau_n) - n``, ``n_ref`` the command, zero within its dead zone (thesis section 4.2).
+If the shaft speed is measured, it is the input. Otherwise the commands are the inputs, and the shaft speed is a state:
+``T_n n' = n_ref(t - tau_n) - n``. ``n_ref`` is the command, or zero within the dead zone (thesis section 4.2).
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ from seatrial.ident.models.thruster import delay_weights
 Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")
 BUILT_IN = ParameterOrigin.BUILT_IN
-SYMMETRIC = "symmetric-arms"  # option of a model's name
+SYMMETRIC = "symmetric-arms"  # option in the name of a model
 
 HULL = (
     Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
@@ -68,34 +69,45 @@ THRUST = (
     Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log", free=False, origin=BUILT_IN),
     Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
 )
-DELAY_STEP, N_DELAYS = 0.05, 17  # s, and copies of each command: delays up to 0.8 s
+DELAY_STEP, N_DELAYS = 0.05, 17  # s, and number of delayed copies of each command: delays up to 0.8 s
 LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
-FURTHEST = 20  # copies of a measured input, at most
-DEAD_ZONE_EDGE = 0.05  # of the command: over which the dead zone ends, its middle where the parameter says
-NARROWEST = 1e-9  # of the command: no division by the width of no dead zone
-SHORTEST_LAG = 0.05  # s, and
-DRIVEN_STEP = 0.05  # s: longer Runge-Kutta steps do not follow so quick a state
+MAX_COPY_SHIFT = 20  # largest shift of a copy of a measured input, in steps of HISTORY_STEP
+# Width of the transition at the end of the dead zone, in units of the command; the parameter is its centre
+DEAD_ZONE_EDGE = 0.05
+MIN_DEAD_ZONE_EDGE = 1e-9  # lower limit of that width, against division by zero
+SHORTEST_LAG = 0.05  # s: time constants below it are approximated, see `first_order`
+DRIVEN_SHAFT_STEP_S = 0.05  # s: longer Runge-Kutta steps would be inaccurate for a state with the shortest lag
 SHAFT = (
     Parameter("T_n", 0.2, "s", "time constant of the shafts", prior=(0.2, 0.5), bounds=(0.0, 3.0), step=0.02),
     Parameter(
         "tau_n", 0.1, "s", "delay of the shafts behind the command", prior=(0.1, 0.3), bounds=(0.0, 0.8), step=0.02
     ),
     Parameter(
-        "dead_zone", 0.03, "", "command below which the shafts stand", prior=(0.0, 0.1), bounds=(0.0, 0.5), step=0.01
+        "dead_zone",
+        0.03,
+        "",
+        "command below which the shafts do not turn",
+        prior=(0.0, 0.1),
+        bounds=(0.0, 0.5),
+        step=0.01,
     ),
 )
 DEAD_ZONES = StartGrid(("dead_zone",), ((0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4),), 0.03, gaining=True)
 SHAFT_STATES = tuple(State(f"n_{side}", "", f"shaft speed {side}, normalised", 1e-3, sd0=0.1) for side in SIDES)
 ARMS = (
-    Parameter("y_left", -0.15, "m", "left thruster, to starboard", free=False, step=0.01, origin=BUILT_IN),
-    Parameter("y_right", 0.15, "m", "right thruster, to starboard", free=False, step=0.01, origin=BUILT_IN),
+    Parameter(
+        "y_left", -0.15, "m", "position of the left thruster, to starboard", free=False, step=0.01, origin=BUILT_IN
+    ),
+    Parameter(
+        "y_right", 0.15, "m", "position of the right thruster, to starboard", free=False, step=0.01, origin=BUILT_IN
+    ),
 )
 UNKNOWN_ARM = (
     Parameter(
         "y_arm",
         0.3,
         "m",
-        "arm of both thrusters, by the Munk moment",
+        "arm of both thrusters, estimated from the Munk moment",
         "log",
         prior=(0.3, 0.3),
         step=0.01,
@@ -138,11 +150,20 @@ def horizontal_model(
     current: bool = True,
     hold: Hold = "linear",
 ) -> Model:
-    """The horizontal model.
+    """Return the model of horizontal motion.
 
-    propulsion: ``shaft`` takes the measured shaft speeds ``n_left``, ``n_right`` (normalised), ``command`` the commands
-    ``n_cmd_left``, ``n_cmd_right``, held, ``force`` the thrusts ``f_left``, ``f_right`` [N], ``general`` the force
-    ``X`` [N] and the moment ``N`` [N m].
+    Parameters
+    ----------
+    propulsion : "shaft", "command", "force" or "general"
+        Inputs. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (normalised). ``command``: commands
+        ``n_cmd_left``, ``n_cmd_right`` (normalised, held). ``force``: thrusts ``f_left``, ``f_right`` [N]. ``general``:
+        force ``X`` [N] and moment ``N`` [N m].
+    sensors : Sequence[str]
+        Keys of `SENSORS`.
+    current : bool
+        Whether the model has a constant current in each record.
+    hold : "zero", "average" or "linear"
+        Hold of the inputs, except commands.
     """
     states: tuple[State, ...] = (
         State("x", "m", "north", from_output="x", sd0=1.0),
@@ -164,8 +185,8 @@ def horizontal_model(
         inputs = pair("f", "N", hold)
         first, provides = (("shaft", given_thrust), ("thrust_lag", unchanged), ("thrust", unchanged)), ("f", "f_input")
     elif propulsion == "command":
-        told = pair("n_cmd", "", "average", prefilter=False)
-        inputs = tuple(i.delayed(k, DELAY_STEP) for i in told for k in range(N_DELAYS))
+        commands = pair("n_cmd", "", "average", prefilter=False)
+        inputs = tuple(i.delayed(k, DELAY_STEP) for i in commands for k in range(N_DELAYS))
         first, provides, states = (("shaft", driven_shaft), *CHAIN[1:]), ("n", "f", "n_state"), states + SHAFT_STATES
     return Model(
         "horizontal",
@@ -176,13 +197,13 @@ def horizontal_model(
         (*first, ("force", force), ("rate", rate), ("output", output)),
         provides=(*provides, "hull", "heading", *(name for name in VELOCITIES if name in sensors)),
         source=f"horizontal:{propulsion}" + ("" if current else ":no-current"),
-        max_step=DRIVEN_STEP if propulsion == "command" else 0.1,
+        max_step=DRIVEN_SHAFT_STEP_S if propulsion == "command" else 0.1,
         start_grid=DEAD_ZONES if propulsion == "command" else None,
     )
 
 
 def pair(quantity: str, unit: str, hold: Hold, *, prefilter: bool = True) -> tuple[Input, ...]:
-    """One input for each thruster."""
+    """Return one input for each thruster."""
     return tuple(Input(f"{quantity}_{side}", unit, hold, prefilter=prefilter) for side in SIDES)
 
 
@@ -191,38 +212,59 @@ def shaft(s: Signals) -> None:
 
 
 def driven_shaft(s: Signals) -> None:
-    """Shafts behind their commands: a delay, cubic between the copies, a dead zone, a first-order lag."""
+    """Set the shaft speeds that follow their commands by a delay, a dead zone and a first-order lag.
+
+    The delay interpolates the delayed copies of the command by cubic convolution.
+    """
     weights = delay_weights(s.p.tau_n / DELAY_STEP, N_DELAYS)
     s.n = {}
     for side in SIDES:
-        told = sum(w * getattr(s.u, tap_name(f"n_cmd_{side}", k)) for k, w in enumerate(weights))
-        s.n[side] = first_order(s, f"n_{side}", outside_dead_zone(told, s.p.dead_zone), s.p.T_n)
+        commanded = sum(w * getattr(s.u, tap_name(f"n_cmd_{side}", k)) for k, w in enumerate(weights))
+        s.n[side] = first_order(s, f"n_{side}", outside_dead_zone(commanded, s.p.dead_zone), s.p.T_n)
 
 
 def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
-    """The command where it exceeds the dead zone, else zero; a smooth step of width ``DEAD_ZONE_EDGE`` about its end.
+    """Return the command outside the dead zone, and zero inside it.
 
-    A dead zone of less than half that width has a step from zero to twice itself: one of zero is the command itself,
-    and its end is where the parameter says all the way down.
+    A smooth step of width ``DEAD_ZONE_EDGE`` is centred at the end of the dead zone. If the dead zone is smaller than
+    half that width, the step reaches from zero to twice the dead zone. Its centre is then still at the end of the dead
+    zone, and a dead zone of zero returns the command itself.
     """
     width = np.minimum(DEAD_ZONE_EDGE, 2.0 * dead_zone)
     end = dead_zone + width / 2.0
-    # counted from where it is all over: without a dead zone that is nowhere below any command, of zero too
-    short = np.minimum(np.maximum((end - abs(command)) / np.maximum(width, NARROWEST), 0.0), 1.0)
-    return command * (1.0 - short * short * (3.0 - 2.0 * short))
+    # Measured from the outer end of the step. Without a dead zone this end is zero, so that no command lies inside.
+    inside = np.minimum(np.maximum((end - abs(command)) / np.maximum(width, MIN_DEAD_ZONE_EDGE), 0.0), 1.0)
+    return command * (1.0 - inside * inside * (3.0 - 2.0 * inside))
 
 
 def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> Any:
-    """A signal behind a first-order lag, whose rate this sets. From ``SHORTEST_LAG`` down to zero it is a mean of the
-    state, which gets no quicker, and of the signal itself, and as late as a lag of that time constant."""
+    """Return a signal after a first-order lag, and set the rate of its state.
+
+    Parameters
+    ----------
+    s : Signals
+        Signals of the model.
+    state : str
+        Name of the state that follows the signal.
+    driven_by : float or symbol
+        Signal before the lag.
+    time_constant : float or symbol
+        Time constant [s].
+
+    Notes ----- Below ``SHORTEST_LAG``, the time constant of the state stays at ``SHORTEST_LAG``, and the result is a
+    weighted mean of the state and the signal. Its delay is that of a lag with the given time constant.
+    """
     x = getattr(s.x, state)
     s.rate[state] = (driven_by - x) / np.maximum(time_constant, SHORTEST_LAG)
     return driven_by + np.minimum(time_constant / SHORTEST_LAG, 1.0) * (x - driven_by)
 
 
 def shift_in_time(s: Signals, quantity: str) -> None:
-    """The measured or given input of each thruster, ``tau_delay`` later and the ``age`` of its telemetry earlier, by
-    cubic convolution of those of its copies that the model has: whatever shifts it in time calls this one."""
+    """Shift the measured or given input of each thruster in time, by cubic convolution of its copies.
+
+    The shift is ``tau_delay`` to later times, minus the age ``tau_age`` of the telemetry. Every effect that shifts
+    these inputs calls this function.
+    """
     position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
     for side in SIDES:
         name = f"{quantity}_{side}"
@@ -233,15 +275,18 @@ def shift_in_time(s: Signals, quantity: str) -> None:
 
 
 def copies_of(s: Signals, name: str) -> list[int]:
-    """The copies of a measured or given input that the model has, in steps of ``HISTORY_STEP``, one after the other."""
-    return [k for k in range(-FURTHEST, FURTHEST) if hasattr(s.u, tap_name(name, k))]
+    """Return the shifts of the copies of an input that the model has, in steps of
+    ``HISTORY_STEP``, in ascending order.
+    """
+    return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if hasattr(s.u, tap_name(name, k))]
 
 
 def unchanged(s: Signals) -> None:
-    """A place in the chain for effects."""
+    """Do nothing. Effects hook in at this stage."""
 
 
 def thrust(s: Signals) -> None:
+    """Set the thrust of each thruster from its shaft speed."""
     s.f = {side: s.p.c1 * n * abs(n) + s.p.c2 * n * n for side, n in s.n.items()}
     s.arm = _arms(s.p)
 
@@ -260,21 +305,23 @@ def given_thrust(s: Signals) -> None:
 
 
 def _arms(p: Any) -> dict[str, Any]:
-    """Lateral position of each thruster [m, to starboard]."""
+    """Return the lateral position of each thruster [m, to starboard]."""
     if hasattr(p, "y_arm"):
         return {"left": -p.y_arm, "right": p.y_arm}
     return {side: getattr(p, f"y_{side}") for side in SIDES}
 
 
 def symmetric_arms(model: Model) -> Model:
-    """The model with one arm ``y_arm`` for both thrusters, estimated, in place of ``y_left`` and ``y_right``; for a
-    boat whose arms nobody gave. Its prior is wide: a factor of e either way."""
+    """Return the model with one estimated arm ``y_arm`` for both thrusters, in the place of ``y_left`` and ``y_right``.
+
+    Use this model for a boat with unknown arms. The prior of the arm is wide: a factor of e in both directions.
+    """
     own = tuple(p for p in model.parameters if p.name not in ("y_left", "y_right"))
     return replace(model, parameters=(*own, *UNKNOWN_ARM), source=f"{model.source}:{SYMMETRIC}")
 
 
 def force(s: Signals) -> None:
-    """External forces less damping: X, Y [N] and N [N m]; effects add to them."""
+    """Set the external forces less damping: X, Y [N] and N [N m]. Effects add to them."""
     x, p = s.x, s.p
     if hasattr(s, "f"):
         s.X_thrust, s.N_thrust = sum(s.f.values()), sum(-s.arm[side] * f for side, f in s.f.items())
@@ -286,6 +333,7 @@ def force(s: Signals) -> None:
 
 
 def rate(s: Signals) -> None:
+    """Set the rates of the states."""
     x, p = s.x, s.p
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     s.rate["x"] = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)
@@ -297,11 +345,11 @@ def rate(s: Signals) -> None:
 
 
 def output(s: Signals) -> None:
-    """All that a sensor could see; the model's sensors pick theirs."""
+    """Set all outputs that a sensor could measure. The sensors of the model select theirs."""
     x, y = s.x, s.y
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     y["x"], y["y"], y["psi"], y["r"] = x.x, x.y, x.psi, x.r
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]
-    # over ground, in the axes of the body: whatever moves the water (a current that wanders or drifts) is in it
+    # velocity over ground in the body frame: it includes every current, also a random-walk or drifting current
     y["u"], y["v"] = cos * y["vx"] + sin * y["vy"], cos * y["vy"] - sin * y["vx"]
     y["ax"], y["ay"] = s.rate["u"] - x.v * x.r, s.rate["v"] + x.u * x.r

@@ -1,8 +1,9 @@
-"""Surge and sway alone, with measured attitude and turn rates: the paper's "6DOF K" (section 6).
+"""Surge and sway with measured attitude and turn rates: the paper's "6DOF K" (section 6).
 
-A boat that rolls and pitches shows its accelerometers gravity, and turns by more than its yaw moment. Here heading,
-roll, pitch and body rates are inputs, interpolated between samples, in place of their equations of motion. With
-u, v, w through the water along the body's axes, and a hull that stays on the surface (Fossen 2011, 2.18: z' = 0),
+If a boat rolls and pitches, its accelerometers measure a part of gravity, and its yaw rate has other causes besides the
+yaw moment. In this model, heading, roll, pitch and body rates are inputs, interpolated between samples, instead of
+states. u, v, w are the velocities through the water along the body axes. The hull stays on the surface (Fossen 2011,
+2.18: z' = 0), so
 
     w = (tan(theta) u - sin(phi) v) / cos(phi)
     [x', y'] = [V_x, V_y] + the first two rows of R(phi, theta, psi) [u, v, w]
@@ -11,13 +12,14 @@ u, v, w through the water along the body's axes, and a hull that stays on the su
     ax = u' + w q - v r + g sin(theta)
     ay = v' + u r - w p - g cos(theta) sin(phi)
 
-so that level motion is ``seatrial.ident.models.horizontal`` without its yaw. The added mass in heave is taken to be
-that in sway, as of a body of revolution; its terms are of second order in roll and pitch. Heading and yaw gyro have
-walking offsets, which are subtracted; that of the gyro is seen only through ``v r`` and ``u r``, so its prior counts.
-The noise of these inputs is not modelled; it goes to the disturbance forces and to the accelerometers' noise.
+For level motion, this is ``seatrial.ident.models.horizontal`` without its yaw equation. The added mass in heave is
+assumed equal to that in sway, as for a body of revolution. Its terms are of second order in roll and pitch. The heading
+and the yaw gyro have random-walk offsets, which are subtracted. The gyro offset affects only ``v r`` and ``u r``, so
+its estimate depends strongly on its prior. The noise of these inputs is not modelled. The disturbance forces and the
+accelerometers' noise absorb it.
 
-The yaw equation is left out and with it m_r, d_r and d_rr. With ``yaw`` it is there as a state that is seen by the
-gyro and driven by the estimated u and v, while everything else goes on turning with the gyro itself:
+Without the yaw equation, the model has no m_r, d_r and d_rr. The option ``yaw`` adds this equation as a state, which
+the gyro measures and the estimated u and v drive. All other equations still use the measured yaw rate:
 
     m_r r' = N + (m_u - m_v) u v - d_r r - d_rr |r| r
 """
@@ -70,10 +72,21 @@ def kinematic_model(
     yaw: bool = False,
     hold: Hold = "linear",
 ) -> Model:
-    """The model with measured attitude.
+    """Return the model with measured attitude.
 
-    propulsion: ``shaft`` takes the measured shaft speeds ``n_left``, ``n_right`` (normalised), ``force`` the thrusts
-    ``f_left``, ``f_right`` [N]. sensors: of those that it can have, the ones to use. yaw: with the yaw equation.
+    Parameters
+    ----------
+    propulsion : "shaft" or "force"
+        Inputs. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (normalised). ``force``: thrusts ``f_left``,
+        ``f_right`` [N].
+    sensors : Sequence[str]
+        Sensors to use; names outside `SEEN` are ignored.
+    current : bool
+        Whether the model has a constant current in each record.
+    yaw : bool
+        Whether the model has the yaw equation.
+    hold : "zero", "average" or "linear"
+        Hold of the shaft speeds or thrusts.
     """
     letter, unit = ("n", "") if propulsion == "shaft" else ("f", "N")
     chosen = [SENSORS[s] for s in SEEN if s in sensors]
@@ -104,7 +117,10 @@ def kinematic_model(
 
 
 def attitude(s: Signals) -> None:
-    """Orientation and body rates as measured, offsets subtracted; a model for other programs has no offsets."""
+    """Set the orientation and the body rates from the measurements, less their offsets.
+
+    An exported model has no offsets.
+    """
     u, x = s.u, s.x
     psi, r = u.psi - getattr(x, "bias_psi", 0.0), u.r - getattr(x, "bias_r", 0.0)
     oriented(s, rotation(u.phi, u.theta, psi), (u.p, u.q, r))
@@ -116,7 +132,7 @@ def _shaft(s: Signals) -> None:
 
 
 def force(s: Signals) -> None:
-    """External forces less damping: X, Y [N]; unexplained ones are added to them."""
+    """Set the external forces less damping: X, Y [N]. Disturbance forces are added to them."""
     x, p = s.x, s.p
     s.X_thrust = sum(s.f.values())
     s.X = s.X_thrust - p.d_u * x.u - p.d_uu * abs(x.u) * x.u
@@ -124,7 +140,7 @@ def force(s: Signals) -> None:
 
 
 def turning(s: Signals) -> None:
-    """The same with N [N m]."""
+    """Set X, Y [N] and the yaw moment N [N m]."""
     force(s)
     x, p = s.x, s.p
     s.N_thrust = sum(-s.arm[side] * f for side, f in s.f.items())
@@ -132,6 +148,7 @@ def turning(s: Signals) -> None:
 
 
 def rate(s: Signals) -> None:
+    """Set the rates of the states."""
     x, p = s.x, s.p
     north, east, _ = turned(s.R, (x.u, x.v, s.w))
     s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
@@ -143,6 +160,7 @@ def rate(s: Signals) -> None:
 
 
 def output(s: Signals) -> None:
+    """Set the outputs."""
     x, y = s.x, s.y
     y["x"], y["y"] = x.x, x.y
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]

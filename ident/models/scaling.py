@@ -1,15 +1,17 @@
-"""Scaling of priors and step sizes with vessel size, by dimensional analysis.
+"""Scaling of priors and step sizes with the size of the vessel, by dimensional analysis.
 
-An effect's prior says what is plausible: a moment of 2 N m on a boat of 37 kg. On a ferry it is nothing. The boat at
-hand is taken for a copy of the catalogue's with ``mass`` times the mass and ``length`` times the length, which moves by
-Froude's law: with the same accelerations, since gravity is the same, so that times and speeds go with the root of the
-length. What has the unit kg^a m^b s^c then goes with
+The priors of effects are for the boat of the catalogue. For example, a moment of 2 N m is plausible on a boat of 37 kg
+and negligible on a ferry. The boat at hand is treated as a scaled copy of the boat of the catalogue, with ``mass``
+times the mass and ``length`` times the length. The boat moves by Froude's law: accelerations are equal because gravity
+is equal, so times and speeds scale with the square root of the length. A quantity of the unit kg^a m^b s^c then scales
+with
 
     mass^a length^(b + c/2),
 
-whatever it stands for: forces with mass, moments with mass times length, a moment's coefficient in kg or kg m as one in
-N m. Angles and shares stay, and so does what says that it is not the boat's (``Parameter.scales``): the lag of a
-sensor, a link or a filter, the current, the frequency of waves.
+whatever it represents. Forces scale with mass, and moments scale with mass times length. Coefficients of moments scale
+by the same rule, whether their unit is kg, kg m or N m. Angles and shares do not scale. Parameters that are not
+properties of the boat do not scale either (``Parameter.scales``): the lag of a sensor, link or filter, the current, and
+the frequency of waves.
 """
 
 from __future__ import annotations
@@ -22,11 +24,11 @@ from typing import NamedTuple
 from seatrial.ident.model import Effect, Model, Parameter, State
 from seatrial.ident.models.disturbances import SIZES
 
-MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the thesis' boat with its added mass (Table 1)
+MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the boat of the thesis, with added mass (Table 1)
 
 
 class Dimension(NamedTuple):
-    """Exponents of kg, m and s; an angle has none."""
+    """Exponents of kg, m and s. All exponents of an angle are zero."""
 
     mass: float = 0.0
     length: float = 0.0
@@ -34,7 +36,7 @@ class Dimension(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """``kg m2/s``: in words that `dimension` reads, for whole exponents."""
+        """Unit as text that `dimension` can parse, for example ``kg m2/s``. The exponents must be integers."""
         above, below = list[str](), list[str]()
         for word, power in zip(("kg", "m", "s"), self, strict=True):
             if power:
@@ -48,55 +50,62 @@ WORDS = {"kg": Dimension(1, 0, 0), "N": Dimension(1, 1, -2), "m": Dimension(0, 1
 
 
 def dimension(unit: str) -> Dimension:
-    """Of a unit such as ``kg m2/s``, ``N s2/m2`` or ``m/s/sqrt(s)``; other words than those of ``WORDS`` have none."""
+    """Return the dimension of a unit such as ``kg m2/s``, ``N s2/m2`` or ``m/s/sqrt(s)``.
+
+    Words that are not in ``WORDS`` have no dimension.
+    """
     mass = length = time = 0.0
     for i, part in enumerate(unit.split("/")):
         for root, word, power in re.findall(r"(sqrt\()?([A-Za-z]+)(\d*)", part):
-            of = WORDS.get(word, Dimension())
+            base = WORDS.get(word, Dimension())
             k = (1.0 if i == 0 else -1.0) * float(power or 1) * (0.5 if root else 1.0)
-            mass, length, time = mass + k * of.mass, length + k * of.length, time + k * of.time
+            mass, length, time = mass + k * base.mass, length + k * base.length, time + k * base.time
     return Dimension(mass, length, time)
 
 
 def unit_over(unit: str, *others: str) -> str:
-    """Unit of a coefficient that gives ``unit`` when it is multiplied by the others: ``N m`` over ``N`` is ``m``."""
-    found = dimension(unit)
+    """Return ``unit`` divided by the other units. For example, ``N m`` over ``N`` is ``m``."""
+    result = dimension(unit)
     for other in others:
-        found = Dimension(*(a - b for a, b in zip(found, dimension(other), strict=True)))
-    return found.unit
+        result = Dimension(*(a - b for a, b in zip(result, dimension(other), strict=True)))
+    return result.unit
 
 
 @dataclass(frozen=True)
 class VesselScale:
-    """Mass and length of a boat over those of the catalogue's."""
+    """Mass and length of a boat, relative to the boat of the catalogue."""
 
     mass: float = 1.0
     length: float = 1.0
 
     def of(self, unit: str) -> float:
-        """Factor of what has this unit."""
-        found = dimension(unit)
-        return float(self.mass**found.mass * self.length ** (found.length + 0.5 * found.time))
+        """Return the factor by which a quantity of this unit scales."""
+        exponents = dimension(unit)
+        return float(self.mass**exponents.mass * self.length ** (exponents.length + 0.5 * exponents.time))
 
 
 def force_power(unit: str) -> int:
-    """Power with which a coefficient of this unit goes with the scale of forces and masses."""
+    """Return the exponent with which a coefficient of this unit scales with forces and masses."""
     return round(dimension(unit).mass)
 
 
 def is_moment(unit: str) -> bool:
-    """Whether a coefficient of this unit belongs to a moment, else to a force."""
+    """Return whether a coefficient of this unit belongs to a moment. Otherwise it belongs to a force."""
     return "N m" in unit.partition("/")[0] or _lengths(unit) >= 2
 
 
 def _lengths(unit: str) -> int:
+    """Return the exponent of metres in a unit, counting only ``m`` and ``m2``."""
     above, _, below = unit.partition("/")
     return len(re.findall(r"\bm\b", above)) + 2 * len(re.findall(r"\bm2\b", above)) - len(re.findall(r"\bm2?\b", below))
 
 
 def size_of(model: Model) -> VesselScale:
-    """From the masses of a fitted model, the length by the radius of gyration; the catalogue's own size where it has no
-    mass, its shape where it has no moment of inertia."""
+    """Return the size of the boat of a fitted model.
+
+    The length follows from the radius of gyration. Without a moment of inertia, the boat has the shape of the boat of
+    the catalogue. Without a mass, it has the size of that boat.
+    """
     values = model.values
     if "m_u" not in values:
         return VesselScale()
@@ -105,8 +114,11 @@ def size_of(model: Model) -> VesselScale:
 
 
 def rescale(model: Model, size: VesselScale) -> Model:
-    """The model with disturbance forces for a boat of this size: their spread at the start, and what is plausible
-    for their diffusion. Their correlation time stays, so both go by one factor."""
+    """Return the model with disturbance forces for a boat of this size.
+
+    The initial standard deviation of the forces and the prior of their diffusion scale by one factor, because their
+    correlation time does not change.
+    """
     factors = {"X": size.of("N"), "Y": size.of("N"), "N": size.of("N m")}
     of_state = {f"b_{name}": name for name in factors}
     states, new = [], []
@@ -118,15 +130,17 @@ def rescale(model: Model, size: VesselScale) -> Model:
             scale = sd0 / float(s.sd0)
             s = replace(s, sd0=sd0)
             if q.prior is not None:
-                fresh = q.value == q.prior[0]
+                unfitted = q.value == q.prior[0]  # a fitted diffusion is kept
                 prior = (scale * q.prior[0], scale * q.prior[1])
-                new.append(replace(q, prior=prior, value=prior[0] if fresh else q.value))
+                new.append(replace(q, prior=prior, value=prior[0] if unfitted else q.value))
         states.append(s)
     return replace(model, states=tuple(states)).replace_parameters(*new)
 
 
 def scale_priors(effect: Effect, size: VesselScale) -> Effect:
-    """The effect with priors, steps, bounds, values to try and the start of its states for a boat of this size."""
+    """Return the effect for a boat of this size: priors, steps, bounds, scanned values and
+    initial states are scaled.
+    """
     factors = {p.name: size.of(p.unit) if p.scales else 1.0 for p in effect.parameters}
     return replace(
         effect,
@@ -137,6 +151,7 @@ def scale_priors(effect: Effect, size: VesselScale) -> Effect:
 
 
 def _sized(p: Parameter, factor: float) -> Parameter:
+    """Return the parameter with its value, prior, step and bounds multiplied by the factor."""
     if factor == 1.0:
         return p
     prior = None if p.prior is None else (factor * p.prior[0], factor * p.prior[1])
@@ -145,7 +160,10 @@ def _sized(p: Parameter, factor: float) -> Parameter:
 
 
 def _sized_state(s: State, factor: float) -> State:
-    """Mean, spread and diffusion, where they are numbers; what a parameter holds is the parameter's to scale."""
+    """Return the state with mean, standard deviation and diffusion multiplied by the factor.
+
+    Values that are parameters are not changed here; `_sized` scales them.
+    """
     if factor == 1.0:
         return s
     noise, x0, sd0 = (z if isinstance(z, str) else factor * z for z in (s.noise, s.x0, s.sd0))

@@ -1,4 +1,4 @@
-"""Straight-line motion (thesis section 6): ``m_u u' + d_u u + d_uu |u| u = X``, nominal values of its Table 1."""
+"""Surge in a straight line (thesis section 6): ``m_u u' + d_u u + d_uu |u| u = X``, nominal values of its Table 1."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ THRUST = (
     ),
 )
 STATES = (
-    State("x", "m", "distance made good", from_output="x", sd0=1.0),
+    State("x", "m", "distance along the track", from_output="x", sd0=1.0),
     State("u", "m/s", "surge", "s_u", from_output="u", sd0=0.3),
 )
 NOISE = Parameter("s_u", 0.01, "m/s/sqrt(s)", "process noise of surge speed", "log")
@@ -42,7 +42,17 @@ def surge_model(
     *,
     hold: Literal["zero", "linear"] = "zero",
 ) -> Model:
-    """States x [m] and u [m/s]; input X [N], or n (normalised shaft speed, both thrusters alike)."""
+    """Return the model of straight-line motion with the states x [m] and u [m/s].
+
+    Parameters
+    ----------
+    propulsion : "force" or "shaft"
+        Input: force X [N], or shaft speed n (normalised, common to both thrusters).
+    measured : "position", "speed" or "both"
+        Outputs of the sensors.
+    hold : "zero" or "linear"
+        Hold of the input.
+    """
     sensors, noise = [], []
     if measured != "speed":
         sensors.append(Sensor("position", (Output("x", "m", "e_x"),)))

@@ -1,12 +1,15 @@
-"""A thruster on the bench: command, shaft speed and force (thesis section 4.2, nominal values of its Table 2).
+"""Thruster on the bench: command, shaft speed and force (thesis section 4.2, nominal values of its Table 2).
 
     n' = a (n_ref - n),   f = c1 n|n| + c2 n^2 + bias + b_f
 
-``n_ref`` is the command, delayed by ``tau`` and zero inside the dead zone ``|n_cmd| < d``. The delay works on
-copies of the command that the data set delays by multiples of a step (``delayed_channels``): the model mixes the
-two or four next to ``tau`` by cubic convolution (Keys 1981), which keeps mean and variance of the delay exact and
-has a continuous derivative by it. No states are needed, and every copy of a step stays a step. ``b_f`` is an
-Ornstein-Uhlenbeck force, so that a load cell that swings does not pass for white noise.
+``n_ref`` is the command, delayed by ``tau``. It is zero inside the dead zone ``|n_cmd| < d``.
+
+The data set contains copies of the command with delays of multiples of a step (``delayed_channels``). The model mixes
+the two or four copies next to ``tau`` by cubic convolution (Keys 1981). The convolution keeps the mean and variance of
+the delay exact, and its derivative by ``tau`` is continuous. No states are needed, and a step of the command stays a
+step in every copy.
+
+``b_f`` is an Ornstein-Uhlenbeck force. It models the oscillation of the load cell, which is not white noise.
 """
 
 from __future__ import annotations
@@ -34,11 +37,11 @@ from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
 
 COMMAND = "n_cmd"
 DELAY_STEP = 0.0125  # s
-DELAY_APART = 0.2  # s between delays to start from
-START_POLES = np.geomspace(0.2, 20.0, 14)  # 1/s
-SLOW_STEP = 0.1  # s, of ``thruster:slow``: delays up to 4.8 s, over links that poll
-N_DELAYS = 49
-EDGE = 0.005  # of the command: over which the dead zone ends
+START_DELAY_SPACING_S = 0.2  # s between the initial values of the delay
+START_POLES = np.geomspace(0.2, 20.0, 14)  # 1/s, initial values of the pole
+SLOW_STEP = 0.1  # s, step of ``thruster:slow``, with delays up to 4.8 s, for links that poll
+N_DELAYS = 49  # number of copies of the command
+DEAD_ZONE_EDGE = 0.005  # width of the transition at the end of the dead zone, in units of the command
 
 SHAFT = (
     Parameter("a", 2.794, "1/s", "pole of the shaft speed", "log"),
@@ -82,9 +85,22 @@ UNEXPLAINED_RATE = Residual(
 def delayed_channels(
     channel: Channel, step: float = DELAY_STEP, n: int = N_DELAYS, name: str = COMMAND
 ) -> dict[str, Channel]:
-    """Copies of a command, ``NAME_0`` to ``NAME_n-1``, each delayed by ``step`` [s] more, with its steps as sharp.
+    """Return copies of a command, ``NAME_0`` to ``NAME_<n-1>``, each delayed by ``step`` more than the one before.
 
-    Before its first sample the command is taken to be what it is then.
+    Parameters
+    ----------
+    channel : Channel
+        Command.
+    step : float
+        Delay between copies [s].
+    n : int
+        Number of copies.
+    name : str
+        Prefix of the names.
+
+    Notes
+    -----
+    Steps of the command stay steps. Before its first sample, the command equals its first sample.
     """
     copies = {}
     for k in range(n):
@@ -94,15 +110,26 @@ def delayed_channels(
 
 
 def delay_step(model: Model) -> float:
-    """s, by which each copy of the command is later than the one before."""
+    """Return the delay [s] between successive copies of the command."""
     return model.parameter("tau").bounds[1] / (sum(i.tap_of == COMMAND for i in model.inputs) - 1)
 
 
 def on_a_copy(tau: float, step: float) -> str:
-    """The ``pace`` of a model whose copies of the command have this delay among them.
+    """Return the ``pace`` of a thruster model in which one of the copies of the command has exactly the delay ``tau``.
 
-    Between two copies a step of the command comes in two parts, half of the time between them too early and too late,
-    which looks like a lag of the shaft; on a copy it is exact. Empty where the delay is shorter than any step.
+    Return an empty text if the delay is shorter than half of ``step``.
+
+    Parameters
+    ----------
+    tau : float
+        Delay [s].
+    step : float
+        Desired delay between copies [s].
+
+    Notes
+    -----
+    If ``tau`` lies between two copies, a step of the command arrives in two parts, one too early and one too late. This
+    looks like a lag of the shaft. If ``tau`` is the delay of a copy, the step is exact.
     """
     k = round(tau / step)
     return f"{tau / k:.6g}" if k > 0 else ""
@@ -111,16 +138,31 @@ def on_a_copy(tau: float, step: float) -> str:
 def thruster_model(
     pace: str = "", *, force: bool = True, swing: bool = True, step: float = DELAY_STEP, n_delays: int = N_DELAYS
 ) -> Model:
-    """The bench model. pace: ``slow`` for delays beyond 0.6 s, or the ``step`` itself [s] as text (``on_a_copy``);
-    force: a load cell is there; swing: with the disturbance force ``b_f``."""
+    """Return the model of a thruster on the bench.
+
+    Parameters
+    ----------
+    pace : str
+        ``slow`` for delays beyond 0.6 s. Otherwise the delay [s] between copies of the command as text (``on_a_copy``).
+        Empty: ``step`` is used.
+    force : bool
+        Whether the bench has a load cell.
+    swing : bool
+        Whether the model has the disturbance force ``b_f``.
+    step : float
+        Delay between copies of the command [s].
+    n_delays : int
+        Number of copies.
+    """
     step = SLOW_STEP if pace == "slow" else float(pace or step)
     top = step * (n_delays - 1)
     delay = Parameter("tau", min(0.1, top / 2), "s", "delay of the command", bounds=(0.0, top), step=0.005)
     states, sensors, parameters = _parts(force, force and swing)
 
     def reference(s: Signals) -> Any:
+        """Return the delayed command outside the dead zone."""
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
-        # of numbers all but two or four are nought; of symbols none is known to be
+        # Two to four weights of a numerical delay are not zero; weights of a symbolic delay are never skipped
         return sum(
             w * past_dead_zone(getattr(s.u, f"{COMMAND}_{k}"), s.p.d)
             for k, w in weights
@@ -158,13 +200,15 @@ def thruster_model(
 
 
 def _start_grid(longest: float) -> StartGrid:
-    """Delays [s] and poles [1/s] to start from: with low-rate telemetry the likelihood has several maxima."""
-    delays = np.arange(0.0, longest, DELAY_APART)
-    return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), DELAY_APART)
+    """Return initial delays [s] and poles [1/s]. With low-rate telemetry, the likelihood has several maxima."""
+    delays = np.arange(0.0, longest, START_DELAY_SPACING_S)
+    return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), START_DELAY_SPACING_S)
 
 
 def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
-    """States, sensors and parameters with a load cell or without, and with a disturbance force on it."""
+    """Return states, sensors and parameters, with a load cell if ``force``, and with its
+    disturbance force if ``swing``.
+    """
     states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
     sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [*SHAFT]
     if force:
@@ -177,15 +221,18 @@ def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, .
 
 
 def past_dead_zone(command: Any, d: Any) -> Any:
-    """The command where it exceeds d, else zero; a smooth step of width ``EDGE`` between."""
-    along = np.minimum(np.maximum((abs(command) - d) / EDGE + 0.5, 0.0), 1.0)
+    """Return the command outside the dead zone d, and zero inside it.
+
+    A smooth step of width ``DEAD_ZONE_EDGE`` connects both parts.
+    """
+    along = np.minimum(np.maximum((abs(command) - d) / DEAD_ZONE_EDGE + 0.5, 0.0), 1.0)
     return command * along * along * (3.0 - 2.0 * along)
 
 
 def delay_weights(position: Any, n: int) -> list[Any]:
-    """Weights of n samples for the value at ``position`` (0 to n - 1) between them: cubic convolution.
+    """Return weights of n samples for the value at ``position`` (0 to n - 1) between them, by cubic convolution.
 
-    Beyond the ends the samples are continued in a straight line.
+    Beyond the ends, the samples are extrapolated linearly.
     """
     weights = [_keys(abs(position - k)) for k in range(n)]
     before, after = _keys(position + 1.0), _keys(float(n) - position)
@@ -195,7 +242,7 @@ def delay_weights(position: Any, n: int) -> list[Any]:
 
 
 def _keys(s: Any) -> Any:
-    """Kernel of cubic convolution at a distance s >= 0 (Keys 1981, eq. 15)."""
+    """Return the kernel of cubic convolution at a distance s >= 0 (Keys 1981, eq. 15)."""
     near = 1.0 + s * s * (1.5 * s - 2.5)
     far = 2.0 + s * (-4.0 + s * (2.5 - 0.5 * s))
     return (s < 1.0) * near + (s >= 1.0) * (s < 2.0) * far

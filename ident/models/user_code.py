@@ -1,8 +1,9 @@
 """User-defined models and effects, loaded from Python files and validated.
 
-A Python file that was typed on the command line is run. One that a *file* names is run only from that file's own folder
-and unchanged (`trusted_file`), and where this user has run it before, or with `--trust-code`. The hashes of files that
-were run stand in a file of the user (`known_file`): the author of a folder writes its model.toml, but not that.
+A Python file that is given on the command line is run. A Python file that another *file* names is run under three
+conditions (`trusted_file`): it lies in the folder of that file, it is unchanged, and this user has run it before. The
+option `--trust-code` replaces the conditions. The hashes of files that were run are stored in a file of the user
+(`known_file`). The author of a folder can write its model.toml, but not this file.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import append_to
 from seatrial.ident.model import Effect, Model
 
-# What libraries say of a symbol, and what to write instead
+# Parts of the error messages of libraries that are called with symbols, and the advice for the user
 ADVICE = {
     "truth value": "`if`, `and`, `or`, `max` and `min` cannot decide on a symbol; write np.where(condition, a, b), "
     "np.maximum(a, b) or x * (x > 0)",
-    "new_SX": "one of the rates or outputs that it gives is no number",
+    "new_SX": "one of the returned rates or outputs is not a number",
     "to_int not defined": "`int` and `range` cannot take a symbol; write np.floor(x)",
 }
 
@@ -36,7 +37,7 @@ _TRUST: ContextVar[bool] = ContextVar("trust_code", default=False)
 
 @contextlib.contextmanager
 def trusting_code() -> Iterator[None]:
-    """While it lasts, any Python file that a model.toml names is run, as with `--trust-code`."""
+    """Run any Python file that a model.toml names inside this context, as with `--trust-code`."""
     before = _TRUST.set(True)
     try:
         yield
@@ -45,46 +46,63 @@ def trusting_code() -> Iterator[None]:
 
 
 def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
-    """The Python file that a model.toml, ``named_by``, names with its SHA-256 ``digest`` (the first 16 digits).
+    """Return the path of the Python file that a model.toml names, after checking that it may be run.
 
-    It has to lie in the folder of model.toml, symbolic links resolved, to be what it was when that was written, and to
-    be known from before; with `--trust-code` nothing of this, and it is known from then on. Raises SeatrialError,
-    before anything of it is run.
+    Without `--trust-code`, the file must lie in the folder of model.toml after resolving symbolic links. It must have
+    the hash in model.toml, and this user must have run it before. With `--trust-code`, the file need only exist; its
+    hash is then stored as known.
+
+    Parameters
+    ----------
+    named_by : Path
+        The model.toml.
+    file : str
+        Path in it, relative to its folder.
+    digest : str or None
+        First 16 digits of the SHA-256 in it.
+
+    Raises
+    ------
+    SeatrialError
+        If the file is missing or may not be run. No part of it has been run then.
     """
     folder, path = named_by.parent.resolve(), named_by.parent / file
     if not path.is_file():
         place = os.path.normpath(path)
         raise SeatrialError(f"{named_by}: {place}: no such Python file; the model was made with it, so put it there")
-    found = Path(os.path.normpath(path))
+    normal_path = Path(os.path.normpath(path))
     if _TRUST.get():
-        remember(found)
-        return found
+        remember(normal_path)
+        return normal_path
     if not path.resolve().is_relative_to(folder):
-        why = "is not in its folder"
+        reason = "is not in its folder"
     elif digest is None:
-        why = "is named without its hash"
+        reason = "is named without its hash"
     elif file_digest(path) != digest:
-        why = "has changed since it was written"
-    elif _whole_digest(path) not in _known():
-        why = "was never run by you before"
+        reason = "has changed since it was written"
+    elif _full_digest(path) not in _known_digests():
+        reason = "was never run by you before"
     else:
-        return found
-    raise SeatrialError(f"{named_by}: {found} {why}, so it is not run; read it, and run it with --trust-code")
+        return normal_path
+    raise SeatrialError(f"{named_by}: {normal_path} {reason}, so it is not run; read it, and run it with --trust-code")
 
 
 def known_file() -> Path:
-    """Return the file of hashes of Python that this user has run: ``SEATRIAL_KNOWN_CODE``, or one in the home."""
+    """Return the file with the hashes of Python files that this user has run.
+
+    The file is ``SEATRIAL_KNOWN_CODE``, or ``~/.local/state/seatrial/known-code``.
+    """
     chosen = os.environ.get("SEATRIAL_KNOWN_CODE")
     return Path(chosen) if chosen else Path.home() / ".local" / "state" / "seatrial" / "known-code"
 
 
 def remember(path: Path) -> None:
-    """Note the hash of a Python file of the user's own or trust; models that name it are run from then on.
+    """Store the hash of a Python file that the user trusts. Models that name the file are run from then on.
 
-    Where the note cannot be written, the file stays unknown.
+    If the hash cannot be written, the file stays unknown, without an error.
     """
-    digest = _whole_digest(path)
-    if digest in _known():
+    digest = _full_digest(path)
+    if digest in _known_digests():
         return
     with contextlib.suppress(OSError, SeatrialError):
         known_file().parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -93,8 +111,8 @@ def remember(path: Path) -> None:
             file.write(f"{digest}\n")
 
 
-def _known() -> set[str]:
-    """Return the hashes of known files; none where another user may have written them."""
+def _known_digests() -> set[str]:
+    """Return the hashes of known files. Return the empty set if another user may have written them."""
     try:
         about = known_file().stat()
         if about.st_uid != os.getuid() or about.st_mode & 0o022:
@@ -104,23 +122,29 @@ def _known() -> set[str]:
         return set()
 
 
-def _whole_digest(path: Path) -> str:
+def _full_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def file_digest(path: Path) -> str:
-    """The first 16 digits of a file's SHA-256."""
+    """Return the first 16 digits of a file's SHA-256."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def load_python(path: Path) -> ModuleType:
-    """Run a Python file and return what it defines. Raises SeatrialError with the file, its line and the reason."""
+    """Run a Python file and return it as a module.
+
+    Raises
+    ------
+    SeatrialError
+        If the file is missing or fails. The message has the file, the line and the reason.
+    """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None:
         raise SeatrialError(f"{path}: no such Python file")
     module = importlib.util.module_from_spec(spec)
     try:
-        # Not by the loader: that would take bytecode that lies beside the file for the file.
+        # The loader is not used, because it would run bytecode in the folder of the file instead of the file
         exec(compile(path.read_bytes(), str(path), "exec"), vars(module))
     except Exception as problem:
         raise SeatrialError(f"{error_place(problem, path)}: cannot be loaded: {error_message(problem)}") from problem
@@ -128,12 +152,18 @@ def load_python(path: Path) -> ModuleType:
 
 
 def load_object(source: str) -> Any:
-    """What NAME of ``FILE.py:NAME`` is; a function is called. Raises SeatrialError."""
+    """Return the object NAME of ``FILE.py:NAME``. If NAME is a function, call it and return its result.
+
+    Raises
+    ------
+    SeatrialError
+        If the file or the object cannot be loaded.
+    """
     file, _, name = source.rpartition(":")
     module = load_python(Path(file))
     try:
-        found = getattr(module, name)
-        return found() if callable(found) else found
+        loaded = getattr(module, name)
+        return loaded() if callable(loaded) else loaded
     except Exception as problem:
         raise SeatrialError(
             f"{error_place(problem, Path(file))}: {name} cannot be loaded: {error_message(problem)}"
@@ -141,30 +171,51 @@ def load_object(source: str) -> Any:
 
 
 def load_effects(path: Path) -> dict[str, Effect]:
-    """The effects of a file: those in its ``EFFECT`` or ``EFFECTS``, by name."""
+    """Return the effects in ``EFFECT`` or ``EFFECTS`` of a Python file, by name.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be loaded or defines no effects.
+    """
     module = load_python(path)
-    found = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
-    if not found or not all(isinstance(e, Effect) for e in found):
+    effects = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
+    if not effects or not all(isinstance(e, Effect) for e in effects):
         raise SeatrialError(f"{path}: defines neither EFFECT nor EFFECTS of seatrial.ident.model.structure.Effect")
-    return {e.name: e for e in found}
+    return {e.name: e for e in effects}
 
 
 def effects_for(model: Model, path: Path) -> dict[str, Effect]:
-    """The effects that a Python file defines, each tried on the model where the model can have it.
+    """Return the effects of a Python file, by name, after evaluating each with the model.
 
-    Raises SeatrialError with file, line and reason where one cannot be evaluated.
+    Effects that the model cannot have are not evaluated.
+
+    Raises
+    ------
+    SeatrialError
+        If an effect cannot be evaluated. The message has the file, the line and the reason.
     """
-    found = load_effects(path)
-    for effect in found.values():
+    effects = load_effects(path)
+    for effect in effects.values():
         if model.accepts(effect):
             check_user_model(model + effect, path)
-    return found
+    return effects
 
 
 def check_user_model(model: Model, path: Path) -> Model:
-    """The model, after its functions of ``path`` have been called once with symbols, as every estimate does.
+    """Return the model after calling its functions once with symbols, as every estimation does.
 
-    Raises SeatrialError with file, line, what is wrong there, and what to write instead.
+    Parameters
+    ----------
+    model : Model
+        User-defined model, or a model with a user-defined effect.
+    path : Path
+        Python file of the user.
+
+    Raises
+    ------
+    SeatrialError
+        If a function fails. The message has the file, the line, the reason and advice.
     """
     from seatrial.ident.engine import EkfGraphs
 
@@ -176,37 +227,41 @@ def check_user_model(model: Model, path: Path) -> Model:
 
 
 def error_place(problem: BaseException, path: Path, model: Model | None = None) -> str:
-    """``FILE:LINE`` of the last line of the user's own that led to the problem; without one, of the function that ends
-    the model's rates or outputs."""
+    """Return ``FILE:LINE`` of an error: the last line of the user's file in the traceback.
+
+    If the traceback has no such line, return the first line of the function for the rates or outputs of the model.
+    """
     if isinstance(problem, SyntaxError) and problem.lineno:
         return f"{problem.filename or path}:{problem.lineno}"
     lines, at = [], problem.__traceback__
     while at is not None:
-        if _same(at.tb_frame.f_code.co_filename, path):
+        if _same_file(at.tb_frame.f_code.co_filename, path):
             lines.append(at.tb_lineno)
         at = at.tb_next
     if not lines and model is not None:
         label = "output" if " output " in str(problem) else "rate"
-        lines = [line for name, stage in model.stages if name == label for line in _first_line(stage, path)]
+        lines = [line for name, stage in model.stages if name == label for line in _first_lines(stage, path)]
     return f"{path}:{lines[-1]}" if lines else str(path)
 
 
-def _first_line(function: Any, path: Path) -> list[int]:
+def _first_lines(function: Any, path: Path) -> list[int]:
+    """Return the first line of a function as a list, which is empty if the function is not in the file ``path``."""
     code = getattr(inspect.unwrap(function), "__code__", None)
-    return [code.co_firstlineno] if code is not None and _same(code.co_filename, path) else []
+    return [code.co_firstlineno] if code is not None and _same_file(code.co_filename, path) else []
 
 
-def _same(file: str, path: Path) -> bool:
+def _same_file(file: str, path: Path) -> bool:
     return Path(file).resolve() == path.resolve()
 
 
 def error_message(problem: BaseException) -> str:
-    """What to say of an error in the user's own code."""
-    said = " ".join(str(problem).split())
-    for sign, advice in ADVICE.items():
-        if sign in said:
+    """Return the message for an error in the user's code, with advice if the error comes from the use of symbols."""
+    message = " ".join(str(problem).split())
+    for fragment, advice in ADVICE.items():
+        if fragment in message:
             return advice
-    if "SX" in said:
-        return f"{said} (SX are the symbols that it is called with: write it with numpy's functions)"
-    plain = isinstance(problem, (ValueError, TypeError, AttributeError, ArithmeticError, ImportError, SyntaxError))
-    return said if said and plain else f"{type(problem).__name__}: {said}"
+    if "SX" in message:
+        return f"{message} (the function is called with symbols of the type SX; use numpy's functions)"
+    # messages of these types are clear without the name of the type
+    clear = isinstance(problem, (ValueError, TypeError, AttributeError, ArithmeticError, ImportError, SyntaxError))
+    return message if message and clear else f"{type(problem).__name__}: {message}"

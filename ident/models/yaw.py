@@ -17,7 +17,15 @@ COMPASS = Parameter("e_psi", 0.01, "rad", "noise of the heading", "log")
 
 
 def yaw_model(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero", "linear"] = "zero") -> Model:
-    """State r [rad/s], and psi [rad] where the heading is measured too; input N [N m]."""
+    """Return the model of turning on the spot. The input is the moment N [N m].
+
+    Parameters
+    ----------
+    measured : "rate" or "both"
+        Sensors: yaw rate r [rad/s], or also the heading psi [rad], which is then a second state.
+    hold : "zero" or "linear"
+        Hold of the input.
+    """
     heading = measured == "both"
     states = [State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1)]
     sensors = [Sensor("gyro", (Output("r", "rad/s", "e_r"),))]

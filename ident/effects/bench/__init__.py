@@ -1,1 +1,1 @@
-"""Effects of a thruster on the bench: shaft, thrust, load cell, pool."""
+"""Effects of a thruster on the bench: shaft, thrust, load cell, test basin."""

@@ -20,7 +20,13 @@ EFFECT = Effect(
     hooks={"rate": follow, "output": smooth},
     parameters=(
         Parameter(
-            "k_cell", 0.0, "", "share of the force behind the filter", prior=(1.0, 0.5), bounds=(0.0, 1.5), step=0.02
+            "k_cell",
+            0.0,
+            "",
+            "share of the force that passes the filter",
+            prior=(1.0, 0.5),
+            bounds=(0.0, 1.5),
+            step=0.02,
         ),
         Parameter(
             "T_cell",

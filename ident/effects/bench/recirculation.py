@@ -9,7 +9,7 @@ def lose(s: Signals) -> None:
     s.force = s.force * (1 - s.p.k_wash * s.x.wash)
 
 
-def stir(s: Signals) -> None:
+def drive_recirculation(s: Signals) -> None:
     s.rate["wash"] = (s.x.n * s.x.n - s.x.wash) / s.p.T_wash
 
 
@@ -17,7 +17,7 @@ EFFECT = Effect(
     name="recirculation",
     title="the loss of thrust by recirculation in the basin",
     place="bench",
-    hooks={"thrust": lose, "rate": stir},
+    hooks={"thrust": lose, "rate": drive_recirculation},
     parameters=(
         Parameter(
             "k_wash",
@@ -42,7 +42,7 @@ EFFECT = Effect(
     states=(State("wash", "", "recirculation, relative to that at full speed", 0.0, sd0=0.01),),
     scan={"T_wash": (1.5, 3.0, 6.0, 12.0, 25.0)},
     formula="T w' = n^2 - w, f *= 1 - k w",
-    source="bollard tests in basins: ITTC 7.5-02-03-02.1 asks for a basin in which the jet does not come back",
+    source="bollard tests in basins: ITTC 7.5-02-03-02.1 requires a basin in which the jet does not return",
     experiment="full speed held for a minute, then the same step after five minutes of rest",
     requires=("bench", "thrust"),
     one_sided=True,

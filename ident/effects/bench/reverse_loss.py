@@ -25,7 +25,7 @@ EFFECT = Effect(
             step=0.01,
         ),
     ),
-    formula="f *= 1 - rho |n| for n < 0; what is constant belongs to c2",
+    formula="f *= 1 - rho |n| for n < 0; a constant loss is part of c2",
     source="four-quadrant open-water data: blades running on their trailing edge stall",
     experiment="as many steady levels in reverse as in forward, up to full speed",
     requires=("bench", "thrust"),

@@ -7,7 +7,7 @@ import math
 from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
-def pass_on(s: Signals) -> None:
+def filter_force(s: Signals) -> None:
     s.pushed = s.force
     s.force = s.force + s.p.g_rod * (s.x.rod - s.force)
 
@@ -22,7 +22,7 @@ EFFECT = Effect(
     name="rod-flex",
     title="a structural resonance of the rod",
     place="bench",
-    hooks={"thrust": pass_on, "rate": swing},
+    hooks={"thrust": filter_force, "rate": swing},
     parameters=(
         Parameter(
             "g_rod",
@@ -46,8 +46,8 @@ EFFECT = Effect(
         Parameter("zeta_rod", 0.05, "", "damping ratio of the rod", "log", prior=(0.05, 0.05), bounds=(0.003, 0.7)),
     ),
     states=(
-        State("rod", "N", "force behind the resonance", 0.0, sd0=0.1),
-        State("rod_rate", "N", "its rate over the angular frequency", 0.0, sd0=0.1),
+        State("rod", "N", "force after the resonance", 0.0, sd0=0.1),
+        State("rod_rate", "N", "rate of the force after the resonance, over the angular frequency", 0.0, sd0=0.1),
     ),
     scan={"f_rod": (1.8, 2.4, 3.2, 4.2, 5.2, 6.4, 7.8, 9.5, 12.0, 15.0)},
     formula="z'' + 2 zeta w z' + w^2 z = w^2 f, F -> F + g (z - F)",

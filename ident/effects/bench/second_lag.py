@@ -27,7 +27,7 @@ EFFECT = Effect(
             "T_late", 0.05, "s", "time constant of the lag", "log", prior=(0.05, 0.05), bounds=(0.01, 2.0), scales=False
         ),
     ),
-    states=(State("n_late", "", "command behind the lag", 0.0, sd0=0.01),),
+    states=(State("n_late", "", "command after the lag", 0.0, sd0=0.01),),
     scan={"T_late": (0.02, 0.04, 0.08, 0.15, 0.3)},
     formula="T z' = n_ref - z, n_ref -> n_ref + k (z - n_ref)",
     source="electric motor and speed controller in series; Blanke, Lindegaard and Fossen 2000",

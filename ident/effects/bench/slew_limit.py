@@ -8,11 +8,12 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def limit(s: Signals) -> None:
-    wanted = s.p.a * (s.n_ref - s.x.n)
-    square = (wanted / s.p.n_slew) * (wanted / s.p.n_slew)
+    unlimited = s.p.a * (s.n_ref - s.x.n)
+    square = (unlimited / s.p.n_slew) * (unlimited / s.p.n_slew)
     fourth = square * square
-    allowed = wanted / np.sqrt(np.sqrt(np.sqrt(1 + fourth * fourth)))  # a corner would stop the search
-    s.rate["n"] = s.rate["n"] + s.p.k_slew * (allowed - wanted)
+    # smooth, because the search for the maximum stops at a corner
+    limited = unlimited / np.sqrt(np.sqrt(np.sqrt(1 + fourth * fourth)))
+    s.rate["n"] = s.rate["n"] + s.p.k_slew * (limited - unlimited)
 
 
 EFFECT = Effect(
@@ -35,7 +36,7 @@ EFFECT = Effect(
     scan={"n_slew": (0.15, 0.3, 0.5, 0.8, 1.2, 1.8, 2.5, 3.5)},
     formula="n' = w / (1 + (w / S)^8)^(1/8), w = a (n_ref - n)",
     source="current limits and ramps of speed controllers",
-    experiment="steps of many sizes from rest: behind a limit the rise takes longer the larger the step",
+    experiment="steps of many sizes from rest: with a limit, larger steps take longer to rise",
     requires=("bench",),
     one_sided=True,
     alternatives=("second-lag", "spin-up"),

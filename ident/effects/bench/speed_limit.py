@@ -7,19 +7,20 @@ import numpy as np
 from seatrial.ident.model import Effect, Parameter, Signals
 
 
-def cap(s: Signals) -> None:
+def saturate(s: Signals) -> None:
     square = (s.n_ref / s.p.n_top) * (s.n_ref / s.p.n_top)
     eighth = square * square * square * square
     power = eighth * eighth * eighth * eighth
-    held = s.n_ref / np.sqrt(np.sqrt(np.sqrt(np.sqrt(np.sqrt(1 + power)))))  # a corner would stop the search
-    s.n_ref = s.n_ref + s.p.k_top * (held - s.n_ref)
+    # smooth, because the search for the maximum stops at a corner
+    limited = s.n_ref / np.sqrt(np.sqrt(np.sqrt(np.sqrt(np.sqrt(1 + power)))))
+    s.n_ref = s.n_ref + s.p.k_top * (limited - s.n_ref)
 
 
 EFFECT = Effect(
     name="speed-limit",
     title="a saturation of the shaft speed",
     place="actuator",
-    hooks={"shaft": cap},
+    hooks={"shaft": saturate},
     parameters=(
         Parameter(
             "k_top",

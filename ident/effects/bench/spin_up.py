@@ -1,4 +1,4 @@
-"""Asymmetric shaft dynamics: other time constants for acceleration and deceleration."""
+"""Asymmetric shaft dynamics: different time constants for acceleration and deceleration."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 
 from seatrial.ident.model import Effect, Parameter, Signals
 
-EDGE = 0.01  # of full speed: width of the transition between acceleration and deceleration
+EDGE = 0.01  # width of the transition between acceleration and deceleration, relative to full speed
 
 
-def favour(s: Signals) -> None:
+def change_pole(s: Signals) -> None:
     up = np.tanh((abs(s.n_ref) - abs(s.x.n)) / EDGE)
     s.rate["n"] = s.rate["n"] + s.p.k_up * up * s.p.a * (s.n_ref - s.x.n)
 
@@ -18,7 +18,7 @@ EFFECT = Effect(
     name="spin-up",
     title="different time constants for shaft acceleration and deceleration",
     place="actuator",
-    hooks={"rate": favour},
+    hooks={"rate": change_pole},
     parameters=(
         Parameter(
             "k_up",
@@ -31,7 +31,7 @@ EFFECT = Effect(
         ),
     ),
     formula="n' = a (1 + k_up s) (n_ref - n), s = 1 in acceleration and -1 in deceleration",
-    source="speed controllers that drive a motor but do not brake it; propeller torque acts only in deceleration",
+    source="speed controllers that drive a motor but do not brake it: only the propeller torque decelerates the shaft",
     experiment="steps up and down between the same two speeds, several pairs of them",
     requires=("bench",),
     alternatives=("slew-limit", "second-lag"),

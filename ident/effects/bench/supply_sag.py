@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from seatrial.ident.model import Effect, Parameter, Signals, State
 
-USED = 30.0  # s at full power: the unit of work
+WORK_UNIT_S = 30.0  # s at full power: the unit of work
 
 
-def fade(s: Signals) -> None:
+def reduce_speed(s: Signals) -> None:
     s.n_ref = s.n_ref * (1 - s.p.k_sag * s.x.used)
 
 
-def use(s: Signals) -> None:
-    s.rate["used"] = abs(s.x.n) * s.x.n * s.x.n / USED
+def discharge(s: Signals) -> None:
+    s.rate["used"] = abs(s.x.n) * s.x.n * s.x.n / WORK_UNIT_S
 
 
 EFFECT = Effect(
     name="supply-sag",
     title="the loss of shaft speed with battery discharge",
     place="actuator",
-    hooks={"shaft": fade, "rate": use},
+    hooks={"shaft": reduce_speed, "rate": discharge},
     parameters=(
         Parameter(
             "k_sag",
@@ -31,10 +31,10 @@ EFFECT = Effect(
             step=0.005,
         ),
     ),
-    states=(State("used", "", "work done, over 30 s at full power", 0.0, sd0=1e-4),),
+    states=(State("used", "", "work done, relative to that of 30 s at full power", 0.0, sd0=1e-4),),
     formula="n_ref *= 1 - k E, E' = |n|^3 / 30 s",
     source="open-loop speed control on a sagging supply; vendors' tables of shaft speed against voltage",
-    experiment="the same steps at the start and at the end of a long run, the voltage logged",
+    experiment="the same steps at the start and at the end of a long run, with the voltage logged",
     requires=("bench",),
     one_sided=True,
     alternatives=("speed-curve", "recirculation"),

@@ -8,7 +8,7 @@ import numpy as np
 
 from seatrial.ident.model import Effect, Parameter, Signals
 
-AT_REST = 1e-6  # added to the squared shaft speed, so that its logarithm exists at rest
+AT_REST = 1e-6  # added to the squared shaft speed, so that its logarithm is finite at rest
 
 
 EXPONENT = Parameter(
@@ -18,7 +18,7 @@ SOURCE = "Reynolds number and cavitation; manufacturers' curves have exponents o
 
 
 def factor(n: Any, p_n: Any) -> Any:
-    """What the power makes of a quadratic thrust at shaft speed n."""
+    """Return |n|^p_n: the factor from a quadratic thrust to a thrust with the exponent 2 + p_n."""
     return np.exp(p_n / 2 * np.log(n * n + AT_REST))
 
 
@@ -34,7 +34,7 @@ EFFECT = Effect(
     parameters=(EXPONENT,),
     formula="f = (c1 n|n| + c2 n^2) |n|^p_n",
     source=SOURCE,
-    experiment="many levels of steady speed, those below a third of full speed held long",
+    experiment="many levels of steady speed, with long levels below a third of full speed",
     requires=("bench", "thrust"),
     alternatives=("thrust-dead-band", "reverse-loss"),
 )

@@ -1,1 +1,1 @@
-"""Effects of wind, waves, current and what hangs in the water."""
+"""Effects of wind, waves, current, tethers and moorings."""

@@ -6,9 +6,9 @@ from seatrial.ident.model import Effect, Input, Parameter, Signals
 
 
 def drift(s: Signals) -> None:
-    late = s.u.t / 600.0 - 0.5
-    s.rate["x"] = s.rate["x"] + s.p.V_dx * late
-    s.rate["y"] = s.rate["y"] + s.p.V_dy * late
+    elapsed = s.u.t / 600.0 - 0.5  # centred, so that V_x and V_y are the current in the middle of 600 s
+    s.rate["x"] = s.rate["x"] + s.p.V_dx * elapsed
+    s.rate["y"] = s.rate["y"] + s.p.V_dy * elapsed
 
 
 EFFECT = Effect(
@@ -21,7 +21,7 @@ EFFECT = Effect(
             "V_dx",
             0.0,
             "m/s",
-            "change to the north in 600 s",
+            "change of the current to the north in 600 s",
             prior=(0.0, 0.4),
             step=0.02,
             per_record=True,
@@ -31,7 +31,7 @@ EFFECT = Effect(
             "V_dy",
             0.0,
             "m/s",
-            "change to the east in 600 s",
+            "change of the current to the east in 600 s",
             prior=(0.0, 0.4),
             step=0.02,
             per_record=True,

@@ -1,4 +1,4 @@
-"""An elastic line to a fixed point: a spring beyond its slack length."""
+"""Elastic line to a fixed point: a spring beyond its slack length."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import numpy as np
 
 from seatrial.ident.model import INF, Effect, Parameter, Signals
 
-ROUND = 0.1  # width of the corner at the slack length, relative to the tension that the slack takes away
+CORNER_WIDTH = 0.1  # width of the rounded corner at the slack length, relative to k_m l_slack
 
 
 def pull(s: Signals) -> None:
-    """The force of a spring without slack is linear in the parameters; the slack takes its length from the tension."""
+    """Add the force of the line.
+
+    The force of a spring without slack is linear in the parameters. The slack reduces the tension by k_m l_slack.
+    """
     p, cos, sin = s.p, np.cos(s.x.psi), np.sin(s.x.psi)
     north, east = p.F_mx - p.k_m * s.x.x, p.F_my - p.k_m * s.x.y
-    tension, less = np.sqrt(north * north + east * east + 1e-12), p.k_m * p.l_slack
-    left = tension - less
-    # one where there is no slack, and no tension inside the slack length
-    part = (left + np.sqrt(left * left + ROUND * ROUND * less * less)) / (2 * tension)
+    tension, slack_tension = np.sqrt(north * north + east * east + 1e-12), p.k_m * p.l_slack
+    taut = tension - slack_tension
+    # remaining share of the tension: one without slack, about zero inside the slack length
+    part = (taut + np.sqrt(taut * taut + CORNER_WIDTH * CORNER_WIDTH * slack_tension * slack_tension)) / (2 * tension)
     s.X = s.X + part * (cos * north + sin * east)
     s.Y = s.Y + part * (cos * east - sin * north)
 
@@ -28,8 +31,12 @@ EFFECT = Effect(
     hooks={"force": pull},
     parameters=(
         Parameter("k_m", 0.0, "N/m", "stiffness of the line", prior=(0.0, 3.0), bounds=(0.0, INF), step=0.02),
-        Parameter("F_mx", 0.0, "N", "its pull to the north at the origin of x and y", prior=(0.0, 20.0), step=0.5),
-        Parameter("F_my", 0.0, "N", "its pull to the east at the origin of x and y", prior=(0.0, 20.0), step=0.5),
+        Parameter(
+            "F_mx", 0.0, "N", "force of the line to the north at the origin of x and y", prior=(0.0, 20.0), step=0.5
+        ),
+        Parameter(
+            "F_my", 0.0, "N", "force of the line to the east at the origin of x and y", prior=(0.0, 20.0), step=0.5
+        ),
         Parameter("l_slack", 0.0, "m", "slack length", prior=(0.0, 15.0), bounds=(-20.0, 200.0), step=0.5),
     ),
     formula="F = -k (1 - l / d) (p - a) beyond d = |p - a| = l, the fixed point a at (F_mx, F_my) / k",

@@ -1,4 +1,4 @@
-"""A steady force in one direction of the earth: a long line, a slope of the surface, wind without a moment."""
+"""Steady force in one direction over ground: a long line, a slope of the surface, wind without a moment."""
 
 from __future__ import annotations
 

@@ -8,12 +8,13 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def drag(s: Signals) -> None:
+    """Add a drag force against the velocity over ground, in proportion to the distance from the fixed end."""
     p, x = s.p, s.x
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     over_x = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)
     over_y = sin * x.u + cos * x.v + getattr(p, "V_y", 0.0)
-    away = np.sqrt((x.x - p.x_tether) * (x.x - p.x_tether) + (x.y - p.y_tether) * (x.y - p.y_tether) + 1e-6)
-    pull = p.k_tether * away * np.sqrt(over_x * over_x + over_y * over_y + 1e-9)
+    distance = np.sqrt((x.x - p.x_tether) * (x.x - p.x_tether) + (x.y - p.y_tether) * (x.y - p.y_tether) + 1e-6)
+    pull = p.k_tether * distance * np.sqrt(over_x * over_x + over_y * over_y + 1e-9)
     s.X = s.X - pull * (cos * over_x + sin * over_y)
     s.Y = s.Y - pull * (-sin * over_x + cos * over_y)
 
@@ -34,7 +35,14 @@ EFFECT = Effect(
             step=5e-3,
         ),
         *(
-            Parameter(f"{axis}_tether", 0.0, "m", f"fixed end, {side} of the origin", prior=(0.0, 20.0), step=1.0)
+            Parameter(
+                f"{axis}_tether",
+                0.0,
+                "m",
+                f"position of the fixed end, {side} of the origin",
+                prior=(0.0, 20.0),
+                step=1.0,
+            )
             for axis, side in (("x", "north"), ("y", "east"))
         ),
     ),

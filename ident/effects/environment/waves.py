@@ -1,9 +1,9 @@
 """First-order wave forces: narrow-band forces with a spectral peak that no input explains.
 
 Each force is the output of a second-order filter driven by white noise (linear approximation of the wave spectrum,
-Fossen 2011, section 8.2). Its size A is a standard deviation, so the likelihood is even in A and the score at zero
-vanishes: a score test by sensitivities cannot find waves. They are detected as a peak in the spectrum of the
-innovations (``seatrial.ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
+Fossen 2011, section 8.2). The size A of a force is a standard deviation. The likelihood is therefore an even function
+of A, and its score at zero vanishes. A score test cannot detect waves. Waves are detected as a peak in the spectrum of
+the innovations (``seatrial.ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
 """
 
 from __future__ import annotations
@@ -14,22 +14,26 @@ import numpy as np
 
 from seatrial.ident.model import INF, Effect, Parameter, Signals, State
 
-FORCES = {"X": ("N", 5.0), "Y": ("N", 5.0), "N": ("N m", 0.6)}
+FORCES = {"X": ("N", 5.0), "Y": ("N", 5.0), "N": ("N m", 0.6)}  # units and typical standard deviations
 
 
 def push(s: Signals) -> None:
-    """The filter is driven by unit white noise, so the variance of its state is 1 / (4 zeta omega)."""
+    """Add the wave forces.
+
+    Unit white noise drives the filter, so the variance of its state is 1 / (4 zeta omega).
+    """
     gain = np.sqrt(4 * s.p.zeta_wave * 2 * np.pi * s.p.f_wave)
     for force in FORCES:
         setattr(s, force, getattr(s, force) + getattr(s.p, f"A_{force}") * gain * getattr(s.x, f"wave_{force}"))
 
 
 def shape(s: Signals) -> None:
+    """Set the rates of the wave filters."""
     omega = 2 * np.pi * s.p.f_wave
     for force in FORCES:
-        wave, ahead = getattr(s.x, f"wave_{force}"), getattr(s.x, f"wave_{force}_rate")
-        s.rate[f"wave_{force}"] = omega * ahead
-        s.rate[f"wave_{force}_rate"] = -omega * wave - 2 * s.p.zeta_wave * omega * ahead
+        wave, quadrature = getattr(s.x, f"wave_{force}"), getattr(s.x, f"wave_{force}_rate")
+        s.rate[f"wave_{force}"] = omega * quadrature
+        s.rate[f"wave_{force}_rate"] = -omega * wave - 2 * s.p.zeta_wave * omega * quadrature
 
 
 EFFECT = Effect(
@@ -55,7 +59,7 @@ EFFECT = Effect(
             "zeta_wave",
             0.1,
             "",
-            "relative width of the peak, a damping ratio",
+            "relative width of the peak, as a damping ratio",
             "log",
             prior=(0.1, 0.1),
             bounds=(0.01, 0.7),
@@ -66,12 +70,12 @@ EFFECT = Effect(
         for force in FORCES
         for state in (
             State(f"wave_{force}", "", f"wave filter of {force}", 0.0, sd0=1.0),
-            State(f"wave_{force}_rate", "", "its quadrature", 1.0, sd0=1.0),
+            State(f"wave_{force}_rate", "", f"quadrature of the wave filter of {force}", 1.0, sd0=1.0),
         )
     ),
     formula="F += A sqrt(4 zeta w) z, z'' + 2 zeta w z' + w^2 z = w e(t), e white; F each of X, Y, N",
     source="Fossen 2011, section 8.2: linear approximation of the wave spectrum",
-    experiment="drifting without thrust in beam seas and head seas: the peak stays when the inputs rest",
+    experiment="drifting without thrust in beam seas and head seas: the spectral peak remains at zero inputs",
     requires=("hull",),
     one_sided=True,
     alternatives=("pendulum",),
@@ -79,6 +83,14 @@ EFFECT = Effect(
 
 
 def waves_at(frequency: float, size: float = 0.4) -> Effect:
-    """The effect with initial values for a fit: peak at ``frequency`` [Hz], forces of ``size`` times the usual."""
-    start = {f"A_{force}": size * usual for force, (_, usual) in FORCES.items()} | {"f_wave": frequency}
+    """Return the effect with initial values for a fit.
+
+    Parameters
+    ----------
+    frequency : float
+        Peak frequency [Hz].
+    size : float
+        Initial standard deviations of the forces, relative to ``FORCES``.
+    """
+    start = {f"A_{force}": size * typical for force, (_, typical) in FORCES.items()} | {"f_wave": frequency}
     return replace(EFFECT, parameters=tuple(p.at(start.get(p.name, p.value)) for p in EFFECT.parameters))

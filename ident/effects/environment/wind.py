@@ -8,22 +8,27 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def blow(s: Signals) -> None:
-    """(F_wx, F_wy) is the wind force in NED on a boat at rest, broadside on; the wind velocity follows from k_air.
+    """Add the wind force and moment.
 
-    What the boat's own motion changes is without a derivative at no wind, since the wind velocity is the root of the
-    force. It fades out below the force of a wind of 1 m/s, so that the derivative there is that of a steady force.
+    (F_wx, F_wy) is the wind force in NED on a boat at rest with the wind on the broadside. The wind velocity follows
+    from this force and k_air.
+
+    The velocity of the boat changes the relative wind. This change has no derivative at zero wind, because the wind
+    velocity is the square root of the force. The change is therefore faded out below the force of a wind of 1 m/s. The
+    derivative at zero wind is then that of a steady force.
     """
     p, psi = s.p, s.x.psi
     cos, sin = np.cos(psi), np.sin(psi)
     along, across = cos * p.F_wx + sin * p.F_wy, -sin * p.F_wx + cos * p.F_wy
     squared = p.F_wx * p.F_wx + p.F_wy * p.F_wy + 1e-12
-    wind = 1 / np.sqrt(p.k_air * np.sqrt(squared))  # m/s per newton
+    wind = 1 / np.sqrt(p.k_air * np.sqrt(squared))  # wind velocity over force, m/s per newton
     over_x = cos * s.x.u - sin * s.x.v + getattr(p, "V_x", 0.0)
     over_y = sin * s.x.u + cos * s.x.v + getattr(p, "V_y", 0.0)
     rel_along = along * wind - cos * over_x - sin * over_y
     rel_across = across * wind + sin * over_x - cos * over_y
     speed = np.sqrt(rel_along * rel_along + rel_across * rel_across + 1e-9)
-    moving = squared / (squared + p.k_air * p.k_air)  # the drag of air at rest is part of the hull's damping
+    # weight of the relative wind; the drag of the boat in air at rest is part of the damping of the hull
+    moving = squared / (squared + p.k_air * p.k_air)
     along = along + moving * (p.k_air * speed * rel_along - along)
     across = across + moving * (p.k_air * speed * rel_across - across)
     s.X = s.X + p.w_x * along
@@ -37,11 +42,11 @@ EFFECT = Effect(
     place="environment",
     hooks={"force": blow},
     parameters=(
-        Parameter("F_wx", 0.0, "N", "wind force to the north on the broadside", prior=(0.0, 15.0), step=1e-3),
-        Parameter("F_wy", 0.0, "N", "wind force to the east on the broadside", prior=(0.0, 15.0), step=1e-3),
+        Parameter("F_wx", 0.0, "N", "wind force to the north, wind on the broadside", prior=(0.0, 15.0), step=1e-3),
+        Parameter("F_wy", 0.0, "N", "wind force to the east, wind on the broadside", prior=(0.0, 15.0), step=1e-3),
         Parameter("w_x", 0.5, "", "frontal area over lateral area", prior=(0.5, 0.3), step=0.05),
         Parameter("w_n", 0.1, "m", "lever arm of the lateral force", prior=(0.1, 0.3), step=0.02),
-        Parameter("w_nn", 0.0, "m", "lever arm of the oblique part", prior=(0.0, 0.3), step=0.02),
+        Parameter("w_nn", 0.0, "m", "lever arm of the moment in oblique wind", prior=(0.0, 0.3), step=0.02),
         Parameter(
             "k_air",
             0.28,
@@ -53,7 +58,7 @@ EFFECT = Effect(
             step=0.02,
         ),
     ),
-    # the moment of the lateral force is what shows best, and it may be of either sign
+    # The moment of the lateral force is the most visible part, and its sign is unknown
     scan={"w_n": (-0.4, -0.15, -0.05, 0.0, 0.05, 0.15, 0.4)},
     formula="X += w_x k |V_rel| V_along, Y += k |V_rel| V_across, N += k V_across (w_n |V_rel| + w_nn V_along)",
     source="Isherwood 1972; Blendermann 1994; Fossen 2011, section 8.1",

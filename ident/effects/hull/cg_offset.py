@@ -1,7 +1,7 @@
 """Offset of the centre of gravity from the origin: inertial coupling of surge, sway and yaw.
 
-The motion shows products of mass and offset, and the mass without added mass is not known: the offsets are those of
-m_u, shorter than the boat's own by her mass over m_u.
+The motion depends on products of mass and offset, and the mass without added mass is unknown. The offsets are therefore
+defined with m_u: they are the offsets of the boat times its mass over m_u.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def couple(s: Signals) -> None:
+    """Replace the rates of surge, sway and yaw by those of a body with an offset centre of gravity."""
     x, p = s.x, s.p
     m_xg, m_yg = p.x_g * p.m_u, p.y_g * p.m_u
     X = s.X + p.m_v * x.v * x.r + m_xg * x.r * x.r

@@ -20,7 +20,7 @@ EFFECT = Effect(
     parameters=(
         Parameter("A_hump", 0.0, "N", "height of the hump", prior=(0.0, 20.0), bounds=(0.0, INF), step=1.0),
         Parameter("u_hump", 0.9, "m/s", "speed of the hump", "log", prior=(0.9, 0.4), bounds=(0.2, 5.0)),
-        Parameter("w_hump", 0.2, "m/s", "its width", "log", prior=(0.2, 0.1), bounds=(0.05, 1.0)),
+        Parameter("w_hump", 0.2, "m/s", "width of the hump", "log", prior=(0.2, 0.1), bounds=(0.05, 1.0)),
     ),
     scan={"u_hump": (0.35, 0.5, 0.65, 0.8, 1.0, 1.25, 1.6)},
     formula="X -= A exp(-((|u| - u_h) / w)^2 / 2) sgn u",

@@ -1,4 +1,4 @@
-"""Hull lift: sway and yaw damping in proportion to forward speed, the hull and its skegs as a foil."""
+"""Hull lift: sway and yaw damping in proportion to forward speed, because the hull and its skegs act as a foil."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Lightly damped pendulum or sloshing mass, driven by the acceleration of the hull: bilge water, a suspended load.
+"""Lightly damped pendulum or sloshing mass that the acceleration of the hull drives: bilge water, a suspended load.
 
-It takes its part of the whole force, whatever else acts, so it has places of its own behind all that does. With the
-effect cg-offset the force is that of a mass at the origin.
+The moving mass takes its part of the total force. The effect therefore hooks in after all other effects. Together with
+the effect cg-offset, the moving mass is assumed at the origin.
 """
 
 from __future__ import annotations
@@ -10,16 +10,20 @@ import math
 
 from seatrial.ident.model import Effect, ModelFunction, Parameter, Signals, State
 
-# Hz, natural frequencies that are tried: apart by a twelfth, the width of a resonance of this damping
-FREQUENCIES = tuple(round(0.25 * 1.12**k, 2) for k in range(16))
-# kg, of a boat of 37 kg, with which it goes (seatrial.ident.models.scaling): with all of the mass free the force is
-# infinite
-LARGEST = 30.0
+# Natural frequencies to try. They are 12 % apart, the width of a resonance with the damping ratio of 0.06
+FREQUENCIES_HZ = tuple(round(0.25 * 1.12**k, 2) for k in range(16))
+# Upper bound of the moving mass on a boat of 37 kg; it scales with the boat (`seatrial.ident.models.scaling`). If the
+# whole mass moved freely, the force would be infinite
+LARGEST_MASS_KG = 30.0
 
 
 def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
-    """The mass is part of the boat's own, m_u and m_v, but free along one axis, where only its spring and damper
-    accelerate it: (m - m_p) a = F + m_p (2 zeta w z' + w^2 z), written as the force that makes the whole mass do so."""
+    """Return the hooks of a moving mass along one axis.
+
+    The moving mass is a part of the masses m_u and m_v. Along one axis it moves freely, and only its spring and damper
+    accelerate it: (m - m_p) a = F + m_p (2 zeta w z' + w^2 z). The hook adds the force that gives the whole mass m this
+    acceleration a.
+    """
 
     def pull(s: Signals) -> None:
         omega, x, p = 2 * math.pi * getattr(s.p, f"f_{of}"), s.x, s.p
@@ -40,13 +44,16 @@ def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
 
 
 def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str, ...]) -> Effect:
+    """Return the effect of a moving mass along the axis of ``force``."""
     axis, chirp = ("x", "equal") if force == "X" else ("y", "opposite")
     return Effect(
         name=name,
         title=title,
         hooks=_hooks(force, of),
         parameters=(
-            Parameter(f"m_{of}", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), bounds=(0.0, LARGEST), step=0.2),
+            Parameter(
+                f"m_{of}", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), bounds=(0.0, LARGEST_MASS_KG), step=0.2
+            ),
             Parameter(f"f_{of}", 0.6, "Hz", "natural frequency", "log", prior=(0.6, 0.4), bounds=(0.15, 2.5)),
             Parameter(f"zeta_{of}", 0.06, "", "damping ratio", "log", prior=(0.06, 0.06), bounds=(0.005, 0.7)),
         ),
@@ -54,7 +61,7 @@ def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str,
             State(f"swing_{of}", "m", "displacement of the oscillating mass", 0.0, sd0=0.02),
             State(f"swing_rate_{of}", "m/s", "velocity of the oscillating mass", 0.0, sd0=0.05),
         ),
-        scan={f"f_{of}": FREQUENCIES},
+        scan={f"f_{of}": FREQUENCIES_HZ},
         formula=f"z'' + 2 zeta w z' + w^2 z = -a_{axis}, {force} += m_p (a_{axis} + 2 zeta w z' + w^2 z)",
         source="thesis section 6 names sloshing; Ibrahim 2005, equivalent mechanical models",
         experiment=f"chirp of {chirp} thrust through 0.2 to 1.5 Hz",
@@ -66,5 +73,5 @@ def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str,
 
 EFFECTS = (
     _effect("pendulum", "a sloshing or suspended mass", "X", "p", ("waves", "lag")),
-    _effect("sway-slosh", "a sloshing mass that swings athwart", "Y", "s", ("waves", "pendulum", "sway-yaw")),
+    _effect("sway-slosh", "a sloshing mass that moves sideways", "Y", "s", ("waves", "pendulum", "sway-yaw")),
 )

@@ -1,4 +1,4 @@
-"""Sideslip in turns, for the model without sway: what the turn pushes outwards, and the speed that it costs."""
+"""Sideslip in turns, for the model without sway: the centrifugal sway velocity, and the speed that it costs."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ EFFECT = Effect(
         ),
     ),
     formula="v -= tau_s u r, m_u (u' - v r) = X",
-    source="steady sway with linear drag, 0 = -m_u u r - d_v v, tau_s = m_u / d_v: Fossen 2011, section 7.1; half a"
-    " step of a simulator that takes the sway out at each",
+    source="steady sway with linear drag, 0 = -m_u u r - d_v v, tau_s = m_u / d_v: Fossen 2011, section 7.1; or"
+    " half a time step of a simulator that removes the sway in each step",
     experiment="turning circles at several speeds",
     requires=("nomoto",),
     one_sided=True,

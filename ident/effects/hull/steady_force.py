@@ -1,4 +1,4 @@
-"""A steady surge or sway force in the axes of the body."""
+"""Steady surge or sway force in the body frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EFFECT = Effect(
         Parameter("Y_0", 0.0, "N", "steady sway force", prior=(0.0, 10.0), step=0.5),
     ),
     formula="X += X_0, Y += Y_0",
-    source="a thruster that does not stand still at rest, a jet of cooling water, an asymmetric hull",
+    source="a thruster that turns at zero command, a jet of cooling water, an asymmetric hull",
     experiment="drifting without thrust on several headings",
     requires=("hull",),
     alternatives=("steady-pull", "coulomb", "reverse-thrust", "mount"),

@@ -22,7 +22,7 @@ EFFECT = Effect(
         Parameter("N_uv", 0.0, "kg", "yaw moment per sway and forward speed", prior=(0.0, 30.0), step=1.0),
     ),
     formula="Y -= (Y_r + Y_ur |u|) r, N -= (N_v + N_uv |u|) v",
-    source="Fossen 2011, section 6.4; the part with speed is the hull's lift, Norrbin 1970",
+    source="Fossen 2011, section 6.4; the part that grows with speed is hull lift, Norrbin 1970",
     experiment="zigzags at several speeds, and drifting sideways after a turn",
     requires=("hull",),
     alternatives=("cg-offset", "cross-flow", "lift"),

@@ -1,4 +1,4 @@
-"""Yaw bias: a steady yaw moment, and one that grows with the square of speed, as of a bent keel."""
+"""Yaw bias: a steady yaw moment, and a moment that grows with the square of speed, for example of a bent keel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mismatch of the thrust of the left and the right thruster."""
+"""Difference of the thrust of the left and the right thruster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steering by the flow: rudders, vanes or a jet that is turned, whose moment grows with speed."""
+"""Steering by the flow: rudders, vanes or a deflected jet, with a moment that grows with speed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ EFFECT = Effect(
     hooks={"force": steer},
     parameters=(
         Parameter(
-            "N_delta", 0.0, "kg", "moment at full difference of the sides, a speed squared", prior=(0.0, 50.0), step=0.5
+            "N_delta",
+            0.0,
+            "kg",
+            "yaw moment at full difference of the sides, per squared speed",
+            prior=(0.0, 50.0),
+            step=0.5,
         ),
     ),
     formula="N += N_delta |u| u (n_left - n_right) / 2",

@@ -1,13 +1,13 @@
-"""Thrust dynamics: a pure delay, or a further first-order lag, of the measured or given input.
+"""Thrust dynamics: a pure delay, or an additional first-order lag, of the measured or given input.
 
-The delay works on delayed copies of the input (``NAME~k``: the input k steps of 0.1 s earlier, held as the input is),
-between which it is cubic (``seatrial.ident.models.horizontal.shift_in_time``). The lag is a state of each thruster.
-Both have their own place in the thruster's chain, so that it does not matter which was added first, and a derivative at
-zero.
+The delay uses delayed copies of the input (``NAME~k``: the input k steps of 0.1 s earlier, with the same hold). It
+interpolates them by cubic convolution (``seatrial.ident.models.horizontal.shift_in_time``). The lag is a state of each
+thruster. Delay and lag have separate stages in the chain of the thruster, so that the order in which the effects are
+added does not matter. Both effects have a derivative at zero.
 
-Of a Nomoto model, which is integrated back to a late fix and a late gyro, the lag is approximate while thrust changes:
-what its thrust and steering were then differs from now by what the inputs alone would make of it, at once. Over a fix
-of ``tau_gnss`` that is as if the lag had no memory; where inputs are steady it is exact.
+A Nomoto model is integrated back to the times of a GNSS fix and a gyro sample. In such a model the lag is approximate
+while the thrust changes: the earlier thrust and steering differ from the present ones only by the direct influence of
+the inputs. Over the age ``tau_gnss`` of a fix, the lag is thus ignored. The result is exact for constant inputs.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from seatrial.ident.model import Effect, Input, Parameter, Signals, State
 from seatrial.ident.models import SIDES, first_order, shift_in_time
 
 N_DELAY = 8
-FULL = {"n": 1.0, "f": 40.0}  # of an input
+FULL = {"n": 1.0, "f": 40.0}  # full shaft speed (normalised) and typical full thrust [N]
 Quantity = Literal["n", "f"]
 
 
 def _delay(name: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
+    """Return the effect of a delay of the shaft speeds (n) or thrusts (f)."""
+
     def late(s: Signals) -> None:
         shift_in_time(s, quantity)
 
@@ -55,6 +57,8 @@ def _delay(name: str, quantity: Quantity, requires: tuple[str, ...], **described
 
 
 def _lag(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
+    """Return the effect of a first-order lag of the shaft speeds (n) or thrusts (f)."""
+
     def lagged(s: Signals) -> None:
         bag = s.n if quantity == "n" else s.f
         for side in bag:
@@ -78,7 +82,8 @@ def _lag(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], *
             ),
         ),
         states=tuple(
-            State(f"late_{side}", unit, f"{side}, behind its lag", 1e-3 * full, sd0=0.1 * full) for side in SIDES
+            State(f"late_{side}", unit, f"{side} thruster, after its lag", 1e-3 * full, sd0=0.1 * full)
+            for side in SIDES
         ),
         place="actuator",
         formula="T n_eff' = n - n_eff",
@@ -93,7 +98,7 @@ def _lag(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], *
 EXPERIMENT = "chirp of both thrusters: a delay shifts the phase without limit, a lag by at most 90 degrees"
 MEASURED, GIVEN = ("n", "f", "n_input"), ("f_input",)
 EFFECTS = (
-    # with a hull: a Nomoto model has a delay of its own
+    # only with a hull, because a Nomoto model already has a delay
     _delay("delay", "n", (*MEASURED, "hull"), alternatives=("lag", "gnss-latency")),
     _lag("lag", "a first-order thrust lag behind the shaft", "n", MEASURED, alternatives=("delay",)),
     _delay("force-delay", "f", GIVEN, alternatives=("force-lag",)),

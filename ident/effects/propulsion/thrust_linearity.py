@@ -1,4 +1,4 @@
-"""Thrust that is not quadratic in shaft speed or command: a share of it is linear."""
+"""Thrust that is not quadratic in shaft speed or command: a part of it is linear."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EFFECT = Effect(
     ),
     formula="f_i = c1 ((1 - lambda_n) n_i |n_i| + lambda_n n_i) + c2 n_i^2",
     source="ArduPilot's MOT_THST_EXPO, whose exponent is 1 - lambda_n; jets; controllers that are linearised in thrust",
-    experiment="many levels of steady command, those below a third of full ahead held long",
+    experiment="many levels of steady command, with long levels below a third of full forward",
     requires=("n", "f"),
     alternatives=("thrust-power", "dead-band", "reverse-thrust", "advance-ratio"),
 )

@@ -19,7 +19,7 @@ EFFECT = Effect(
     parameters=(EXPONENT,),
     formula="f_i = (c1 n_i |n_i| + c2 n_i^2) |n_i|^p_n",
     source=SOURCE,
-    experiment="many levels of steady command, those below a third of full ahead held long",
+    experiment="many levels of steady command, with long levels below a third of full forward",
     requires=("n", "f"),
     alternatives=("thrust-linearity",),
 )

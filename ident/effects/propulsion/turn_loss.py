@@ -1,4 +1,4 @@
-"""Loss of thrust in turns: propellers in oblique inflow, ventilated or behind the hull."""
+"""Loss of thrust in turns: propellers in oblique inflow, ventilated or in the wake of the hull."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from seatrial.ident.model import INF, Effect, ForceCurve, ModelFunction, Paramet
 
 
 def _lose(parameter: str, variable: str) -> ModelFunction:
+    """Return the hook that reduces the thrust by a variable of the motion."""
+
     def lose(s: Signals) -> None:
-        kept = 1 / (1 + getattr(s.p, parameter) * abs(getattr(s.x, variable)))
+        remaining = 1 / (1 + getattr(s.p, parameter) * abs(getattr(s.x, variable)))
         for side, f in s.f.items():
-            s.f[side] = f * kept
+            s.f[side] = f * remaining
 
     return lose
 
@@ -17,6 +19,7 @@ def _lose(parameter: str, variable: str) -> ModelFunction:
 def _effect(
     name: str, title: str, variable: str, parameter: Parameter, requires: tuple[str, ...], alternatives: tuple[str, ...]
 ) -> Effect:
+    """Return the effect of a thrust loss with one variable of the motion."""
     return Effect(
         name=name,
         title=title,

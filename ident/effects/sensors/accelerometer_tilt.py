@@ -1,4 +1,4 @@
-"""Gravity in the accelerometers by pitch with thrust and roll in turns."""
+"""Gravity in the accelerometers, caused by pitch with thrust and roll in turns."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from seatrial.ident.model import Effect, Parameter, Signals
 G = 9.81
 
 
-def leak(s: Signals) -> None:
+def add_gravity(s: Signals) -> None:
     s.y["ax"] = s.y["ax"] + G * s.p.k_pitch * s.X_thrust
     s.y["ay"] = s.y["ay"] + G * s.p.k_roll * s.x.u * s.x.r
 
 
 EFFECT = Effect(
     name="accelerometer-tilt",
-    title="gravity in the accelerometers by pitch and roll",
+    title="gravity in the accelerometers from pitch and roll",
     place="sensor",
-    hooks={"output": leak},
+    hooks={"output": add_gravity},
     parameters=(
         Parameter("k_pitch", 0.0, "rad/N", "pitch per thrust", prior=(0.0, 2e-3), step=1e-4),
         Parameter("k_roll", 0.0, "rad s2/m", "roll per lateral acceleration", prior=(0.0, 0.15), step=5e-3),

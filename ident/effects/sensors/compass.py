@@ -1,7 +1,7 @@
 """Compass deviation: heading error as a function of heading (hard and soft iron).
 
-The error is what the compass shows less the truth. The adjusters' deviation is magnetic less compass heading, easterly
-positive: their coefficients have the other sign.
+The error is the measured heading less the true heading. Compass adjusters define deviation as magnetic heading less
+compass heading, positive to the east. Their coefficients therefore have the opposite sign.
 """
 
 from __future__ import annotations
@@ -14,7 +14,17 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def turn_body_velocity(s: Signals, angle: Any) -> None:
-    """Rotate the measured body velocity by a heading error: it was computed from velocity over ground and heading."""
+    """Rotate the measured body velocity by a heading error.
+
+    Use this function if the body velocity was computed from the velocity over ground and the measured heading.
+
+    Parameters
+    ----------
+    s : Signals
+        Signals whose outputs u, v are changed.
+    angle : float or symbol
+        Measured less true heading [rad].
+    """
     cos, sin = np.cos(angle), np.sin(angle)
     s.y["u"], s.y["v"] = cos * s.y["u"] + sin * s.y["v"], -sin * s.y["u"] + cos * s.y["v"]
 
@@ -33,10 +43,10 @@ EFFECT = Effect(
     place="sensor",
     hooks={"axes": deviate},
     parameters=(
-        Parameter("dev_s", 0.0, "rad", "of sin psi, minus coefficient B", prior=(0.0, 0.15), step=0.01),
-        Parameter("dev_c", 0.0, "rad", "of cos psi, minus coefficient C", prior=(0.0, 0.15), step=0.01),
-        Parameter("dev_2s", 0.0, "rad", "of sin 2 psi, minus coefficient D", prior=(0.0, 0.05), step=0.01),
-        Parameter("dev_2c", 0.0, "rad", "of cos 2 psi, minus coefficient E", prior=(0.0, 0.05), step=0.01),
+        Parameter("dev_s", 0.0, "rad", "amplitude of sin psi (minus coefficient B)", prior=(0.0, 0.15), step=0.01),
+        Parameter("dev_c", 0.0, "rad", "amplitude of cos psi (minus coefficient C)", prior=(0.0, 0.15), step=0.01),
+        Parameter("dev_2s", 0.0, "rad", "amplitude of sin 2 psi (minus coefficient D)", prior=(0.0, 0.05), step=0.01),
+        Parameter("dev_2c", 0.0, "rad", "amplitude of cos 2 psi (minus coefficient E)", prior=(0.0, 0.05), step=0.01),
     ),
     formula="psi_measured = psi + dev_s sin psi + dev_c cos psi + dev_2s sin 2psi + dev_2c cos 2psi",
     source="compass adjusters' coefficients B to E, their sign reversed; Bowditch, chapter 6",

@@ -1,8 +1,8 @@
 """Compass deviation behind the heading filter of an AHRS or autopilot.
 
-The filter integrates its gyro and is drawn to the compass with a time constant, so the heading that it estimates has
-the deviation of the headings of the last seconds. A turning boat's is late, which without the filter is taken for an
-interference of the motors, as they run when it turns.
+The filter integrates its gyro, and the compass corrects it with a time constant. The estimated heading therefore has
+the mean deviation of the headings of the last seconds. In a turn, this deviation is delayed. Without the filter in the
+model, the delay looks like magnetic interference of the motors, because the motors run while the boat turns.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0
 
 
 def _behind(s: Signals) -> None:
-    """What is not yet in the estimate: the term less the term behind the filter, which is nothing on a straight."""
+    """Set the rates of the part of each term that the filter has not yet reached.
+
+    Each state is the term less the term after the filter. It is zero on a straight track.
+    """
     psi, r = s.x.psi, s.x.r
     s.rate["behind_1s"] = np.cos(psi) * r - s.x.behind_1s / s.p.T_head
     s.rate["behind_1c"] = -np.sin(psi) * r - s.x.behind_1c / s.p.T_head
@@ -25,6 +28,7 @@ def _behind(s: Signals) -> None:
 
 
 def _deviate(s: Signals) -> None:
+    """Add the filtered deviation to the heading, and rotate the body velocity by it."""
     p, x, psi = s.p, s.x, s.x.psi
     deviation = p.dev_f1s * (np.sin(psi) - x.behind_1s) + p.dev_f1c * (np.cos(psi) - x.behind_1c)
     deviation = deviation + p.dev_f2s * (np.sin(2 * psi) - x.behind_2s) + p.dev_f2c * (np.cos(2 * psi) - x.behind_2c)
@@ -38,7 +42,10 @@ EFFECT = Effect(
     place="sensor",
     hooks={"rate": _behind, "axes": _deviate},
     parameters=(
-        *(Parameter(f"dev_f{name}", 0.0, "rad", f"of {f}", prior=(0.0, sd), step=0.01) for name, f, sd in TERMS),
+        *(
+            Parameter(f"dev_f{name}", 0.0, "rad", f"amplitude of {f}", prior=(0.0, sd), step=0.01)
+            for name, f, sd in TERMS
+        ),
         Parameter(
             "T_head",
             3.0,
@@ -51,7 +58,7 @@ EFFECT = Effect(
         ),
     ),
     states=tuple(
-        State(f"behind_{name}", "", f"{f} less that behind the heading filter", 0.0, sd0=0.05) for name, f, _ in TERMS
+        State(f"behind_{name}", "", f"{f} less {f} after the heading filter", 0.0, sd0=0.05) for name, f, _ in TERMS
     ),
     formula="psi_measured = psi + delta, T delta' = dev_f1s sin psi + dev_f1c cos psi + dev_f2s sin 2psi "
     "+ dev_f2c cos 2psi - delta; (u, v) rotated by delta",

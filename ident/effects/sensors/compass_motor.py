@@ -1,9 +1,9 @@
 """Magnetic interference of the motor current in the compass, with the lag of the AHRS heading filter.
 
-A magnetic field fixed in the boat makes an error of the heading in ``sin(psi)`` and ``cos(psi)``. The current of the
-motors adds another. The heading filter of an autopilot trusts its gyro over seconds, so the estimated heading follows
-with a time constant. A body velocity that it computes from velocity over ground and this heading is rotated by the same
-error, and forward speed appears as sway.
+A magnetic field fixed in the boat causes a heading error in ``sin(psi)`` and ``cos(psi)``. The current of the motors
+adds a field in proportion to the current. The heading filter of an autopilot relies on its gyro over seconds, so the
+estimated heading follows the compass with a time constant. A body velocity computed from the velocity over ground and
+this heading is rotated by the same error. Forward speed then appears as sway.
 """
 
 from __future__ import annotations
@@ -32,8 +32,12 @@ EFFECT = Effect(
     place="sensor",
     hooks={"rate": follow, "axes": turn},
     parameters=(
-        Parameter("dev_ms", 0.0, "rad", "sin psi, for one motor at full speed", prior=(0.0, 0.3), step=0.02),
-        Parameter("dev_mc", 0.0, "rad", "cos psi, for one motor at full speed", prior=(0.0, 0.3), step=0.02),
+        Parameter(
+            "dev_ms", 0.0, "rad", "amplitude of sin psi, for one motor at full speed", prior=(0.0, 0.3), step=0.02
+        ),
+        Parameter(
+            "dev_mc", 0.0, "rad", "amplitude of cos psi, for one motor at full speed", prior=(0.0, 0.3), step=0.02
+        ),
         Parameter(
             "T_dev",
             8.0,
@@ -46,13 +50,13 @@ EFFECT = Effect(
         ),
     ),
     states=(
-        State("drawn_s", "", "regressor of dev_ms: sum|n_i| sin psi behind the heading filter", 0.0, sd0=0.05),
-        State("drawn_c", "", "regressor of dev_mc: sum|n_i| cos psi behind the heading filter", 0.0, sd0=0.05),
+        State("drawn_s", "", "regressor of dev_ms: sum|n_i| sin psi after the heading filter", 0.0, sd0=0.05),
+        State("drawn_c", "", "regressor of dev_mc: sum|n_i| cos psi after the heading filter", 0.0, sd0=0.05),
     ),
     formula="psi_measured = psi + delta, T delta' = sum|n_i| (dev_ms sin psi + dev_mc cos psi) - delta; "
     "(u, v) rotated by delta",
     source="ArduPilot manual, compass/motor interference compensation; Bowditch, chapter 6",
-    experiment="full forward and full reverse on four headings, moored as well: the heading must not change",
+    experiment="full forward and full reverse on four constant headings, under way and moored",
     requires=("n", "f", "body_velocity"),
     scan={"T_dev": (3.0, 8.0, 20.0)},
     alternatives=("compass", "compass-filtered", "velocity-point"),

@@ -8,12 +8,13 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def lag(s: Signals) -> None:
+    """Delay body velocities and yaw rate by their lag, to first order."""
     x, T = s.x, s.p.T_uv
     cos, sin = np.cos(x.psi), np.sin(x.psi)
-    turn_x, turn_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)
-    # in the body frame the current rotates as the boat turns
-    du = s.rate["u"] + x.r * (-sin * turn_x + cos * turn_y)
-    dv = s.rate["v"] - x.r * (cos * turn_x + sin * turn_y)
+    V_x, V_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)
+    # rates of the velocity over ground: in the body frame, the current rotates as the boat turns
+    du = s.rate["u"] + x.r * (-sin * V_x + cos * V_y)
+    dv = s.rate["v"] - x.r * (cos * V_x + sin * V_y)
     s.y["u"], s.y["v"] = s.y["u"] - T * du, s.y["v"] - T * dv
     s.y["r"] = s.y["r"] - s.p.T_r * s.rate["r"]
 

@@ -1,8 +1,9 @@
 """GNSS latency: position and velocity refer to a time before their time stamp.
 
-Position and velocity of the antenna are extrapolated backwards by its velocity and acceleration. The acceleration is
-that of half the latency earlier in what drives the thrusters, through whatever lies between them and the motion; else
-steps of the thrust would look like another effect. Of given forces the past is not known, but for their lag.
+Position and velocity of the antenna are extrapolated backwards with its velocity and acceleration. The acceleration is
+computed with the thruster inputs of half the latency earlier, including all dynamics between inputs and motion. With
+the present acceleration, steps of the thrust would look like another effect. If thrusts are given as inputs, their past
+values are unknown; only their lag is taken into account.
 """
 
 from __future__ import annotations
@@ -16,18 +17,21 @@ import numpy as np
 from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
 from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, copies_of
 
-N_PAST = 5
+N_PAST = 5  # number of earlier samples of each input
 
 
 def _before(past: list[Any], tau: Any) -> Any:
-    """Linear interpolation of the past at tau; past[k] is the value k steps ago."""
+    """Return the value a time ``tau`` [s] ago, by linear interpolation. ``past[k]`` is the value k steps ago."""
     at = tau / HISTORY_STEP
     near = [1 - abs(at - k) for k in range(len(past))]
     return sum(value * w * (w > 0) for value, w in zip(past, near, strict=True))
 
 
 def _delay(s: Signals, then: Signals) -> None:
-    """``then``: what the rates would be now with the thrust of half the latency earlier."""
+    """Delay the position and velocity of the antenna by the latency.
+
+    ``then`` has the present rates, computed with the thrust of half the latency earlier.
+    """
     tau, x, r = s.p.tau_gnss, s.x, s.x.r
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     du, dv, dr = then.rate["u"] - x.v * r, then.rate["v"] + x.u * r, then.rate["r"]
@@ -40,19 +44,23 @@ def _delay(s: Signals, then: Signals) -> None:
 
 
 def delay_shaft(s: Signals) -> None:
+    """Delay the fix in a model with measured shaft speeds."""
     half, earlier = s.p.tau_gnss / 2, {}
     for side in SIDES:
         name = f"n_{side}"
         taps = copies_of(s, name)
-        known = [getattr(s.u, tap_name(name, k)) for k in taps]
-        known += N_PAST * known[-1:]  # further back than any copy: as in the oldest
+        copies = [getattr(s.u, tap_name(name, k)) for k in taps]
+        copies += N_PAST * copies[-1:]  # before the oldest copy, the input is assumed constant
         for i, k in enumerate(taps):
-            earlier[tap_name(name, k)] = _before(known[i : i + N_PAST + 1], half)
-    _delay(s, s.again(_lagging(s, earlier), earlier, {}))
+            earlier[tap_name(name, k)] = _before(copies[i : i + N_PAST + 1], half)
+    _delay(s, s.again(_earlier_lag_states(s, earlier), earlier, {}))
 
 
 def delay_driven_shaft(s: Signals) -> None:
-    """Shafts that are states were, half the latency earlier, at what they are now less their rate."""
+    """Delay the fix in a model whose shaft speeds are states.
+
+    The earlier shaft speeds are extrapolated backwards with their present rates.
+    """
     half = s.p.tau_gnss / 2
     shafts = {f"n_{side}": getattr(s.x, f"n_{side}") - half * s.rate[f"n_{side}"] for side in SIDES}
     command = {"tau_n": np.minimum(s.p.tau_n + half, LONGEST_DELAY)}
@@ -60,25 +68,27 @@ def delay_driven_shaft(s: Signals) -> None:
 
 
 def delay_force(s: Signals) -> None:
-    _delay(s, s.again(_lagging(s, {}), {}, {}))
+    """Delay the fix in a model with given thrusts."""
+    _delay(s, s.again(_earlier_lag_states(s, {}), {}, {}))
 
 
-def _lagging(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """Where thrust lags, its states of half the latency earlier, when the inputs were others.
+def _earlier_lag_states(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the states of the thrust lag half the latency earlier, with earlier ``inputs``. Return {} without a lag.
 
-    By their rates as far back as their time constant, since an exponential has forgotten what was before that; further
-    back they are by then their time constant behind what they follow. Either is exact on a straight line.
+    Up to one time constant back, the states are extrapolated with their rates. Beyond that, the exponential response
+    has forgotten earlier values, and the states follow their earlier inputs with a delay of one time constant. Both
+    extrapolations are exact for inputs that change linearly.
     """
     if not hasattr(s.x, f"late_{SIDES[0]}"):
         return {}
     half, lag = s.p.tau_gnss / 2, np.maximum(s.p.T_lag, SHORTEST_LAG)
     far = np.maximum(half / lag, 0.5)
     by_rate = np.minimum((2 / far - 1) / far, 1.0)
-    led, found = s.again({}, inputs, {}), {}
+    led, states = s.again({}, inputs, {}), {}
     for name in (f"late_{side}" for side in SIDES):
-        change = lag * (led.rate[name] - s.rate[name])  # of what it follows
-        found[name] = getattr(s.x, name) - by_rate * half * s.rate[name] + (1 - by_rate) * change
-    return found
+        change = lag * (led.rate[name] - s.rate[name])  # change of the input that the state follows
+        states[name] = getattr(s.x, name) - by_rate * half * s.rate[name] + (1 - by_rate) * change
+    return states
 
 
 TAU = Parameter(
@@ -91,11 +101,11 @@ TAU = Parameter(
     step=0.05,
     scales=False,
 )
-# the thrust of half the latency earlier is known as far back as the inputs go
+# the thrust of half the latency earlier is known only as far back as the copies of the inputs
 TAU_SHAFT = replace(TAU, bounds=(0.0, 2 * N_PAST * HISTORY_STEP))
 COMMON: dict[str, Any] = {
     "place": "sensor",
-    "formula": "p_measured(t) = p(t - tau), v_measured(t) = v(t - tau), by their derivatives",
+    "formula": "p_measured(t) = p(t - tau), v_measured(t) = v(t - tau), expanded in their derivatives",
     "source": "Groves 2013, section 10.5",
     "experiment": "fast straight runs with hard stops, and turns at speed",
     "one_sided": True,

@@ -1,4 +1,4 @@
-"""GNSS lever arm: the antenna is not at the origin."""
+"""GNSS lever arm: the antenna is not at the origin of the body frame."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ EFFECTS = (
         {"output": move_tilted},
         (*ARM, HEIGHT),
         formula="p_measured = p + R l, v_measured = v + R (omega x l), R and omega measured",
-        experiment="turning on the spot, in both directions; rolling and pitching for its height",
+        experiment="turning on the spot, in both directions; roll and pitch motion for the height of the antenna",
         requires=("attitude",),
         **COMMON,
     ),

@@ -12,6 +12,7 @@ from seatrial.ident.models import rotations
 
 
 def turn(s: Signals) -> None:
+    """Rotate heading, body velocity and accelerations by the yaw misalignment."""
     cos, sin = np.cos(s.p.psi_mount), np.sin(s.p.psi_mount)
     s.y["psi"] = s.y["psi"] + s.p.psi_mount
     turn_body_velocity(s, s.p.psi_mount)
@@ -19,21 +20,22 @@ def turn(s: Signals) -> None:
 
 
 def _mount(s: Signals) -> rotations.Matrix:
+    """Return the rotation from the axes of the AHRS to those of the boat."""
     return rotations.rotation(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
 
 
-def unturn(s: Signals) -> None:
+def correct_attitude(s: Signals) -> None:
     rotations.unmount(s, _mount(s))
 
 
-def feel(s: Signals) -> None:
+def rotate_inertial(s: Signals) -> None:
     rotations.mounted(s, _mount(s))
 
 
 PSI = Parameter("psi_mount", 0.0, "rad", "yaw misalignment of the AHRS, clockwise", prior=(0.0, 0.15), step=0.01)
 TILT = tuple(
-    Parameter(f"{angle}_mount", 0.0, "rad", f"{what} misalignment of the AHRS", prior=(0.0, 0.05), step=0.01)
-    for angle, what in (("phi", "roll"), ("theta", "pitch"))
+    Parameter(f"{angle}_mount", 0.0, "rad", f"{axis} misalignment of the AHRS", prior=(0.0, 0.05), step=0.01)
+    for angle, axis in (("phi", "roll"), ("theta", "pitch"))
 )
 COMMON: dict[str, Any] = {
     "place": "sensor",
@@ -54,10 +56,10 @@ EFFECTS = (
     Effect(
         "mount-attitude",
         "a mounting misalignment of the AHRS",
-        {"shaft": unturn, "axes": feel},
+        {"shaft": correct_attitude, "axes": rotate_inertial},
         (PSI, *TILT),
         formula="R_measured = R R_m; body rates and accelerations rotated by R_m', R_m of roll, pitch and psi_0",
-        experiment="straight runs on opposite headings, with and against the current; turns while it rolls and pitches",
+        experiment="straight runs on opposite headings, with and against the current; turns while rolling and pitching",
         requires=("attitude",),
         **COMMON,
     ),

@@ -1,4 +1,4 @@
-"""Errors of the velocity over ground beside the positions of the same receiver: of its scale, and of its direction."""
+"""Errors of the velocity over ground relative to the positions of the same receiver: scale factor and course."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ EFFECTS = (
         {"axes": turn},
         (Parameter("chi_0", 0.0, "rad", "offset of the course, clockwise", prior=(0.0, 0.1), step=0.01),),
         formula="course_measured = course + chi_0",
-        source="a course from magnetic north, or from the north of a grid, beside positions from true north",
+        source="a course relative to magnetic or grid north, with positions relative to true north",
         alternatives=("mount", "compass", "lever-arm"),
         **COMMON,
     ),

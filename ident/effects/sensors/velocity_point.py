@@ -1,4 +1,4 @@
-"""Lever arm of the body velocity: measured at another point than the origin, such as the GNSS antenna."""
+"""Lever arm of the body velocity, which is measured at another point than the origin, such as the GNSS antenna."""
 
 from __future__ import annotations
 

@@ -413,7 +413,7 @@ def test_a_candidate_of_the_users_own_that_cannot_be_tested_is_named() -> None:
     refused = search._refused(model, given, runs)
     assert [(u.effect.name, u.reason) for u in refused] == [
         ("tide", "tue/run lacks its input tide"),
-        ("sail", f"it needs the signal 'sail_area', which model {model.name} has not"),
+        ("sail", f"it needs the signal 'sail_area', which model {model.name} does not have"),
         ("twice", f"model {model.name} has m_u already"),
     ]
     found = Diagnosis(blank(), blank(), (), (), (), refused=refused)

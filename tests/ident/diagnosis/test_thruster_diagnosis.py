@@ -133,7 +133,7 @@ def test_a_slow_thruster_comes_back_from_its_file() -> None:
     again = make_model(slow.source, ["rpm"])
     assert [p.name for p in again.parameters] == [p.name for p in slow.parameters]
     assert again.parameter("tau").bounds == slow.parameter("tau").bounds
-    with pytest.raises(SeatrialError, match="thruster has no option 'fast' there; there is slow"):
+    with pytest.raises(SeatrialError, match="thruster has no option 'fast' at this place; choose slow"):
         make_model("thruster:fast", ["rpm"])
 
 

@@ -117,7 +117,7 @@ def test_what_is_considered_can_be_given_and_freed() -> None:
     assert model.replace_parameters(p.freed()).considered == ()
     assert [q.exact for q in (p, p.freed(), p.known(0.0, 0.0, ParameterOrigin.GIVEN))] == [False, False, True]
     for wrong in ({"prior": None}, {"per_record": True}):
-        with pytest.raises(ValueError, match="parameter k: considered, it needs a prior"):
+        with pytest.raises(ValueError, match="parameter k: a considered parameter needs a prior"):
             replace(p, **wrong)
 
 

@@ -189,11 +189,11 @@ def test_outliers_are_ignored_and_counted() -> None:
         assert np.isnan(run.standardised[wild, 0]).all()
         [line, *_] = outlier_density.outlier_notes(found.model, [run.outliers], [np.isfinite(record.y)])
         total = int(np.isfinite(record.y[:, 0]).sum())
-        assert line.startswith(f"psi: {run.outliers[:, 0].sum()} of {total} samples were taken for outliers")
+        assert line.startswith(f"psi: {run.outliers[:, 0].sum()} of {total} samples were treated as outliers")
         assert "too many" not in line
         many = np.isfinite(record.y) & (np.arange(len(record.y)) % 5 == 0)[:, None]
         [line, *_] = outlier_density.outlier_notes(found.model, [many], [np.isfinite(record.y)])
-        assert "too many for outliers: the model lacks something" in line
+        assert "too many for outliers: the model lacks an effect" in line
     assert np.mean(inside) > 0.97
     assert broken == 6  # without it they do harm: the test can fail
 

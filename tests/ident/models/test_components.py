@@ -73,7 +73,7 @@ def test_a_current_that_wanders_makes_the_position_less_certain() -> None:
 
 
 def test_an_option_that_is_not_there_is_one_line() -> None:
-    with pytest.raises(SeatrialError, match="horizontal has shaft, command, force, general"):
+    with pytest.raises(SeatrialError, match="options of horizontal are shaft, command, force, general"):
         make_model("horizontal:sail")
 
 

@@ -97,9 +97,12 @@ def refusal(folder: Path, text: str) -> str:
         ("pass", "tank.py:5: f returns a NoneType, not a dictionary {state: rate}"),
         ('return {"lvl": p.k}', "tank.py:5: model tank gives no rate of the state level; it gives lvl"),
         ('return {"level": [1.0, 2.0]}', "tank.py:5: model tank: the rate of the state level is not a scalar"),
-        ('return {"level": "full"}', "tank.py:5: one of the rates or outputs that it gives is no number"),
+        ('return {"level": "full"}', "tank.py:5: one of the returned rates or outputs is not a number"),
         ('return {"level": math.sin(x.level)}', "tank.py:5: model tank: the rate of the state level has lost its"),
-        ('return {"level": (1, 2)[x.level]}', "tank.py:6: tuple indices must be integers or slices, not SX (SX are"),
+        (
+            'return {"level": (1, 2)[x.level]}',
+            "tank.py:6: tuple indices must be integers or slices, not SX (the function is called with symbols",
+        ),
         ('return {"level": {}["a"]}', "tank.py:6: KeyError: 'a'"),
     ],
 )

@@ -225,9 +225,9 @@ def test_what_is_wrong_is_one_line(logs: Path, tmp_path: Path, capsys: pytest.Ca
     assert "direct.mcap: no command for the thrust curve" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("source", "problem"), [("surge:steam", "there is force, shaft"),
-                                                 ("surge:force:speed:more", "it takes no more"),
-                                                 ("thruster:x", "there is slow")])  # fmt: skip
+@pytest.mark.parametrize(("source", "problem"), [("surge:steam", "choose force, shaft"),
+                                                 ("surge:force:speed:more", "no further option is possible"),
+                                                 ("thruster:x", "choose slow")])  # fmt: skip
 def test_options_of_models(source: str, problem: str) -> None:
     with pytest.raises(SeatrialError, match=problem):
         make_model(source)

@@ -45,11 +45,11 @@ def test_the_vehicle_command_profiles_and_counts(out: Path) -> None:
         assert not any("better fit" in note for note in row["notes"])
         assert row["low"] == pytest.approx(row["wald_low"], abs=one["se"])
         assert len(row["grid"]) == len(row["drop"]) >= 7
-    said = [line for line in result["notes"] if "taken for outliers" in line]
+    said = [line for line in result["notes"] if "treated as outliers" in line]
     assert {line.partition(":")[0] for line in said} == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert '<section id="profiles"' in page
-    assert "samples were taken for outliers" in page
+    assert "samples were treated as outliers" in page
 
 
 @pytest.mark.study
@@ -60,7 +60,7 @@ def test_a_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None
     assert robust_sensors(saved.model) == tuple(table["sensors"])
     request = DiagnosisRequest(out / "model.toml", logs[:1], logs[1:], out / "diagnosis", rate=10.0, max_effects=1)
     again = diagnosis(request, "test", QUIET)
-    assert any("taken for outliers" in line for line in again.notes)
+    assert any("treated as outliers" in line for line in again.notes)
     assert tomllib.loads((out / "diagnosis/model.toml").read_text(encoding="utf-8"))["robust"] == table["robust"]
 
 
