@@ -235,7 +235,7 @@ def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameO
 def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None) -> list[ResultWarning]:
     """What is assumed of the x and y of logs that a saved model is used on as it is (``require_one_frame``)."""
     require_one_frame(model, logs, reference)
-    return frame_warnings(model, [one.run.name for one in logs if one.unplaced], unsaid=reference is None)
+    return frame_warnings(model, [one.run.name for one in logs if one.unplaced], saved_origin_unknown=reference is None)
 
 
 def model_of_logs(

@@ -167,7 +167,7 @@ def test_a_saved_model_keeps_where_its_fixed_point_counts_from(tmp_path: Path) -
     assert later.run.channels["x"].value[0] == pytest.approx(40.0, abs=0.2)
     assert saved_frame_warnings(saved.model, [later], saved.origin) == []
     (said,) = saved_frame_warnings(saved.model, [later], None)
-    assert (said.code, "does not say from where" in said.text) == ("frame-assumed", True)
+    assert (said.code, "does not contain the origin" in said.text) == ("frame-assumed", True)
     with pytest.raises(SeatrialError, match=r"log2\.mcap: it begins more than 10 km"):
         saved_frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin)
     plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit
