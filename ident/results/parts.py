@@ -179,8 +179,8 @@ class UnusedSignal(Part, frozen=True, kw_only=True):
         Literal["incomplete-sensor", "other-name", "not-in-model", "unknown-name", "validation-only"],
         Meta(
             description="`incomplete-sensor`: another signal of the same sensor is missing; `other-name`: seatrial "
-            "uses another name or unit for this signal; `not-in-model`: other models use it; `unknown-name`: no model uses "
-            "that name; `validation-only`: no estimation log contains it, so its noise is unknown"
+            "uses another name or unit for this signal; `not-in-model`: other models use it; `unknown-name`: no model "
+            "uses that name; `validation-only`: no estimation log contains it, so its noise is unknown"
         ),
     ]
     reason: str
