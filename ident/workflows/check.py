@@ -152,8 +152,8 @@ def with_estimator_errors(
         return model, []
     sensors = [s.name for s in model.sensors]
     line = (
-        f"The position is the output of a navigation filter (its noise is less than a receiver's): correlated errors of "
-        f"its {', '.join(e.of for e in navigation_errors(sensors))} are states of the model; "
+        f"The position is the output of a navigation filter (its noise is less than a receiver's): correlated errors "
+        f"of its {', '.join(e.of for e in navigation_errors(sensors))} are states of the model; "
         f"--fix {position}=... gives white noise instead."
     )
     return model + estimator_error(sensors), [line]

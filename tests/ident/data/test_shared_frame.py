@@ -134,7 +134,7 @@ def test_logs_far_apart_keep_their_own_origins_and_refuse_a_common_point(tmp_pat
     assert [one.origin.log for one in logs if one.origin] == ["log0", "log1"]
     plain, moored = horizontal_model(), horizontal_model() + catalogue()["mooring"]
     require_one_frame(plain, logs)
-    with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, but mooring has one position for ane place"):
+    with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, but mooring has one position"):
         require_one_frame(moored, logs)
     untested = _refused(nominal(plain), catalogue(), [one.run for one in logs])
     assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
