@@ -335,8 +335,8 @@ def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) ->
             lost = f"; {word}: not measured"
     thrust = (
         f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {' and '.join(ends)} at the largest "
-        f"commands ({'statistical only' if calibration is None else 'with the calibration'}{lost}), {levels.n.size} steady "
-        "levels in all."
+        f"commands ({'statistical only' if calibration is None else 'with the calibration'}{lost}), "
+        f"{levels.n.size} steady levels in all."
     )
     if adequate(quadratic):
         return (

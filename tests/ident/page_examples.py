@@ -129,7 +129,7 @@ def design() -> DesignResult:
         ],
         "inputs": [{"name": n, "t": t, "value": v} for n, v in zip(("left", "right"), levels, strict=True)],
         "track": track,
-        "answer": "After this mission of 120 s a fit should know m_u ±0.74 kg (2 %)",
+        "answer": "After this mission of 120 s the expected standard errors are m_u ±0.74 kg (2 %)",
     }
     return msgspec.convert(content, DesignResult, dec_hook=arrays)
 

@@ -69,7 +69,7 @@ def test_a_thrust_that_nobody_measured_has_no_number(tmp_path: Path) -> None:
     run("ident", "thruster", write_bench(tmp_path, AHEAD), "--out", str(tmp_path / "t"))
     result = json.loads((tmp_path / "t/result.json").read_text())
     assert "41.0" in result["answer"] or "41.1" in result["answer"]
-    assert "astern: not measured" in result["answer"]
+    assert "in reverse: not measured" in result["answer"]
     assert "nan" not in result["answer"]
     assert result["warnings"][0]["code"] == "one-direction"
     assert min(result["static"]["n_model"]) == 0.0

@@ -332,4 +332,4 @@ def test_a_fit_that_stopped_short_has_no_other_answer() -> None:
     short = replace(found, converged=False, message="stopped after 60 iterations with 667 left to gain")
     said = not_converged(short)
     assert said is not None
-    assert said.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Take no")
+    assert said.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Do not use")
