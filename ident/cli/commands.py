@@ -543,9 +543,7 @@ def design(
     if between and rest["robust"]:
         raise click.BadParameter("a discrimination is not averaged over samples", param_hint="--average-over")
     if rest["criterion"] == "Ds" and not rest["chosen"]:
-        raise click.BadParameter(
-            "Ds needs the parameters of the criterion: give --parameters", param_hint="--criterion"
-        )
+        raise click.BadParameter("Ds needs --parameters, the parameters of the criterion", param_hint="--criterion")
     from seatrial.ident.experiment_design import DesignLimits
     from seatrial.ident.workflows.design import DesignRequest, design_summary, make_design
 
