@@ -451,7 +451,7 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
     parameters: tuple[DesignedParameter, ...]
     baselines: tuple[Baseline, ...]
     baseline: Annotated[str, Meta(description="name of the best baseline signal")]
-    limited: Annotated[bool, Meta(description="whether limits restricted the design; baseline signals ignore them")]
+    limited: Annotated[bool, Meta(description="whether the design had limits; baseline signals ignore limits")]
     samples: Annotated[
         dict[str, Array], Meta(description="for each signal, the criterion at 1000 samples of the parameters")
     ]

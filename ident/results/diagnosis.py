@@ -79,7 +79,7 @@ def diagnosis_result(
         Signals of the logs that the model does not use.
     """
     before, after = evaluation.before, evaluation.after
-    other, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
+    with_effects, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
     factors = {s.unit: reported.factor(s.unit) for s in diagnosis.shapes}
     errors, role = error_tables(after, before, evaluation.changes), after.judged
     prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
@@ -127,8 +127,8 @@ def diagnosis_result(
         traces=traces(after, before if diagnosis.effects else None),
         track=tracks(after, before if diagnosis.effects else None),
         inputs=all_inputs(after),
-        residuals=residual_rows(before, other),
-        cross=cross_correlations(before, other),
+        residuals=residual_rows(before, with_effects),
+        cross=cross_correlations(before, with_effects),
         unused_signals=tuple(unused),
         residual_forces=_forces(diagnosis, evaluation),
         rounds=tuple(_round(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
@@ -247,6 +247,7 @@ def mismatch_sentence(m: ValidationMismatch) -> str:
 
 
 def _mismatch(m: ValidationMismatch) -> parts.ValidationMismatch:
+    """Return the table row of a validation run with larger errors than predicted."""
     found = parts.ValidationMismatch(record=m.record, channel=m.channel, scale=m.scale)
     if m.shift is None:
         return found
@@ -302,7 +303,7 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     reasons = [reason for j in diagnosis.judgements if j.attribution == "ambiguous" for reason in j.reasons]
     sentences = [f"The name is uncertain: {reasons[0]}."] if reasons else []
     if diagnosis.left and diagnosis.untried:
-        many = counted(sum(one.chosen is not None for one in diagnosis.rounds), "effect")
+        many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         limit = "the limit set by --max-effects"
         sentences.append(f"The search ended with {many}, {limit}; not tried: {_left(diagnosis)}.")
     return " ".join(sentences) or None
@@ -341,11 +342,11 @@ def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
     return msgspec.structs.replace(tested, why=why)
 
 
-def _round(one: Round) -> parts.Round:
+def _round(search_round: Round) -> parts.Round:
     """Return the table of one round: the best candidates, the refits and the choice."""
-    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in one.refits}
-    ranked = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))
-    best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in one.passed]
+    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
+    ranked = sorted(search_round.scores, key=lambda s: -s.lm / max(s.df, 1))
+    best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in search_round.passed]
     return parts.Round(
         candidates=tuple(
             parts.Candidate(
@@ -357,18 +358,19 @@ def _round(one: Round) -> parts.Round:
                 p_block=finite(s.p_block),
                 generic=s.generic,
                 threshold=s.threshold,
-                passed=s.name in one.passed,
+                passed=s.name in search_round.passed,
             )
             for s in best
         ),
-        tested=len(one.scores),
-        passed=len(one.passed),
-        refits=tuple(_refit(r) for r in one.refits),
+        tested=len(search_round.scores),
+        passed=len(search_round.passed),
+        refits=tuple(_refit(r) for r in search_round.refits),
         untested=tuple(
-            parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason) for u in one.untested
+            parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason)
+            for u in search_round.untested
         ),
-        chosen=one.chosen.effect.name if one.chosen else None,
-        why=one.why,
+        chosen=search_round.chosen.effect.name if search_round.chosen else None,
+        why=search_round.why,
     )
 
 
@@ -412,7 +414,11 @@ def _own(r: Refit, stage: FittedModel) -> tuple[parts.EffectParameter, ...]:
 def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
     """Return the added effects with their estimates in the final model and their importance, the largest first."""
     rows = []
-    rounds = {one.chosen.effect.name: one for one in diagnosis.rounds if one.chosen is not None}
+    rounds = {
+        search_round.chosen.effect.name: search_round
+        for search_round in diagnosis.rounds
+        if search_round.chosen is not None
+    }
     for r, judged, weight in zip(diagnosis.effects, diagnosis.judgements, diagnosis.weights, strict=True):
         e = r.effect
         rows.append(

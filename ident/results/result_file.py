@@ -102,9 +102,8 @@ def _plain(value: Any) -> Any:
         kind = {} if config.tag is None else {str(config.tag_field): config.tag}
         return kind | {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
     if isinstance(value, np.ndarray):
-        return msgspec.Raw(
-            msgspec.json.encode(_rounded(value))
-        )  # encoded here, since a list of Python numbers takes three times the memory
+        # Encoded here, because a list of Python numbers takes three times the memory.
+        return msgspec.Raw(msgspec.json.encode(_rounded(value)))
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

@@ -353,6 +353,7 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
 
 
 def _whiteness(r: ChannelResiduals) -> WhitenessTests:
+    """Return the whiteness tests of one channel, without its record and lags."""
     return WhitenessTests(
         e=r.e,
         acf=r.tests.acf,

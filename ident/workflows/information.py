@@ -45,8 +45,9 @@ from seatrial.ident.results import (
 from seatrial.ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
 NOTABLE_GROWTH = 1.2  # the answer names a segment if a standard error would grow by this factor without it
-LARGE_ERROR = 0.5  # standard error / value from which a parameter is poorly known; if the value is 0, the standard
-# error is divided by the standard deviation of the prior, or by a number of characteristic steps:
+LARGE_ERROR = 0.5  # standard error / value from which a parameter is poorly known
+# If the value is 0, the divisor is the standard deviation of the prior. Without a prior, it is so many characteristic
+# steps:
 ZERO_VALUE_STEPS = 5.0
 
 
@@ -105,9 +106,9 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     curve = known_curve(request.thruster)
     logs = load_runs(request.logs, "judged", request.window, saved.origin)
     assumed = saved_frame_warnings(saved.model, logs, saved.origin)
-    loaded = [completed(one, saved.model.source, curve) for one in logs]
+    loaded = [completed(log, saved.model.source, curve) for log in logs]
     model = as_logged(saved.model, loaded[0].holds)
-    records = [make_record(model, one.run, request.rate) for one in loaded]
+    records = [make_record(model, log.run, request.rate) for log in loaded]
     model = without_absent_sensors(model, records)
     values = []
     for rows in records:
@@ -162,7 +163,7 @@ def _rows(
 ) -> tuple[SegmentInformation, ...]:
     """Return the table of segments, with times of the logs and the steps of their missions."""
     starts = {r.name: float(r.meta["t0"]) for r in records}
-    steps = {one.run.name: one.segments for one in loaded}
+    steps = {log.run.name: log.segments for log in loaded}
     found = []
     for s in segments:
         begin, end = s.t_from + starts[s.record], s.t_to + starts[s.record]

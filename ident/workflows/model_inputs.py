@@ -91,10 +91,10 @@ def complete(
     return found, held
 
 
-def completed(one: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
+def completed(log: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
     """Return a log with the derived signals that a model ``source`` may need (see ``complete``)."""
-    found, held = complete(one.run.channels, one.holds, source, curve, one.about["path"])
-    return replace(one, run=replace(one.run, channels=found), holds=held)
+    found, held = complete(log.run.channels, log.holds, source, curve, log.about["path"])
+    return replace(log, run=replace(log.run, channels=found), holds=held)
 
 
 def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
@@ -230,15 +230,15 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
     return f"{text}{where}{hint}"
 
 
-def _held_speed(one: LoadedLog) -> bool:
+def _held_speed(log: LoadedLog) -> bool:
     """Return whether an import map names signals n_left and n_right but holds them as commands."""
-    return all(n in one.run.channels and one.run.channels[n].source == n and one.holds.get(n) == "zero" for n in SHAFTS)
+    return all(n in log.run.channels and log.run.channels[n].source == n and log.holds.get(n) == "zero" for n in SHAFTS)
 
 
-def _commanded_only(one: LoadedLog) -> bool:
+def _commanded_only(log: LoadedLog) -> bool:
     """Return whether commands stand for the shaft speeds that the log lacks."""
-    shaft, command = (one.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
-    return shaft is command and one.propulsion is PropulsionInput.COMMAND
+    shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
+    return shaft is command and log.propulsion is PropulsionInput.COMMAND
 
 
 def as_logged(model: Model, holds: Mapping[str, str]) -> Model:
@@ -268,11 +268,11 @@ def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameO
     model was fitted to.
     """
     points = [e.name for e in model.effects if e.fixed_point]
-    for one in logs if points else ():
-        reference = reference or one.origin
-        if reference is not None and far_apart([reference, one.origin]):
+    for log in logs if points else ():
+        reference = reference or log.origin
+        if reference is not None and far_apart([reference, log.origin]):
             raise SeatrialError(
-                f"{one.about['path']}: it begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
+                f"{log.about['path']}: it begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
                 f"{reference.log or 'the logs of the model'}, but {points[0]} has one position for all logs; use "
                 "logs from one place, or a model without it"
             )
@@ -287,7 +287,7 @@ def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: Fra
         If the model has a fixed point and the logs have no common frame (``require_one_frame``).
     """
     require_one_frame(model, logs, reference)
-    return frame_warnings(model, [one.run.name for one in logs if one.unplaced], saved_origin_unknown=reference is None)
+    return frame_warnings(model, [log.run.name for log in logs if log.unplaced], saved_origin_unknown=reference is None)
 
 
 def model_of_logs(
@@ -330,11 +330,11 @@ def _curve_path(thruster: str | None, model: Path) -> Path | None:
 def _check_thrust_inputs(model: Model, path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]) -> None:
     """Raise SeatrialError if a log lacks an input of the model that a static thrust curve would give."""
     thrusts = [i.name for i in model.inputs if i.name in CURVE_INPUTS]
-    for one in (*loaded, *unseen):
-        lost = [n for n in thrusts if n not in one.run.channels]
+    for log in (*loaded, *unseen):
+        lost = [n for n in thrusts if n not in log.run.channels]
         if lost:
             raise SeatrialError(
-                f"{one.about['path']}: no signal for the input {lost[0]!r} of {path}; if that was fitted with a "
+                f"{log.about['path']}: no signal for the input {lost[0]!r} of {path}; if that was fitted with a "
                 "static thrust curve, give it with --thruster CURVE"
             )
 

@@ -95,9 +95,8 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         If two logs have one name, or if model and logs do not go together.
     """
     logs, saved = request.logs, load_model(request.model)
-    model = replace(
-        saved.model, second_order=False
-    )  # in a long outage the heading may be too uncertain for a second-order expansion
+    # First order: in a long outage the heading may be too uncertain for a second-order expansion.
+    model = replace(saved.model, second_order=False)
     curve = known_curve(request.thruster)
     known = saved.covariance()
     names = [p.stem for p in logs]
@@ -111,8 +110,8 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         reporter.progress(f"navigating {path.name}")
         own = share_frame(parts_with_sensors(load_run(path, "navigated", request.window)), reference)
         reference = reference or own[0].origin
-        for one, outages in zip(own, _outages_of(own, request.gnss_outages), strict=True):
-            loaded.append(completed(one, saved.model.source, curve))
+        for log, outages in zip(own, _outages_of(own, request.gnss_outages), strict=True):
+            loaded.append(completed(log, saved.model.source, curve))
             done, t0 = _navigate(model, loaded[-1], known, request, outages)
             parts.append((done, t0, gnss_outages(done)))
             tables.append(_columns(done, t0))
@@ -130,7 +129,7 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         warnings=tuple(assumed),
         notes=tuple(_notes(parts, known)),
     )
-    _write(request.out, result, dict(zip((one.run.name for one in loaded), tables, strict=True)))
+    _write(request.out, result, dict(zip((log.run.name for log in loaded), tables, strict=True)))
     return result
 
 
@@ -148,7 +147,7 @@ def _outages_of(parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float
 
     An outage that begins between two parts belongs to the later part.
     """
-    ends = [max(float(c.t[-1]) for c in one.run.channels.values()) for one in parts[:-1]]
+    ends = [max(float(c.t[-1]) for c in log.run.channels.values()) for log in parts[:-1]]
     own: list[list[tuple[float, float]]] = [[] for _ in parts]
     for begin, end in outages:
         own[int(np.searchsorted(ends, begin))].append((begin, end))
@@ -157,17 +156,17 @@ def _outages_of(parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float
 
 def _navigate(
     model: Model,
-    one: LoadedLog,
+    log: LoadedLog,
     known: ParameterCovariance,
     request: NavigationRequest,
     without: Sequence[tuple[float, float]],
 ) -> tuple[Navigation, float]:
     """Navigate one log; return the navigation and the log time [s] of its first row."""
     rate = request.rate
-    model = as_logged(model, one.holds)
-    rows = make_record(model, one.run, rate)
+    model = as_logged(model, log.holds)
+    rows = make_record(model, log.run, rate)
     t0 = float(rows.meta["t0"])
-    _check_fixes(rows, t0, without, one.about["path"])
+    _check_fixes(rows, t0, without, log.about["path"])
     segments = [(a - t0, b - t0) for a, b in without]
     return navigate(model, rows, smoothed=request.smoothed, without_gnss=segments, known=known), t0
 

@@ -116,17 +116,17 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
     loaded = load_runs(logs, "estimation", cut=False)
     notes: list[str] = []
     found: list[NoiseEstimate] = []
-    for path, one in zip(logs, loaded, strict=True):
-        chosen = _chosen(path, one, signals)
+    for path, log in zip(logs, loaded, strict=True):
+        chosen = _chosen(path, log, signals)
         for name, channel in chosen.items():
-            label = name if len(logs) == 1 else f"{one.run.name} {name}"
+            label = name if len(logs) == 1 else f"{log.run.name} {name}"
             reporter.progress(f"{label}: {channel.t.size} samples")
             try:
                 fit = estimate_noise(channel, label)
             except ValueError as problem:
                 notes.append(f"Left out: {problem}")
                 continue
-            found.append(NoiseEstimate(one.run.name, name, label, channel, fit))
+            found.append(NoiseEstimate(log.run.name, name, label, channel, fit))
     if not found:
         raise SeatrialError(f"{logs[0]}: no channel whose noise could be estimated; {'; '.join(notes)}")
     made = provenance(loaded, command)
@@ -168,14 +168,14 @@ def _unwrapped(channel: Channel) -> Channel:
     return Channel(channel.t - channel.t[0], value, channel.unit, channel.source)
 
 
-def _row(one: NoiseEstimate) -> ChannelNoise:
+def _row(estimate: NoiseEstimate) -> ChannelNoise:
     """Return the table row of one channel, with its spectrum."""
-    frequency, density = welch(one.channel)
+    frequency, density = welch(estimate.channel)
     averaged = band_spectrum(frequency, density)
-    f = one.fit
+    f = estimate.fit
     return ChannelNoise(
-        channel=one.label,
-        unit=one.channel.unit,
+        channel=estimate.label,
+        unit=estimate.channel.unit,
         white=f.white,
         random_walk=f.walk,
         se_white=finite(f.white_error),
@@ -185,7 +185,7 @@ def _row(one: NoiseEstimate) -> ChannelNoise:
         accepted=not f.rejected,
         p=finite(f.ljung_box),
         predictable=finite(f.departures.share),
-        reason=one.reason or None,
+        reason=estimate.reason or None,
         frequency=frequency,
         psd=density,
         psd_model=f.psd(frequency),
@@ -239,8 +239,8 @@ def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) 
         "logs": [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs],
     }
     tables = tomlkit.aot()
-    for one in found:
-        f = one.fit
+    for estimate in found:
+        f = estimate.fit
         numbers = {
             "white": f.white,
             "white_se": f.white_error,
@@ -254,11 +254,11 @@ def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) 
             "random_walk_limit": math.nan if np.isfinite(f.walk_error) else f.walk_limit,
         }
         table = tomlkit.table()
-        table.update({"log": one.log, "name": one.name, "unit": one.channel.unit, "n": f.n})
+        table.update({"log": estimate.log, "name": estimate.name, "unit": estimate.channel.unit, "n": f.n})
         table.update({k: float(f"{v:.7g}") for k, v in numbers.items() if np.isfinite(v)})
         table.update({"accepted": not f.rejected})
         if f.rejected:
-            table.update({"reason": one.reason})
+            table.update({"reason": estimate.reason})
         tables.append(table)
     document["channel"] = tables
     write_output(path, tomlkit.dumps(document))

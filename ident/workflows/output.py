@@ -76,9 +76,8 @@ def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
             found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
     for j, name, _ in shown_inputs(stage.model):
         z = np.concatenate([v.record.u[:, j] for v in views])
-        found.setdefault(
-            name, (float(z.min()), float(z.max()))
-        )  # for a yaw rate that is both input and state, the range of the state is kept
+        # A yaw rate can be both input and state; the range of the state is kept.
+        found.setdefault(name, (float(z.min()), float(z.max())))
     return found
 
 

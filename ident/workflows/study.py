@@ -280,20 +280,20 @@ def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
     )  # fmt: skip
 
 
-def study_answer(one: ModelStudy) -> str:
+def study_answer(study: ModelStudy) -> str:
     """Return the sentence on a study: replicates that were left out, and parameters that meet or miss the aims."""
-    rows = one.parameters
+    rows = study.parameters
     if not rows:
-        return f"{one.model}: no replicate can be judged" + (f": {one.left_out}." if one.left_out else ".")
+        return f"{study.model}: no replicate can be judged" + (f": {study.left_out}." if study.left_out else ".")
     significant = {r.name: [m for m in r.misses if "chance" not in m] for r in rows}
     worst = [f"{name} ({', '.join(misses)})" for name, misses in significant.items() if misses]
     by_chance = sum(bool(r.misses) and not significant[r.name] for r in rows)
     held = f"{sum(not r.misses for r in rows)} of {len(rows)} parameters"
-    all_of = f"{one.model}, {one.replicates} replicates"
-    if one.too_many_left_out:
-        return f"{all_of}, of which {one.left_out}: too many for a verdict."
-    if one.left_out:
-        all_of += f", of which {one.left_out}"
+    all_of = f"{study.model}, {study.replicates} replicates"
+    if study.too_many_left_out:
+        return f"{all_of}, of which {study.left_out}: too many for a verdict."
+    if study.left_out:
+        all_of += f", of which {study.left_out}"
     parts = [f"{all_of}: {held} meet the aims"]
     parts += [f"{by_chance} may miss them by chance"] if by_chance else []
     return ", ".join([*parts, *([f"these miss them: {', '.join(worst)}"] if worst else [])]) + "."

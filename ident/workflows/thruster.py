@@ -231,13 +231,13 @@ def static_curve(
     """
     if len(loaded) != 1:
         raise SeatrialError(f"{loaded[1].about['path']}: a static curve takes one log; give one")
-    one = loaded[0]
-    channels, where = one.run.channels, one.about["path"]
-    names, out = _commands(one, request.name), request.out
+    log = loaded[0]
+    channels, where = log.run.channels, log.about["path"]
+    names, out = _commands(log, request.name), request.out
     if "force" not in channels:
         raise SeatrialError(f"{where}: no signal 'force'; it has {', '.join(sorted(channels))}")
-    (one,), drifts = _without_zero_drift([one], lambda x: names[0], request.settle)
-    channels = one.run.channels
+    (log,), drifts = _without_zero_drift([log], lambda x: names[0], request.settle)
+    channels = log.run.channels
     reporter.progress(f"steady force against {' and '.join(names)}")
     try:
         levels = find_levels(channels[names[0]], channels["force"], request.settle)
@@ -262,7 +262,7 @@ def static_curve(
         "made_by": command,
         "created": result.created,
         "seatrial": result.seatrial,
-        "logs": [f"{where} sha256:{one.about['sha256'][:16]}"],
+        "logs": [f"{where} sha256:{log.about['sha256'][:16]}"],
     }
     save_curve(out / "model.toml", measured, levels, quadratic, made)
     write_result(result, out / "result.json")
@@ -272,9 +272,9 @@ def static_curve(
 
 def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
     """Return whether the logs have a force and commands, but no shaft speed of a commanded thruster."""
-    for one in loaded:
-        names = [name] if name else [n.removeprefix("n_cmd_") for n in one.run.channels if n.startswith("n_cmd_")]
-        if any(f"n_cmd_{n}" in one.run.channels and f"n_{n}" in one.run.channels for n in names):
+    for log in loaded:
+        names = [name] if name else [n.removeprefix("n_cmd_") for n in log.run.channels if n.startswith("n_cmd_")]
+        if any(f"n_cmd_{n}" in log.run.channels and f"n_{n}" in log.run.channels for n in names):
             return False
     return "force" in loaded[0].run.channels and bool(_command_names(loaded[0].run.channels, name))
 
@@ -286,18 +286,18 @@ def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[st
     return [n for n in found if n]
 
 
-def _commands(one: LoadedLog, name: str | None) -> list[str]:
+def _commands(log: LoadedLog, name: str | None) -> list[str]:
     """Return the commands that change. Raise SeatrialError if there is none, or if several are not equal."""
-    channels = one.run.channels
+    channels = log.run.channels
     moved = [n for n in _command_names(channels, name) if np.ptp(channels[n].value) > 0]
     if not moved:
-        raise SeatrialError(f"{one.about['path']}: no command that changes; it has {', '.join(sorted(channels))}")
+        raise SeatrialError(f"{log.about['path']}: no command that changes; it has {', '.join(sorted(channels))}")
     first = channels[moved[0]]
     for second in moved[1:]:
         c = channels[second]
         if c.t.size != first.t.size or not np.allclose(c.value, first.value):
             raise SeatrialError(
-                f"{one.about['path']}: {moved[0]} and {second} differ; name the thruster that was measured: --thruster"
+                f"{log.about['path']}: {moved[0]} and {second} differ; name the thruster that was measured: --thruster"
             )
     return moved
 
