@@ -130,7 +130,9 @@ def not_there(context: click.Context, _parameter: click.Parameter, out: Path | N
     if out is not None:
         for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
             if path.is_symlink() and not path.is_dir():
-                raise SeatrialError(f"{path}: is a symbolic link, and outputs follow none; remove it, or name another")
+                raise SeatrialError(
+                    f"{path}: is a symbolic link, which outputs do not follow; remove it, or give another name"
+                )
     exists = out is not None and (out.is_file() or (out / "result.json").exists())
     if exists and not context.meta["force"]:
         raise SeatrialError(f"{out}: exists already; --force replaces it, or give another name")

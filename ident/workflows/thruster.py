@@ -344,7 +344,7 @@ def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) ->
             f"misfit {quadratic.rms:.2g} N rms)."
         )
     return (
-        f"{thrust} {quadratic.formula} does not describe them: its misfit is {_newtons(quadratic.rms)} (rms), and "
+        f"{thrust} {quadratic.formula} does not describe them: its misfit is {_newtons(quadratic.rms)} (rms); the largest is "
         f"{'+' * (quadratic.largest > 0.0)}{_newtons(quadratic.largest)} at n = {quadratic.at:g}. Its error at a level "
         f"that is left out is {_newtons(quadratic.left_out)}, that of the monotone curve through the others is "
         f"{_newtons(curve_left_out(levels))}."

@@ -154,13 +154,13 @@ def test_commands_of_one_sign_have_one_coefficient(commands: tuple[float, ...]) 
     assert abs(found.c1 - 40.0) < 4 * np.sqrt(found.covariance[0, 0])
     assert adequate(found)
     said = curve_answer(levels, ThrustCurve(fit_curve(levels), 1), found)
-    lost, there = ("astern", "ahead") if max(commands) > 0 else ("ahead", "astern")
+    lost, there = ("in reverse", "forward") if max(commands) > 0 else ("forward", "in reverse")
     assert f"{lost}: not measured" in said
-    assert f"N {there} at the ends" in said
+    assert f"N {there} at the largest commands" in said
     assert "c1 n|n| describes them" in said
 
 
-@pytest.mark.parametrize(("factor", "said"), [(1.0, "by -3.8 N at"), (0.01, "by -0.038 N at")])
+@pytest.mark.parametrize(("factor", "said"), [(1.0, "the largest is -3.8 N at"), (0.01, "the largest is -0.038 N at")])
 def test_the_misses_of_a_small_thruster_are_not_rounded_to_nothing(factor: float, said: str) -> None:
     n = np.linspace(-1.0, 1.0, 11)
     force = factor * (40.0 * n * np.abs(n) + 4.0 * np.sin(9.0 * n))
