@@ -343,9 +343,10 @@ def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) ->
             f"{thrust} {quadratic.formula} describes them within their errors (c1 {quadratic.c1:.4g} N, "
             f"misfit {quadratic.rms:.2g} N rms)."
         )
+    largest = f"{'+' * (quadratic.largest > 0.0)}{_newtons(quadratic.largest)}"
     return (
-        f"{thrust} {quadratic.formula} does not describe them: its misfit is {_newtons(quadratic.rms)} (rms); the largest is "
-        f"{'+' * (quadratic.largest > 0.0)}{_newtons(quadratic.largest)} at n = {quadratic.at:g}. Its error at a level "
-        f"that is left out is {_newtons(quadratic.left_out)}, that of the monotone curve through the others is "
+        f"{thrust} {quadratic.formula} does not describe them: its misfit is {_newtons(quadratic.rms)} (rms); the "
+        f"largest is {largest} at n = {quadratic.at:g}. Its error at a level that is left out is "
+        f"{_newtons(quadratic.left_out)}, that of the monotone curve through the others is "
         f"{_newtons(curve_left_out(levels))}."
     )
