@@ -263,7 +263,7 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
     forces = [i.name for i in model.inputs if i.unit in ("N", "N m")]
     if forces:
         text = (
-            f"The inputs of the model are {', '.join(forces)}, not commands: the design assumes thrusters with a "
+            f"The model takes {', '.join(forces)} as input, not commands: the design assumes thrusters with a "
             f"built-in thrust of {thrust:.0f} N at full speed on built-in arms. The standard errors hold for such "
             "thrusters."
         )

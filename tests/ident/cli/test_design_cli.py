@@ -160,7 +160,9 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
     assert said.index("built-in thrust of 41 N") < said.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
     assert codes == ["thrust-scale-unknown", "shaft-lag-built-in", "rates-assumed"]
-    assert "at 10 Hz where neither --rate nor the model.toml says else: gyro." in " ".join(said.split())
+    assert "assumes 10 Hz for sensors whose rate neither --rate nor the model.toml gives: gyro." in " ".join(
+        said.split()
+    )
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
     np.testing.assert_array_equal(mission.segments[1].n[:, 0], -mission.segments[1].n[:, 1])
