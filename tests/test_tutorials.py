@@ -85,7 +85,7 @@ def follow(every: list[str], folder: Path, environment: dict[str, str]) -> str:
 def test_a_reader_reaches_what_the_tutorials_show(tmp_path: Path, environment: dict[str, str]) -> None:
     """One folder, as the reader has: the mission takes the thrust curve of the bench run."""
     said = follow(lines("bench-run"), tmp_path, environment)
-    assert re.search(r"The thruster gives \d\d\.\d+ ± 0\.\d+ N ahead and \d\d\.\d+ ± 0\.\d+ N astern", said)
+    assert re.search(r"The thruster gives \d\d\.\d+ ± 0\.\d+ N forward and \d\d\.\d+ ± 0\.\d+ N in reverse", said)
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))["true_parameters"]
     fitted = json.loads((tmp_path / "thruster/result.json").read_text(encoding="utf-8"))
     values = {row["name"]: row["value"] for row in fitted["fit"]["parameters"]}

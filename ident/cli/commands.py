@@ -1,4 +1,4 @@
-"""Commands of ``seatrial ident``, and ``seatrial mission design``, which belongs to the group of bench."""
+"""Commands of `seatrial ident`, and `seatrial mission design`, which is part of the command group of bench."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def ident() -> None:
 
 @ident.command(short_help="Fit shaft dynamics and thrust curve to bench logs.")
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@click.option("--thruster", "name", help="The thruster's name in the rig file, where the log has several.")
+@click.option("--thruster", "name", help="Name of the thruster in the rig file, if the log has several.")
 @click.option(
     "--settle",
     type=FiniteRange(0.0),
     default=1.5,
     show_default=True,
-    help="Seconds left out after each change of command, where only force and command were logged.",
+    help="Time left out after each change of command [s], if only force and command were logged.",
 )
 @click.option("--profile", "profiles", multiple=True, metavar="NAME", help="Profile likelihood of this parameter.")
 @horizon_option
@@ -78,8 +78,8 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     run_workflow(lambda reporter: characterise(request, command_line(), reporter), out)
 
 
-def _intervals(_context: click.Context, _parameter: click.Parameter, given: Sequence[str]) -> list[tuple[float, float]]:
-    return [_interval(text) for text in given]
+def _intervals(_context: click.Context, _parameter: click.Parameter, texts: Sequence[str]) -> list[tuple[float, float]]:
+    return [_interval(text) for text in texts]
 
 
 @click.command(short_help="Estimate position, speeds and current with a fitted model.")
@@ -139,7 +139,7 @@ ident.add_command(navigate)
     "output",
     type=click.Path(dir_okay=False, path_type=Path),
     callback=not_there,
-    help="File to write; else the screen.",
+    help="File to write; without it, the text is printed.",
 )
 @force_option
 @click.option("--name", help="Prefix of the functions, or name of the node; default: name of the model.")
@@ -228,11 +228,11 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     "--model",
     default="auto",
     show_default=True,
-    help="horizontal:shaft, horizontal:command (held commands, shafts that are states), horizontal:force, "
+    help="horizontal:shaft, horizontal:command (held commands; shafts are states), horizontal:force, "
     "horizontal:general (each also with :no-current, or :random-walk-current), nomoto (no sideslip; the yaw rate "
-    "follows the difference of the sides; :sampled where outputs are uncertain in time, as is chosen by itself for "
-    "an autopilot's, and the same two for the current), "
-    "kinematic:shaft|force (measured attitude; :yaw with the yaw equation, and the same two for the current), "
+    "follows the difference of the sides; :sampled if the times of the outputs are uncertain, which is chosen "
+    "automatically for an autopilot's outputs; and the same two options for the current), "
+    "kinematic:shaft|force (measured attitude; :yaw adds the yaw equation; and the same two options for the current), "
     "surge:force|shaft:position|speed|both, yaw:rate|both, or FILE.py:NAME for your own.",
 )
 @click.option(
@@ -310,8 +310,8 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 @click.option(
     "--thruster",
     metavar="CURVE|NAME",
-    help="The static curve (model.toml) that the boat's MODEL was fitted with; where MODEL is a thruster's and the "
-    "logs have several, its name in the rig.",
+    help="The static curve (model.toml) that the boat's MODEL was fitted with; if MODEL is a thruster's and the logs "
+    "have several thrusters, its name in the rig.",
 )
 @robust_option
 @despite_option
@@ -349,7 +349,9 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     help="Number of simulated missions.",
 )
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
-@click.option("--jobs", type=int, default=-1, callback=processes, help="Processes.  [default: one a core, -1]")
+@click.option(
+    "--jobs", type=int, default=-1, callback=processes, help="Number of processes.  [default: -1, one for each core]"
+)
 @click.option(
     "--method",
     type=click.Choice(("pe", "oe")),
@@ -362,13 +364,17 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 )
 @click.option("--free", multiple=True, metavar="NAME", help="Estimate only this parameter; may be repeated.")
 @click.option("--seconds", type=FiniteRange(10.0), help="Length of the mission [s].")
-@click.option("--unbounded", is_flag=True, help="Damping may be estimated below zero.")
+@click.option("--unbounded", is_flag=True, help="Allow negative estimates of damping.")
 @reml_option(None)
 @mean_order_option(None)
 @click.option("--docs", type=FILE, help="Also write the page of tables to this file, with its pictures.")
 @trust_option
 @click.option(
-    "--out", type=FOLDER, default=Path("study"), show_default=True, help="Folder for the results, where it goes on."
+    "--out",
+    type=FOLDER,
+    default=Path("study"),
+    show_default=True,
+    help="Folder for the results; a study that was interrupted continues there.",
 )
 def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
     """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
@@ -396,16 +402,17 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
     click.echo(f"report: {out / 'report.html'}")
 
 
-def _area(_context: click.Context, _parameter: click.Parameter, given: str | None) -> tuple[float, float] | None:
-    if given is None:
+def _area(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    """Parse ``40x30`` to the size of an area: north, east [m]."""
+    if text is None:
         return None
-    found = re.fullmatch(r"([\d.]+)x([\d.]+)", given)
+    found = re.fullmatch(r"([\d.]+)x([\d.]+)", text)
     try:
         north, east = (float(side) for side in found.groups()) if found else (0.0, 0.0)
     except ValueError:
         north = east = 0.0
     if not (north > 0 and east > 0):
-        raise click.BadParameter(f"{given!r} is not NORTHxEAST in metres, such as 40x40")
+        raise click.BadParameter(f"{text!r} is not NORTHxEAST in metres, such as 40x40")
     return north, east
 
 
@@ -472,7 +479,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     type=FiniteRange(0, 0.9),
     default=0.25,
     show_default=True,
-    help="Relative half-width of the prior of the parameters, where MODEL is not a model.toml.",
+    help="Relative half-width of the prior of the parameters, if MODEL is not a model.toml.",
 )
 @click.option(
     "--information",
@@ -487,7 +494,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     "between",
     metavar="EFFECTS",
     callback=parse_names,
-    help="Two effects, delay,lag: T-optimal mission that tells them apart.",
+    help="Two effects, such as delay,lag: T-optimal mission that distinguishes them.",
 )
 @click.option(
     "--evaluations",
@@ -510,7 +517,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, given: str | Non
     type=click.Path(dir_okay=False, path_type=Path),
     default=Path("mission.toml"),
     show_default=True,
-    help="The mission to write; it must not exist. A page and its numbers go beside it.",
+    help="The mission to write; it must not exist. A page and its numbers are written beside it.",
 )
 @trust_option
 def design(
@@ -536,11 +543,11 @@ def design(
     if between and rest["robust"]:
         raise click.BadParameter("a discrimination is not averaged over samples", param_hint="--average-over")
     if rest["criterion"] == "Ds" and not rest["chosen"]:
-        raise click.BadParameter("Ds needs --parameters: which parameters?", param_hint="--criterion")
+        raise click.BadParameter("Ds needs --parameters, the parameters of the criterion", param_hint="--criterion")
     from seatrial.ident.experiment_design import DesignLimits
     from seatrial.ident.workflows.design import DesignRequest, design_summary, make_design
 
-    wish = DesignRequest(
+    request = DesignRequest(
         shortest=min_step,
         limits=DesignLimits(area, max_speed, energy, current),
         between=between,
@@ -549,7 +556,7 @@ def design(
         **rest,
     )
     try:
-        result = _work(lambda reporter: make_design(source, wish, out, command_line(), reporter))
+        result = _work(lambda reporter: make_design(source, request, out, command_line(), reporter))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
     for line in design_summary(result):
@@ -558,7 +565,7 @@ def design(
 
 
 def _work(work: Any) -> Any:
-    """Do it with a live line of what it is doing."""
+    """Run a workflow while a live line shows its progress; return its result."""
     from rich.console import Console
 
     console = Console(highlight=False, stderr=True)
@@ -567,12 +574,12 @@ def _work(work: Any) -> Any:
 
 
 def _interval(text: str) -> tuple[float, float]:
-    """``60:90`` -> (60, 90) s."""
+    """Parse an interval: ``60:90`` to (60, 90) [s]."""
     first, _, last = text.partition(":")
     try:
         begin, end = float(first), float(last)
     except ValueError:
-        raise click.BadParameter(f"{text!r} is not T0:T1 in seconds of the log, as 60:90") from None
+        raise click.BadParameter(f"{text!r} is not T0:T1 in seconds of the log, such as 60:90") from None
     if not -math.inf < begin < end < math.inf:
         raise click.BadParameter(f"{text!r}: the end is not after the beginning")
     return begin, end

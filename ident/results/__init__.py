@@ -1,4 +1,4 @@
-"""Results: what is reported, as types, sentences and result.json."""
+"""Results of the commands: their types, their sentences, and result.json."""
 
 import lazy_loader
 

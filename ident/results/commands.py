@@ -1,4 +1,7 @@
-"""Results of the commands: fits of vehicle and thruster, information, navigation, noise, design and study."""
+"""Result types of the commands that are not diagnoses, and builders of the vehicle and thruster results.
+
+The types are those of information, navigation, noise, experiment design and Monte Carlo study.
+"""
 
 from __future__ import annotations
 
@@ -60,13 +63,18 @@ from seatrial.ident.validation import PredictionEvaluation
 
 @dataclass(frozen=True)
 class Posed:
-    """What was known and said before the fit.
+    """Context of a fit: what is reported with the estimates but was fixed before the fit.
 
-    Attributes:
-        start: values that the search began with.
-        notes: lines that come first.
-        unused: signals of the logs that the model does not take.
-        length: of the hull, where the rig gives it [m].
+    Attributes
+    ----------
+    start
+        Initial values of the parameters.
+    notes
+        Lines that precede the other notes of the result.
+    unused
+        Signals of the logs that the model does not use.
+    length
+        Length of the hull [m]; None if the rig does not give it.
     """
 
     start: Mapping[str, float]
@@ -83,15 +91,23 @@ def vehicle_result(
     homogeneity: Sequence[HomogeneityTest],
     posed: Posed,
 ) -> VehicleResult:
-    """The result of a vehicle's fit and its evaluation; ``posed``: what came before the fit."""
+    """Return the result of a vehicle fit and its evaluation.
+
+    Parameters
+    ----------
+    made : Provenance
+        Logs, command line, time and software version.
+    posed : Posed
+        Initial values, notes and unused signals from before the fit.
+    """
     reported = ReportedEstimates(stage.fit)
     homogeneity = [homogeneity_reported(a, reported) for a in homogeneity]
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
-    said = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    answer = not_converged(stage.fit) or " ".join([said, *(homogeneity_sentence(a) for a in homogeneity)])
+    fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
+    answer = not_converged(stage.fit) or " ".join([fit_answer, *(homogeneity_sentence(a) for a in homogeneity)])
     return VehicleResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made) + answer,
@@ -129,8 +145,19 @@ def thruster_result(
     posed: Posed,
     calibration: float | None,
 ) -> ThrusterResult:
-    """``static``: None where there was no load cell; ``posed``: what came before the fit; ``calibration``: relative
-    standard uncertainty of the load cell's force, None where the rig does not give it."""
+    """Return the result of a thruster fit and its evaluation.
+
+    Parameters
+    ----------
+    made : Provenance
+        Logs, command line, time and software version.
+    static : StaticForce or None
+        Measured and fitted static thrust; None if the logs have no force.
+    posed : Posed
+        Initial values and notes from before the fit.
+    calibration : float or None
+        Relative standard uncertainty of the load cell's force; None if the rig does not give it.
+    """
     bands, ways = calibration_tables(evaluation), directions(stage.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
@@ -158,76 +185,80 @@ def thruster_result(
 
 
 def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
+    """Return the notes of a fit: those from before the fit, outliers, and wrong prediction intervals."""
     outliers = outlier_lines(evaluation.residuals, evaluation.model)
     return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))
 
 
 class LogSpan(Part, frozen=True, kw_only=True):
-    """A part of a log."""
+    """Interval of a log."""
 
     record: str
     t_from: Annotated[float, Meta(description="[s of the log]")]
     t_to: Annotated[float, Meta(description="[s of the log]")]
-    what: Annotated[str, Meta(description="the step of the mission that takes up most of it, or empty")]
+    what: Annotated[str, Meta(description="step of the mission that takes up most of the interval, or empty")]
 
 
 class InformedParameter(LogSpan, frozen=True, kw_only=True):
-    """What all logs tell of a parameter, and the segment that this hangs on most."""
+    """Information of all logs about a parameter, and the segment that contributes most."""
 
     name: str
     meaning: str
     unit: str
     value: float
-    se: Annotated[float | None, Meta(description="standard error from all logs; null: nothing tells")]
+    se: Annotated[float | None, Meta(description="standard error from all logs; null: no information")]
     weight: Annotated[
-        float | None, Meta(description="factor by which `se` would grow without the segment; null: nothing else tells")
+        float | None,
+        Meta(description="factor by which `se` would grow without the segment; null: no other segment informs it"),
     ]
-    alone: Annotated[float | None, Meta(description="standard error from the segment alone; null: it tells nothing")]
+    alone: Annotated[float | None, Meta(description="standard error from the segment alone; null: no information")]
     known: Annotated[
-        bool, Meta(description="`se` is below half of the value; of a value of 0, of its prior's sd or of five steps")
+        bool,
+        Meta(description="`se` is below half of the value (of a value of 0: half of its prior's sd or of five steps)"),
     ]
 
 
 class SegmentInformation(LogSpan, frozen=True, kw_only=True):
-    """What a segment tells of each parameter, in the order of `names`; null: no number."""
+    """Information of a segment about each parameter, in the order of `names`."""
 
     weight: Annotated[
-        Array, Meta(description="factors by which standard errors would grow without it; null: nothing else tells")
+        Array,
+        Meta(description="factors by which standard errors would grow without it; null: no other segment informs it"),
     ]
-    lost: Annotated[Array, Meta(description="part of the information that would be lost without it, 0..1")]
-    alone: Annotated[Array, Meta(description="standard errors from it alone; null: it tells nothing")]
+    lost: Annotated[Array, Meta(description="share of the information that would be lost without it, 0..1")]
+    alone: Annotated[Array, Meta(description="standard errors from this segment alone; null: no information")]
 
 
 class Information(Part, frozen=True, kw_only=True):
-    """Which segments of logs tell of which parameter."""
+    """Fisher information of each segment of the logs about each parameter."""
 
-    names: Annotated[tuple[str, ...], Meta(description="of the parameters")]
+    names: Annotated[tuple[str, ...], Meta(description="names of the parameters")]
     seconds: Annotated[float, Meta(description="length of a segment [s]")]
     parameters: tuple[InformedParameter, ...]
     segments: tuple[SegmentInformation, ...]
 
 
 class InformationResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="information"):
-    """`seatrial ident information`: which segments of logs tell of which parameter of a fitted model."""
+    """`seatrial ident information`: Fisher information of log segments about the parameters of a fitted model."""
 
     information: Information
     inputs: tuple[InputTrace, ...]
 
 
 class StateTrace(Part, frozen=True, kw_only=True):
-    """A state over time, by the model and all sensors."""
+    """State over time, estimated from the model and all sensors."""
 
     name: str
     unit: str
     meaning: str
-    angle: Annotated[bool, Meta(description="an angle, known but for whole turns")]
+    angle: Annotated[bool, Meta(description="whether the state is an angle, which is known except for whole turns")]
     value: Array
-    sd: Annotated[Array, Meta(description="standard deviation, the parameters' own errors included")]
-    measured: Annotated[Array | None, Meta(description="the channel of that name, where there is one")] = None
+    sd: Annotated[Array, Meta(description="standard deviation, including the errors of the parameters")]
+    measured: Annotated[Array | None, Meta(description="measured channel of the same name; null: there is none")] = None
 
 
 class GnssFixes(Part, frozen=True, kw_only=True):
-    """The positions that were measured."""
+    """Measured GNSS positions."""
 
     t: Annotated[Array, Meta(description="[s of the log]")]
     x: Annotated[Array, Meta(description="north [m]")]
@@ -236,130 +267,141 @@ class GnssFixes(Part, frozen=True, kw_only=True):
 
 
 class NavigatedRecord(Part, frozen=True, kw_only=True):
-    """Where the boat was, in one log."""
+    """Estimated states of the boat in one log."""
 
     record: str
-    kind: Annotated[Literal["smoothed", "filtered"], Meta(description="by all samples, or by those so far")]
+    kind: Annotated[
+        Literal["smoothed", "filtered"], Meta(description="estimated from all samples, or from the samples so far")
+    ]
     t: Annotated[Array, Meta(description="[s of the log]")]
     states: tuple[StateTrace, ...]
     fixes: GnssFixes
 
 
 class PositionEllipse(Part, frozen=True, kw_only=True):
-    """The region that holds the position with 95 %."""
+    """Ellipse that contains the position with 95 % probability."""
 
     major: Annotated[float, Meta(description="half axis [m]")]
     minor: Annotated[float, Meta(description="half axis [m]")]
-    azimuth: Annotated[float, Meta(description="of the major axis [rad from north]")]
-    radius: Annotated[float, Meta(description="of the circle that holds as much [m]")]
+    azimuth: Annotated[float, Meta(description="direction of the major axis [rad from north]")]
+    radius: Annotated[float, Meta(description="radius of the circle with the same probability [m]")]
 
 
 class WithheldErrors(Part, frozen=True, kw_only=True):
-    """Estimates less the fixes that were withheld."""
+    """Errors of the estimated position at the fixes that were withheld."""
 
     rms: Annotated[float, Meta(description="[m]")]
     largest: Annotated[float, Meta(description="[m]")]
-    inside: Annotated[float, Meta(description="share inside the 95 % regions, the noise of the fix included")]
+    inside: Annotated[float, Meta(description="share inside the 95 % regions, which include the noise of the fix")]
     n: Annotated[int, Meta(description="number of fixes")]
 
 
 class GnssOutage(Part, frozen=True, kw_only=True):
-    """A time without GNSS: what was claimed for its end, and what came true."""
+    """GNSS outage: predicted position at its end, and the error of this prediction."""
 
     record: str
     start: Annotated[float, Meta(description="[s of the log]")]
     end: Annotated[float, Meta(description="[s of the log]")]
     duration: Annotated[float, Meta(description="[s]")]
-    open: Annotated[bool, Meta(description="no fix came after it")]
-    leading: Annotated[bool, Meta(description="no fix came before it: what is predicted for its end is a guess")]
-    withheld: Annotated[bool, Meta(description="on purpose (`--gnss-outage`)")]
-    north: Annotated[float, Meta(description="predicted for the end without GNSS [m]")]
-    east: Annotated[float, Meta(description="[m]")]
-    at_end: Annotated[PositionEllipse, Meta(description="of that prediction")]
-    error: Annotated[float | None, Meta(description="distance of the fix at the end from it [m]")]
-    allowed: Annotated[float | None, Meta(description="95 % radius of that distance, with the noise of the fix [m]")]
-    inside: Annotated[bool | None, Meta(description="whether the fix is inside that region")]
-    widest: Annotated[float, Meta(description="largest 95 % radius by the best estimate [m]")]
-    predicted: Annotated[WithheldErrors | None, Meta(description="on withheld fixes, without those to come")]
-    best: Annotated[WithheldErrors | None, Meta(description="on withheld fixes, by the best estimate")]
+    open: Annotated[bool, Meta(description="no fix follows the outage")]
+    leading: Annotated[bool, Meta(description="no fix precedes the outage: the prediction for its end is a guess")]
+    withheld: Annotated[bool, Meta(description="whether the fixes were withheld on purpose (`--gnss-outage`)")]
+    north: Annotated[float, Meta(description="position that is predicted for the end without GNSS: north [m]")]
+    east: Annotated[float, Meta(description="the same: east [m]")]
+    at_end: Annotated[PositionEllipse, Meta(description="95 % ellipse of that prediction")]
+    error: Annotated[float | None, Meta(description="distance of the fix at the end from the prediction [m]")]
+    allowed: Annotated[
+        float | None, Meta(description="95 % limit of that distance, including the noise of the fix [m]")
+    ]
+    inside: Annotated[bool | None, Meta(description="whether the fix is inside the 95 % region")]
+    widest: Annotated[float, Meta(description="largest 95 % radius of the best estimate [m]")]
+    predicted: Annotated[
+        WithheldErrors | None, Meta(description="errors at withheld fixes, predicted without later fixes")
+    ]
+    best: Annotated[WithheldErrors | None, Meta(description="errors at withheld fixes, of the best estimate")]
 
 
 class NavigationResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="navigation"):
-    """`seatrial ident navigate`: where the boat was, by a fitted model."""
+    """`seatrial ident navigate`: states of the boat, estimated with a fitted model."""
 
-    navigation: Annotated[tuple[NavigatedRecord, ...], Meta(description="one a log")]
-    outages: Annotated[tuple[GnssOutage, ...], Meta(description="one an outage")]
+    navigation: Annotated[tuple[NavigatedRecord, ...], Meta(description="one for each log")]
+    outages: Annotated[tuple[GnssOutage, ...], Meta(description="one for each outage")]
     inputs: tuple[InputTrace, ...]
 
 
 class SpectrumBands(Part, frozen=True, kw_only=True):
-    """A power spectral density averaged over bands of equal width in the logarithm of the frequency."""
+    """Power spectral density, averaged over bands of equal width in the logarithm of the frequency."""
 
     frequency: Annotated[Array, Meta(description="middle of each band [Hz]")]
     psd: Annotated[Array, Meta(description="[unit^2/Hz]")]
-    low: Annotated[Array, Meta(description="of the 95 % interval of the true one [unit^2/Hz]")]
-    high: Annotated[Array, Meta(description="of the 95 % interval of the true one [unit^2/Hz]")]
+    low: Annotated[Array, Meta(description="lower end of the 95 % interval of the true density [unit^2/Hz]")]
+    high: Annotated[Array, Meta(description="upper end of the 95 % interval of the true density [unit^2/Hz]")]
 
 
 class ChannelNoise(Part, frozen=True, kw_only=True):
-    """White noise plus a random walk, fitted to a channel of a sensor at rest, and whether it is that."""
+    """Noise model of a channel of a sensor at rest: white noise plus a random walk, and its test."""
 
-    channel: Annotated[str, Meta(description="with the log's name where there are several")]
+    channel: Annotated[
+        str, Meta(description="name of the channel, preceded by that of the log if there are several logs")
+    ]
     unit: str
     white: Annotated[float, Meta(description="standard deviation of a sample [unit]")]
     random_walk: Annotated[float, Meta(description="[unit/sqrt(s)]")]
     se_white: Annotated[float | None, Meta(description="standard error; null: no white noise was found")]
     se_random_walk: Annotated[float | None, Meta(description="standard error; null: no random walk was found")]
-    white_limit: Annotated[
-        float | None, Meta(description="where none was found: more would have been, in 95 of 100 such records [unit]")
-    ] = None
+    white_limit: Annotated[float | None, Meta(description="if no white noise was found: 95 % upper limit [unit]")] = (
+        None
+    )
     random_walk_limit: Annotated[
         float | None,
-        Meta(description="where none was found: more would have been, in 95 of 100 such records [unit/sqrt(s)]"),
+        Meta(description="if no random walk was found: 95 % upper limit [unit/sqrt(s)]"),
     ] = None
     accepted: Annotated[bool, Meta(description="whether the channel is white noise plus a random walk")]
     p: Annotated[float | None, Meta(description="p value of the Ljung-Box test of the innovations")]
     predictable: Annotated[float | None, Meta(description="share of the innovations' variance that could be predicted")]
-    reason: Annotated[str | None, Meta(description="why it is not accepted")]
+    reason: Annotated[str | None, Meta(description="why the model is not accepted")]
     frequency: Annotated[Array, Meta(description="[Hz]")]
-    psd: Annotated[Array, Meta(description="power spectral density that was measured (Welch) [unit^2/Hz]")]
-    psd_model: Annotated[Array, Meta(description="that of the fit [unit^2/Hz]")]
+    psd: Annotated[Array, Meta(description="measured power spectral density (Welch) [unit^2/Hz]")]
+    psd_model: Annotated[Array, Meta(description="power spectral density of the fitted model [unit^2/Hz]")]
     bands: Annotated[
-        SpectrumBands | None, Meta(description="the measured one averaged over bands, with its interval")
+        SpectrumBands | None, Meta(description="measured density averaged over bands, with its interval")
     ] = None
 
 
 class NoiseResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="noise"):
     """`seatrial ident noise`: the noise of sensors at rest."""
 
-    noise: Annotated[tuple[ChannelNoise, ...], Meta(description="one a channel of each log")]
+    noise: Annotated[tuple[ChannelNoise, ...], Meta(description="one for each channel of each log")]
 
 
 class DesignedParameter(Part, frozen=True, kw_only=True):
-    """Standard errors of a parameter before and after the mission; null: nothing is known of it."""
+    """Standard errors of a parameter before and after the mission; null: no information."""
 
     name: str
     meaning: str
     unit: str
-    value: Annotated[float, Meta(description="nominal")]
-    before: Annotated[float | None, Meta(description="by earlier logs")]
-    after: Annotated[float | None, Meta(description="with this mission, by prediction error")]
-    form: Annotated[float | None, Meta(description="with this mission, by the form of the design")]
-    baseline: Annotated[float | None, Meta(description="with the best baseline signal instead, by prediction error")]
-    chosen: Annotated[bool, Meta(description="the criterion is of it")]
+    value: Annotated[float, Meta(description="nominal value")]
+    before: Annotated[float | None, Meta(description="from earlier logs")]
+    after: Annotated[float | None, Meta(description="after this mission, by prediction error")]
+    form: Annotated[
+        float | None,
+        Meta(description="after this mission, by the information that the design uses (`form` of the design)"),
+    ]
+    baseline: Annotated[float | None, Meta(description="after the best baseline signal instead, by prediction error")]
+    chosen: Annotated[bool, Meta(description="whether the criterion includes this parameter")]
 
 
 class Baseline(Part, frozen=True, kw_only=True):
-    """A random sequence at its best, which the design is compared with."""
+    """Baseline signal: the best of several random sequences, which the design is compared with."""
 
     name: Annotated[str, Meta(description="`PRBS` or `RGS`")]
-    value: Annotated[float, Meta(description="its criterion")]
+    value: Annotated[float, Meta(description="criterion of the best sequence")]
     bandwidth: Annotated[float, Meta(description="PRBS: clock [s]; RGS: corner [Hz]")]
-    seeds: Annotated[Array, Meta(description="each seed's best")]
+    seeds: Annotated[Array, Meta(description="best criterion of each seed")]
 
 
 class CommandTrace(Part, frozen=True, kw_only=True):
-    """What an input is commanded."""
+    """Command of an input over time."""
 
     name: str
     t: Annotated[Array, Meta(description="time since the first step [s]")]
@@ -367,100 +409,105 @@ class CommandTrace(Part, frozen=True, kw_only=True):
 
 
 class DesignTrack(Part, frozen=True, kw_only=True):
-    """Where the boat is expected to go, from rest, heading north: before the steps, in them, and after them."""
+    """Predicted track of the boat, from rest and heading north: before, during and after the steps."""
 
-    t: Annotated[Array, Meta(description="since the beginning of the mission [s]")]
+    t: Annotated[Array, Meta(description="time since the beginning of the mission [s]")]
     x: Annotated[Array, Meta(description="north of the start [m]")]
     y: Annotated[Array, Meta(description="east of the start [m]")]
-    radius: Annotated[Array, Meta(description="95 % of the sampled boats are within it [m]")]
+    radius: Annotated[Array, Meta(description="radius around the track that contains 95 % of the sampled boats [m]")]
     others: Annotated[tuple[Array, ...], Meta(description="tracks (n, 2) of sampled boats: north, east [m]")]
-    inside: Annotated[float | None, Meta(description="share of them that kept to the area; null without one")]
-    corner: Annotated[tuple[float, float] | None, Meta(description="south-west corner of the area from the start [m]")]
-    area: Annotated[tuple[float, float] | None, Meta(description="north by east [m]")]
-    current: Annotated[float, Meta(description="the largest that they meet [m/s]")]
-    rest: Annotated[float, Meta(description="before the steps [s]")] = 0.0
-    coasting: Annotated[float, Meta(description="without thrust after the steps [s]")] = 0.0
+    inside: Annotated[
+        float | None, Meta(description="share of the sampled boats that stay inside the area; null: no area was given")
+    ]
+    corner: Annotated[
+        tuple[float, float] | None,
+        Meta(description="south-west corner of the area, relative to the start: north, east [m]"),
+    ]
+    area: Annotated[tuple[float, float] | None, Meta(description="size of the area: north, east [m]")]
+    current: Annotated[float, Meta(description="largest current of the sampled boats [m/s]")]
+    rest: Annotated[float, Meta(description="time at rest before the steps [s]")] = 0.0
+    coasting: Annotated[float, Meta(description="time without thrust after the steps [s]")] = 0.0
 
 
 class Discrimination(Part, frozen=True, kw_only=True):
-    """How far apart the mission puts two effects (`--discriminate`)."""
+    """Discrimination of two effects by the mission (`--discriminate`)."""
 
     effects: tuple[str, str]
-    if_second: Annotated[float, Meta(description="T if the second is true")]
-    if_first: Annotated[float, Meta(description="T if the first is true")]
-    clear: Annotated[bool, Meta(description="both are large enough to tell them apart")]
-    random: Annotated[Array, Meta(description="T of random missions")]
+    if_second: Annotated[float, Meta(description="criterion T if the second effect is true")]
+    if_first: Annotated[float, Meta(description="criterion T if the first effect is true")]
+    clear: Annotated[bool, Meta(description="whether both are large enough to distinguish the effects")]
+    random: Annotated[Array, Meta(description="criterion T of random missions")]
 
 
 class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="design"):
-    """`seatrial mission design`: the mission that tells most about a model."""
+    """`seatrial mission design`: the most informative mission for a model."""
 
     model: Annotated[str, Meta(description="file or name of the model")]
     criterion: Annotated[str, Meta(description="`D`, `A`, `E` or `Ds`")]
-    chosen: Annotated[tuple[str, ...], Meta(description="parameters that the criterion is of")]
-    form: Annotated[str, Meta(description="of the information: `prediction error` or `output error`")]
-    value: Annotated[float, Meta(description="of the criterion")]
-    evaluations: Annotated[int, Meta(description="simulations that the search took")]
+    chosen: Annotated[tuple[str, ...], Meta(description="parameters that the criterion includes")]
+    form: Annotated[str, Meta(description="kind of Fisher information: `prediction error` or `output error`")]
+    value: Annotated[float, Meta(description="value of the criterion")]
+    evaluations: Annotated[int, Meta(description="number of simulations in the search")]
     parameters: tuple[DesignedParameter, ...]
     baselines: tuple[Baseline, ...]
-    baseline: Annotated[str, Meta(description="the best of the baseline signals")]
-    limited: Annotated[bool, Meta(description="the design had to keep to limits, which baseline signals do not")]
-    samples: Annotated[dict[str, Array], Meta(description="by input, the criterion at 1000 samples of the parameters")]
+    baseline: Annotated[str, Meta(description="name of the best baseline signal")]
+    limited: Annotated[bool, Meta(description="whether the design had limits; baseline signals ignore limits")]
+    samples: Annotated[
+        dict[str, Array], Meta(description="for each signal, the criterion at 1000 samples of the parameters")
+    ]
     share_won: Annotated[float, Meta(description="share of the samples in which the design is best")]
     inputs: tuple[CommandTrace, ...]
     track: Annotated[DesignTrack | None, Meta(description="null: the model has no position")]
-    apart: Annotated[Discrimination | None, Meta(description="null: two effects were not named")] = None
-    rates: Annotated[
-        dict[str, float], Meta(description="by sensor [Hz], on which the errors rest; empty: an older file")
-    ] = msgspec.field(default_factory=dict)
+    apart: Annotated[Discrimination | None, Meta(description="null: `--discriminate` was not given")] = None
+    rates: Annotated[dict[str, float], Meta(description="assumed rate of each sensor [Hz]; empty in older files")] = (
+        msgspec.field(default_factory=dict)
+    )
 
     @property
     def margin(self) -> float:
-        """Criterion of the design less that of the best baseline signal; negative: the design is worse."""
+        """Criterion of the design less that of the best baseline signal; negative if the design is worse."""
         return self.value - max(b.value for b in self.baselines)
 
 
-APART = 0.4  # a fit starts within a factor exp(+-APART) of the truth
-BIAS, COVERAGE, VARIANCE = 0.15, (0.93, 0.97), 0.1  # what is wanted
-MOST_LOST = 0.05  # share of the replicates that may fail or not converge: what is left is no fair sample beyond it
+APART = 0.4  # initial values of a fit are within a factor exp(+-APART) of the truth
+BIAS, COVERAGE, VARIANCE = 0.15, (0.93, 0.97), 0.1  # aims of a study: |bias| / sd, coverage, |variance ratio - 1|
+MOST_LOST = 0.05  # share of the replicates that may fail or not converge; with more, the others are a biased sample
 AIMS = {"bias": (-BIAS, BIAS), "ratio": (1.0 - VARIANCE, 1.0 + VARIANCE), "coverage": COVERAGE}
 
 
 class ParameterStudy(Part, frozen=True, kw_only=True):
-    """Bias, variance and coverage of a parameter in the coordinate in which the estimator moves; intervals are 95 %."""
+    """Bias, variance and coverage of a parameter, in the coordinate of the estimator; intervals are 95 %."""
 
     name: str
     unit: str
-    truth: Annotated[float, Meta(description="the value that was simulated")]
-    n: Annotated[int, Meta(description="estimates with an interval")]
-    at_bound: Annotated[int, Meta(description="of them, those at their bound")]
-    sd: Annotated[float, Meta(description="of the estimates")]
-    bias: Annotated[float, Meta(description="in `sd`")]
+    truth: Annotated[float, Meta(description="true value of the simulation")]
+    n: Annotated[int, Meta(description="number of estimates with an interval")]
+    at_bound: Annotated[int, Meta(description="number of these estimates that are at a bound")]
+    sd: Annotated[float, Meta(description="standard deviation of the estimates")]
+    bias: Annotated[float, Meta(description="bias of the estimates, in units of `sd`")]
     bias_error: Annotated[float, Meta(description="standard error of `bias`")]
-    ratio: Annotated[float, Meta(description="variance of the estimates over the one that the fits reported")]
+    ratio: Annotated[float, Meta(description="variance of the estimates / variance that the fits report")]
     ratio_low: float
     ratio_high: float
-    bound_ratio: Annotated[
-        float, Meta(description="variance over the Cramer-Rao bound, or over the least variance near bounds")
-    ]
+    bound_ratio: Annotated[float, Meta(description="variance / Cramér-Rao bound, or / least variance near bounds")]
     bound_ratio_low: float
     bound_ratio_high: float
-    coverage: Annotated[float, Meta(description="share of the 95 % intervals that hold the truth, 0..1")]
+    coverage: Annotated[float, Meta(description="share of the 95 % intervals that contain the truth, 0..1")]
     coverage_low: float
     coverage_high: float
     misses: Annotated[
         tuple[str, ...],
-        Meta(description="what is beyond the aim: `bias`, `variance`, `coverage`; `(chance?)`: perhaps by chance"),
+        Meta(description="missed aims: `bias`, `variance`, `coverage`; `(chance?)`: possibly by chance"),
     ]
 
 
 class ModelStudy(Part, frozen=True, kw_only=True):
-    """Replicates of one model: simulated, estimated, and compared with the truth."""
+    """Monte Carlo study of one model: replicates are simulated, estimated and compared with the truth."""
 
     model: str
-    about: Annotated[str, Meta(description="the mission")]
+    about: Annotated[str, Meta(description="description of the mission")]
     method: Annotated[Literal["PE", "OE"], Meta(description="prediction error or output error")]
-    estimator: Annotated[str, Meta(description="in words")]
+    estimator: Annotated[str, Meta(description="description of the estimator")]
     replicates: int
     failed: int
     unconverged: int
@@ -470,18 +517,18 @@ class ModelStudy(Part, frozen=True, kw_only=True):
 
     @property
     def left_out(self) -> str:
-        """Replicates that the statistics leave out, in words; empty where they have them all."""
-        counted = ((self.failed, "failed"), (self.unconverged, "did not converge"))
-        return " and ".join(f"{n} {what}" for n, what in counted if n)
+        """Replicates that the statistics leave out, in words; empty if there are none."""
+        counts = ((self.failed, "failed"), (self.unconverged, "did not converge"))
+        return " and ".join(f"{n} {reason}" for n, reason in counts if n)
 
     @property
     def too_many_left_out(self) -> bool:
-        """Whether so many are left out that the others are no fair sample."""
+        """Return whether so many replicates are left out that the others are a biased sample."""
         return self.failed + self.unconverged > MOST_LOST * self.replicates
 
 
 class StudyResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="study"):
-    """`seatrial ident study`: does the estimator keep its promises?"""
+    """`seatrial ident study`: Monte Carlo study of bias, variance and coverage of the estimator."""
 
     seed: int
-    studies: Annotated[tuple[ModelStudy, ...], Meta(description="one a model")]
+    studies: Annotated[tuple[ModelStudy, ...], Meta(description="one for each model")]

@@ -1,4 +1,4 @@
-"""A diagnosis as a result: the answer in a sentence, and the evidence."""
+"""Builder of the result of a diagnosis: the answer in sentences, and the evidence in tables."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ from seatrial.ident.results.tables import (
     tracks,
 )
 
-MOST_CANDIDATES = 24  # of a round that are reported
-HARDLY = 1e-6  # p value of a score test that a data set with nothing missing may well bring forth
+MOST_CANDIDATES = 24  # candidates of a round that are reported
+CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
 
 def diagnosis_result(
@@ -63,11 +63,23 @@ def diagnosis_result(
     model_path: str,
     unused: Sequence[parts.UnusedSignal] = (),
 ) -> DiagnosisResult:
-    """``notes``: that come first; ``unused``: signals that the model does not take;
-    ``model_path``: of the model that was diagnosed, for the commands that are
-    recommended."""
+    """Return the result of a diagnosis and its evaluation.
+
+    Parameters
+    ----------
+    made : Provenance
+        Logs, command line, time and software version.
+    warnings : sequence of ResultWarning
+        Warnings of the final fit.
+    notes : sequence of str
+        Lines that precede the other notes of the result.
+    model_path : str
+        File of the diagnosed model, which replaces MODEL in the recommended command.
+    unused : sequence of UnusedSignal
+        Signals of the logs that the model does not use.
+    """
     before, after = evaluation.before, evaluation.after
-    other, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
+    with_effects, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
     factors = {s.unit: reported.factor(s.unit) for s in diagnosis.shapes}
     errors, role = error_tables(after, before, evaluation.changes), after.judged
     prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
@@ -115,8 +127,8 @@ def diagnosis_result(
         traces=traces(after, before if diagnosis.effects else None),
         track=tracks(after, before if diagnosis.effects else None),
         inputs=all_inputs(after),
-        residuals=residual_rows(before, other),
-        cross=cross_correlations(before, other),
+        residuals=residual_rows(before, with_effects),
+        cross=cross_correlations(before, with_effects),
         unused_signals=tuple(unused),
         residual_forces=_forces(diagnosis, evaluation),
         rounds=tuple(_round(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
@@ -144,60 +156,64 @@ def diagnosis_result(
 
 
 def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | None, horizon: float) -> str:
-    """What is missing, how the prediction over the horizon [s] changes with it, and what validated it."""
-    said = [_found(diagnosis, prediction)]
+    """Return the answer: the missing effects, the change of the prediction errors, and the kind of validation.
+
+    ``horizon`` is in s.
+    """
+    sentences = [_found(diagnosis, prediction)]
     if diagnosis.effects and prediction is not None:
-        said.append(change_sentence(prediction, horizon))
+        sentences.append(change_sentence(prediction, horizon))
     if diagnosis.cross_validated:
-        said.append(
-            "Validated without a run of its own: blocks in time of the estimation data, each predicted by the fit to "
-            "the others."
+        sentences.append(
+            "Validated without separate runs, by blocked cross-validation: each block in time of the estimation data "
+            "is predicted by the fit to the others."
         )
-    return " ".join(said)
+    return " ".join(sentences)
 
 
 def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> str:
-    """What is missing, in a sentence or two."""
+    """Return one or two sentences on the missing effects, or on why no effect was found."""
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
     if diagnosis.mismatches:
-        quiet = "" if diagnosis.rounds else f" {_too_short(diagnosis) or 'In the estimation data no effect is seen.'}"
+        quiet = "" if diagnosis.rounds else f" {_too_short(diagnosis) or 'No effect was found in the estimation data.'}"
         return f"{' '.join(mismatch_sentence(m) for m in reported_mismatches(diagnosis))}{quiet}"
     if not diagnosis.rounds:
         return _too_short(diagnosis) or (
-            "Nothing is missing: no effect in the catalogue, and no unknown one, is seen in these data."
+            "No effect is missing: the data show neither an effect of the catalogue nor a nonparametric one."
         )
-    one = diagnosis.rounds[-1]
+    last = diagnosis.rounds[-1]
     if diagnosis.untested:
         titles = _listed([u.effect.title for u in diagnosis.untested])
-        return f"No effect is confirmed, but what may be missing could not be fitted: {titles}."
-    if seen := [r.effect.title for r in diagnosis.removed if r.immaterial]:
-        do = "explains" if len(seen) == 1 else "explain"
+        return f"No effect is confirmed, but candidates that may be missing could not be fitted: {titles}."
+    if immaterial := [r.effect.title for r in diagnosis.removed if r.immaterial]:
+        do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
         return (
-            f"Nothing is missing that matters to the prediction: {_listed(seen)} {do} a part of the residuals one step "
-            "ahead, and the prediction is as good without."
+            f"No effect is missing that matters to the prediction: {_listed(immaterial)} {do} a part of the residuals "
+            f"one step ahead, but the prediction is as good without {them}."
         )
-    why = "what was added does not pay for itself" if one.chosen is not None else one.why  # and was removed
-    if min(s.p for s in one.scores) > HARDLY:
-        return f"Nothing is missing that these data can show: {_passed(one)} passed the first test, but {why}."
-    return f"The residuals are not what the model predicts, but no candidate explains them: {why}."
+    # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
+    why = "the validation data do not support the effects that were added" if last.chosen is not None else last.why
+    if min(s.p for s in last.scores) > CHANCE_P:
+        return f"The data show no missing effect: {_passed(last)} passed the score test, but {why}."
+    return f"The residuals contradict the model, but no candidate explains them: {why}."
 
 
 def _too_short(diagnosis: Diagnosis) -> str:
-    """What could not be tested; empty where all could."""
+    """Return the sentence on data that are too short to test all candidates; empty if all were tested."""
     short = diagnosis.short
     return (
         ""
         if short is None
         else (
-            f"No effect is seen, but {short.seconds:.0f} s of estimation data are too short to test "
+            f"No effect was found, but {short.seconds:.0f} s of estimation data are too short to test "
             f"{short.untestable} of {short.candidates} candidates: give {short.needed:.0f} s or more."
         )
     )
 
 
 def reported_mismatches(diagnosis: Diagnosis) -> list[ValidationMismatch]:
-    """With what would explain them in units of the thrust where its scale is unknown."""
+    """Return the mismatches of validation runs in reported units: ratios to the thrust if its scale is unknown."""
     return [
         m if m.shift is None else replace(m, shift=_reported_shift(m.shift, ReportedEstimates(diagnosis.after.fit)))
         for m in diagnosis.mismatches
@@ -205,7 +221,10 @@ def reported_mismatches(diagnosis: Diagnosis) -> list[ValidationMismatch]:
 
 
 def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> ParameterShift:
-    """The run was fitted with all else kept, the thrust too: its errors are of this parameter alone."""
+    """Convert the shift of a parameter to reported units.
+
+    The errors need no delta method: the thrust was held while this parameter alone was fitted to the run.
+    """
     k, scale = reported.factor(shift.unit), reported.scale
     return replace(
         shift, name=scale.name(shift.name, shift.unit), unit=scale.unit(shift.unit), fitted=k * shift.fitted,
@@ -214,20 +233,21 @@ def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> Param
 
 
 def mismatch_sentence(m: ValidationMismatch) -> str:
-    """Return the sentence on a validation run whose errors exceed the model's, and the shift that explains it."""
+    """Return the sentence on a run with larger errors than predicted, and on the parameter change that explains it."""
     name = NAMES.get(m.channel, m.channel)
-    said = (
-        f"The model does not hold in {m.record}: its errors one step ahead are {m.scale:.2g} times what the model says "
+    mismatch = (
+        f"The model does not hold in {m.record}: its errors one step ahead are {m.scale:.2g} times the predicted ones "
         f"({name})"
     )
     shift = m.shift
     if shift is None:
-        return f"{said}."
+        return f"{mismatch}."
     value = f"{shift.value:.4g} ± {shift.value_error:.2g} {shift.unit}".rstrip()
-    return f"{said}; {shift.name} = {value} in that run, not {shift.fitted:.4g}, would explain it best."
+    return f"{mismatch}. The best explanation is {shift.name} = {value} in that run, instead of {shift.fitted:.4g}."
 
 
 def _mismatch(m: ValidationMismatch) -> parts.ValidationMismatch:
+    """Return the table row of a validation run with larger errors than predicted."""
     found = parts.ValidationMismatch(record=m.record, channel=m.channel, scale=m.scale)
     if m.shift is None:
         return found
@@ -241,49 +261,61 @@ def _mismatch(m: ValidationMismatch) -> parts.ValidationMismatch:
     )
 
 
-def _passed(one: Round) -> str:
-    """Which candidates passed the score tests, in few words."""
-    titles = {r.effect.name: r.effect.title for r in one.refits}
-    names = [titles.get(name, name) for name in one.passed]
+def _passed(last: Round) -> str:
+    """Return the candidate that passed the score test of a round, or the number of such candidates."""
+    titles = {r.effect.name: r.effect.title for r in last.refits}
+    names = [titles.get(name, name) for name in last.passed]
     return names[0] if len(names) == 1 else f"{len(names)} candidates"
 
 
 def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
-    """The beginning of the answer: names that are sure, then likenesses, then what has no name, unless that leads.
-    ``fell``: the prediction error over the horizon did; a curve without a name, whose only story is its prediction, is
-    else no more than a likeness."""
+    """Return the beginning of the answer: identified, then ambiguous, then nonparametric effects.
+
+    A nonparametric effect comes first if it is the most important one. ``fell`` is whether the prediction error over
+    the horizon fell. If it did not fall, a nonparametric curve is only said to resemble the missing effect, because
+    its prediction is the only evidence for a curve.
+    """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
     for r, judged in zip(diagnosis.effects, diagnosis.judgements, strict=True):
         titles[judged.attribution].append(r.effect.title)
-    sure, alike, unknown = titles.values()
-    if unknown and diagnosis.judgements[0].attribution == "nonparametric":
-        found = f"{'The model lacks' if fell else 'What the model lacks resembles'} {_listed(unknown)}"
-        rest = [*sure, *(f"something that resembles {title}" for title in alike)]
-        return f"{found}, and beside it {_listed(rest)}" if rest else found
-    if sure and alike:
-        found = f"The model lacks {_listed(sure)}, and something that resembles {_listed(alike)}"
-    elif sure:
-        found = f"The model lacks {_listed(sure)}"
+    identified, ambiguous, nonparametric = titles.values()
+    if nonparametric and diagnosis.judgements[0].attribution == "nonparametric":
+        found = f"The model lacks {_listed(nonparametric)}" if fell else _resembles(nonparametric)
+        rest = [*identified, *(f"an effect that resembles {title}" for title in ambiguous)]
+        return f"{found}, and also {_listed(rest)}" if rest else found
+    if identified and ambiguous:
+        found = f"The model lacks {_listed(identified)}, and an effect that resembles {_listed(ambiguous)}"
+    elif identified:
+        found = f"The model lacks {_listed(identified)}"
     else:
-        found = f"What the model lacks resembles {_listed(alike)}"
-    return f"{found}, and beside it {_listed(unknown)}" if unknown else found
+        found = _resembles(ambiguous)
+    return f"{found}, and also {_listed(nonparametric)}" if nonparametric else found
+
+
+def _resembles(titles: Sequence[str]) -> str:
+    """Return the beginning of an answer that is about ambiguous effects only."""
+    missing = "The missing effect resembles" if len(titles) == 1 else "The missing effects resemble"
+    return f"{missing} {_listed(titles)}"
 
 
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
-    """Why a name is not sure, and that the search could have gone on; None where neither is so."""
+    """Return why the name of an effect is uncertain, and whether --max-effects ended the search; None if neither."""
     reasons = [reason for j in diagnosis.judgements if j.attribution == "ambiguous" for reason in j.reasons]
-    said = [f"The name is not sure: {reasons[0]}."] if reasons else []
+    sentences = [f"The name is uncertain: {reasons[0]}."] if reasons else []
     if diagnosis.left and diagnosis.untried:
-        many = counted(sum(one.chosen is not None for one in diagnosis.rounds), "effect")
-        said.append(f"The search ended with {many}, as many as --max-effects allows; not tried: {_left(diagnosis)}.")
-    return " ".join(said) or None
+        many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
+        limit = "the limit set by --max-effects"
+        sentences.append(f"The search ended with {many}, {limit}; not tried: {_left(diagnosis)}.")
+    return " ".join(sentences) or None
 
 
 def _listed(titles: Sequence[str]) -> str:
+    """Join titles by commas and a final "and"."""
     return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
 
 
 def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
+    """Return the smoothed disturbance forces without and, if effects were added, with the effects."""
     before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
     changed = bool(diagnosis.effects)
     return tuple(
@@ -302,7 +334,7 @@ def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[part
 
 
 def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
-    """Of a search in which nothing passed: all that was tested."""
+    """Return the round of a search in which no candidate passed, with all its score tests."""
     tested = _round(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
     if (short := diagnosis.short) is not None:
@@ -310,10 +342,11 @@ def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
     return msgspec.structs.replace(tested, why=why)
 
 
-def _round(one: Round) -> parts.Round:
-    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in one.refits}
-    ranked = sorted(one.scores, key=lambda s: -s.lm / max(s.df, 1))
-    best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in one.passed]
+def _round(search_round: Round) -> parts.Round:
+    """Return the table of one round: the best candidates, the refits and the choice."""
+    titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
+    ranked = sorted(search_round.scores, key=lambda s: -s.lm / max(s.df, 1))
+    best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in search_round.passed]
     return parts.Round(
         candidates=tuple(
             parts.Candidate(
@@ -325,22 +358,24 @@ def _round(one: Round) -> parts.Round:
                 p_block=finite(s.p_block),
                 generic=s.generic,
                 threshold=s.threshold,
-                passed=s.name in one.passed,
+                passed=s.name in search_round.passed,
             )
             for s in best
         ),
-        tested=len(one.scores),
-        passed=len(one.passed),
-        refits=tuple(_refit(r) for r in one.refits),
+        tested=len(search_round.scores),
+        passed=len(search_round.passed),
+        refits=tuple(_refit(r) for r in search_round.refits),
         untested=tuple(
-            parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason) for u in one.untested
+            parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason)
+            for u in search_round.untested
         ),
-        chosen=one.chosen.effect.name if one.chosen else None,
-        why=one.why,
+        chosen=search_round.chosen.effect.name if search_round.chosen else None,
+        why=search_round.why,
     )
 
 
 def _refit(r: Refit) -> parts.Refit:
+    """Return the table of one refit."""
     return parts.Refit(
         name=r.effect.name,
         title=r.effect.title,
@@ -356,7 +391,10 @@ def _refit(r: Refit) -> parts.Refit:
 
 
 def _own(r: Refit, stage: FittedModel) -> tuple[parts.EffectParameter, ...]:
-    """The estimates of an effect's parameters; of what differs between runs, how much more than in the first run."""
+    """Return the estimates of an effect's parameters.
+
+    For an effect that differs between runs, return the differences from the first run.
+    """
     reported, rows = ReportedEstimates(stage.fit), []
     for p in r.effect.parameters:
         runs = stage.fit.records if p.per_record else ("",)
@@ -374,9 +412,13 @@ def _own(r: Refit, stage: FittedModel) -> tuple[parts.EffectParameter, ...]:
 
 
 def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
-    """Each effect with its estimate in the final model and its importance, the most important first."""
+    """Return the added effects with their estimates in the final model and their importance, the largest first."""
     rows = []
-    rounds = {one.chosen.effect.name: one for one in diagnosis.rounds if one.chosen is not None}
+    rounds = {
+        search_round.chosen.effect.name: search_round
+        for search_round in diagnosis.rounds
+        if search_round.chosen is not None
+    }
     for r, judged, weight in zip(diagnosis.effects, diagnosis.judgements, diagnosis.weights, strict=True):
         e = r.effect
         rows.append(
@@ -406,6 +448,7 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
 
 
 def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
+    """Return the shared free parameters of the model before and after the effects were added."""
     before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
     scale, rows = before.scale, []
     for p in before.fit.model.parameters:
@@ -425,58 +468,63 @@ def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
 
 
 def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
-    said = [f"Not tested, as it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
-    said += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.refused]
-    said += [
-        f"What {r.effect.title} is worth beside the others is not known, as the model without it could not be fitted: "
+    """Return warnings about candidates and effects that could not be tested."""
+    texts = [f"Not tested, because it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
+    texts += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.refused]
+    texts += [
+        f"The importance of {r.effect.title} is unknown, because the model without it could not be fitted: "
         f"{w.untested}."
         for r, w in zip(diagnosis.effects, diagnosis.weights, strict=True)
         if w.untested is not None
     ]
-    found = [parts.ResultWarning(code="effect-untested", text=text) for text in said]
+    found = [parts.ResultWarning(code="effect-untested", text=text) for text in texts]
     if diagnosis.undrawn is not None:
-        text = f"No curve in place of {diagnosis.undrawn}."
+        text = f"No nonparametric curve could be fitted in place of {diagnosis.undrawn}."
         found.append(parts.ResultWarning(code="curve-not-drawn", text=text))
     return found
 
 
 def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
+    """Return the note on validation runs that are predicted in blocks, because effects have per-record parameters."""
     if not evaluation.in_blocks:
         return []
     titles = [e.title for e in evaluation.in_blocks]
-    have = "has parameters of its own" if len(titles) == 1 else "have parameters of their own"
+    have = "has" if len(titles) == 1 else "have"
     return [
-        f"The validation runs are predicted in blocks of time, each with the estimates of the run's other blocks: "
-        f"{_listed(titles)} {have} for each run."
+        f"The validation runs are predicted in blocks of time, each with the estimates from the other blocks of its "
+        f"run, because {_listed(titles)} {have} separate parameters for each run."
     ]
 
 
-def _not_paying(removed: RemovedEffect) -> str:
+def _removal_reason(removed: RemovedEffect) -> str:
+    """Return why an effect was removed by backward elimination."""
     if removed.immaterial:
         return "the prediction is as good without it"
-    return "beside the other effects it does not pay on the validation data"
+    return "with the other effects in the model, the validation data do not support it"
 
 
 def _left(diagnosis: Diagnosis) -> str:
+    """List the first candidates that still pass the score test."""
     return ", ".join(s.name for s in diagnosis.left[:4])
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:
+    """Return the notes on remaining candidates, removed effects, mismatches and flagged parameters."""
     notes = []
     if diagnosis.left and not diagnosis.untried:
         if diagnosis.effects:
-            notes.append(f"After the last effect these tests still pass: {_left(diagnosis)}.")
+            notes.append(f"Candidates that still pass the score test after the last effect: {_left(diagnosis)}.")
         elif diagnosis.removed:
-            notes.append(f"Of the model without effects these tests pass: {_left(diagnosis)}.")
+            notes.append(f"Candidates that pass the score test of the model without effects: {_left(diagnosis)}.")
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].why
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [
-        f"{r.effect.title} was added and removed again: {_not_paying(r)} (d ln L of the validation data "
+        f"{r.effect.title} was added and removed again: {_removal_reason(r)} (d ln L of the validation data "
         f"{r.validation_gain:.0f}, t = {r.t:.1f})."
         for r in diagnosis.removed
     ]
     if diagnosis.effects:
         notes += [mismatch_sentence(m) for m in reported_mismatches(diagnosis)]
-    notes += [f"{name}: {what}" for name, what in diagnosis.after.fit.flags]
+    notes += [f"{name}: {flag}" for name, flag in diagnosis.after.fit.flags]
     return notes

@@ -1,7 +1,7 @@
-"""Results as files: the only functions that know JSON.
+"""Reader and writer of result.json.
 
-A result is a frozen ``Result``, filled once by a workflow. ``write_result`` and ``read_result`` are inverse: arrays
-become lists, NaN and infinity become null, numbers keep seven significant digits but where a part is ``exact``; a
+A result is a frozen ``Result`` that a workflow fills once. ``read_result`` inverts ``write_result``. Arrays become
+lists, and NaN and infinity become null. Numbers keep seven significant digits, except in tables that are ``exact``. A
 missing, misspelt or mistyped key is an error that names its path.
 """
 
@@ -20,8 +20,8 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
 from seatrial.ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
 
-DIGITS = 7  # significant, of a number in a file
-EXACT = 22  # powers of ten are exact up to there
+DIGITS = 7  # significant digits of a number in a file
+EXACT_POWER = 22  # powers of ten up to this exponent are exact in float64
 
 AnyResult = (
     VehicleResult
@@ -37,12 +37,18 @@ AnyResult = (
 
 
 def to_json(result: Part) -> bytes:
-    """A result as JSON; UTF-8."""
+    """Return a result as JSON in UTF-8."""
     return msgspec.json.encode(_plain(result))
 
 
 def write_result(result: Part, path: Path) -> None:
-    """Write a result as JSON. Raises SeatrialError where the file cannot be written."""
+    """Write a result as JSON.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be written.
+    """
     try:
         write_output(path, to_json(result))
     except OSError as problem:
@@ -50,14 +56,25 @@ def write_result(result: Part, path: Path) -> None:
 
 
 def from_json(content: bytes) -> AnyResult:
-    """The inverse of ``to_json``, by the key ``kind``. Raises msgspec.DecodeError with the path of the key that is
-    missing, misspelt or mistyped."""
+    """Decode the JSON of ``to_json``; the key ``kind`` selects the type.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        If a key is missing, misspelt or mistyped; the message contains its path.
+    """
     found: AnyResult = msgspec.json.decode(content, type=AnyResult, dec_hook=_decode)
     return found
 
 
 def read_result(path: Path | str) -> AnyResult:
-    """Read a result.json. Raises SeatrialError with the path of the key that is missing, misspelt or mistyped."""
+    """Read a result.json.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read, or if a key is missing, misspelt or mistyped; the message contains its path.
+    """
     path = Path(path)
     try:
         return from_json(path.read_bytes())
@@ -66,15 +83,18 @@ def read_result(path: Path | str) -> AnyResult:
 
 
 def _decode(kind: Any, value: Any) -> Any:
-    """Arrays: the only type that msgspec does not know; null becomes NaN."""
+    """Decode an array, the only type that msgspec does not decode itself; null becomes NaN."""
     if not isinstance(value, list):
         raise ValueError(f"expected a list of numbers, got {type(value).__name__}")
     return np.array(value, dtype=np.float64)
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has: parts as objects, arrays as lists; numbers to so many significant digits, NaN and infinity as
-    None."""
+    """Convert a value to JSON types.
+
+    Tables become objects and arrays become lists. Numbers are rounded to ``DIGITS`` significant digits. NaN and
+    infinity become None.
+    """
     if isinstance(value, Part) and value.exact:
         return msgspec.structs.asdict(value)
     if isinstance(value, Part):
@@ -82,7 +102,8 @@ def _plain(value: Any) -> Any:
         kind = {} if config.tag is None else {str(config.tag_field): config.tag}
         return kind | {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
     if isinstance(value, np.ndarray):
-        return msgspec.Raw(msgspec.json.encode(_rounded(value)))  # a list of Python numbers takes three times as much
+        # Encoded here, because a list of Python numbers takes three times the memory.
+        return msgspec.Raw(msgspec.json.encode(_rounded(value)))
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
@@ -95,11 +116,14 @@ def _plain(value: Any) -> Any:
 
 
 def _rounded(value: Array) -> Any:
-    """As ``_plain``, all at once: traces are a million numbers."""
+    """Round an array to ``DIGITS`` significant digits and convert it to lists; NaN and infinity become None.
+
+    The rounding is vectorised, because the traces of a result may contain a million numbers.
+    """
     finite = np.isfinite(value)
     exact = np.where(finite, value, 0.0).astype(np.float64)
     digits = DIGITS - 1 - np.floor(np.log10(np.where(exact != 0, np.abs(exact), 1.0)))
-    far = np.abs(digits) > EXACT
+    far = np.abs(digits) > EXACT_POWER
     digits = np.where(far, 0, digits)
     up, down = 10.0 ** np.maximum(digits, 0), 10.0 ** np.maximum(-digits, 0)
     found = np.round(exact * up / down) / up * down

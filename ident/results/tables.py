@@ -1,4 +1,4 @@
-"""From fits and evaluations to the tables of a result: copies of what was computed, no computing."""
+"""Converters from fits and evaluations to the tables of a result; they copy numbers and compute none."""
 
 from __future__ import annotations
 
@@ -53,22 +53,22 @@ from seatrial.ident.validation import (
     shown_inputs,
 )
 
-NONE = HorizonPrediction(*(np.zeros(0),) * 3)  # of a channel without a sample after the horizon
+NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # of a channel without a sample after the horizon
 
 
 def finite(value: float | None) -> float | None:
-    """None for what is no number."""
+    """Return the value, or None for NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def format_number(value: float) -> str:
-    """Two digits for a sentence: 113, 8.4, 0.66."""
-    # What two digits round up to a hundred is a hundred: 99.6 has no exponent.
+    """Format a number with two significant digits, or as an integer from 100: 113, 8.4, 0.66."""
+    # From 99.5: with two digits, 99.6 would be printed with an exponent.
     return f"{value:.0f}" if abs(value) >= 99.5 else f"{value:#.2g}".rstrip(".")
 
 
 def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
-    """What every result says of where it came from."""
+    """Return the provenance of a result: time, software version, command line and logs."""
     return Provenance(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seatrial=version("seatrial"),
@@ -78,8 +78,15 @@ def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
 
 
 def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None = None) -> FitSummary:
-    """Parameters with errors, correlation, how the estimate went; ``start``: values that the search began with;
-    ``calibration``: on the bench, relative standard uncertainty of the measured force, which joins the errors."""
+    """Return the summary of a fit: parameters with standard errors, correlation and convergence.
+
+    Parameters
+    ----------
+    start : mapping of str to float
+        Initial values of the parameters.
+    calibration : float, optional
+        On the bench: relative standard uncertainty of the measured force. It is added to the standard errors.
+    """
     flags, reported, rows = dict(fit.flags), ReportedEstimates(fit), []
     scale = reported.scale
     for p in fit.model.parameters:
@@ -136,7 +143,15 @@ def error_tables(
     before: PredictionEvaluation | None = None,
     changes: Mapping[str, validation.PredictionChange] | None = None,
 ) -> Errors:
-    """Errors of a model, beside those of the one ``before``; ``changes``: by role, of those over the horizon."""
+    """Return the RMS prediction errors of a model.
+
+    Parameters
+    ----------
+    before : PredictionEvaluation, optional
+        Evaluation of another model, whose errors are reported beside those of ``after``.
+    changes : mapping, optional
+        Changes of the errors over the horizon, for each role.
+    """
     units = {o.name: o.unit for o in after.model.outputs}
 
     def table(
@@ -159,8 +174,8 @@ def error_tables(
         }
 
     found = {}
-    for role, one in after.sets.items():
-        new, old = one.errors, None if before is None else before.sets[role].errors
+    for role, data in after.sets.items():
+        new, old = data.errors, None if before is None else before.sets[role].errors
         found[role] = ErrorTable(
             one_step=table(new.one_step, old.one_step if old else {}),
             horizon=table(new.horizon, old.horizon if old else {}, None if changes is None else changes[role]),
@@ -170,7 +185,10 @@ def error_tables(
 
 
 def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
-    """How much is predicted over the horizon, on data that the fit has not seen where there are some."""
+    """Return the fit over the horizon on the validation data, or on the estimation data if there are no others.
+
+    None if no channel is predicted over the horizon.
+    """
     found = evaluation.sets[evaluation.judged].explained
     if not found.channels:
         return None
@@ -179,7 +197,7 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
 
 
 def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChange | None:
-    """Change of the errors over the horizon; None where no channel can be compared."""
+    """Return the change of the errors over the horizon; None if no channel can be compared."""
     if not found.channels:
         return None
     return PredictionChange(
@@ -194,7 +212,7 @@ def prediction_change(found: validation.PredictionChange, role: Role) -> Predict
 
 
 def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
-    """Whether the predicted bands are right."""
+    """Return the calibration of the prediction intervals on each set of data."""
 
     def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
         return {
@@ -215,18 +233,20 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
     return Calibrations(
         **{
             role: CalibrationTable(
-                one_step=table(one.calibration.one_step),
-                horizon=table(one.calibration.horizon),
-                simulation=table(one.calibration.simulation),
+                one_step=table(data.calibration.one_step),
+                horizon=table(data.calibration.horizon),
+                simulation=table(data.calibration.simulation),
             )
-            for role, one in evaluation.sets.items()
+            for role, data in evaluation.sets.items()
         }
     )
 
 
 def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Trace, ...]:
-    """Every channel that was measured, its prediction over the horizon and its simulation; ``before``: of another
-    model."""
+    """Return each measured channel with its prediction over the horizon and its simulation.
+
+    ``before`` is the evaluation of another model, whose predictions are added.
+    """
     return tuple(
         Trace(
             record=now.record.name,
@@ -243,17 +263,20 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             t_horizon=far.t,
             horizon=far.y,
             sd_horizon=far.sd,
-            horizon_before=None if then is None else then.horizon.get(o.name, NONE).y,
+            horizon_before=None if then is None else then.horizon.get(o.name, NO_PREDICTION).y,
         )
         for role, now, then in _pairs(after, before)
         for j, o in enumerate(after.model.outputs)
         if (seen := np.isfinite(now.record.y[:, j])).any()
-        for far in [now.horizon.get(o.name, NONE)]
+        for far in [now.horizon.get(o.name, NO_PREDICTION)]
     )
 
 
 def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Track, ...]:
-    """The path of every record with positions; ``before``: of another model."""
+    """Return the measured and the simulated track of each record with positions.
+
+    ``before`` is the evaluation of another model, whose tracks are added.
+    """
     names = [o.name for o in after.model.outputs]
     if "x" not in names:
         return ()
@@ -277,7 +300,7 @@ def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = No
 def _pairs(
     after: PredictionEvaluation, before: PredictionEvaluation | None
 ) -> list[tuple[Role, RecordPrediction, RecordPrediction | None]]:
-    """Every record, estimation first, as predicted by both models."""
+    """Return each record with the predictions of both models, estimation records first."""
     found: list[tuple[Role, RecordPrediction, RecordPrediction | None]] = []
     roles: tuple[Role, ...] = ("estimation", "validation")
     for role in roles:
@@ -288,7 +311,7 @@ def _pairs(
 
 
 def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
-    """The inputs as the model saw them."""
+    """Return the inputs of a record as the model uses them."""
     return tuple(
         InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
         for j, name, unit in shown_inputs(model)
@@ -296,23 +319,26 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 
 
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
-    """The inputs of every record."""
+    """Return the inputs of all records."""
     return tuple(
         row
-        for one in evaluation.sets.values()
-        for prediction in one.records
+        for data in evaluation.sets.values()
+        for prediction in data.records
         for row in record_inputs(evaluation.model, prediction.record)
     )
 
 
 def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | None = None) -> tuple[ResidualTests, ...]:
-    """Whether the residuals are white; ``after``: of another model, beside it."""
+    """Return the whiteness tests of all channels.
+
+    ``after`` is the evaluation of another model, whose tests are added.
+    """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
 
 
 def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> ResidualTests:
-    """Of one channel; ``after``: of another model, beside it."""
+    """Return the whiteness tests of one channel; ``after``: residuals of another model, whose tests are added."""
     return ResidualTests(
         **msgspec.structs.asdict(_whiteness(r)),
         record=r.record,
@@ -327,6 +353,7 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
 
 
 def _whiteness(r: ChannelResiduals) -> WhitenessTests:
+    """Return the whiteness tests of one channel, without its record and lags."""
     return WhitenessTests(
         e=r.e,
         acf=r.tests.acf,
@@ -343,13 +370,16 @@ def _whiteness(r: ChannelResiduals) -> WhitenessTests:
 def cross_correlations(
     before: PredictionEvaluation, after: PredictionEvaluation | None = None
 ) -> tuple[CrossCorrelation, ...]:
-    """Whether the residuals still know the inputs; ``after``: of another model, beside it."""
+    """Return the correlations of the residuals with the inputs.
+
+    ``after`` is the evaluation of another model, whose correlations are added.
+    """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(row for r in before.residuals for row in cross_rows(r, later.get((r.record, r.channel))))
 
 
 def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelation]:
-    """Of one channel with each input; ``after``: of another model, beside it."""
+    """Return the correlations of one channel with each input; ``after``: residuals of another model, to be added."""
     later = {
         c.input: CorrelationTest(z=c.z, p=finite(c.p), largest=finite(c.largest))
         for c in (() if after is None else after.inputs)
@@ -370,7 +400,7 @@ def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> li
 
 
 def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
-    """A profile likelihood, in the units that estimates are reported in."""
+    """Return a profile likelihood in the units in which the estimates are reported."""
     scale, factor = reported.scale, reported.factor(found.unit)
     return ProfileCurve(
         name=scale.name(found.name, found.unit),
@@ -387,7 +417,7 @@ def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
 
 
 def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> HomogeneityTest:
-    """The test in the units that estimates are reported in."""
+    """Convert a homogeneity test to the units in which the estimates are reported."""
     k = reported.factor(a.unit)
     low, high = a.interval
     return replace(
@@ -407,12 +437,12 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
 
 
 def failed_runs(failed: Sequence[estimation.FailedRun]) -> tuple[FailedRun, ...]:
-    """Validation runs that could not be evaluated."""
+    """Return the validation runs that could not be evaluated, with the reasons."""
     return tuple(FailedRun(record=f.record, reason=f.reason) for f in failed)
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
-    """A test of homogeneity."""
+    """Return the table row of a homogeneity test."""
     return Homogeneity(
         name=a.name,
         unit=a.unit,

@@ -1,1 +1,1 @@
-"""The work of one command each, from logs to results."""
+"""Workflows of the ident commands, from logs to results: one module for each command."""

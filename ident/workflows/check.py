@@ -1,4 +1,8 @@
-"""Checks of logs: the page of a finished check, and the checks before a fit, which refuse what would mean nothing."""
+"""Checks of logs: the page of `seatrial check`, and the checks before a fit.
+
+The checks before a fit refuse logs whose faults would make its result meaningless. They also adapt the noise model to
+signals that are filtered or rounded.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +30,20 @@ from seatrial.ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_err
 from seatrial.ident.numerics import rounding_step
 from seatrial.ident.report import write_check_page
 
-LEAST_WHITE = 0.02  # least white noise of an estimator's output, relative to a usual sensor's
-BEGIN = 1.5  # where the search for a noise with a floor begins, times the floor
+LEAST_WHITE = 0.02  # least white noise of a navigation filter's output, relative to that of a usual sensor
+INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the floor
 
 
 def write_check(report: CheckReport, command: str, out: Path) -> None:
-    """Write the page of a check. Raises SeatrialError where a log of it cannot be read, OSError where ``out`` cannot be
-    written."""
+    """Write the page of a check.
+
+    Raises
+    ------
+    SeatrialError
+        If a log of the check cannot be read.
+    OSError
+        If ``out`` cannot be written.
+    """
     name = report.subject if report.rig is not None and len(report.logs) == 1 else ""
     write_check_page(report, [part for path in report.logs for part in log_evidence(path, name)], command, out)
 
@@ -40,10 +51,25 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
 def check_first(
     loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], model: Model, despite_faults: bool
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """The logs of a fit and those that judge it, with what the checks find in each (``about["findings"]``).
+    """Check the estimation logs and the validation logs of a fit.
 
-    The thrusters' sides are those of the model's levers, else of the rig. Raises SeatrialError at the first fault that
-    makes a fit meaningless (frames, signs, units, sides, time, frozen signals), unless ``despite_faults``.
+    Parameters
+    ----------
+    model : Model
+        Its arms give the sides of the thrusters; without arms the rig gives them.
+    despite_faults : bool
+        Whether faults that make a fit meaningless are accepted.
+
+    Returns
+    -------
+    tuple of list of LoadedLog
+        Estimation logs and validation logs, with the findings in ``about["findings"]``.
+
+    Raises
+    ------
+    SeatrialError
+        At the first fault that makes a fit meaningless (frames, signs, units, sides, time, frozen signals), unless
+        ``despite_faults``.
     """
     logs = [*loaded, *unseen]
     copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
@@ -57,47 +83,66 @@ def check_first(
 def with_findings(
     log: LoadedLog, sides: Mapping[str, float], despite_faults: bool, more: Sequence[Finding] = ()
 ) -> LoadedLog:
-    """Return the log with what the checks find in it (``about["findings"]``).
+    """Check a log, and return it with the findings in ``about["findings"]``.
 
-    Parameters:
-        log: loaded with ``device_faults``.
-        sides: thruster -> position to starboard [m].
-        despite_faults: whether a fault that makes a fit meaningless is accepted.
-        more: findings from other checks.
+    Parameters
+    ----------
+    log : LoadedLog
+        Log that was loaded with ``device_faults``.
+    sides : mapping of str to float
+        Position of each thruster to starboard [m].
+    despite_faults : bool
+        Whether a fault that makes a fit meaningless is accepted.
+    more : sequence of Finding
+        Findings from other checks.
 
-    Raises:
-        SeatrialError: the log has such a fault, and it is not accepted.
+    Raises
+    ------
+    SeatrialError
+        If the log has such a fault, and it is not accepted.
     """
     name = log.about["path"]
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
     found = [*log.device_faults, *check_signals(log.own_channels, sides), *more]
-    told = [f for f in found if f.level != OK]
-    refused = [f for f in told if spoils_a_fit(f)]
+    reported = [f for f in found if f.level != OK]
+    refused = [f for f in reported if spoils_a_fit(f)]
     if refused and not despite_faults:
         first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "
         rest = f" ({counted(len(refused) - 1, 'more fault')})" if len(refused) > 1 else ""
         raise SeatrialError(
             f"{name}: {where}{first.text} [{first.code}]{rest}; "
-            f"{first.advice}. `seatrial check` says all; --despite-faults fits it as it is"
+            f"{first.advice}. `seatrial check` lists all findings; --despite-faults fits the log unchanged"
         )
-    rows = [f._asdict() | {"spoils": spoils_a_fit(f)} for f in told]
+    rows = [f._asdict() | {"spoils": spoils_a_fit(f)} for f in reported]
     return replace(log, about=log.about | {"findings": rows})
 
 
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
-    """Thruster -> position to starboard [m]: the model's levers, else the rig's, else what the names say."""
-    levers = {side: model.values[f"y_{side}"] for side in ("left", "right") if f"y_{side}" in model.values}
-    if levers:
-        return levers
+    """Return the position of each thruster to starboard [m].
+
+    The positions are those of the model's arms, else those of the rig, else those that the names left and right mean.
+    """
+    arms = {side: model.values[f"y_{side}"] for side in ("left", "right") if f"y_{side}" in model.values}
+    if arms:
+        return arms
     return {t.name: t.position_m[1] for t in log.rig.thrusters} if log.rig else IMPORTED
 
 
 def with_estimator_errors(
     model: Model, logs: Sequence[LoadedLog], given: Collection[str] = ()
 ) -> tuple[Model, list[str]]:
-    """The model with errors of inertial navigation where the position is an estimator's, and a line that says so.
+    """Add states for navigation errors if the position of a log is the output of a navigation filter.
 
-    given: parameters of which the user said something; who says what the noise of the position is, takes it for white.
+    Parameters
+    ----------
+    given : collection of str
+        Parameters that the user gave. If they include the noise of the position, this noise is taken as white and no
+        states are added.
+
+    Returns
+    -------
+    tuple of Model and list of str
+        The model, and a line about the added states.
     """
     position = next((o.noise for o in model.outputs if o.name == "x" and o.noise), None)
     there = ESTIMATOR_ERROR in {e.name for e in model.effects}
@@ -107,21 +152,28 @@ def with_estimator_errors(
         return model, []
     sensors = [s.name for s in model.sensors]
     line = (
-        f"Position by an estimator (its noise is less than a receiver's): errors of its "
-        f"{', '.join(e.of for e in navigation_errors(sensors))} that last are states; "
+        f"The position is the output of a navigation filter (its noise is less than a receiver's): correlated errors "
+        f"of its {', '.join(e.of for e in navigation_errors(sensors))} are states of the model; "
         f"--fix {position}=... gives white noise instead."
     )
     return model + estimator_error(sensors), [line]
 
 
 def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, list[str]]:
-    """The model with a floor under the noise of smoothed channels, and a line that names them.
+    """Set lower bounds for the noise of smoothed channels.
 
-    A filter's output has errors that last and no noise from sample to sample: a fit that takes it for white estimates
-    next to none, and follows it everywhere. The floor is a usual sensor's noise (``seatrial.ident.models.NOISE``); a
-    small part of it, and not worth a line, where errors that last are states. Nowhere is it less than what rounding
-    does: of a signal in whole centimetres less is estimated, since from sample to sample rounding may change little,
-    and forces follow its steps.
+    Returns
+    -------
+    tuple of Model and list of str
+        The model, and a line with the smoothed channels and their bounds.
+
+    Notes
+    -----
+    The output of a filter has correlated errors and almost no noise from sample to sample. A fit that takes the noise
+    as white estimates it near zero, and the states then follow the filter. The bound is the noise of a usual sensor
+    (``seatrial.ident.models.NOISE``). If correlated errors are states of the model, the bound is a small part of that
+    noise, and no line is returned. The bound is never less than the rounding error of the signal: consecutive rounded
+    samples may be equal, so the noise would be underestimated, and the forces would follow the rounding steps.
     """
     usual, states = {p.name: p.value for p in NOISE.values()}, ESTIMATOR_ERROR in {e.name for e in model.effects}
     lasting = {o.name for s in model.sensors if states and s.name in LASTING for o in s.outputs}
@@ -132,17 +184,21 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
         if o.name in part and o.noise in usual:
             rounded = max((_rounding_error(log.run.channels, o.name) for log in logs), default=0.0)
             least[o.noise] = max(least.get(o.noise, 0.0), part[o.name] * usual[o.noise], rounded)
-    floors = [replace(p, value=max(p.value, BEGIN * least[p.name]), bounds=(least[p.name], INF))
+    floors = [replace(p, value=max(p.value, INITIAL_FACTOR * least[p.name]), bounds=(least[p.name], INF))
               for p in model.parameters if p.free and p.name in least]  # fmt: skip
-    told = {o.noise for o in model.outputs if o.name in smooth}
-    said = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in told)
-    line = f"Smoothed signals ({', '.join(sorted(smooth))}): their noise is not estimated below {said}; --fix gives it."
-    return model.replace_parameters(*floors), [line] if said else []
+    listed = {o.noise for o in model.outputs if o.name in smooth}
+    bounds = ", ".join(f"{p.name} {p.bounds[0]:g} {p.unit}" for p in floors if p.name in listed)
+    signals = ", ".join(sorted(smooth))
+    line = f"Smoothed signals ({signals}): lower bounds of their estimated noise are {bounds}; --fix sets the noise."
+    return model.replace_parameters(*floors), [line] if bounds else []
 
 
 def _rounding_error(channels: Mapping[str, Channel], name: str) -> float:
-    """Standard deviation of the error of a signal in whole steps, which is uniform (Bennett 1948); zero where it has
-    none. A velocity may have them along its way, as of a receiver that tells speed and course."""
+    """Return the standard deviation of the rounding error of a signal; zero if it is not rounded.
+
+    The error is uniform over one step (Bennett 1948). A receiver that reports speed and course rounds the speed, so
+    the steps of a velocity are looked for in its magnitude too.
+    """
     if name not in channels:
         return 0.0
     step = rounding_step(channels[name].value)

@@ -1,4 +1,4 @@
-"""`seatrial mission design`: from a model to mission.toml, its numbers (JSON) and its page."""
+"""Workflow of `seatrial mission design`: from a model to mission.toml, its numbers (JSON) and its page."""
 
 from __future__ import annotations
 
@@ -64,63 +64,83 @@ from seatrial.ident.results import (
 
 N_SHOWN = 24  # sampled tracks on the page
 NAMED = 3  # parameters in the answer
-STEP_S = 5.0  # s, mean length of a step where --steps does not say else
-BEYOND = 0.1  # of the width of a range of validity
-SOME = 0.02  # of the standard deviation of a prior: an effect of less has no size that matters
+STEP_S = 5.0  # s: mean length of a step, unless --steps gives their number
+VALIDITY_MARGIN = 0.1  # of the width of a range of validity, by which signals may leave it without a warning
+NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below it is taken as not found
 
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """What the user asks for, as the options of the command say it."""
+    """Options of an experiment design."""
 
-    duration: float = 600.0
-    steps: int | None = None
+    duration: float = 600.0  # s
+    steps: int | None = None  # number of steps; None: one for each 5 s
     criterion: Kind = "D"
-    chosen: tuple[str, ...] = ()
+    chosen: tuple[str, ...] = ()  # parameters of the criterion; empty: all
     limits: DesignLimits = field(default_factory=DesignLimits)
-    shortest: float = 1.0
-    n_max: float = 1.0
-    slew: float = np.inf
-    rates: Mapping[str, float] = field(default_factory=dict)
-    robust: int = 0
-    spread: float = PRIOR_HALFWIDTH
-    process_noise: bool = True
+    shortest: float = 1.0  # s, length of the shortest step
+    n_max: float = 1.0  # largest command, as a part of full
+    slew: float = np.inf  # slew limit of a command [1/s]
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of each sensor
+    robust: int = 0  # number of parameter samples that the criterion is averaged over; 0: nominal values only
+    spread: float = PRIOR_HALFWIDTH  # relative half-width of the prior, if the model is not a model.toml
+    process_noise: bool = True  # information of prediction error; False: of output error
     seed: int = 1
-    evaluations: int = 20_000
-    between: tuple[str, ...] = ()
-    thrusters: tuple[str, ...] = ()
+    evaluations: int = 20_000  # of the search
+    between: tuple[str, ...] = ()  # two effects to discriminate
+    thrusters: tuple[str, ...] = ()  # names in the rig; empty: those of the model
 
 
-def make_design(source: str, wish: DesignRequest, out: Path, command: str, reporter: Reporter) -> DesignResult:
-    """Search, compare, and write ``out`` (mission.toml) with .json and .html beside it; returns what the JSON holds.
+def make_design(source: str, request: DesignRequest, out: Path, command: str, reporter: Reporter) -> DesignResult:
+    """Design a mission, compare it with baseline signals, and write the mission, its numbers and its page.
 
-    Raises SeatrialError where the model or the wish cannot be used, before anything is written.
+    Parameters
+    ----------
+    source : str
+        A model.toml, a name, or FILE.py:NAME.
+    request : DesignRequest
+        Options of the design.
+    out : Path
+        The mission.toml; a .json and an .html file are written beside it.
+    command : str
+        Command line, for the provenance.
+
+    Returns
+    -------
+    DesignResult
+        Content of the .json file.
+
+    Raises
+    ------
+    SeatrialError
+        If the model or an option cannot be used. No file is written then.
     """
     beside = _free_names(out)
-    task = make_task(source, wish)
-    own = task.actuation.thrusters
-    thrusters = wish.thrusters or own
-    if len(thrusters) != len(own):
+    task = make_task(source, request)
+    model_thrusters = task.actuation.thrusters
+    thrusters = request.thrusters or model_thrusters
+    if len(thrusters) != len(model_thrusters):
         raise SeatrialError(
-            f"a mission for model {task.model.name} commands {len(own)} thrusters ({', '.join(own)}); "
+            f"a mission for model {task.model.name} commands {len(model_thrusters)} thrusters "
+            f"({', '.join(model_thrusters)}); "
             f"--thrusters names {len(thrusters)}"
         )
     idle = Segment("static", np.zeros(1), np.zeros((1, len(thrusters))))
     parse_mission(dump_mission(Mission("names", "mission", tuple(thrusters), (idle,), 1.0)), "--thrusters")
-    task.measure  # noqa: B018  # a wrong --parameters is said before the search
+    task.measure  # noqa: B018  # raises the error of a wrong --parameters before the search
     reporter.progress(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
     apart: Discrimination | None = None
-    if wish.between:
-        made, apart = _between(task, wish, reporter)
+    if request.between:
+        made, apart = _between(task, request, reporter)
     else:
         made = design(
             task,
-            evaluations=wish.evaluations,
-            progress=lambda n, merit: reporter.progress(f"design: {n} simulations, {wish.criterion} {merit:.2f}"),
+            evaluations=request.evaluations,
+            progress=lambda n, merit: reporter.progress(f"design: {n} simulations, {request.criterion} {merit:.2f}"),
         )
     reporter.progress("baseline signals, Monte Carlo, track")
-    found = baseline_signals(task, seed=wish.seed)
-    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=wish.seed)
+    found = baseline_signals(task, seed=request.seed)
+    samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=request.seed)
     track = predicted_track(made)
     best = max(found, key=lambda k: found[k].value)
     fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
@@ -141,8 +161,8 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
         rates={s.name: task.rate(s.name) for s in task.model.sensors},
         warnings=tuple(_warnings(made)),
     )  # fmt: skip
-    title = " against ".join(wish.between) or f"{wish.criterion}-optimal for {', '.join(_chosen(task))}"
-    mission = designed_mission(f"steps, {title}", thrusters, made, track, wish, source, command)
+    title = " against ".join(request.between) or f"{request.criterion}-optimal for {', '.join(_chosen(task))}"
+    mission = designed_mission(f"steps, {title}", thrusters, made, track, request, source, command)
     parse_mission(dump_mission(mission), out)
     save_new_mission(mission, out)
     write_result(result, beside[".json"])
@@ -151,9 +171,12 @@ def make_design(source: str, wish: DesignRequest, out: Path, command: str, repor
 
 
 def _free_names(out: Path) -> dict[str, Path]:
-    """The files beside the mission, by suffix. Raises SeatrialError where one of them, or the mission, has no place."""
+    """Return the paths of the .json and .html files beside the mission.
+
+    Raise SeatrialError if one of the files exists already or cannot be placed there.
+    """
     if out.suffix in (".json", ".html"):
-        raise SeatrialError(f"{out}: is the name of the numbers or of the page beside the mission; give a .toml")
+        raise SeatrialError(f"{out}: this name is that of the numbers or the page beside the mission; give a .toml")
     if not out.parent.is_dir():
         raise SeatrialError(f"{out.parent}: no such folder; the mission cannot be saved there")
     beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
@@ -164,39 +187,40 @@ def _free_names(out: Path) -> dict[str, Path]:
 
 
 def _warnings(made: Design) -> list[ResultWarning]:
-    """What a design rests on that nobody gave, and where it goes beyond what the model was fitted on."""
+    """Return warnings about assumed values of a design, and about signals beyond the range of the fitted data."""
     task = made.task
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
-    said = design_warnings(task.model, task.actuation.full_thrust, pole)
-    known = {**task.fitted_rates, **task.rates}
-    if assumed := [s.name for s in task.model.sensors if s.name not in known]:
+    warnings = design_warnings(task.model, task.actuation.full_thrust, pole)
+    given_rates = {**task.fitted_rates, **task.rates}
+    if assumed := [s.name for s in task.model.sensors if s.name not in given_rates]:
         text = (
-            f"Sensors are taken to measure at {RATE:g} Hz where neither --rate nor the model.toml says else: "
-            f"{', '.join(assumed)}. "
-            "With slower ones a fit will know less."
+            f"The design assumes {RATE:g} Hz for sensors whose rate neither --rate nor the model.toml gives: "
+            f"{', '.join(assumed)}. With slower sensors the standard errors of a fit will be larger."
         )
-        said.append(ResultWarning(code="rates-assumed", text=text))
+        warnings.append(ResultWarning(code="rates-assumed", text=text))
     fitted = {n: task.fitted_rates[n] for n, hz in task.rates.items() if hz > 1.05 * task.fitted_rates.get(n, hz)}
     if fitted:
         rows = ", ".join(f"{n} {hz:.3g} Hz" for n, hz in fitted.items())
         text = (
-            f"--rate is above that of the rows that the model was fitted to ({rows}), whose noise it has. Of a sensor "
-            "that was averaged to them each sample would count as an average: leave its --rate out."
+            f"--rate is above the rate of the rows that the model was fitted to ({rows}), and the model has the noise "
+            "of these rows. If a sensor was averaged over the rows, its samples have more noise: leave its --rate out."
         )
-        said.append(ResultWarning(code="rates-assumed", text=text))
+        warnings.append(ResultWarning(code="rates-assumed", text=text))
     if beyond := beyond_validity(made):
         text = (
-            f"The mission goes beyond what the model was fitted on: {'; '.join(beyond)}. There the track and the "
-            "errors are extrapolated. --n-max or --max-speed keeps it closer."
+            f"The mission leaves the range of the data that the model was fitted to: {'; '.join(beyond)}. Outside, the "
+            "track and the errors are extrapolated. --n-max or --max-speed keeps the mission closer to that range."
         )
-        said.append(ResultWarning(code="beyond-validity", text=text))
-    return said
+        warnings.append(ResultWarning(code="beyond-validity", text=text))
+    return warnings
 
 
 def beyond_validity(made: Design) -> list[str]:
-    """Signals of the model (inputs and states of the nominal boat) that leave the range that its data covered by more
-    than ``BEYOND`` of its width, with both ranges: as those of the data, of inputs from end to end, of states without
-    1 % at each end."""
+    """Return the inputs and states of the nominal boat that leave the range of the fitted data, with both ranges.
+
+    A signal leaves the range if it exceeds it by more than ``VALIDITY_MARGIN`` of its width. As in the fitted data, the
+    range of an input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
+    """
     task = made.task
     if not task.validity:
         return []
@@ -212,7 +236,7 @@ def beyond_validity(made: Design) -> list[str]:
         if name not in reached:
             continue
         least, most = reached[name]
-        room = BEYOND * (high - low)
+        room = VALIDITY_MARGIN * (high - low)
         if least < low - room or most > high + room:
             there = f"{low:.2g} to {high:.2g}{units[name]}"
             found.append(f"{name} {least:.2g} to {most:.2g}{units[name]} (fitted on {there})")
@@ -224,16 +248,30 @@ def designed_mission(
     thrusters: Sequence[str],
     made: Design,
     track: Track | None,
-    wish: DesignRequest,
+    request: DesignRequest,
     source: str,
     command: str,
 ) -> Mission:
-    """The designed steps as a mission, after a segment at rest; numbers to the digits that a person reads."""
+    """Return the designed steps as a mission, after a segment at rest, with numbers of few digits.
+
+    Parameters
+    ----------
+    name : str
+        Name of the mission.
+    thrusters : sequence of str
+        Names of the thrusters in the rig.
+    track : Track or None
+        Predicted track; None if the model has no position.
+    source : str
+        Model that was designed for.
+    """
     levels = made.task.actuation.for_thrusters(made.levels)
     edges = np.round(REST_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
     segments = (
         Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
-        Segment("designed steps", significant(edges[:-1], 6), significant(levels, 6).clip(-wish.n_max, wish.n_max)),
+        Segment(
+            "designed steps", significant(edges[:-1], 6), significant(levels, 6).clip(-request.n_max, request.n_max)
+        ),
     )
     units, model = reported_units(made.task.model), made.task.model
     factors = {name: units.factor(model.parameter(name).unit) for name in made.task.learned}
@@ -253,55 +291,63 @@ def designed_mission(
         tuple(thrusters),
         segments,
         float(edges[-1]),
-        n_max=wish.n_max,
-        slew_per_s=wish.slew,
+        n_max=request.n_max,
+        slew_per_s=request.slew,
         made_by=command,
-        seed=wish.seed,
+        seed=request.seed,
         predicted_errors=predicted,
         prediction=prediction,
     )
 
 
 def significant(values: Array, digits: int) -> Array:
-    """Rounded to so many significant digits."""
+    """Round an array to a number of significant digits."""
     return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
 
 
-def make_task(source: str, wish: DesignRequest) -> DesignProblem:
-    """The frame of the design. ``source``: a model.toml, a name, or FILE.py:NAME.
+def make_task(source: str, request: DesignRequest) -> DesignProblem:
+    """Return the design problem of a model: steps, criterion, limits and prior.
 
-    Raises SeatrialError where the model has no such sensor, nothing to learn, or inputs that no mission commands.
+    Parameters
+    ----------
+    source : str
+        A model.toml, a name, or FILE.py:NAME.
+
+    Raises
+    ------
+    SeatrialError
+        If the model lacks a named sensor, has no free parameters, or has inputs that no mission commands.
     """
     is_path = source.endswith((".toml", ".json")) or ("/" in source and Path(source).is_dir())
     saved = load_model(Path(source)) if is_path else None
     model = saved.model if saved is not None else make_model(source)
     if why := not_commanded(model):
         raise SeatrialError(f"no mission can be designed for model {model.name}: {why}")
-    unknown = set(wish.rates) - {s.name for s in model.sensors}
+    unknown = set(request.rates) - {s.name for s in model.sensors}
     if unknown:
         raise SeatrialError(
             f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has "
             f"{', '.join(s.name for s in model.sensors)}"
         )
     n_channels = len(ThrusterResponse(model, np.array([0.0, 1.0])).channels)
-    steps = StepInput(1, n_channels, wish.duration, wish.shortest, GRID, wish.n_max)
-    n_steps = wish.steps or min(max(8, round(wish.duration / STEP_S)), max(steps.rows // steps.least, 1))
+    steps = StepInput(1, n_channels, request.duration, request.shortest, GRID, request.n_max)
+    n_steps = request.steps or min(max(8, round(request.duration / STEP_S)), max(steps.rows // steps.least, 1))
     task = DesignProblem(
         model,
         replace(steps, n_steps=n_steps),
-        wish.criterion,
-        wish.chosen,
-        wish.rates,
-        wish.limits,
-        wish.slew,
-        robust=wish.robust,
-        process_noise=wish.process_noise,
-        seed=wish.seed,
+        request.criterion,
+        request.chosen,
+        request.rates,
+        request.limits,
+        request.slew,
+        robust=request.robust,
+        process_noise=request.process_noise,
+        seed=request.seed,
     )
     if not dynamic_parameters(model):
-        raise SeatrialError(f"model {model.name} has no free parameters to learn")
+        raise SeatrialError(f"model {model.name} has no free parameters to estimate")
     if saved is None:
-        task = replace(task, belief=ParameterPrior(task.learned, wish.spread))
+        task = replace(task, belief=ParameterPrior(task.learned, request.spread))
     else:
         belief = believed(saved)
         earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
@@ -309,57 +355,69 @@ def make_task(source: str, wish: DesignRequest) -> DesignProblem:
             task, belief=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity,
             fitted_rates=saved.rates,
         )  # fmt: skip
-    compared = hypotheses(model, wish.between) if wish.between else ()
+    compared = hypotheses(model, request.between) if request.between else ()
     members = [(model, task.boats(N_TRACKS, 2)), *((m, np.array([list(m.values.values())])) for m in compared)]
-    return replace(task, grid=row_spacing(members, GRID, wish.n_max))
+    return replace(task, grid=row_spacing(members, GRID, request.n_max))
 
 
 def _chosen(task: DesignProblem) -> tuple[str, ...]:
+    """Return the parameters of the criterion."""
     return task.chosen or task.learned
 
 
-def _between(task: DesignProblem, wish: DesignRequest, reporter: Reporter) -> tuple[Design, Discrimination]:
-    """The design that tells two effects apart, judged as any other, and how far apart it puts them."""
-    a, b = hypotheses(task.model, wish.between)
+def _between(task: DesignProblem, request: DesignRequest, reporter: Reporter) -> tuple[Design, Discrimination]:
+    """Return the design that discriminates two effects, with its criterion of parameters, and its discrimination."""
+    a, b = hypotheses(task.model, request.between)
     made: DiscriminationDesign = discriminate(
         a,
         b,
         task,
-        evaluations=max(wish.evaluations // 8, 500),
+        evaluations=max(request.evaluations // 8, 500),
         progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"),
     )
-    told = task.information(task.actuation.inputs(made.command[:, :, None]))
-    value = float(task.measure(told + task.prior)[0])
-    rng = np.random.default_rng([wish.seed, 31])
+    information = task.information(task.actuation.inputs(made.command[:, :, None]))
+    value = float(task.measure(information + task.prior)[0])
+    rng = np.random.default_rng([request.seed, 31])
     random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
-    others = [min(separation(a, b, task, c)) for c in random]
-    first, second = wish.between
+    random_criteria = [min(separation(a, b, task, c)) for c in random]
+    first, second = request.between
     row = Discrimination(
         effects=(first, second),
         if_second=made.apart[0],
         if_first=made.apart[1],
         clear=made.clear,
-        random=np.array(others),
+        random=np.array(random_criteria),
     )
-    return Design(task, made.levels, made.durations, value, told[0], made.found), row
+    return Design(task, made.levels, made.durations, value, information[0], made.found), row
 
 
 def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
-    """The two models that a discrimination compares: each has its own effect and lacks the other's, which the model may
-    have. With both in one, that one would be nearly as right whichever is true.
+    """Return the two models that a discrimination compares.
 
-    Raises SeatrialError where there is no such effect, or one of them can be all that the other is.
+    Each model has one of the effects. The other effect is removed if the model has it, because a model with both
+    effects would predict well whichever is true.
+
+    Raises
+    ------
+    SeatrialError
+        If an effect does not exist, or if one effect is a special case of the other.
     """
     first, second = names
-    for one, other in ((first, second), (second, first)):
-        if one == other or (one in catalogue() and other in catalogue()[one].nests):
-            raise SeatrialError(f"--discriminate: {one} can be all that {other} is: no mission tells them apart")
+    for general, special in ((first, second), (second, first)):
+        if general == special or (general in catalogue() and special in catalogue()[general].nests):
+            raise SeatrialError(
+                f"--discriminate: {special} is a special case of {general}: no mission tells them apart"
+            )
     return with_effect(model.without(second), first), with_effect(model.without(first), second)
 
 
 def with_effect(model: Model, name: str) -> Model:
-    """The model with an effect of a size that matters: as fitted where the model has it and the fit found some of it
-    (``SOME`` of a prior), else half of its prior, or five characteristic steps."""
+    """Return the model with an effect of a relevant size.
+
+    If the model already has the effect, and its fitted size is not negligible (``NEGLIGIBLE``), the size is kept.
+    Otherwise its parameters are shifted by half of the standard deviation of their prior, or by five characteristic
+    steps.
+    """
     own = next((e for e in model.effects if e.name == name), None)
     if own is None and name not in catalogue():
         raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
@@ -367,9 +425,10 @@ def with_effect(model: Model, name: str) -> Model:
     if own is None and not model.accepts(effect):
         raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
     with_it = model if own is not None else model + effect
-    # Parameters that are not zero without the effect, and the further ones of an amplitude, say where or of what shape.
+    # Only these parameters are sizes. Others are places or shapes: they are not zero without the effect, or follow the
+    # amplitude of a one-sided effect.
     sizing = [p for p in (effect.parameters[:1] if effect.one_sided else effect.parameters) if p.value == 0.0]
-    least = {p.name: SOME * p.prior[1] if p.prior is not None else p.step for p in sizing}
+    least = {p.name: NEGLIGIBLE * p.prior[1] if p.prior is not None else p.step for p in sizing}
     if own is not None and any(abs(with_it.values[name]) >= size for name, size in least.items()):
         return with_it
     sizes = {}
@@ -380,6 +439,7 @@ def with_effect(model: Model, name: str) -> Model:
 
 
 def _track(track: Track, limits: DesignLimits) -> DesignTrack:
+    """Return the table of the predicted track."""
     corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
     return DesignTrack(
         t=track.t,
@@ -397,22 +457,23 @@ def _track(track: Track, limits: DesignLimits) -> DesignTrack:
 
 
 def _rows(task: DesignProblem) -> NDArray[np.intp]:
-    """For each row of the finer task, the row of the task that holds."""
+    """Return, for each row of the finer time grid, the row of the task whose command holds there."""
     return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
 
 
 def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
+    """Return the standard errors of each parameter before and after the mission, and after the baseline signal."""
     model, before, after = made.task.model, made.before, made.predicted
     chosen, units = _chosen(made.task), reported_units(model)
 
-    def told(errors: Mapping[str, float], p: Parameter) -> float | None:
+    def reported(errors: Mapping[str, float], p: Parameter) -> float | None:
         return finite(errors[p.name] * units.factor(p.unit))
 
     return tuple(
         DesignedParameter(
             name=p.name, meaning=p.meaning, unit=units.scale.unit(p.unit),
-            value=p.value * units.factor(p.unit), before=told(before, p), after=told(after, p),
-            form=told(made.errors, p), baseline=told(baseline, p), chosen=p.name in chosen,
+            value=p.value * units.factor(p.unit), before=reported(before, p), after=reported(after, p),
+            form=reported(made.errors, p), baseline=reported(baseline, p), chosen=p.name in chosen,
         )
         for p in (model.parameter(name) for name in made.task.learned)
     )  # fmt: skip
@@ -421,7 +482,10 @@ def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedPa
 def _answer(
     made: Design, parameters: Sequence[DesignedParameter], apart: Discrimination | None, baseline: BaselineSignal
 ) -> str:
-    """First that the design is worse than a random sequence, where it is; then what will be known."""
+    """Return the sentence on the standard errors after the mission, or on the discrimination of two effects.
+
+    If a baseline signal is better than the design, the warning about it comes first.
+    """
     if apart is not None:
         first, second = apart.effects
         least = min(apart.if_second, apart.if_first)
@@ -438,13 +502,14 @@ def _answer(
         of_value = f" ({100 * share:.2g} %)" if share < 1 else ""
         parts.append(f"{p.name} ±{format_number(after)} {tidy(p.unit)}{of_value}")
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
-    known = f"After this mission of {made.task.steps.duration:g} s a fit should know {', '.join(parts)}{more}"
-    return known if made.value >= baseline.value else f"{worse_than(baseline, made)} {known}"
+    duration = made.task.steps.duration
+    errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
+    return errors if made.value >= baseline.value else f"{worse_than(baseline, made)} {errors}"
 
 
 def worse_than(baseline: BaselineSignal, made: Design) -> str:
     """Return the warning that a random sequence is more informative than the design, with advice."""
-    free = ", which keeps to no limits," if made.task.limits.bind else ""
+    free = ", which ignores the limits," if made.task.limits.bind else ""
     return (
         f"Worse than {baseline.kind}: its {made.task.criterion} criterion is {format_number(made.value)}, the best of "
         f"20 {baseline.kind}{free} has {format_number(baseline.value)}. Give the search more --evaluations or other "
@@ -453,7 +518,7 @@ def worse_than(baseline: BaselineSignal, made: Design) -> str:
 
 
 def design_summary(result: DesignResult) -> Sequence[str]:
-    """Lines for the terminal: the answer, and a line for each parameter."""
+    """Return the lines for the terminal: warnings, the answer, one line for each parameter, criterion and track."""
     lines = [*(f"⚠ {warning.text}" for warning in result.warnings), result.answer, ""]
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
@@ -463,7 +528,7 @@ def design_summary(result: DesignResult) -> Sequence[str]:
         )
     lines.append("")
     if result.apart is None:
-        free = " (which keep to no limits)" if result.limited else ""
+        free = " (which ignore the limits)" if result.limited else ""
         gain = f"{result.margin:+.1f} against the best of 20 {result.baseline}{free}"
         lines.append(
             f"{result.criterion} {result.value:.1f}, {gain}; better than all of them in "
@@ -473,7 +538,7 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     if track is not None and track.inside is not None:
         water = f"in a current of up to {track.current:g} m/s" if track.current else "no current assumed"
         lines.append(
-            f"{100 * track.inside:.0f} % of disturbed boats stay inside the area, coasting for {track.coasting:g} s "
-            f"after the end included; {water}"
+            f"{100 * track.inside:.0f} % of the simulated boats stay inside the area, including {track.coasting:g} s "
+            f"of coasting after the end; {water}"
         )
     return lines

@@ -1,4 +1,4 @@
-"""What the ident commands do: logs in; model.toml, result.json and report.html out."""
+"""Workflow of `seatrial ident diagnose`: search for the effects that a model lacks."""
 
 from __future__ import annotations
 
@@ -24,21 +24,32 @@ from seatrial.ident.workflows.vehicle_model import considered_notes
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
-    """A model to be diagnosed, as the options of the command say it.
+    """Options of a diagnosis.
 
-    Attributes:
-        model: the model.toml.
-        logs, validation: logs that the search sees, and others that decide.
-        out: folder for the results.
-        estimation: its outlier model and its horizon count; the search compares maxima of the plain likelihood, by a
-            filter of first order.
-        max_effects: the search stops after so many.
-        effects_file: candidates of the user's own.
-        thruster: file of the static curve that a vehicle's model was fitted with; or which thruster, where the model
-            is a thruster's and the logs have several.
-        rate: rows a second to which faster sensors are averaged [Hz]; None: the model's usual ones.
-        despite_faults: search also where the checks of the logs find what makes a fit meaningless.
-        window: of the logs; those for validation are whole.
+    Attributes
+    ----------
+    model
+        The model.toml to diagnose.
+    logs, validation
+        Logs for the search, and other logs that validate each effect.
+    out
+        Folder for the results.
+    estimation
+        Only its outlier model and its horizon are used. The search compares maxima of the plain likelihood of a
+        first-order filter.
+    max_effects
+        Largest number of effects to add.
+    effects_file
+        Python file of user-defined candidates.
+    thruster
+        For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
+        thruster, if the logs have several.
+    rate
+        Rate of the rows [Hz] over which faster sensors are averaged; None: the usual rate of the model.
+    despite_faults
+        Whether to search even if the checks find faults that make a fit meaningless.
+    window
+        Interval of ``logs`` to use; validation logs are used whole.
     """
 
     model: Path
@@ -55,29 +66,40 @@ class DiagnosisRequest:
 
 
 def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
-    """Find what the model lacks, and write the model that has it; ``command``: what was typed."""
+    """Find the effects that a model lacks, and write the model with these effects and the result.
+
+    Parameters
+    ----------
+    command : str
+        Command line, for the provenance.
+
+    Raises
+    ------
+    SeatrialError
+        If model or logs cannot be used, or if the logs have faults that make a fit meaningless.
+    """
     loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file
     saved = load_model(request.model)
-    # Maxima of the plain likelihood are compared, by a filter of first order: neither changes what is found, and on
-    # that the blind tests were made.
+    # The search compares maxima of the plain likelihood of a first-order filter. REML and a second-order filter do not
+    # change what is found, and the blind tests were made without them.
     plain = replace(saved.model, second_order=False)
     check_ahead(horizon, loaded, unseen)
     loaded, unseen = in_one_frame(plain, loaded, unseen, saved.origin)
-    model, runs, others, usual = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
+    model, runs, validation_runs, usual_rate = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     unused = unused_signals(model, loaded, unseen)
-    told = unused_lines(unused) if model.kind is ModelKind.VEHICLE else []
+    unused_signals_lines = unused_lines(unused) if model.kind is ModelKind.VEHICLE else []
     loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
-    for line in told:
+    for line in unused_signals_lines:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)
-    own = effects_for(model, effects_file) if effects_file else {}
+    user_effects = effects_for(model, effects_file) if effects_file else {}
     found = diagnose(
         with_outliers(model) if request.estimation.outlier_model else model,
         runs,
-        others,
-        effects={**catalogue(), **own},
-        rate=request.rate or usual,
+        validation_runs,
+        effects={**catalogue(), **user_effects},
+        rate=request.rate or usual_rate,
         max_effects=request.max_effects,
         reporter=reporter,
     )

@@ -1,4 +1,4 @@
-"""What ``seatrial ident information`` does: which segments of logs already taken tell of which parameter."""
+"""Workflow of `seatrial ident information`: Fisher information of log segments about the parameters of a model."""
 
 from __future__ import annotations
 
@@ -44,24 +44,35 @@ from seatrial.ident.results import (
 )
 from seatrial.ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
 
-TELLS = 1.2  # the standard error would grow by so much without a segment: it is worth naming
-VAGUE = 0.5  # standard error over value from which a parameter counts as hardly known; of a value of 0,
-STEPS = 5.0  # over its prior's standard deviation or so many of its characteristic steps
+NOTABLE_GROWTH = 1.2  # the answer names a segment if a standard error would grow by this factor without it
+LARGE_ERROR = 0.5  # standard error / value from which a parameter is poorly known
+# If the value is 0, the divisor is the standard deviation of the prior. Without a prior, it is so many characteristic
+# steps:
+ZERO_VALUE_STEPS = 5.0
 
 
 @dataclass(frozen=True)
 class InformationRequest:
-    """Logs whose information is asked for, as the options of the command say it.
+    """Options of an information analysis.
 
-    Attributes:
-        model: the model.toml.
-        logs: that the model was, or could be, fitted to.
-        out: folder for the results.
-        seconds: length of a segment [s].
-        chosen: parameters; none: all dynamic ones.
-        thruster: the static curve that the model was fitted with.
-        rate: rows a second to which faster sensors are averaged [Hz].
-        window: of the logs.
+    Attributes
+    ----------
+    model
+        The model.toml.
+    logs
+        Logs that the model was, or could be, fitted to.
+    out
+        Folder for the results.
+    seconds
+        Length of a segment [s].
+    chosen
+        Parameters to analyse; empty: all dynamic parameters.
+    thruster
+        Static curve that the model was fitted with.
+    rate
+        Rate of the rows [Hz] over which faster sensors are averaged.
+    window
+        Interval of the logs to use.
     """
 
     model: Path
@@ -75,23 +86,33 @@ class InformationRequest:
 
 
 def information(request: InformationRequest, command: str, reporter: Reporter) -> InformationResult:
-    """Information of every segment of the logs about the model's dynamic parameters; ``command``: what was typed.
+    """Compute the information of each segment of the logs about the model's parameters, and write the results.
 
-    The model's values are those of its file; the current and the offsets of each log are fitted to it. Raises
-    SeatrialError where model and logs do not go together.
+    The parameters have the values of the model file, except that per-record parameters (current, biases) are fitted to
+    each log.
+
+    Parameters
+    ----------
+    command : str
+        Command line, for the provenance.
+
+    Raises
+    ------
+    SeatrialError
+        If model and logs do not go together.
     """
     saved, seconds, out = load_model(request.model), request.seconds, request.out
     names = _names(saved.model, request.chosen, request.model)
     curve = known_curve(request.thruster)
     logs = load_runs(request.logs, "judged", request.window, saved.origin)
     assumed = saved_frame_warnings(saved.model, logs, saved.origin)
-    loaded = [completed(one, saved.model.source, curve) for one in logs]
+    loaded = [completed(log, saved.model.source, curve) for log in logs]
     model = as_logged(saved.model, loaded[0].holds)
-    records = [make_record(model, one.run, request.rate) for one in loaded]
+    records = [make_record(model, log.run, request.rate) for log in loaded]
     model = without_absent_sensors(model, records)
     values = []
     for rows in records:
-        reporter.progress(f"{rows.name}: its own current and offsets")
+        reporter.progress(f"{rows.name}: fitting its current and biases")
         values.append(own_values(model, rows))
     reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in segments of {seconds:g} s")
     segments = segment_information(model, records, names, seconds=seconds, values=values, inflation=saved.inflation)
@@ -120,16 +141,17 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
 
 
 def _names(model: Model, chosen: Sequence[str], path: Path) -> tuple[str, ...]:
-    known = dynamic_parameters(model)
-    lost = [n for n in chosen if n not in known]
-    if lost or not known:
-        what = f"no free parameter {lost[0]!r}" if lost else "no free parameters"
-        raise SeatrialError(f"{path}: {what}; there is {', '.join(known) or 'none'}")
-    return tuple(chosen) or tuple(known)
+    """Return the parameters to analyse. Raise SeatrialError if one of them is not free in the model."""
+    free = dynamic_parameters(model)
+    lost = [n for n in chosen if n not in free]
+    if lost or not free:
+        missing = f"no free parameter {lost[0]!r}" if lost else "no free parameters"
+        raise SeatrialError(f"{path}: {missing}; there is {', '.join(free) or 'none'}")
+    return tuple(chosen) or tuple(free)
 
 
 def own_values(model: Model, rows: Record) -> Array:
-    """The parameters (n_parameters,) in one record: those of the record alone are fitted, all others as they are."""
+    """Return the parameters (n_parameters,) of a record: per-record parameters are fitted, the others are unchanged."""
     own = [p.name for p in model.parameters if p.free and p.per_record]
     if not own:
         return np.array([p.value for p in model.parameters])
@@ -139,9 +161,9 @@ def own_values(model: Model, rows: Record) -> Array:
 def _rows(
     segments: Sequence[InformationSegment], loaded: Sequence[LoadedLog], records: Sequence[Record]
 ) -> tuple[SegmentInformation, ...]:
-    """Over the times of the logs, with the steps of their missions."""
+    """Return the table of segments, with times of the logs and the steps of their missions."""
     starts = {r.name: float(r.meta["t0"]) for r in records}
-    steps = {one.run.name: one.segments for one in loaded}
+    steps = {log.run.name: log.segments for log in loaded}
     found = []
     for s in segments:
         begin, end = s.t_from + starts[s.record], s.t_to + starts[s.record]
@@ -163,11 +185,13 @@ def _rows(
 def _parameter(
     model: Model, name: str, k: int, segments: Sequence[InformationSegment], rows: Sequence[SegmentInformation]
 ) -> InformedParameter:
-    """What all logs tell of one parameter, and the segment that it hangs on."""
+    """Return the information about one parameter, with the segment that contributes most."""
     best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
     p, row, units = model.parameter(name), rows[best], reported_units(model)
     factor, se = units.factor(p.unit), float(segments[best].whole[k])
-    size = abs(p.value) or (p.prior[1] if p.prior else STEPS * float(characteristic_steps(model, (name,))[0]))
+    size = abs(p.value) or (
+        p.prior[1] if p.prior else ZERO_VALUE_STEPS * float(characteristic_steps(model, (name,))[0])
+    )
     return InformedParameter(
         record=row.record,
         t_from=row.t_from,
@@ -180,12 +204,12 @@ def _parameter(
         se=finite(factor * se),
         weight=finite(segments[best].weight[k]),
         alone=finite(factor * segments[best].alone[k]),
-        known=se < VAGUE * size,
+        known=se < LARGE_ERROR * size,
     )
 
 
 def _longest(segments: Sequence[tuple[float, str]], begin: float, end: float) -> str:
-    """The step of the mission that takes up most of a segment; empty where the log names none."""
+    """Return the step of the mission that takes up most of a segment; empty if the log has no steps."""
     length: dict[str, float] = {}
     ends = [t for t, _ in segments[1:]] + [np.inf]
     for (t, name), until in zip(segments, ends, strict=False):
@@ -195,42 +219,44 @@ def _longest(segments: Sequence[tuple[float, str]], begin: float, end: float) ->
 
 
 def _place(row: LogSpan) -> str:
+    """Return log, time and step of a segment, for a sentence."""
     words = f"{row.record}, {row.t_from:.0f} to {row.t_to:.0f} s"
     return f"{words} ({row.what})" if row.what else words
 
 
 def _answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
-    """One sentence or two: the segment that matters most, and what is hardly known."""
+    """Return one or two sentences: the most informative segment, and the poorly known parameters."""
     known = [p for p in parameters if p.se is not None]
     if not known:
-        return "These logs tell nothing of any parameter."
+        return "These logs contain no information about any parameter."
     first = max(known, key=lambda p: np.inf if p.weight is None else p.weight)
     if n_segments == 1:
-        words = "There is but one segment; give more logs, or shorter segments with --seconds"
+        words = "There is only one segment; give more logs, or shorter segments with --seconds"
     elif first.weight is None:
-        words = f"Only {_place(first)} tells of {first.name}"
-    elif first.weight >= TELLS:
+        words = f"Only {_place(first)} informs {first.name}"
+    elif first.weight >= NOTABLE_GROWTH:
         words = (
-            f"Most hangs on {_place(first)}: without it the standard error of {first.name} would be "
+            f"The most informative segment is {_place(first)}: without it the standard error of {first.name} would be "
             f"{format_number(first.weight)} times as large"
         )
     else:
-        words = "No segment matters much more than the others: what is known is spread evenly over the logs"
-    vague = [p.name for p in parameters if not p.known]
-    return f"{words}. Hardly known from all of it: {', '.join(vague)}." if vague else f"{words}."
+        words = "No segment matters much more than the others: the information is spread evenly over the logs"
+    poor = [p.name for p in parameters if not p.known]
+    return f"{words}. Poorly known from all logs together: {', '.join(poor)}." if poor else f"{words}."
 
 
 def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record], model: Model) -> list[str]:
+    """Return notes on missing sensors, parameters without information, and the mission that would inform them."""
     notes = [
-        f"{r.name}: not in the log, so done without: {', '.join(missing)}."
+        f"{r.name}: not in the log and therefore not used: {', '.join(missing)}."
         for r in records
         if (missing := r.meta.get("missing", ()))
     ]
-    notes += [f"{p.name}: nothing in these logs tells of it." for p in parameters if p.se is None]
-    vague = ",".join(p.name for p in parameters if not p.known)
-    if vague and not not_commanded(model):
+    notes += [f"{p.name}: these logs contain no information about it." for p in parameters if p.se is None]
+    poor = ",".join(p.name for p in parameters if not p.known)
+    if poor and not not_commanded(model):
         notes.append(
-            "The mission that tells most of what is hardly known: seatrial mission design MODEL "
-            f"--criterion Ds --parameters {vague}"
+            "To design the most informative mission for the poorly known parameters: seatrial mission design MODEL "
+            f"--criterion Ds --parameters {poor}"
         )
     return notes

@@ -1,4 +1,4 @@
-"""What ``seatrial ident navigate`` does: model and logs in; a CSV a log, result.json and report.html out."""
+"""Workflow of `seatrial ident navigate`: states of logs by a fitted model, as CSV, result.json and report.html."""
 
 from __future__ import annotations
 
@@ -49,17 +49,26 @@ Columns = list[tuple[str, str, Array]]  # name, unit, values
 
 @dataclass(frozen=True)
 class NavigationRequest:
-    """Logs to be navigated, as the options of the command say it; all times [s] count from the start of a log.
+    """Options of a navigation; all times [s] count from the start of a log.
 
-    Attributes:
-        model: the model.toml.
-        logs: with names that differ.
-        out: folder for the results.
-        smoothed: by all samples, or by those so far.
-        gnss_outages: segments (from, to) in which the GNSS is not used.
-        window: of the logs.
-        rate: rows a second to which faster sensors are averaged [Hz].
-        thruster: the static curve that the model was fitted with.
+    Attributes
+    ----------
+    model
+        The model.toml.
+    logs
+        Logs with different names.
+    out
+        Folder for the results.
+    smoothed
+        Whether states are estimated from all samples, or only from those so far.
+    gnss_outages
+        Intervals (from, to) in which GNSS is withheld.
+    window
+        Interval of the logs to use.
+    rate
+        Rate of the rows [Hz] over which faster sensors are averaged.
+    thruster
+        Static curve that the model was fitted with.
     """
 
     model: Path
@@ -73,22 +82,36 @@ class NavigationRequest:
 
 
 def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) -> NavigationResult:
-    """Navigate every log; ``command``: what was typed."""
+    """Estimate the states of each log, and write the results.
+
+    Parameters
+    ----------
+    command : str
+        Command line, for the provenance.
+
+    Raises
+    ------
+    SeatrialError
+        If two logs have one name, or if model and logs do not go together.
+    """
     logs, saved = request.logs, load_model(request.model)
-    model = replace(saved.model, second_order=False)  # in a long outage a heading may be spread too widely for it
+    # First order: in a long outage the heading may be too uncertain for a second-order expansion.
+    model = replace(saved.model, second_order=False)
     curve = known_curve(request.thruster)
     known = saved.covariance()
     names = [p.stem for p in logs]
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
-        raise SeatrialError(f"two logs are named {twice[0]}, and so would be their results: navigate them one by one")
+        raise SeatrialError(
+            f"two logs are named {twice[0]}, so their results would have one name: navigate them one by one"
+        )
     loaded, parts, tables, reference = list[LoadedLog](), [], [], saved.origin
     for path in logs:
         reporter.progress(f"navigating {path.name}")
         own = share_frame(parts_with_sensors(load_run(path, "navigated", request.window)), reference)
         reference = reference or own[0].origin
-        for one, outages in zip(own, _outages_of(own, request.gnss_outages), strict=True):
-            loaded.append(completed(one, saved.model.source, curve))
+        for log, outages in zip(own, _outages_of(own, request.gnss_outages), strict=True):
+            loaded.append(completed(log, saved.model.source, curve))
             done, t0 = _navigate(model, loaded[-1], known, request, outages)
             parts.append((done, t0, gnss_outages(done)))
             tables.append(_columns(done, t0))
@@ -106,12 +129,12 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         warnings=tuple(assumed),
         notes=tuple(_notes(parts, known)),
     )
-    _write(request.out, result, dict(zip((one.run.name for one in loaded), tables, strict=True)))
+    _write(request.out, result, dict(zip((log.run.name for log in loaded), tables, strict=True)))
     return result
 
 
 def _write(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -> None:
-    """NAME.csv for each table, result.json and report.html."""
+    """Write NAME.csv for each table, result.json and report.html."""
     out.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
         write_csv(out / f"{name}.csv", table)
@@ -120,8 +143,11 @@ def _write(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -
 
 
 def _outages_of(parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]) -> list[list[tuple[float, float]]]:
-    """Return the outages [s of the log] of each part of a log. Between two parts it belongs to the later."""
-    ends = [max(float(c.t[-1]) for c in one.run.channels.values()) for one in parts[:-1]]
+    """Return the outages [s of the log] of each part of a log.
+
+    An outage that begins between two parts belongs to the later part.
+    """
+    ends = [max(float(c.t[-1]) for c in log.run.channels.values()) for log in parts[:-1]]
     own: list[list[tuple[float, float]]] = [[] for _ in parts]
     for begin, end in outages:
         own[int(np.searchsorted(ends, begin))].append((begin, end))
@@ -130,24 +156,24 @@ def _outages_of(parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float
 
 def _navigate(
     model: Model,
-    one: LoadedLog,
+    log: LoadedLog,
     known: ParameterCovariance,
     request: NavigationRequest,
     without: Sequence[tuple[float, float]],
 ) -> tuple[Navigation, float]:
-    """One log, and its time at the record's first row."""
+    """Navigate one log; return the navigation and the log time [s] of its first row."""
     rate = request.rate
-    model = as_logged(model, one.holds)
-    rows = make_record(model, one.run, rate)
+    model = as_logged(model, log.holds)
+    rows = make_record(model, log.run, rate)
     t0 = float(rows.meta["t0"])
-    _has_fixes(rows, t0, without, one.about["path"])
+    _check_fixes(rows, t0, without, log.about["path"])
     segments = [(a - t0, b - t0) for a, b in without]
     return navigate(model, rows, smoothed=request.smoothed, without_gnss=segments, known=known), t0
 
 
-def _has_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:
-    """Raise SeatrialError where there is no position at all, or none in a segment that is to do without."""
-    if POSITION[0] not in rows.outputs:  # the model has no position, as ``navigate`` says
+def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:
+    """Raise SeatrialError if a log has no position, or no position in an interval that is to be withheld."""
+    if POSITION[0] not in rows.outputs:  # the model has no position; ``navigate`` raises the error
         return
     fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0
     if not fixes.size:
@@ -155,13 +181,16 @@ def _has_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], 
     for begin, end in without:
         if not ((fixes >= begin) & (fixes < end)).any():
             raise SeatrialError(
-                f"{path}: no GNSS position between {begin:g} s and {end:g} s to do without; it "
+                f"{path}: no GNSS position between {begin:g} s and {end:g} s to withhold; it "
                 f"has them from {fixes[0]:.0f} s to {fixes[-1]:.0f} s"
             )
 
 
 def _columns(done: Navigation, t0: float) -> Columns:
-    """Time, states and their standard deviations, the current as a whole, the covariance of the position."""
+    """Return the columns of the CSV: time, states, standard deviations, current, covariance of the position, GNSS use.
+
+    The column ``gnss`` is 1 for a fix that was used, -1 for one that was withheld, else 0.
+    """
     states, best = done.model.states, done.best
     drift = set(CURRENT.values()) if done.current() is not None else set()
     columns: Columns = [("t", "s", done.t + t0)]
@@ -179,7 +208,7 @@ def _columns(done: Navigation, t0: float) -> Columns:
 
 
 def write_csv(path: Path, columns: Columns) -> None:
-    """A line of names, then a line a row; times to a tenth of a millisecond."""
+    """Write a CSV file: a line of names, then one line for each row. Times are rounded to 0.1 ms."""
     table = np.column_stack([values for _, _, values in columns])
     layout = ["%.4f", *["%.7g"] * (len(columns) - 1)]
     with new_file(path) as scratch:
@@ -187,12 +216,15 @@ def write_csv(path: Path, columns: Columns) -> None:
 
 
 def _inputs(done: Navigation, t0: float) -> list[InputTrace]:
-    """Over the times of the log."""
+    """Return the inputs of a record over the time of the log."""
     return [msgspec.structs.replace(row, t=row.t + t0) for row in record_inputs(done.model, done.record)]
 
 
 def _part(done: Navigation, t0: float, table: Columns) -> NavigatedRecord:
-    """One record's entry of ``navigation``: rows at ten a second are many, so only states that are drawn."""
+    """Return the entry of one record in ``navigation``.
+
+    It contains only the states that the report plots, because a record has ten rows per second.
+    """
     values = {name: value for name, _, value in table}
     meaning = {s.name: s.meaning for s in done.model.states} | {
         "V_x": "current to the north",
@@ -229,6 +261,7 @@ def _part(done: Navigation, t0: float, table: Columns) -> NavigatedRecord:
 
 
 def _row(o: Outage, name: str, t0: float) -> GnssOutage:
+    """Return the table row of an outage, with times of the log."""
     e = o.at_end
     return GnssOutage(
         record=name,
@@ -257,10 +290,10 @@ def _withheld(found: OutageErrors | None) -> WithheldErrors | None:
 
 
 def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
-    """The worst outage in a sentence, or how sure the position is where there is none."""
+    """Return the sentence on the worst outage, or on the accuracy of the position if there is no outage."""
     if not found:
         radius = max(float(np.median(np.hypot(*n.best.sd[:, [n.states.index(p) for p in POSITION]].T))) for n in done)
-        return f"No GNSS outage; the {done[0].kind} position is good to {format_number(radius)} m (standard deviation)."
+        return f"No GNSS outage; the {done[0].kind} position has a standard deviation of {format_number(radius)} m."
     late = [
         f"Before the first fix, {o.duration:.0f} s after the start, the {done[0].kind} position may be "
         f"{format_number(o.widest)} m off (95 %)"
@@ -278,7 +311,7 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
     )
     judged = [o for o in found if o.error is not None]
     if worst.error is not None:
-        # One that never ends is judged by its last fix, which may lie long before the end.
+        # An outage without an end is compared with its last withheld fix, which may be long before its end.
         words += f"; against {'the last fix withheld' if worst.open else 'the fix then'} it was "
         words += f"{format_number(worst.error)} m off"
     if len(judged) > 1:
@@ -287,12 +320,13 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
 
 
 def _notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: ParameterCovariance) -> list[str]:
+    """Return notes on missing sensors, large innovations, outages outside their regions and missing standard errors."""
     notes = []
     for done, t0, found in parts:
         name = done.record.name
         missing = done.record.meta.get("missing", ())
         if missing:
-            notes.append(f"{name}: not in the log, so done without: {', '.join(missing)}.")
+            notes.append(f"{name}: not in the log and therefore not used: {', '.join(missing)}.")
         e = done.run.standardised
         loud = [
             o.name
@@ -301,7 +335,7 @@ def _notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: Param
         ]
         if loud:
             notes.append(
-                f"{name}: the innovations of {', '.join(loud)} are larger than the model says, so its "
+                f"{name}: the innovations of {', '.join(loud)} are larger than the model predicts, so its "
                 "standard deviations are too small: it was fitted to other conditions, or lacks an effect."
             )
         outside = [o for o in found if o.inside is False]
@@ -312,5 +346,5 @@ def _notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: Param
             for o in outside
         ]
     if not known.names:
-        notes.append("The model carries no standard errors: its parameters count as exact.")
+        notes.append("The model contains no standard errors: its parameters are taken as exact.")
     return notes

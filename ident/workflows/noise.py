@@ -1,4 +1,7 @@
-"""The noise command: static logs in; the table, noise.toml, result.json and report out. See docs/formats/noise.md."""
+"""Workflow of `seatrial ident noise`: logs of sensors at rest to noise.toml, result.json and a report.
+
+The format of noise.toml is described in docs/formats/noise.md.
+"""
 
 from __future__ import annotations
 
@@ -23,39 +26,43 @@ from seatrial.ident.validation import OUTLYING
 
 FORMAT = "seatrial-noise 2"
 WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
-SPIKES = "The numbers are of these, too: take the record without them."
-STEPS = "The numbers are hardly those of the noise: take an output of finer resolution."
-MOST_SAID = 6  # rejected channels that the answer names
-HUM = "Find what turns or hums at that rate, or at one that the sampling folds there, and take the record without it."
-DRIFT = "A drift that is steady or has bounds is no walk: let the sensor warm up, or give a filter a state for it."
-COLOUR = "Take the raw output of a sensor that filters, stop what shakes it, or let a filter have it at a lower rate."
+SPIKES = "The numbers include these samples: record again without the cause."
+STEPS = "The numbers are not those of the sensor's noise: record an output of finer resolution."
+MOST_NAMED = 6  # rejected channels that the answer names
+HUM = "Find what turns or hums at that frequency, or at one that is aliased to it, and record again without it."
+DRIFT = "A steady or bounded drift is not a random walk: let the sensor warm up, or give a filter a state for it."
+COLOUR = (
+    "Use the raw output of a sensor that filters, stop its vibration, or pass its samples to a filter at a lower rate."
+)
 
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """The noise of one channel of one log."""
+    """Noise estimate of one channel of one log."""
 
     log: str
     name: str
-    label: str  # what people see: with the log's name where there are several
+    label: str  # name for the reader, with that of the log if there are several logs
     channel: Channel
     fit: NoiseFit
 
     @property
     def reason(self) -> str:
-        """Why the model is rejected; empty where it is not."""
-        return " and ".join(words for words, _ in self._said())
+        """Reason why the noise model is rejected; empty if it is accepted."""
+        return " and ".join(words for words, _ in self._departures())
 
     @property
     def remedy(self) -> str:
-        """What to do about that."""
-        return self._said()[-1][1]
+        """Advice on the reason for the rejection."""
+        return self._departures()[-1][1]
 
     @property
     def exceptions(self) -> list[tuple[str, str]]:
-        """What the model does not say of the channel even where it is not rejected (spikes, jumps, coarse steps), and
-        what that means."""
-        f, said = self.fit, []
+        """Features that the noise model does not describe even if it is accepted, each with its consequence.
+
+        They are spikes, jumps and coarse steps.
+        """
+        f, found = self.fit, []
         size = np.abs(f.innovations)
         beyond, k = int(np.sum(size > OUTLYING)), int(np.argmax(size))
         if beyond or f.heavy_tailed:
@@ -64,45 +71,62 @@ class NoiseEstimate:
                 if beyond
                 else (f"heavy tails (kurtosis {f.kurtosis:.2g})")
             )
-            said += [(f"{tails}, the largest {size[k]:.2g} at {f.t[k]:.4g} s", SPIKES)]
+            found += [(f"{tails}, the largest {size[k]:.2g} at {f.t[k]:.4g} s", SPIKES)]
         if f.coarse:
             step = f"{f.resolution:.2g} {self.channel.unit}".strip()
-            said += [(f"steps of {step} from value to value, coarse beside its noise", STEPS)]
-        return said
+            found += [(f"steps of {step} from value to value, coarse compared with its noise", STEPS)]
+        return found
 
-    def _said(self) -> list[tuple[str, str]]:
-        """What is wrong and what to do: of a line alone where it is the half of it, else also of the lowest band."""
+    def _departures(self) -> list[tuple[str, str]]:
+        """Return the departures from the noise model, each with advice.
+
+        A spectral line is returned alone if it holds more than half of the predictable variance. Otherwise the
+        autocorrelation and the lowest band are returned.
+        """
         predictable, line, band = self.fit.departures
         rate = 1.0 / self.fit.interval
         if line.matters and line.share > predictable.share / 2:
             return [(f"a line at {line.frequency * rate:.3g} Hz holds {_percent(line.share)} of its innovations", HUM)]
-        said = []
+        found = []
         if predictable.matters:
             correlated = f"its innovations are correlated by {self.fit.largest_correlation:+.2f}"
-            said += [(f"{correlated}, {_percent(predictable.share)} of their variance could be predicted", COLOUR)]
-        if band.matters and (band.low == 0 or not said):
+            found += [(f"{correlated}, {_percent(predictable.share)} of their variance could be predicted", COLOUR)]
+        if band.matters and (band.low == 0 or not found):
             span = f"{band.low * rate:.2g} to {band.high * rate:.2g} Hz"
             words = f"at {span} its density is {band.ratio:.2g} times the model's"
-            said += [(words, COLOUR if band.low else DRIFT)]
-        return said
+            found += [(words, COLOUR if band.low else DRIFT)]
+        return found
 
 
 def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> NoiseResult:
-    """White noise and random walk of each channel of logs of sensors at rest."""
+    """Estimate white noise and random walk of each channel of logs of sensors at rest, and write the results.
+
+    Parameters
+    ----------
+    signals : sequence of str
+        Channels to estimate; empty: all.
+    command : str
+        Command line, for the provenance.
+
+    Raises
+    ------
+    SeatrialError
+        If no channel can be estimated, or if a log lacks one of the signals.
+    """
     loaded = load_runs(logs, "estimation", cut=False)
     notes: list[str] = []
     found: list[NoiseEstimate] = []
-    for path, one in zip(logs, loaded, strict=True):
-        chosen = _chosen(path, one, signals)
+    for path, log in zip(logs, loaded, strict=True):
+        chosen = _chosen(path, log, signals)
         for name, channel in chosen.items():
-            label = name if len(logs) == 1 else f"{one.run.name} {name}"
+            label = name if len(logs) == 1 else f"{log.run.name} {name}"
             reporter.progress(f"{label}: {channel.t.size} samples")
             try:
                 fit = estimate_noise(channel, label)
             except ValueError as problem:
                 notes.append(f"Left out: {problem}")
                 continue
-            found.append(NoiseEstimate(one.run.name, name, label, channel, fit))
+            found.append(NoiseEstimate(log.run.name, name, label, channel, fit))
     if not found:
         raise SeatrialError(f"{logs[0]}: no channel whose noise could be estimated; {'; '.join(notes)}")
     made = provenance(loaded, command)
@@ -123,7 +147,7 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
 
 
 def _chosen(path: Path, loaded: LoadedLog, signals: Sequence[str]) -> Mapping[str, Channel]:
-    """The channels that ident knows and the other axes of an AHRS; all of them, or those that were named."""
+    """Return the channels of a log, with all axes of its AHRS; only the named ones if ``signals`` is not empty."""
     everything = dict(loaded.run.channels)
     with open_log(path) as log:
         for source in log.sources(Ahrs):
@@ -136,18 +160,22 @@ def _chosen(path: Path, loaded: LoadedLog, signals: Sequence[str]) -> Mapping[st
 
 
 def _unwrapped(channel: Channel) -> Channel:
-    """A heading that swings across the half turn is no step."""
+    """Return the channel with continuous angles and with times from its first sample.
+
+    A heading that crosses 180 degrees would otherwise have a step.
+    """
     value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
     return Channel(channel.t - channel.t[0], value, channel.unit, channel.source)
 
 
-def _row(one: NoiseEstimate) -> ChannelNoise:
-    frequency, density = welch(one.channel)
+def _row(estimate: NoiseEstimate) -> ChannelNoise:
+    """Return the table row of one channel, with its spectrum."""
+    frequency, density = welch(estimate.channel)
     averaged = band_spectrum(frequency, density)
-    f = one.fit
+    f = estimate.fit
     return ChannelNoise(
-        channel=one.label,
-        unit=one.channel.unit,
+        channel=estimate.label,
+        unit=estimate.channel.unit,
         white=f.white,
         random_walk=f.walk,
         se_white=finite(f.white_error),
@@ -157,7 +185,7 @@ def _row(one: NoiseEstimate) -> ChannelNoise:
         accepted=not f.rejected,
         p=finite(f.ljung_box),
         predictable=finite(f.departures.share),
-        reason=one.reason or None,
+        reason=estimate.reason or None,
         frequency=frequency,
         psd=density,
         psd_model=f.psd(frequency),
@@ -166,6 +194,7 @@ def _row(one: NoiseEstimate) -> ChannelNoise:
 
 
 def _answer(found: Sequence[NoiseEstimate]) -> str:
+    """Return the sentence on the channels that the noise model describes, and on those that it does not describe."""
     bad = [x for x in found if x.fit.rejected]
     odd = [x for x in found if x.exceptions and not x.fit.rejected]
     but = f", but with {' and '.join(words for words, _ in odd[0].exceptions)}" if odd else ""
@@ -177,9 +206,9 @@ def _answer(found: Sequence[NoiseEstimate]) -> str:
         return f"{'The channel is' if good == 1 else f'All {good} channels are'} {kind}{but}."
     if len(found) == 1:
         return f"The channel is not {kind}: {bad[0].reason}. {WARNING}"
-    named = ", ".join(x.label for x in bad[:MOST_SAID])
-    more = f" and {len(bad) - MOST_SAID} more" if len(bad) > MOST_SAID else ""
-    return f"{good} of {len(found)} channels are {kind}{but}. Not so: {named}{more}. {WARNING}"
+    named = ", ".join(x.label for x in bad[:MOST_NAMED])
+    more = f" and {len(bad) - MOST_NAMED} more" if len(bad) > MOST_NAMED else ""
+    return f"{good} of {len(found)} channels are {kind}{but}. These are not: {named}{more}. {WARNING}"
 
 
 def _percent(share: float) -> str:
@@ -187,10 +216,11 @@ def _percent(share: float) -> str:
 
 
 def _notes(found: Sequence[NoiseEstimate]) -> list[str]:
+    """Return notes on rejected channels, negligible departures, exceptions and flags."""
     lines = [f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected]
     lines += [
         f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "
-        "variance could be predicted and their density is nowhere off by a factor of two: let pass."
+        "variance could be predicted and their density is nowhere wrong by a factor of two: accepted."
         for x in found
         if not x.fit.rejected and x.fit.departures.significant
     ]
@@ -199,7 +229,7 @@ def _notes(found: Sequence[NoiseEstimate]) -> list[str]:
 
 
 def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) -> None:
-    """Write noise.toml: what other programs need of the result."""
+    """Write noise.toml, the part of the result that other programs use."""
     document = tomlkit.document()
     document["format"] = FORMAT
     document["provenance"] = {
@@ -209,8 +239,8 @@ def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) 
         "logs": [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs],
     }
     tables = tomlkit.aot()
-    for one in found:
-        f = one.fit
+    for estimate in found:
+        f = estimate.fit
         numbers = {
             "white": f.white,
             "white_se": f.white_error,
@@ -224,11 +254,11 @@ def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) 
             "random_walk_limit": math.nan if np.isfinite(f.walk_error) else f.walk_limit,
         }
         table = tomlkit.table()
-        table.update({"log": one.log, "name": one.name, "unit": one.channel.unit, "n": f.n})
+        table.update({"log": estimate.log, "name": estimate.name, "unit": estimate.channel.unit, "n": f.n})
         table.update({k: float(f"{v:.7g}") for k, v in numbers.items() if np.isfinite(v)})
         table.update({"accepted": not f.rejected})
         if f.rejected:
-            table.update({"reason": one.reason})
+            table.update({"reason": estimate.reason})
         tables.append(table)
     document["channel"] = tables
     write_output(path, tomlkit.dumps(document))

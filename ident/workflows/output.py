@@ -1,4 +1,4 @@
-"""What the ident commands do: logs in; model.toml, result.json and report.html out."""
+"""Writer of the files of a fit: model.toml, result.json and report.html."""
 
 from __future__ import annotations
 
@@ -23,8 +23,21 @@ def write_all(
     calibration: float | None = None,
     rates: Mapping[str, float] | None = None,
 ) -> None:
-    """model.toml, result.json and report.html into a folder; ``calibration``: relative standard uncertainty of the
-    measured forces; ``rates``: of the sensors [Hz]."""
+    """Write model.toml, result.json and report.html to a folder.
+
+    Parameters
+    ----------
+    out : Path
+        Folder; it is created if it does not exist.
+    ranges : mapping
+        Lower and upper end of the range of each state and input that the data cover.
+    effects_file : Path, optional
+        Python file of user-defined effects.
+    calibration : float, optional
+        Relative standard uncertainty of the measured forces.
+    rates : mapping, optional
+        Rate of each sensor [Hz].
+    """
     out.mkdir(parents=True, exist_ok=True)
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
@@ -51,7 +64,10 @@ def write_all(
 
 
 def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
-    """Ranges of the states and inputs that the estimation data covered (1 % to 99 %)."""
+    """Return the range of each velocity state and input in the estimation data.
+
+    The range of a state is from its 1 % to its 99 % quantile, that of an input from its minimum to its maximum.
+    """
     found: dict[str, tuple[float, float]] = {}
     views = stage.estimation
     for i, state in enumerate(stage.model.states):
@@ -60,13 +76,19 @@ def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
             found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
     for j, name, _ in shown_inputs(stage.model):
         z = np.concatenate([v.record.u[:, j] for v in views])
-        found.setdefault(name, (float(z.min()), float(z.max())))  # a yaw rate that is an input, too, is the state's
+        # A yaw rate can be both input and state; the range of the state is kept.
+        found.setdefault(name, (float(z.min()), float(z.max())))
     return found
 
 
 def sensor_rates(stage: FittedModel) -> dict[str, float]:
-    """Samples a second [Hz] of each sensor in the estimation data, by the median interval: gaps do not count. One that
-    is averaged has one a row, as its estimated noise is that of a row."""
+    """Return the rate [Hz] of each sensor in the estimation data.
+
+    Notes
+    -----
+    The rate is the inverse of the median interval, so gaps do not count. A sensor that is averaged over the rows has
+    the rate of the rows, because its estimated noise is that of a row.
+    """
     found: dict[str, float] = {}
     for sensor in stage.model.sensors:
         records = [v.record for v in stage.estimation]

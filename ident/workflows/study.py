@@ -1,4 +1,4 @@
-"""The study's job: replicates in parallel, a JSON line each, and from them result.json and a page."""
+"""Workflow of `seatrial ident study`: replicates in parallel, one JSON line each, then result.json and a page."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from seatrial.ident.studies import (
     summarise,
 )
 
-BATCH = 25  # replicates a task at most: they are simulated together
-TASK_S = 10.0  # s of CPU that a task takes: so long a line waits, and so much is lost when the study is stopped
-ROWS = 3  # version of what a line holds
+BATCH = 25  # largest number of replicates in a task, which are simulated together
+TASK_S = 10.0  # s: aim for the CPU time of a task; its replicates are lost if the study is stopped before its end
+ROWS = 3  # version of the content of a line
 
 
 def run_study(
@@ -45,17 +45,26 @@ def run_study(
     jobs: int | None = None,
     reporter: Reporter = QUIET,
 ) -> list[Row]:
-    """All replicates of a case, those of earlier runs from ``out``, a file of JSON lines.
+    """Return all replicates of a case; those of earlier runs are read from ``out``.
 
-    ``jobs`` processes, or what ``joblib.parallel_config`` says where it is None: any backend of joblib will do.
+    Parameters
+    ----------
+    n : int
+        Number of replicates.
+    out : Path or str
+        File of JSON lines; new replicates are appended.
+    jobs : int, optional
+        Number of processes; None: that of ``joblib.parallel_config``. Any backend of joblib works.
     """
     key, out = _key(case, seed, method), Path(out)
     done = {r["k"]: r for r in read_replicates(out) if r["key"] == key and r["k"] < n}
     todo = [k for k in range(n) if k not in done]
     if done:
-        reporter.progress(f"{case.name}: {len(done)} replicates are there already")
+        reporter.progress(f"{case.name}: {len(done)} replicates exist already")
         if any(r["code"] != estimator_code_hash() for r in done.values()):
-            reporter.warning(f"some of {out} were made by another state of the code; give another --out to begin anew")
+            reporter.warning(
+                f"some replicates of {out} are from another version of the code; give another --out to start again"
+            )
     out.parent.mkdir(parents=True, exist_ok=True)
     with append_to(out) as file:
         for rows in _results(case, todo, seed, method, jobs):
@@ -68,7 +77,10 @@ def run_study(
 
 
 def _results(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
-    """What each task returns, as soon as it is done; in waves where the backend gives nothing before all are done."""
+    """Yield the rows of each task as soon as it is done.
+
+    Some backends return no result before all tasks are done. For these, the tasks are run in waves.
+    """
     pace = _Pace(todo)
     calls = (joblib.delayed(_timed)(case, task, seed, method) for task in pace.tasks())
     try:
@@ -85,14 +97,18 @@ def _results(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: i
 
 
 class _Pace:
-    """How many replicates make a task: one at first, then what takes ``TASK_S`` by what the last one took, and at least
-    as many as need as long to be estimated as to be simulated, which one does not do much sooner than many."""
+    """Controller of the number of replicates in a task.
+
+    The first task has one replicate. The size of the next tasks follows from the CPU time of the last one: about
+    ``TASK_S``, and at least as much time for estimation as for simulation. The simulation of one replicate takes almost
+    as long as that of many.
+    """
 
     def __init__(self, todo: Sequence[int]) -> None:
         self.todo, self.size = todo, 1
 
     def tasks(self) -> Iterator[Sequence[int]]:
-        """Asked for one by one, as workers become free."""
+        """Yield the replicate numbers of each task; a worker that becomes free requests the next one."""
         at = 0
         while at < len(self.todo):
             task = self.todo[at : at + self.size]
@@ -100,21 +116,21 @@ class _Pace:
             yield task
 
     def took(self, rows: Sequence[Row], seconds: float) -> None:
-        """A task took so much CPU."""
+        """Adapt the size of the next tasks to the CPU time [s] of a finished task."""
         simulation = sum(r["simulation"] for r in rows)
         each = max((seconds - simulation) / len(rows), 1e-6)
         self.size = int(min(max(max(TASK_S - simulation, simulation) / each, 1), 2 * len(rows), BATCH))
 
 
 def _timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
-    """CPU seconds and rows of a task."""
+    """Run a task; return its CPU time [s] and its rows."""
     began = time.process_time()
     rows = run_replicates(case, numbers, seed, method)
     return time.process_time() - began, rows
 
 
 def read_replicates(out: Path) -> list[Row]:
-    """Lines of earlier runs; one that was cut short is left out, and so is a replicate that failed."""
+    """Read the replicates of earlier runs, without incomplete lines and failed replicates."""
     rows = []
     for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
         try:
@@ -128,20 +144,32 @@ def read_replicates(out: Path) -> list[Row]:
 
 @dataclass(frozen=True)
 class StudyRequest:
-    """Studies of the estimator, as the options of the command say it.
+    """Options of Monte Carlo studies of the estimator.
 
-    Attributes:
-        models: names, files, or ``FILE.py:NAME``, a study each.
-        replicates: missions to simulate.
-        seed: of all draws.
-        out: folder for the results.
-        method: the estimator.
-        reml, mean_order: how it is estimated; None: as the commands do, or did where a file says so (``make_case``).
-        truth: other true values of parameters.
-        free: only these parameters are estimated; none: all.
-        seconds: length of the mission [s]; None: the case's own.
-        bounded: damping is not estimated below zero.
-        jobs: processes; None: what ``joblib.parallel_config`` says.
+    Attributes
+    ----------
+    models
+        Names, files, or ``FILE.py:NAME``; each has its own study.
+    replicates
+        Number of missions to simulate.
+    seed
+        Seed of all random draws.
+    out
+        Folder for the results.
+    method
+        Prediction error or output error.
+    reml, mean_order
+        Restricted likelihood and order of the filter; None: as in the model.toml, else as the commands (``make_case``).
+    truth
+        True values of parameters that replace those of the case.
+    free
+        Parameters to estimate; empty: all.
+    seconds
+        Length of the mission [s]; None: that of the case.
+    bounded
+        Whether damping is bounded below by zero.
+    jobs
+        Number of processes; None: that of ``joblib.parallel_config``.
     """
 
     models: Sequence[str]
@@ -158,7 +186,7 @@ class StudyRequest:
     jobs: int | None = None
 
     def cases(self) -> list[Case]:
-        """One for each model."""
+        """Return the case of each model."""
         return [
             make_case(
                 name,
@@ -174,8 +202,18 @@ class StudyRequest:
 
 
 def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> StudyResult:
-    """The studies of the named models; writes NAME.jsonl for each, result.json and study.md; ``command``: what was
-    typed."""
+    """Run the studies of the models, and write NAME.jsonl for each, result.json and study.md.
+
+    Parameters
+    ----------
+    command : str
+        Command line, for the provenance.
+
+    Raises
+    ------
+    SeatrialError
+        If a model is unknown, or if ``out`` is a file.
+    """
     cases, out, method = request.cases(), request.out, request.method
     if out.exists() and not out.is_dir():
         raise SeatrialError(f"{out}: is a file; give a folder")
@@ -203,7 +241,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
 
 
 def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
-    """One study's entry of ``studies``."""
+    """Return the entry of one study in ``studies``."""
     truth, n = case.model.values, counts(rows)
     return ModelStudy(
         model=case.name,
@@ -215,7 +253,7 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
         unconverged=n.unconverged,
         cpu_fit=finite(n.cpu_fit),
         cpu_simulation=finite(n.cpu_simulation),
-        # the starts, which output error estimates too, have no truth of their own
+        # output error also estimates initial states, which have no true parameter value
         parameters=tuple(
             _row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows) if j.name in truth
         ),
@@ -223,7 +261,7 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
 
 
 def estimator(case: Case, method: Method) -> str:
-    """What is studied, in words."""
+    """Describe the estimator of a study in words."""
     if method == "output-error":
         return "output error"
     noise = "restricted" if case.reml else "maximum"
@@ -232,6 +270,7 @@ def estimator(case: Case, method: Method) -> str:
 
 
 def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
+    """Return the table row of one parameter."""
     return ParameterStudy(
         name=j.name, unit=unit, truth=truth, n=j.n, at_bound=j.at_bound, sd=j.sd, bias=j.bias,
         bias_error=j.bias_error, ratio=j.ratio, ratio_low=j.ratio_interval[0], ratio_high=j.ratio_interval[1],
@@ -241,27 +280,27 @@ def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
     )  # fmt: skip
 
 
-def study_answer(one: ModelStudy) -> str:
-    """How many replicates the statistics are without, and how many parameters keep within what is wanted."""
-    rows = one.parameters
+def study_answer(study: ModelStudy) -> str:
+    """Return the sentence on a study: replicates that were left out, and parameters that meet or miss the aims."""
+    rows = study.parameters
     if not rows:
-        return f"{one.model}: no replicate can be judged" + (f": {one.left_out}." if one.left_out else ".")
-    sure = {r.name: [m for m in r.misses if "chance" not in m] for r in rows}
-    worst = [f"{name} ({', '.join(misses)})" for name, misses in sure.items() if misses]
-    lucky = sum(bool(r.misses) and not sure[r.name] for r in rows)
+        return f"{study.model}: no replicate can be judged" + (f": {study.left_out}." if study.left_out else ".")
+    significant = {r.name: [m for m in r.misses if "chance" not in m] for r in rows}
+    worst = [f"{name} ({', '.join(misses)})" for name, misses in significant.items() if misses]
+    by_chance = sum(bool(r.misses) and not significant[r.name] for r in rows)
     held = f"{sum(not r.misses for r in rows)} of {len(rows)} parameters"
-    all_of = f"{one.model}, {one.replicates} replicates"
-    if one.too_many_left_out:
-        return f"{all_of}, of which {one.left_out}: too many for a verdict."
-    if one.left_out:
-        all_of += f", of which {one.left_out}"
-    parts = [f"{all_of}: {held} are as wanted"]
-    parts += [f"{lucky} miss by no more than chance"] if lucky else []
-    return ", ".join([*parts, *([f"these do not hold: {', '.join(worst)}"] if worst else [])]) + "."
+    all_of = f"{study.model}, {study.replicates} replicates"
+    if study.too_many_left_out:
+        return f"{all_of}, of which {study.left_out}: too many for a verdict."
+    if study.left_out:
+        all_of += f", of which {study.left_out}"
+    parts = [f"{all_of}: {held} meet the aims"]
+    parts += [f"{by_chance} may miss them by chance"] if by_chance else []
+    return ", ".join([*parts, *([f"these miss them: {', '.join(worst)}"] if worst else [])]) + "."
 
 
 def _key(case: Case, seed: int, method: Method) -> str:
-    """Replicates with the same key are of the same study: mission, model, truth, seed and estimator."""
+    """Return the key of a study: a hash of mission, model, truth, seed and estimator."""
     parameters = [(p.name, p.value, p.bounds, p.free) for p in case.model.parameters]
     values: Any = (
         case.name,

@@ -1,6 +1,6 @@
-"""The thruster's job: a bench log in; its model, static curve and report out.
+"""Workflow of `seatrial ident thruster`: bench logs to a thruster model, or to a static thrust curve.
 
-The thruster's job where nobody measured the shaft: force and command in; a static curve out.
+Logs with shaft speeds give a model of shaft dynamics and thrust. Logs with only force and command give a static curve.
 """
 
 from __future__ import annotations
@@ -62,21 +62,29 @@ from seatrial.ident.workflows.check import with_findings
 from seatrial.ident.workflows.model_inputs import check_ahead, check_names
 from seatrial.ident.workflows.output import write_all
 
-SETTLED, AVERAGED = 1.0, 0.6  # s that a command must have lasted, and over which it is then averaged
+SETTLED_S, AVERAGED_S = 1.0, 0.6  # time after a change of command, and time at its end over which is averaged
 
 
 @dataclass(frozen=True)
 class ThrusterRequest:
-    """A thruster to be characterised, as the options of the command say it.
+    """Options of a thruster characterisation.
 
-    Attributes:
-        logs: of the bench, of one thruster.
-        out: folder for the results.
-        name: the thruster's in the rig, where the logs have several.
-        estimation: how parameters are estimated.
-        settle: left out after each change of command, of a static curve [s].
-        profiles: parameters that get a profile likelihood.
-        despite_faults: fit logs in which the checks find a fault that makes a fit meaningless.
+    Attributes
+    ----------
+    logs
+        Bench logs of one thruster.
+    out
+        Folder for the results.
+    name
+        Name of the thruster in the rig, if the logs have several.
+    estimation
+        Options of the estimator.
+    settle
+        For a static curve: time that is left out after each change of command [s].
+    profiles
+        Parameters for the profile likelihood.
+    despite_faults
+        Whether to fit even if the checks find faults that make a fit meaningless.
     """
 
     logs: Sequence[Path]
@@ -89,15 +97,25 @@ class ThrusterRequest:
 
 
 def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> ThrusterResult | ThrustCurveResult:
-    """Fit the thruster model to bench logs of one thruster, or a static curve where nobody measured the shaft;
-    ``command``: what was typed."""
+    """Fit the thruster model to bench logs of one thruster, or a static curve if they have no shaft speed.
+
+    Parameters
+    ----------
+    command : str
+        Command line, for the provenance.
+
+    Raises
+    ------
+    SeatrialError
+        If the logs lack signals, have faults that make a fit meaningless, or do not go with an option.
+    """
     name, profiles = request.name, request.profiles
     loaded = load_runs(request.logs, "estimation", device_faults=device_faults)
-    loaded = [with_findings(log, {}, request.despite_faults) for log in loaded]  # a bench does not turn
+    loaded = [with_findings(log, {}, request.despite_faults) for log in loaded]  # no sides: a bench does not turn
     options, horizon = request.estimation, request.estimation.horizon
     if is_static(loaded, name):
         asked = {"--robust": options.outlier_model, "--profile": profiles, "--horizon": horizon is not None}
-        _refuse(request.logs[0], [option for option, given in asked.items() if given])
+        _refuse(request.logs[0], [option for option, is_given in asked.items() if is_given])
         return static_curve(loaded, request, command, reporter)
     check_ahead(horizon, loaded)
     name = name or thruster_name(loaded[0])
@@ -136,43 +154,46 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
 def _without_zero_drift(
     loaded: Sequence[LoadedLog], command_of: Callable[[LoadedLog], str], settle: float
 ) -> tuple[list[LoadedLog], list[str]]:
-    """The logs without the drift of their load cells' zeros between rests, and a line for each that drifts."""
+    """Remove the drift of the load cells' zeros between rests; return the logs, and a line for each drift."""
     found, lines = [], []
     for x in loaded:
         channels = x.run.channels
-        both = (channels[command_of(x)], channels["force"]) if {command_of(x), "force"} <= set(channels) else None
-        drift = zero_drift(*both, settle) if both is not None else None
-        if drift is not None and both is not None:
-            x = replace(x, run=replace(x.run, channels={**channels, "force": drift.taken_off(both[1])}))
+        command, force = channels.get(command_of(x)), channels.get("force")
+        drift = zero_drift(command, force, settle) if command is not None and force is not None else None
+        if drift is not None and force is not None:
+            x = replace(x, run=replace(x.run, channels={**channels, "force": drift.taken_off(force)}))
             lines.append(drift.text if len(loaded) == 1 else f"{x.about['path']}: {drift.text}")
         found.append(x)
     return found, lines
 
 
 def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
-    """Relative standard uncertainty of the load cell's force; None where a rig does not give it."""
+    """Return the largest relative standard uncertainty of the load cells' forces; None if no rig gives one."""
     cells = [d.calibration for x in loaded if x.rig for d in x.rig.devices if d.calibration is not None]
     found = [sd for sd in (c.relative_sd for c in cells) if sd is not None]
     return max(found) if found else None
 
 
 def _refuse(path: Path, options: Sequence[str]) -> None:
-    """Options that a static curve does not know; raises SeatrialError where there is one."""
+    """Raise SeatrialError if there are options, which a static curve does not use."""
     if options:
         raise SeatrialError(
-            f"{path}: has no shaft speed, so there is a static curve alone, which {' and '.join(options)} cannot "
-            "change; leave it out"
+            f"{path}: has no shaft speed, so only a static curve can be fitted, which does not use "
+            f"{' and '.join(options)}; leave it out"
         )
 
 
 def _record(model: Model, loaded: LoadedLog, name: str) -> Record:
+    """Return the record of one log for a thruster model."""
     channels = thruster_channels(loaded, model, name)
     return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
 
 
 def _static(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], name: str) -> StaticForce:
-    """Steady points: the last second of every command that lasted, and the fitted curve with its band, where the shaft
-    turned."""
+    """Return the measured steady points and the fitted static curve.
+
+    The curve covers the directions in which the shaft turned.
+    """
     points = [p for i, x in enumerate(loaded) for p in _steady(x, name, fitted.estimate("bias", i)[0])]
     n, force, sd = np.array(points).reshape(-1, 3).T
     ends = (0.0, *directions(records))
@@ -182,12 +203,13 @@ def _static(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog],
 
 
 def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
+    """Return shaft speed, force [N] and standard error [N] at the end of each command that was held long enough."""
     command, n, f = (loaded.run.channels[c] for c in (f"n_cmd_{name}", f"n_{name}", "force"))
     points = []
     for steady in steady_segments(command.t, command.value, float(command.t[-1])):
-        if steady.duration < SETTLED + AVERAGED:
+        if steady.duration < SETTLED_S + AVERAGED_S:
             continue
-        speed, force = (c.value[(c.t > steady.end - AVERAGED) & (c.t <= steady.end)] for c in (n, f))
+        speed, force = (c.value[(c.t > steady.end - AVERAGED_S) & (c.t <= steady.end)] for c in (n, f))
         if speed.size > 3 and force.size > 3:
             points.append((float(speed.mean()), float(force.mean() - bias), mean_error(force)[0]))
     return points
@@ -200,16 +222,22 @@ def _range(z: Array) -> tuple[float, float]:
 def static_curve(
     loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter
 ) -> ThrustCurveResult:
-    """Fit a curve to steady segments of bench logs that have a force and a command but no shaft speed."""
+    """Fit a static curve to steady segments of a bench log with force and command, and write the results.
+
+    Raises
+    ------
+    SeatrialError
+        If there are several logs, or if the log has too few steady levels or a reversed load cell.
+    """
     if len(loaded) != 1:
-        raise SeatrialError(f"{loaded[1].about['path']}: a static curve is made of one log; give one")
-    one = loaded[0]
-    channels, where = one.run.channels, one.about["path"]
-    names, out = _commands(one, request.name), request.out
+        raise SeatrialError(f"{loaded[1].about['path']}: a static curve takes one log; give one")
+    log = loaded[0]
+    channels, where = log.run.channels, log.about["path"]
+    names, out = _commands(log, request.name), request.out
     if "force" not in channels:
         raise SeatrialError(f"{where}: no signal 'force'; it has {', '.join(sorted(channels))}")
-    (one,), drifts = _without_zero_drift([one], lambda x: names[0], request.settle)
-    channels = one.run.channels
+    (log,), drifts = _without_zero_drift([log], lambda x: names[0], request.settle)
+    channels = log.run.channels
     reporter.progress(f"steady force against {' and '.join(names)}")
     try:
         levels = find_levels(channels[names[0]], channels["force"], request.settle)
@@ -234,7 +262,7 @@ def static_curve(
         "made_by": command,
         "created": result.created,
         "seatrial": result.seatrial,
-        "logs": [f"{where} sha256:{one.about['sha256'][:16]}"],
+        "logs": [f"{where} sha256:{log.about['sha256'][:16]}"],
     }
     save_curve(out / "model.toml", measured, levels, quadratic, made)
     write_result(result, out / "result.json")
@@ -243,37 +271,39 @@ def static_curve(
 
 
 def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
-    """Whether the logs have commands but no shaft speed that goes with one of them."""
-    for one in loaded:
-        names = [name] if name else [n.removeprefix("n_cmd_") for n in one.run.channels if n.startswith("n_cmd_")]
-        if any(f"n_cmd_{n}" in one.run.channels and f"n_{n}" in one.run.channels for n in names):
+    """Return whether the logs have a force and commands, but no shaft speed of a commanded thruster."""
+    for log in loaded:
+        names = [name] if name else [n.removeprefix("n_cmd_") for n in log.run.channels if n.startswith("n_cmd_")]
+        if any(f"n_cmd_{n}" in log.run.channels and f"n_{n}" in log.run.channels for n in names):
             return False
     return "force" in loaded[0].run.channels and bool(_command_names(loaded[0].run.channels, name))
 
 
 def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[str]:
+    """Return the channels with the command of the named thruster, or of all thrusters."""
     sides = [name] if name else ["left", "right", *(n[6:] for n in channels if n.startswith("n_cmd_"))]
     found = [next((n for n in (f"n_cmd_{s}", f"n_{s}") if n in channels), "") for s in dict.fromkeys(sides)]
     return [n for n in found if n]
 
 
-def _commands(one: LoadedLog, name: str | None) -> list[str]:
-    """The commands that moved; several are one only where they are the same."""
-    channels = one.run.channels
+def _commands(log: LoadedLog, name: str | None) -> list[str]:
+    """Return the commands that change. Raise SeatrialError if there is none, or if several are not equal."""
+    channels = log.run.channels
     moved = [n for n in _command_names(channels, name) if np.ptp(channels[n].value) > 0]
     if not moved:
-        raise SeatrialError(f"{one.about['path']}: no command that changes; it has {', '.join(sorted(channels))}")
+        raise SeatrialError(f"{log.about['path']}: no command that changes; it has {', '.join(sorted(channels))}")
     first = channels[moved[0]]
-    for other in moved[1:]:
-        c = channels[other]
+    for second in moved[1:]:
+        c = channels[second]
         if c.t.size != first.t.size or not np.allclose(c.value, first.value):
             raise SeatrialError(
-                f"{one.about['path']}: {moved[0]} and {other} differ; name the thruster that was measured: --thruster"
+                f"{log.about['path']}: {moved[0]} and {second} differ; name the thruster that was measured: --thruster"
             )
     return moved
 
 
 def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticForce:
+    """Return the levels, the monotone curve and the quadratic curve for plots."""
     grid = np.union1d(np.linspace(curve.n[0], curve.n[-1], 161), curve.n)
     return StaticForce(
         n=levels.n,
@@ -288,34 +318,35 @@ def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticF
 
 
 def _newtons(force: float) -> str:
-    """To a tenth, of a small thruster to two digits."""
+    """Format a force with one decimal, or with two significant digits below 1 N."""
     return f"{force:.1f} N" if abs(force) >= 1.0 else f"{force:.2g} N"
 
 
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
-    """The force at the ends of the command, and whether the quadratic describes the levels."""
-    curve, thrusters, known = measured.curve, measured.thrusters, measured.calibration
+    """Return the sentence on the force at the largest commands, and on the fit of the quadratic to the levels."""
+    curve, thrusters, calibration = measured.curve, measured.thrusters, measured.calibration
     words = {1: "The thruster gives", 2: "Both thrusters together give"}
-    error = np.hypot(curve.se, (known or 0.0) * curve.force)
+    error = np.hypot(curve.se, (calibration or 0.0) * curve.force)
     ends, lost = [], ""
-    for k, way, word in ((-1, 1.0, "ahead"), (0, -1.0, "astern")):
-        if way * curve.n[k] > 0.0:
-            ends.append(f"{plus_minus(way * float(curve.force[k]), float(error[k]))} N {word}")
+    for k, direction, word in ((-1, 1.0, "forward"), (0, -1.0, "in reverse")):
+        if direction * curve.n[k] > 0.0:
+            ends.append(f"{plus_minus(direction * float(curve.force[k]), float(error[k]))} N {word}")
         else:
             lost = f"; {word}: not measured"
-    told = (
-        f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {' and '.join(ends)} at the ends of the "
-        f"command ({'statistical only' if known is None else 'with the calibration'}{lost}), {levels.n.size} steady "
-        "levels in all."
+    thrust = (
+        f"{words.get(thrusters, f'The {thrusters} thrusters together give')} {' and '.join(ends)} at the largest "
+        f"commands ({'statistical only' if calibration is None else 'with the calibration'}{lost}), "
+        f"{levels.n.size} steady levels in all."
     )
     if adequate(quadratic):
         return (
-            f"{told} {quadratic.formula} describes them within their errors (c1 {quadratic.c1:.4g} N, "
+            f"{thrust} {quadratic.formula} describes them within their errors (c1 {quadratic.c1:.4g} N, "
             f"misfit {quadratic.rms:.2g} N rms)."
         )
+    largest = f"{'+' * (quadratic.largest > 0.0)}{_newtons(quadratic.largest)}"
     return (
-        f"{told} {quadratic.formula} does not describe them: it misses them by {_newtons(quadratic.rms)} (rms), by "
-        f"{'+' * (quadratic.largest > 0.0)}{_newtons(quadratic.largest)} at n = {quadratic.at:g}; a level left out is "
-        f"missed by {_newtons(quadratic.left_out)}, by the monotone curve through the others by "
+        f"{thrust} {quadratic.formula} does not describe them: its misfit is {_newtons(quadratic.rms)} (rms); the "
+        f"largest is {largest} at n = {quadratic.at:g}. Its error at a level that is left out is "
+        f"{_newtons(quadratic.left_out)}, that of the monotone curve through the others is "
         f"{_newtons(curve_left_out(levels))}."
     )

@@ -1,4 +1,4 @@
-"""`seatrial ident vehicle`: a vehicle model fitted to logs and validated on others."""
+"""Workflow of `seatrial ident vehicle`: fit of a vehicle model to logs, and its validation on other logs."""
 
 from __future__ import annotations
 
@@ -15,10 +15,17 @@ from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_probl
 
 
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
-    """Fit a vehicle model to logs, evaluate it on them and on the validation logs, write the results.
+    """Fit a vehicle model to logs, evaluate it on these and on the validation logs, and write the results.
 
-    ``command``: what was typed. Raises SeatrialError where the logs cannot be read, lack what the model needs, or
-    have faults that make a fit meaningless.
+    Parameters
+    ----------
+    command : str
+        Command line, for the provenance.
+
+    Raises
+    ------
+    SeatrialError
+        If the logs cannot be read, lack signals that the model needs, or have faults that make a fit meaningless.
     """
     loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
     problem = vehicle_problem(request, loaded, unseen)

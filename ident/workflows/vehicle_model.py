@@ -1,4 +1,4 @@
-"""The vehicle model of a fit: structure, rig geometry, bench results, prior knowledge, noise floors."""
+"""Vehicle model for a fit: structure, rig geometry, bench results, priors and noise bounds."""
 
 from __future__ import annotations
 
@@ -32,27 +32,41 @@ from seatrial.ident.workflows.model_inputs import (
     unused_signals,
 )
 
-SLOW_INPUT_S = 0.015  # s between samples of an output from which its changes are uncertain in time
+SLOW_INPUT_S = 0.015  # s: if samples of an output are farther apart, the times of its changes are uncertain
 
 
 @dataclass(frozen=True)
 class VehicleRequest:
-    """A vehicle model to be fitted, as the options of the command say it.
+    """Options of a vehicle fit.
 
-    Attributes:
-        logs, validation: logs that the fit sees, and others that judge it.
-        out: folder for the results.
-        estimation: how parameters are estimated.
-        model: name of the structure, or ``auto`` for the horizontal one with the inputs that the logs have.
-        thruster: model.toml of the bench, or a static curve from command to thrust.
-        fixed, initial: values of parameters that are known, and where the estimate of others starts.
-        priors: mean and standard deviation of parameters.
-        effects: of the catalogue, added with their parameters free.
-        despite_faults: fit also where the checks of the logs find what makes a fit meaningless.
-        homogeneity: parameters to test for one value in all logs.
-        profiles: parameters that get a profile likelihood.
-        rate: rows a second to which faster sensors are averaged [Hz].
-        window: of the logs; those for validation are whole.
+    Attributes
+    ----------
+    logs, validation
+        Logs that the model is fitted to, and other logs that validate it.
+    out
+        Folder for the results.
+    estimation
+        Options of the estimator.
+    model
+        Name of the structure, or ``auto`` for the horizontal model with the inputs that the logs have.
+    thruster
+        model.toml of a bench test, or a static curve from command to thrust.
+    fixed, initial
+        Values of fixed parameters, and initial values of estimated ones.
+    priors
+        Mean and standard deviation of the prior of parameters.
+    effects
+        Effects of the catalogue that are added with free parameters.
+    despite_faults
+        Whether to fit even if the checks find faults that make a fit meaningless.
+    homogeneity
+        Parameters for the homogeneity test.
+    profiles
+        Parameters for the profile likelihood.
+    rate
+        Rate of the rows [Hz] over which faster sensors are averaged.
+    window
+        Interval of ``logs`` to use; validation logs are used whole.
     """
 
     logs: Sequence[Path]
@@ -74,10 +88,16 @@ class VehicleRequest:
 
 @dataclass(frozen=True)
 class VehicleProblem:
-    """What is fitted to what: a model with its prior knowledge, segments to estimate and to validate.
+    """Model with its priors, and the data for its estimation and validation.
 
-    ``notes``: what the rig's geometry says, and which noises have a floor; ``thrust``: what the thrust follows;
-    ``unused``: signals of the logs that the model does not take.
+    Attributes
+    ----------
+    notes
+        Lines on rig geometry, calibration, priors and noise bounds.
+    thrust
+        Line on the signals that the thrust is computed from; may be empty.
+    unused
+        Signals of the logs that the model does not use.
     """
 
     model: Model
@@ -88,33 +108,54 @@ class VehicleProblem:
     unused: list[UnusedSignal]
 
 
-def with_calibration(model: Model, curve: ThrustCurve, own: bool) -> tuple[Model, list[str]]:
-    """The model with the calibration of its thrust curve as a parameter that has a prior, and a line that says so.
+def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tuple[Model, list[str]]:
+    """Add the calibration factor of a thrust curve to the model, with a prior.
 
-    ``own``: the model is the user's, of which nobody knows where its thrust is.
+    Parameters
+    ----------
+    user_defined : bool
+        Whether the model is user-defined. Its thrust terms are unknown, so the factor cannot be added.
+
+    Returns
+    -------
+    tuple of Model and list of str
+        The model, and a line about the calibration.
     """
     if curve.calibration is None:
-        return model, ["Thrust by a curve without the error of its calibration: the errors below do not have it."]
-    known = f"Thrust by a curve that is calibrated to ± {100 * curve.calibration:.2g} %"
-    if own:
-        return model, [f"{known}, which is not in the errors of a model of your own."]
-    return model + thrust_calibration(model, curve.calibration), [f"{known}: its factor k_thrust is in the errors."]
+        return model, ["The thrust curve has no calibration error: the standard errors exclude this error."]
+    calibrated = f"The thrust curve is calibrated to ± {100 * curve.calibration:.2g} %"
+    if user_defined:
+        return model, [f"{calibrated}; the standard errors of a user-defined model exclude this error."]
+    return model + thrust_calibration(model, curve.calibration), [
+        f"{calibrated}; its factor k_thrust is included in the standard errors."
+    ]
 
 
 def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, list[str]]:
-    """The model that takes inputs for uncertain in time, where there is one and they are known from slow samples, and a
-    line that says so: without it errors from 10 Hz are too small by a factor of two or three, and what 40 Hz leave open
-    makes a damping of four standard errors where there is none (docs/examples/ardurover)."""
+    """Choose the model with inputs that are uncertain in time, if the inputs are sampled slowly.
+
+    Returns
+    -------
+    tuple of str and list of str
+        Name of the model, and a line about the choice. The name is unchanged if the structure has no such variant.
+
+    Notes
+    -----
+    Without this variant, standard errors from inputs at 10 Hz are too small by a factor of two or three. Inputs at
+    40 Hz then yield a damping of four standard errors although the true damping is zero (docs/examples/ardurover).
+    """
     name, *options = source.split(":")
     slowest = max((x.run.channels[n].sampled for x in loaded for n in SHAFTS if n in x.run.channels), default=0.0)
     if name != "nomoto" or "sampled" in options or slowest < SLOW_INPUT_S:
         return source, []
     chosen = ":".join((name, "sampled", *options))
-    return chosen, [f"Outputs are known every {slowest:.2g} s: they are uncertain in time (--model {chosen})."]
+    return chosen, [
+        f"Outputs are sampled every {slowest:.2g} s: the times of their changes are uncertain (--model {chosen})."
+    ]
 
 
 def considered_notes(model: Model) -> list[str]:
-    """A line that says what is in the errors beside what the logs tell."""
+    """Return a line on the considered parameters, whose prior uncertainty is included in the standard errors."""
     held = [p for p in model.parameters if p.considered_sd is not None]
     if not held:
         return []
@@ -124,15 +165,21 @@ def considered_notes(model: Model) -> list[str]:
         for p in held
     ]
     return [
-        f"The standard errors have in them what no log tells of its own sensors: {', '.join(words)}. "
-        f"`ident vehicle --prior {held[0].name}={held[0].value:g}:SD` gives yours."
+        f"The standard errors include sensor errors that no log determines: {', '.join(words)}. "
+        f"`ident vehicle --prior {held[0].name}={held[0].value:g}:SD` sets your own value."
     ]
 
 
 def vehicle_problem(
     request: VehicleRequest, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]
 ) -> VehicleProblem:
-    """The model that a request asks for, for these logs. Raises SeatrialError where they lack what it needs."""
+    """Return the model and the data of a vehicle fit.
+
+    Raises
+    ------
+    SeatrialError
+        If the logs lack signals that the model needs, or if an option does not fit the model.
+    """
     curve, source = load_curve(request.thruster) if request.thruster is not None else None, request.model
     if curve is not None and source == "auto":
         source = "horizontal:force"
@@ -143,19 +190,21 @@ def vehicle_problem(
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
     notes = [*sampled, *notes]
     if not is_own_model(source):
-        model, lasting = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
-        notes += lasting
+        model, navigation_notes = with_estimator_errors(model, loaded, {*request.fixed, *request.priors})
+        notes += navigation_notes
     if curve is not None:
-        model, told = with_calibration(model, curve, own=is_own_model(source))
-        notes += told
+        model, calibration_notes = with_calibration(model, curve, user_defined=is_own_model(source))
+        notes += calibration_notes
     model = with_effects(model, request.effects)
     require_one_frame(model, [*loaded, *unseen])
     model = set_initial_values(set_priors(model, request.priors), request.initial)
-    model, untold = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
+    model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model = pose_scale(model)
     model, floors = with_noise_floors(model, loaded)
     notes += considered_notes(model)
     check_names(nominal(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
     unused = unused_signals(model, loaded, unseen)
-    return VehicleProblem(model, segments, validation, [*notes, *untold, *floors], thrust_from(model, loaded), unused)
+    return VehicleProblem(
+        model, segments, validation, [*notes, *fixed_notes, *floors], thrust_from(model, loaded), unused
+    )

@@ -129,7 +129,7 @@ def design() -> DesignResult:
         ],
         "inputs": [{"name": n, "t": t, "value": v} for n, v in zip(("left", "right"), levels, strict=True)],
         "track": track,
-        "answer": "After this mission of 120 s a fit should know m_u ±0.74 kg (2 %)",
+        "answer": "After this mission of 120 s the expected standard errors are m_u ±0.74 kg (2 %)",
     }
     return msgspec.convert(content, DesignResult, dec_hook=arrays)
 
@@ -155,7 +155,7 @@ def study() -> StudyResult:
         "command": "seatrial ident study surge yaw",
         "seed": 1,
         "logs": [],
-        "answer": "surge, 500 replicates: 2 of 2 parameters are as wanted. yaw: these do not hold: d_v (coverage).",
+        "answer": "surge, 500 replicates: 2 of 2 parameters meet the aims. yaw: these miss them: d_v (coverage).",
         "studies": [
             common | {"model": "surge", "about": "300 s, steps of thrust", "parameters": fine},
             common | {"model": "yaw", "about": "300 s, steps of moment", "parameters": poor},

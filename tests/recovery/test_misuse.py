@@ -33,7 +33,7 @@ def test_a_fit_despite_a_mounting_ends_with_a_result_or_one_line(
         command_line.main([*words, str(tmp_path / "out")])
     out, err = capfd.readouterr()
     assert left.value.code in (0, 1)
-    assert "Despite faults of the logs" in " ".join(out.split())
+    assert "The logs have faults that can make this result meaningless" in " ".join(out.split())
     assert "Traceback" not in err
     assert not re.search("SVD|Warning:|singular", out + err)
 

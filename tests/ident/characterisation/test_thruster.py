@@ -69,7 +69,7 @@ def test_a_thrust_that_nobody_measured_has_no_number(tmp_path: Path) -> None:
     run("ident", "thruster", write_bench(tmp_path, AHEAD), "--out", str(tmp_path / "t"))
     result = json.loads((tmp_path / "t/result.json").read_text())
     assert "41.0" in result["answer"] or "41.1" in result["answer"]
-    assert "astern: not measured" in result["answer"]
+    assert "in reverse: not measured" in result["answer"]
     assert "nan" not in result["answer"]
     assert result["warnings"][0]["code"] == "one-direction"
     assert min(result["static"]["n_model"]) == 0.0
@@ -117,10 +117,10 @@ def test_each_end_has_its_own_error_by_the_covariance() -> None:
     np.testing.assert_allclose(force, [41.0, -39.0, 0.0])
     np.testing.assert_allclose(error, np.sqrt([0.25 - 2 * 0.096, 0.25 + 2 * 0.096, 0.0]))
     said = thruster_answer(estimates(-0.8), has_force=True)
-    assert "gives 41.00 ± 0.24 N ahead and 39.00 ± 0.66 N astern at full speed (statistical only)" in said
+    assert "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (statistical only)" in said
     said = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
-    assert "gives 41.0 ± 4.1 N ahead and 39.0 ± 4.0 N astern" in said
-    assert "The logs do not tell the thrust" in thruster_answer(estimates(np.nan), has_force=True)
+    assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in said
+    assert "The logs do not determine the thrust" in thruster_answer(estimates(np.nan), has_force=True)
 
 
 def test_steady_points_have_errors_that_allow_for_autocorrelation() -> None:

@@ -84,7 +84,7 @@ def fitted(logs: Path) -> Path:
 def test_thruster(fitted: Path) -> None:
     result = result_of(fitted / "thruster")
     assert result["kind"] == "thruster"
-    assert "N ahead" in result["answer"]
+    assert "N forward" in result["answer"]
     truth = draw_bench(SEED).truth()
     rows = {row["name"]: row for row in result["fit"]["parameters"]}
     for name, true in (("c1", "c1"), ("a", "pole"), ("tau", "delay")):
@@ -223,7 +223,7 @@ def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_sam
     status, _, err = run(*fit, "--despite-faults", "--fix", "m_u=37", "--out", tmp_path / "despite")
     assert (status, err) == (0, "")
     result = result_of(tmp_path / "despite")
-    assert result["answer"].startswith("Despite faults of the logs")
+    assert result["answer"].startswith("The logs have faults that can make this result meaningless")
     assert [f["code"] for f in result["logs"][0]["findings"] if f["spoils"]] == ["thruster-sides-swapped"]
 
 

@@ -45,7 +45,7 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     status, said, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
     assert "m_u ±" in said
-    assert "Shafts are taken to follow their commands with a built-in time constant of 358 ms" in " ".join(said.split())
+    assert "The design assumes a built-in time constant of the shafts of 358 ms" in " ".join(said.split())
     assert "kg m²" in said
     assert "kg m2" not in said
     mission = load_mission(out)
@@ -125,7 +125,9 @@ def test_samples_of_a_sensor_are_not_taken_for_averages(
     assert run(capsys, "design", str(fitted), *QUICK, *words)[0] == 0
     made = json.loads(out.with_suffix(".json").read_text())
     assert made["rates"] == {"attitude": float(rate), "gyro": 10.0, "position": 5.0}
-    assert said == any("attitude 10 Hz), whose noise" in w["text"] for w in made["warnings"])
+    assert said == any(
+        "attitude 10 Hz), and the model has the noise of these rows" in w["text"] for w in made["warnings"]
+    )
     assert f"attitude {rate} Hz, gyro 10 Hz" in out.with_suffix(".html").read_text(encoding="utf-8")
 
 
@@ -155,10 +157,12 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
     out = tmp_path / "turn.toml"
     status, said, _ = run(capsys, "design", "yaw", *QUICK, "--out", str(out), "--thrusters", "port,star")
     assert status == 0
-    assert said.index("built-in 41 N") < said.index("After this mission")
+    assert said.index("built-in thrust of 41 N") < said.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
     assert codes == ["thrust-scale-unknown", "shaft-lag-built-in", "rates-assumed"]
-    assert "at 10 Hz where neither --rate nor the model.toml says else: gyro." in " ".join(said.split())
+    assert "assumes 10 Hz for sensors whose rate neither --rate nor the model.toml gives: gyro." in " ".join(
+        said.split()
+    )
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
     np.testing.assert_array_equal(mission.segments[1].n[:, 0], -mission.segments[1].n[:, 1])

@@ -279,7 +279,7 @@ def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:
 
 def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
     result = diagnosis()
-    result["caveat"] = "The name is not sure: a lag explains nearly as much."
+    result["caveat"] = "The name is uncertain: a lag explains nearly as much."
     result["effects"][0] |= {
         "attribution": "ambiguous",
         "reasons": ["a lag explains nearly as much"],
@@ -287,11 +287,11 @@ def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
     }
     write_report(loaded(result), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert page.count("The name is not sure: a lag explains nearly as much.") == 1
+    assert page.count("The name is uncertain: a lag explains nearly as much.") == 1
     assert "it resembles this; a lag explains nearly as much; not excluded: lag" in page
     console = Console(width=80, record=True, file=StringIO())
     print_result(loaded(result), console)
-    assert "The name is not sure: a lag explains nearly as much." in console.export_text()
+    assert "The name is uncertain: a lag explains nearly as much." in console.export_text()
 
 
 HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s", "its width"))

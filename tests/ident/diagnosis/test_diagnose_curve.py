@@ -57,7 +57,7 @@ def test_without_it_one_line_says_what_to_give(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("given", "says"),
-    [("left", "--thruster left: no such file"), ("vehicle/model.toml", "vehicle/model.toml: holds no static curve")],
+    [("left", "--thruster left: no such file"), ("vehicle/model.toml", "vehicle/model.toml: contains no static curve")],
 )
 def test_what_is_no_curve_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch, given: str, says: str) -> None:
     monkeypatch.chdir(folder)

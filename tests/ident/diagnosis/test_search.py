@@ -157,7 +157,7 @@ def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
     assert short == ShortData(60.0, 105.0, 2, 3)
     answer = diagnosis_answer(Diagnosis(blank(), blank(cross_validated=False), (), (), (), short=short), None, 10.0)
     assert answer == (
-        "No effect is seen, but 60 s of estimation data are too short to test 2 of 3 candidates: give 105 s or more."
+        "No effect was found, but 60 s of estimation data are too short to test 2 of 3 candidates: give 105 s or more."
     )
     missed = ValidationMismatch("run 2", "x", 3.0, None)
     answer = diagnosis_answer(
@@ -181,7 +181,7 @@ def test_a_curve_without_a_name_is_a_likeness_where_it_does_not_predict_better(f
         better=(), worse=(),
     )  # fmt: skip
     answer = diagnosis_answer(found, change, 10.0)
-    assert answer.startswith("The model lacks a curve" if fell else "What the model lacks resembles a curve")
+    assert answer.startswith("The model lacks a curve" if fell else "The missing effect resembles a curve")
     assert ("falls" in answer) is fell
 
 
@@ -203,11 +203,11 @@ def test_a_search_that_may_add_no_more_says_what_it_left(monkeypatch: pytest.Mon
     chosen = refit("hump", 900.0)
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried=(score,))
-    said = "The search ended with 1 effect, as many as --max-effects allows; not tried: wind."
+    said = "The search ended with 1 effect, the limit set by --max-effects; not tried: wind."
     assert diagnosis_caveat(found) == said  # on the screen, too
     assert said not in _notes(found)
     doubted = replace(found, judgements=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    assert diagnosis_caveat(doubted) == f"The name is not sure: a lag resembles it. {said}"
+    assert diagnosis_caveat(doubted) == f"The name is uncertain: a lag resembles it. {said}"
 
 
 def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -444,7 +444,7 @@ def test_a_payload_has_no_kilograms_where_the_thrust_is_not_known() -> None:
     after = blank(fit=blank(model=model), cross_validated=False)
     found = Diagnosis(blank(), after, (), (), (), mismatches=(ValidationMismatch("tue/run", "r", 2.0, shift),))
     said = diagnosis_answer(found, None, 10.0)
-    assert "m_payload/T = 0.2 ± 0.01 kg/N in that run, not 0, would explain it best" in said
+    assert "The best explanation is m_payload/T = 0.2 ± 0.01 kg/N in that run, instead of 0." in said
     (row,) = map(_mismatch, reported_mismatches(found))
     assert (row.parameter, row.unit) == ("m_payload/T", "kg/N")
     assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
@@ -496,7 +496,7 @@ def test_a_payload_in_one_run_is_named() -> None:
     for one in (evaluation.before, evaluation.after):
         assert one.validation is not None
         assert len(one.validation.records) == len(validated_in_blocks(found.after).validation) > 4
-    assert "has parameters of its own for each run" in _blocks_note(evaluation)[0]
+    assert "has separate parameters for each run" in _blocks_note(evaluation)[0]
 
 
 @pytest.mark.slow

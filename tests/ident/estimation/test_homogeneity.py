@@ -144,7 +144,9 @@ def test_a_log_that_does_not_inform_the_parameter_is_left_out(prior: tuple[float
     lone = [data[0], still, replace(still, name="also")]
     alone = homogeneity_test(fit(model, lone), lone, "m")
     assert (alone.df, alone.left_out) == (0, ("still", "also"))
-    assert homogeneity_sentence(alone) == "m: whether the logs agree cannot be told. still, also do not inform it."
+    assert homogeneity_sentence(alone) == (
+        "m: the logs cannot be compared, as fewer than two inform it. still, also do not inform it."
+    )
     assert homogeneity_row(alone).low is None
 
 

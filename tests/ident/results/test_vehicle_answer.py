@@ -95,7 +95,7 @@ def test_a_late_sensor_names_the_parameters_that_it_biases(level: str, code: str
         assert "c1" not in warning.text
 
 
-WHITE = "The residuals are white and know nothing of the inputs"
+WHITE = "The residuals are white and uncorrelated with the inputs"
 
 
 def said(
@@ -232,15 +232,15 @@ def test_the_fit_of_all_channels_comes_first(horizon: float, words: str) -> None
 
 def test_nothing_tested_is_not_white() -> None:
     assert said([], []) == (
-        "Too little was measured to tell whether the residuals are white: that takes 60 samples of a channel."
+        "There are too few samples to test whether the residuals are white: the test takes 60 samples of a channel."
     )
-    assert said([0.4], [], "xy") == f"{WHITE} (of y there are too few to tell)."
+    assert said([0.4], [], "xy") == f"{WHITE} (too few samples to test: y)."
 
 
 def test_many_tests_are_weighed_together() -> None:
     assert said([0.004] + [0.5] * 7, [("n", 0.002)] + [("n", 0.5)] * 15) == f"{WHITE}."
     assert said([0.004], []).startswith("The residuals are not white")
-    assert said([0.5], [("n", 0.002)]).startswith("The residuals still know the inputs")
+    assert said([0.5], [("n", 0.002)]).startswith("The residuals are correlated with the inputs")
     assert said([1e-5] + [0.5] * 7, []).startswith("The residuals are not white")
 
 
@@ -248,16 +248,18 @@ def test_how_much_of_an_input_is_left_is_said_and_nothing_is_promised() -> None:
     """A long record shows correlations that do not matter, and the noise of a filter is no lack of the model."""
     known = said([0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True)
     assert known == (
-        "The residuals still know the inputs (correlation up to 0.071, north): run `seatrial ident "
+        "The residuals are correlated with the inputs (correlation up to 0.071, north): run `seatrial ident "
         "diagnose` to see whether an effect is missing."
     )
     assert said([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
-    assert said([1e-9], []).endswith(": the model lacks something, or the noise of a sensor is correlated.")
+    assert said([1e-9], []).endswith(": an effect is missing, or the noise of a sensor is autocorrelated.")
 
 
 def test_an_input_that_is_a_measurement_is_no_proof() -> None:
-    assert "know phi and theta, which the model takes as measured" in said([0.5], [("theta", 1e-9), ("phi", 1e-9)])
-    assert said([0.5], [("theta", 1e-9), ("n_left", 1e-9)]).startswith("The residuals still know the inputs")
+    assert "correlated with phi and theta, which the model takes as measured" in said(
+        [0.5], [("theta", 1e-9), ("phi", 1e-9)]
+    )
+    assert said([0.5], [("theta", 1e-9), ("n_left", 1e-9)]).startswith("The residuals are correlated with the inputs")
 
 
 @pytest.mark.study
@@ -330,4 +332,4 @@ def test_a_fit_that_stopped_short_has_no_other_answer() -> None:
     short = replace(found, converged=False, message="stopped after 60 iterations with 667 left to gain")
     said = not_converged(short)
     assert said is not None
-    assert said.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Take no")
+    assert said.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Do not use")

@@ -184,7 +184,7 @@ def test_fits_that_failed_or_did_not_converge_are_in_the_verdict() -> None:
     fine, _, none = result.studies
     for failed, unconverged, says in (
         (0, 0, "surge, 500 replicates: 2 of 2"),
-        (0, 1, "surge, 500 replicates, of which 1 did not converge: 2 of 2 parameters are as wanted"),
+        (0, 1, "surge, 500 replicates, of which 1 did not converge: 2 of 2 parameters meet the aims"),
         (50, 300, "of which 50 failed and 300 did not converge: too many for a verdict."),
     ):
         one = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
@@ -289,7 +289,7 @@ def test_a_study_that_is_killed_leaves_what_it_has_done(tmp_path: Path) -> None:
     assert [r["k"] for r in found] == list(range(len(found)))
     told = Kept()
     study.run_study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=told)
-    assert told.lines == [f"yaw: {len(found)} replicates are there already"]
+    assert told.lines == [f"yaw: {len(found)} replicates exist already"]
 
 
 def test_tasks_are_sized_by_the_time_they_take() -> None:
@@ -392,7 +392,7 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
         outputs.append(capsys.readouterr())
     assert "surge, PE: 60 s" in outputs[0].out
     assert "6 of 6 replicates" in outputs[0].err
-    assert "6 replicates are there already" in outputs[1].err
+    assert "6 replicates exist already" in outputs[1].err
     assert "noise by restricted likelihood, filter's mean of second order" in outputs[0].out
     assert page.read_text().startswith("# Monte Carlo study")
     assert "](pictures/study-surge.svg)" in page.read_text()

@@ -106,7 +106,7 @@ def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
         file.write_text(text, encoding="utf-8")
         told = Kept()
         result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", told)
-        assert any("are there already" in line for line in told.lines) is resumed
+        assert any("exist already" in line for line in told.lines) is resumed
     (part,) = result.studies
     assert part.model == "mine"
     assert {p.name: p.truth for p in part.parameters}["d_u"] == 6.0

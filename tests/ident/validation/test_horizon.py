@@ -152,7 +152,9 @@ def test_the_notes_say_the_horizon() -> None:
     )
     wrong = Calibrations(estimation=CalibrationTable(one_step={}, horizon={"n": row}, simulation={}))
     (line,) = calibration_notes(wrong, 2.5)
-    assert line == "On estimation data, 2.5 s ahead, errors are larger than the model says, by these factors: n 1.5."
+    assert line == (
+        "On estimation data, 2.5 s ahead, errors are larger than the model predicts, by these factors: n 1.5."
+    )
 
 
 @pytest.mark.study

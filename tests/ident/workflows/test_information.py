@@ -208,12 +208,13 @@ def test_the_answer_says_what_hangs_on_what() -> None:
     row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
                             se=1.0, weight=2.5, alone=None, known=True)  # fmt: skip
     assert _answer([row], 2) == (
-        "Most hangs on a, 0 to 30 s: without it the standard error of m_v would be 2.5 times as large."
+        "The most informative segment is a, 0 to 30 s: "
+        "without it the standard error of m_v would be 2.5 times as large."
     )
-    assert _answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s tells of m_v."
+    assert _answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s informs m_v."
     assert _answer([replace(row, weight=1.1)], 2).startswith("No segment matters much more")
-    assert _answer([replace(row, se=30.0, known=False)], 2).endswith("Hardly known from all of it: m_v.")
-    assert _answer([replace(row, se=None)], 2) == "These logs tell nothing of any parameter."
+    assert _answer([replace(row, se=30.0, known=False)], 2).endswith("Poorly known from all logs together: m_v.")
+    assert _answer([replace(row, se=None)], 2) == "These logs contain no information about any parameter."
     assert "--seconds" in _answer([row], 1)
 
 

@@ -68,7 +68,7 @@ def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.Captur
         assert "reason" not in c
     assert not channels["smooth"]["accepted"]
     assert channels["smooth"]["reason"].startswith("its innovations are correlated by +0.")
-    assert "2 of 3 channels are white noise plus a random walk. Not so: smooth. Such numbers" in said
+    assert "2 of 3 channels are white noise plus a random walk. These are not: smooth. Such numbers" in said
     assert channels["smooth"]["predictable"] > 0.3
     assert "do not put them into a filter" in said
     assert any(line.startswith("smooth: not white") and line.endswith("at a lower rate.") for line in result["notes"])
@@ -124,13 +124,16 @@ def test_spikes_and_coarse_steps_are_said_first(tmp_path: Path) -> None:
     run("import", tmp_path / "map.toml", tmp_path / "odd.csv", "-o", tmp_path / "odd.mcap")
     for name, says in (
         ("q", ", but with 4 of 4000 innovations beyond 6 standard deviations, the largest "),
-        ("p", "steps of 0.06 rad/s from value to value, coarse beside its noise."),
+        ("p", "steps of 0.06 rad/s from value to value, coarse compared with its noise."),
         ("r", "The channel is white noise plus a random walk."),
     ):
         run("ident", "noise", tmp_path / "odd.mcap", "--signal", name, "--out", tmp_path / name)
         result = read(tmp_path / name)[0]
         assert says in result["answer"]
-        assert any("The numbers are" in line for line in result["notes"]) == (name != "r")
+        consequence = {"q": "The numbers include these samples", "p": "The numbers are not those"}.get(
+            name, "The numbers "
+        )
+        assert any(consequence in line for line in result["notes"]) == (name != "r")
     run("ident", "noise", tmp_path / "odd.mcap", "--out", tmp_path / "all")
     both = "All 3 channels are white noise plus a random walk, but with spikes, jumps or coarse steps in q, p."
     assert read(tmp_path / "all")[0]["answer"] in (both, both.replace("q, p", "p, q"))
@@ -149,7 +152,7 @@ def test_gps_at_rest(tmp_path: Path) -> None:
     assert [c for c, row in channels.items() if row["accepted"]] == ["rtk x", "rtk y"]
     assert channels["rtk x"]["white"] == pytest.approx(0.0030, abs=0.0003)
     assert channels["single x"]["largest_correlation"] > 0.8
-    assert "Not so: single x" in result["answer"]
+    assert "These are not: single x" in result["answer"]
 
 
 @pytest.mark.measured

@@ -181,7 +181,10 @@ def test_the_calibration_of_a_curve_is_in_the_errors(logs: Path, tmp_path: Path)
     assert load_model(tmp_path / "known/model.toml").model.parameter("k_thrust").prior == (1.0, 0.08)
     run("ident", "vehicle", logs / "run0.mcap", "--model", f"{logs / 'mine.py'}:mine", "--thruster",
         tmp_path / "curve.toml", "--out", tmp_path / "own")  # fmt: skip
-    assert any("not in the errors" in note for note in result(tmp_path / "own")["notes"])
+    assert any(
+        "standard errors of a user-defined model exclude this error" in note
+        for note in result(tmp_path / "own")["notes"]
+    )
 
 
 def test_the_built_in_yaw_model(tmp_path: Path) -> None:
