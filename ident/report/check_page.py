@@ -247,7 +247,7 @@ def _held(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]
 
     If the corners are more than ``limit`` points, return the held values at equidistant times instead.
     """
-    # more corners would be thinned by line_trace, which joins the remaining corners by slopes
+    # line_trace would thin more corners, and join the remaining ones by slopes
     end = max(end, float(t[-1]))
     if 2 * t.size <= limit:
         return np.append(np.repeat(t, 2)[1:], end), np.repeat(value, 2)
