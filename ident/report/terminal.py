@@ -240,7 +240,7 @@ def _candidates(result: DiagnosisResult) -> Table | None:
     table.caption, table.caption_justify = "   ".join(legend), "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
-    for title in ("score", "threshold", "robust p"):
+    for title in ("score", "threshold", "block-robust p"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in shown:
         won = row.name in chosen

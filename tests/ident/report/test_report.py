@@ -259,7 +259,7 @@ def test_a_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[s
 
 def test_the_terminal_says_the_units_of_outages() -> None:
     words = " ".join(printed(KINDS["navigation"]()).split())
-    assert "from [s] for [s] 95 % radius [m] off by [m] allowed [m]" in words
+    assert "from [s] for [s] 95 % radius [m] error [m] allowed [m]" in words
 
 
 def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
