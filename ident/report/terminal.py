@@ -99,7 +99,7 @@ def parameter_table(result: InformationResult) -> Table:
     table.add_column("value ± s.e.", justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
     table.add_column("depends most on", style="dim", no_wrap=True, overflow="ellipsis", max_width=32)
-    table.add_column("s.e. × without", justify="right", no_wrap=True)
+    table.add_column("× without it", justify="right", no_wrap=True)
     for p in result.information.parameters:
         factor, unit = formatting.degrees_for(p.unit)
         shown, segment, growth = "no information", "", "–"
