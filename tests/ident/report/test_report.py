@@ -299,7 +299,7 @@ def test_an_effect_that_was_removed_again_is_not_shown_as_added(small: dict[str,
     page.mkdir()
     words = " ".join(Page(written(result, page)).words.split())
     assert f"Round 1: {name}, removed again" in words
-    assert "It was removed again" in words
+    assert "This effect was removed again" in words
 
 
 def test_errors_that_are_statistical_only_are_marked_on_the_page_too(small: dict[str, Any], tmp_path: Path) -> None:
