@@ -158,7 +158,8 @@ def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: 
     assert re.search(r"one, 60 to 90 s \(turns\)", said)
     assert "Information of these logs" in said
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
-    for words in ("Information in logs", "Information of these logs", "Segment by segment", "heatmap", "depends most on"):
+    titles = ("Information in logs", "Information of these logs", "Segment by segment")
+    for words in (*titles, "heatmap", "depends most on"):
         assert words in page
     assert "Inputs" in page
 
