@@ -1,4 +1,4 @@
-"""C99: one header with static inline functions that needs nothing but math.h."""
+"""Export to C99: one header of static inline functions that includes only math.h."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from seatrial.ident.export.codegen import C, Content, Program, comment, header
 from seatrial.ident.export.codegen import write as write_lines
 
-# Words of the language, of math.h, and of the functions written here.
+# Names that generated variables must not have: arguments of the functions, keywords of C, names of math.h.
 WORDS = """x u p y dx dt x_next at k1 k2 k3 k4 i
 auto break case char const continue default do double else enum extern float for goto if inline int long register
 restrict return short signed sizeof static struct switch typedef union unsigned void volatile while
@@ -15,8 +15,7 @@ sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh sqrt exp log log1p e
 copysign pow fabs fmin fmax floor ceil y0 y1 yn j0 j1 jn gamma signgam NAN INFINITY HUGE_VAL"""
 TAKEN = frozenset(WORDS.split())
 STEP = """
-/* The states after dt [s] with the inputs held: one step of Runge-Kutta 4; take dt no longer than 0.1 s.
- * x_next may be x. */
+/* States after dt [s], at most 0.1 s, for constant inputs: one step of Runge-Kutta 4. x_next may be the array x. */
 static inline void NAME_step(const double x[], const double u[], const double p[], double dt, double x_next[])
 {
     double k1[NAME_NX], k2[NAME_NX], k3[NAME_NX], k4[NAME_NX], at[NAME_NX];
@@ -34,13 +33,13 @@ static inline void NAME_step(const double x[], const double u[], const double p[
 
 
 def write(c: Content) -> str:
-    """The file."""
+    """Return the text of the header file."""
     guard = f"{c.name.upper()}_MODEL_H"
-    said = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(c, "C99")]
+    head = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(c, "C99")]
     return "\n".join(
         [
             "/*",
-            *(f" * {line}".rstrip() for line in said),
+            *(f" * {line}".rstrip() for line in head),
             " */",
             f"#ifndef {guard}",
             f"#define {guard}",
@@ -49,7 +48,7 @@ def write(c: Content) -> str:
             "",
             *_names(c),
             "",
-            *_table(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "what to give for p"),
+            *_table(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "default of p"),
             *_table(
                 c,
                 "state_noise",
@@ -60,10 +59,10 @@ def write(c: Content) -> str:
                 c,
                 "output_noise",
                 [(v, n) for n, v in zip(c.outputs, c.output_noise, strict=True)],
-                "standard deviation of each output's white noise [unit]",
+                "standard deviation of the noise of each output [unit]",
             ),
             _function(c, "f", "dx", c.programs[0], "Rates of the states [unit/s]."),
-            _function(c, "h", "y", c.programs[1], "Outputs, as the sensors would have them without noise."),
+            _function(c, "h", "y", c.programs[1], "Sensor outputs without noise."),
             STEP.replace("NAME", c.name),
             "#endif",
             "",
@@ -72,7 +71,7 @@ def write(c: Content) -> str:
 
 
 def _names(c: Content) -> list[str]:
-    """Indices: NAME_x_STATE and so on, and the sizes NAME_NX, NAME_NU, NAME_NY, NAME_NP."""
+    """Return enumerations of the indices (NAME_x_STATE etc.) and of the sizes NAME_NX, NAME_NU, NAME_NY, NAME_NP."""
     lines = []
     for letter, names in (("x", c.states), ("u", c.inputs), ("y", c.outputs), ("p", c.parameters)):
         members = [f"    {c.name}_{letter}_{n}," for n in names]
@@ -80,39 +79,43 @@ def _names(c: Content) -> list[str]:
     return lines
 
 
-def _table(c: Content, name: str, rows: Sequence[tuple[float, str]], says: str) -> list[str]:
-    """An array; C has none without elements."""
+def _table(c: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
+    """Return an array of values with a comment beside each; ``description`` is the comment above the array.
+
+    C has no arrays without elements, so an empty table gets one zero.
+    """
     values = [f"    {C.number(v)}, /* {text.replace('*/', '* /').replace('/*', '/ *')} */" for v, text in rows]
-    return [f"/* {says} */", f"static const double {c.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
+    return [f"/* {description} */", f"static const double {c.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
 
 
-def _function(c: Content, name: str, result: str, program: Program, says: str) -> str:
+def _function(c: Content, name: str, result: str, program: Program, description: str) -> str:
+    """Return the text of one function of (x, u, p) that writes to the array ``result``."""
     lines, ends = write_lines(program, C, [*TAKEN, *program.used])
-    given = [(s, f"x[{c.name}_x_{n}]") for s, n in zip(c.symbols[0], c.states, strict=True)]
-    given += [(s, f"u[{c.name}_u_{n}]") for s, n in zip(c.symbols[1], c.inputs, strict=True)]
+    arguments = [(s, f"x[{c.name}_x_{n}]") for s, n in zip(c.symbols[0], c.states, strict=True)]
+    arguments += [(s, f"u[{c.name}_u_{n}]") for s, n in zip(c.symbols[1], c.inputs, strict=True)]
     ids = dict(zip([p.name for p in c.own], c.parameters, strict=True))
-    given += [
+    arguments += [
         (s, f"p[{c.name}_p_{ids[p.name]}]")
         for s, p in zip(c.symbols[2], c.model.parameters, strict=True)
         if p.name in ids
     ]
-    used = [f"    const double {s} = {value};" for s, value in given if s in program.used]
-    idle = [
+    used = [f"    const double {s} = {value};" for s, value in arguments if s in program.used]
+    unused = [  # avoids the compiler's warning about an unused argument
         f"    (void){letter};"
         for letter in "xup"
-        if not any(v.startswith(f"{letter}[") and s in program.used for s, v in given)
+        if not any(v.startswith(f"{letter}[") and s in program.used for s, v in arguments)
     ]
     letter, names = ("x", c.states) if name == "f" else ("y", c.outputs)
     out = [f"    {result}[{c.name}_{letter}_{n}] = {end};" for n, end in zip(names, ends, strict=True)]
     return "\n".join(
         [
             "",
-            f"/* {says} */",
+            f"/* {description} */",
             f"static inline void {c.name}_{name}(const double x[], const double u[], const double p[], "
             f"double {result}[])",
             "{",
             *used,
-            *idle,
+            *unused,
             *("    " + line for line in lines),
             *out,
             "}",

@@ -1,4 +1,4 @@
-"""CasADi: a Python file that rebuilds ``casadi.Function``s, and saves them for ``casadi.Function.load``."""
+"""Export to CasADi: a Python file that builds ``casadi.Function``s and saves them for ``casadi.Function.load``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ h = ca.Function("NAME_h", [_x, _u, _p], [ca.SX(ca.vertcat(*_h(_x, _u, _p)))], ["
 
 
 def _step(x, u, dt, p):
-    """One step of Runge-Kutta 4 with the inputs held; take dt no longer than 0.1 s."""
+    """Return the states after dt [s], at most 0.1 s, for constant inputs: one step of Runge-Kutta 4."""
     k1 = f(x, u, p)
     k2 = f(x + dt / 2 * k1, u, p)
     k3 = f(x + dt / 2 * k2, u, p)
@@ -23,7 +23,7 @@ def _step(x, u, dt, p):
 
 
 step = ca.Function("NAME_step", [_x, _u, _dt, _p], [_step(_x, _u, _dt, _p)], ["x", "u", "dt", "p"], ["x_next"])
-DEFAULTS = list(P.values())  # what to give for p
+DEFAULTS = list(P.values())  # default of p
 
 
 def save(folder="."):
@@ -38,17 +38,17 @@ if __name__ == "__main__":
 
 
 def write(c: Content) -> str:
-    """The file."""
-    said = header(c, "CasADi")
-    said += [
+    """Return the text of the Python file."""
+    head = header(c, "CasADi")
+    head += [
         "",
         "f(x, u, p), h(x, u, p) and step(x, u, dt, p) are casadi.Functions; DEFAULTS is p in the order of P.",
         f"Run this file to save them: python FILE [FOLDER] writes {c.name}_f.casadi, {c.name}_h.casadi and",
-        f"{c.name}_step.casadi, which casadi.Function.load reads without this file, also in C++ and Matlab.",
+        f"{c.name}_step.casadi. casadi.Function.load reads them without this file, also in C++ and Matlab.",
     ]
     return "\n".join(
         [
-            *("# " + line if line else "#" for line in said),
+            *("# " + line if line else "#" for line in head),
             "",
             "import os",
             "import sys",
@@ -65,6 +65,7 @@ def write(c: Content) -> str:
 
 
 def _function(c: Content, name: str, program: Program) -> str:
+    """Return the text of one Python function of symbols (x, u, p)."""
     lines, results = write_lines(program, CASADI, [*RESERVED, *program.used])
     named = ["    p = dict(zip(P, ca.vertsplit(p)))"] if any(s in program.used for s in c.symbols[2]) else []
     return "\n".join(

@@ -1,9 +1,11 @@
-"""Code generation: the graph of a model as straight-line code in any language that has a ``Syntax``.
+"""Content and code generation of exported models.
 
-Common subexpressions are named once. Signals of the model (forces, thrusts) keep their names, ``cos(psi)`` becomes
-``cos_psi``; the rest are numbered. Syntaxes: plain Python, C99 and Python with CasADi.
+``content`` collects what all targets need: valid identifiers, parameter values, noise; ``header`` writes the comment at
+the top of a file. ``programs`` and ``write`` turn the expression graph of a model into straight-line code: one
+assignment after the other, in any language that has a ``Syntax`` (plain Python, C99, Python with CasADi).
 
-Content of an export: valid identifiers, parameter values, noise, and the comment header.
+Common subexpressions are computed once. Signals of the model (forces, thrusts) keep their names, and ``cos(psi)``
+becomes ``cos_psi``; other intermediate results are numbered.
 """
 
 from __future__ import annotations
@@ -30,15 +32,28 @@ from seatrial.ident.numerics import Array
 class Content:
     """A model ready for export.
 
-    Attributes:
-        states, inputs, outputs, parameters: valid identifiers in the order of the model; parameters without those of
-            noise.
-        values, errors: of ``parameters`` (NaN: no standard error).
-        state_noise: diffusions [unit/sqrt(s)].
-        output_noise: standard deviations, with the lasting errors that are not exported.
-        left_out: disturbance states that are not exported.
-        lasting: for how long [s] what they add to an output lasts, by output.
-        silent: those that are in neither noise, as they do nothing at rest.
+    Attributes
+    ----------
+    name : str
+        Prefix of functions and files.
+    model : Model
+        Model to export, without the nuisance states unless they are kept.
+    saved : SavedModel
+        Saved model, with provenance and validity.
+    states, inputs, outputs, parameters : tuple of str
+        Valid identifiers in the order of the model; parameters of noise are left out.
+    values, errors : tuple of float
+        Values and standard errors of ``parameters``; NaN without a standard error.
+    state_noise : tuple of float
+        Diffusion of each state [unit/sqrt(s)], with the effect of the removed states.
+    output_noise : tuple of float
+        Standard deviation of each output's noise [unit], with the effect of the removed states.
+    left_out : tuple of str
+        Names of the removed nuisance states.
+    lasting : mapping
+        By output: integral time scale [s] of the noise that stands for removed states.
+    silent : tuple of str
+        Removed states that are in neither noise, because they have no effect at rest.
     """
 
     name: str
@@ -58,13 +73,13 @@ class Content:
 
     @cached_property
     def own(self) -> tuple[Parameter, ...]:
-        """The parameters of ``parameters``."""
+        """Exported parameters of the model, in the order of ``parameters``."""
         used = parameters_of(self.model)
         return tuple(p for p in self.model.parameters if p.name in used)
 
     @cached_property
     def symbols(self) -> tuple[list[str], list[str], list[str]]:
-        """Identifiers of states, inputs and all parameters of the model in the code."""
+        """Identifiers in the code: of the states, of the inputs, and of all parameters of the model."""
         name_of = dict(zip([p.name for p in self.own], self.parameters, strict=True))
         return (
             [f"x_{n}" for n in self.states],
@@ -74,25 +89,35 @@ class Content:
 
     @cached_property
     def programs(self) -> tuple[Program, Program]:
-        """Programs of the rates and of the outputs."""
+        """Programs that compute the rates and the outputs."""
         return programs(self.model, [*self.symbols, [f"out_{n}" for n in self.outputs]])
 
     @property
     def angles(self) -> tuple[str, ...]:
-        """Outputs that are angles."""
+        """Identifiers of the outputs that are angles."""
         return tuple(n for n, o in zip(self.outputs, self.model.outputs, strict=True) if o.angle)
 
     @property
     def validity(self) -> dict[str, tuple[float, float]]:
-        """Ranges of the data, by identifier, of what is still there."""
+        """Range of the estimation data by identifier, for the exported states and inputs."""
         names = dict(zip([s.name for s in self.model.states], self.states, strict=True))
         names |= dict(zip([i.name for i in self.model.inputs], self.inputs, strict=True))
         return {names[k]: v for k, v in self.saved.validity.items() if k in names}
 
 
 def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = False) -> Content:
-    """Everything the exporters need of a saved model."""
-    model, gone = (saved.model, ()) if nuisance else without_nuisance(saved.model)
+    """Collect everything that the exporters need of a saved model.
+
+    Parameters
+    ----------
+    saved : SavedModel
+        Fitted model.
+    name : str, optional
+        Prefix of functions and files; by default the model's name.
+    nuisance : bool
+        Whether disturbance forces and sensor biases are kept as states.
+    """
+    model, removed = (saved.model, ()) if nuisance else without_nuisance(saved.model)
     used = parameters_of(model)
     own = [p for p in model.parameters if p.name in used]
     values = model.values
@@ -112,14 +137,14 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
         tuple(saved.errors.get(p.name, math.nan) for p in own),
         tuple(math.hypot(a, b) for a, b in zip(noise, extra.process, strict=True)),
         tuple(math.hypot(a, b) for a, b in zip(white, extra.output, strict=True)),
-        tuple(s.name for s in gone),
+        tuple(s.name for s in removed),
         {n: tau for n, tau in zip(outputs, extra.lasting, strict=True) if tau > 0.0},
         extra.silent,
     )
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
-    """Unique identifiers that are valid in any language: ``n_left~3`` becomes ``n_left_ago_3``."""
+    """Return unique identifiers that are valid in any language: ``n_left~3`` becomes ``n_left_ago_3``."""
     found: list[str] = []
     for name in names:
         valid = re.sub(r"[^A-Za-z0-9_]", "_", name.replace("~", "_ago_"))
@@ -132,13 +157,16 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def prefix(name: str) -> str:
-    """Prefix of functions and files: starts with a letter, without two underscores in a row (CasADi)."""
+    """Return a valid prefix of functions and files.
+
+    The prefix starts with a letter and has no two underscores in a row, as CasADi requires.
+    """
     valid = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", name)).strip("_")
     return valid if valid[:1].isalpha() else f"model_{valid}".rstrip("_")
 
 
 def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
-    """The model without disturbance forces and random-walk sensor biases, and the removed states."""
+    """Return the model without disturbance forces and random-walk sensor biases, and the removed states."""
     effects = [e for e in model.effects if e.kind.nuisance]
     states = {s.name for e in effects for s in e.states} | {s.name for s in model.states if s.nuisance}
     parameters = {p.name for e in effects for p in e.parameters}
@@ -158,9 +186,19 @@ def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
 
 @dataclass(frozen=True)
 class EquivalentNoise:
-    """White noise in place of removed states: process (n_states,) [unit/sqrt(s)] and output (n_outputs,) [unit] of the
-    states and outputs that are kept; lasting (n_outputs,): integral time scale of what they add to an output [s]; 0:
-    nothing; silent: removed states with a noise of their own that do nothing at rest, and so are in neither."""
+    """White noise in place of removed states.
+
+    Attributes
+    ----------
+    process : Array (n_states,)
+        Diffusion that the removed states add to each state that is kept [unit/sqrt(s)].
+    output : Array (n_outputs,)
+        Standard deviation that the removed states add to each output [unit].
+    lasting : Array (n_outputs,)
+        Integral time scale of the noise added to each output [s]; 0 if no noise is added.
+    silent : tuple of str
+        Removed states that have no effect at rest, and are therefore in neither noise.
+    """
 
     process: Array
     output: Array
@@ -169,46 +207,66 @@ class EquivalentNoise:
 
 
 def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
-    """Removed Gauss-Markov states, which may drive each other, as white noise, by the Jacobians at rest: of the rates
-    with the same spectral density at frequencies below theirs, of the outputs with their stationary variance, by
-    Lyapunov's equation; the mean over headings, which turn a sideslip. Random walks, which have no such variance, are
-    left out. What they add to an output lasts for its integral time scale, the area under its autocorrelation."""
-    names, left = [s.name for s in whole.states], {s.name for s in kept.states}
+    """Return the white noise that stands for removed Gauss-Markov states.
+
+    Parameters
+    ----------
+    whole : Model
+        Model with all states.
+    kept : Model
+        Model without the removed states.
+
+    Notes
+    -----
+    The model is linearised at rest; removed states may drive each other. Noise of the rates has the spectral density
+    of the removed states at low frequencies. Noise of the outputs has their stationary variance, by Lyapunov's
+    equation; its integral time scale is the area under its autocorrelation. Both are means over four headings, as
+    body-fixed disturbances such as a sideslip turn with the boat. Removed random walks have no stationary variance and
+    are left out.
+    """
+    names, kept_names = [s.name for s in whole.states], {s.name for s in kept.states}
     values, compiled = whole.values, VectorisedModel(whole)
     angles = {o.name for o in whole.outputs if o.angle}
-    turned = [0.5 * np.pi * (s.from_output in angles) for s in whole.states]
-    x = np.arange(4)[:, None] * np.array(turned)
+    quarter_turns = [0.5 * np.pi * (s.from_output in angles) for s in whole.states]
+    x = np.arange(4)[:, None] * np.array(quarter_turns)
     at_rest = x, np.zeros((4, len(whole.inputs))), np.array(list(values.values()))
     A, H = compiled.rate_jacobian(*at_rest), compiled.output_jacobian(*at_rest)
-    gone = [j for j, s in enumerate(whole.states) if s.name not in left and A[0, j, j] < 0]
-    q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in gone)])
-    if not gone:
-        none = np.zeros(len(whole.outputs))
-        return EquivalentNoise(np.zeros(len(left)), none, none, ())
-    own, H = A[:, gone][:, :, gone], H[:, :, gone]
-    to_rates, inverse = A[:, [names.index(s.name) for s in kept.states]][:, :, gone], np.linalg.inv(own)
-    covariance = np.array([solve_continuous_lyapunov(a, -np.diag(q**2)) for a in own]).reshape(own.shape)
+    # a negative diagonal element: the state decays, so it is no random walk
+    removed = [j for j, s in enumerate(whole.states) if s.name not in kept_names and A[0, j, j] < 0]
+    q = np.array([values[s.noise] if isinstance(s.noise, str) else s.noise for s in (whole.states[j] for j in removed)])
+    if not removed:
+        zeros = np.zeros(len(whole.outputs))
+        return EquivalentNoise(np.zeros(len(kept_names)), zeros, zeros, ())
+    among_removed, H = A[:, removed][:, :, removed], H[:, :, removed]
+    to_rates = A[:, [names.index(s.name) for s in kept.states]][:, :, removed]
+    inverse = np.linalg.inv(among_removed)
+    covariance = np.array([solve_continuous_lyapunov(a, -np.diag(q**2)) for a in among_removed])
+    covariance = covariance.reshape(among_removed.shape)
     rates = ((to_rates @ inverse * q) ** 2).sum(axis=2).mean(axis=0)
     outputs = np.einsum("hij,hjk,hik->hi", H, covariance, H).mean(axis=0)
     area = -np.einsum("hij,hjk,hik->hi", H, inverse @ covariance, H).mean(axis=0)
-    reach = np.abs(np.concatenate([to_rates, H], axis=1) @ inverse).max(axis=(0, 1), initial=0.0)
+    gain = np.abs(np.concatenate([to_rates, H], axis=1) @ inverse).max(axis=(0, 1), initial=0.0)
     return EquivalentNoise(
         np.sqrt(rates),
         np.sqrt(outputs),
         np.divide(area, outputs, out=np.zeros_like(area), where=outputs > 0.0),
-        tuple(names[j] for j, far in zip(gone, reach, strict=True) if far == 0.0),
+        tuple(names[j] for j, g in zip(removed, gain, strict=True) if g == 0.0),
     )
 
 
 def header(c: Content, target: str) -> list[str]:
-    """Comment header: model, provenance, meaning of the names, range of validity."""
+    """Return the lines of the comment header: model, provenance, states, inputs, outputs, range of validity, remarks.
+
+    ``target`` is the name of the language.
+    """
     made = c.saved.provenance
-    lines = [f"{c.model.name}: a fitted model, written for {target} by seatrial.", ""]
-    lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("on", "created")) if key in made]
+    lines = [f"{c.model.name}: fitted model, exported to {target} by seatrial.", ""]
+    lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("created", "created")) if key in made]
     lines += [f"fitted to: {log}" for log in made.get("logs", [])]
     if c.model.effects:
         lines.append("effects: " + ", ".join(e.name for e in c.model.effects))
-    lines += ["", "dx/dt = f(x, u; p), y = h(x, u; p); SI units and radians. States x, inputs u, outputs y:"]
+    lines += ["", "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians."]
+    lines += ["States x, inputs u, outputs y:"]
     lines += [
         f"  x[{i}] {n} {_unit(s.unit)} {s.meaning}".rstrip()
         for i, (n, s) in enumerate(zip(c.states, c.model.states, strict=True))
@@ -219,28 +277,30 @@ def header(c: Content, target: str) -> list[str]:
         for i, (n, o) in enumerate(zip(c.outputs, c.model.outputs, strict=True))
     ]
     if c.validity:
-        lines += ["", "Range of the fitted data (not validated beyond it):"]
+        lines += ["", "Range of the estimation data (the model is not validated beyond this range):"]
         lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in c.validity.items()]
     return [" ".join(line.splitlines()) for line in lines + _remarks(c)]
 
 
 def _inputs(c: Content) -> list[str]:
-    lines, past = [], [i for i in c.model.inputs if i.tap]
+    """Return the header lines of the inputs, with an explanation of delayed input taps if there are any."""
+    lines, taps = [], [i for i in c.model.inputs if i.tap]
     for j, (n, i) in enumerate(zip(c.inputs, c.model.inputs, strict=True)):
         if i.tap:
             lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:g} s ago")
         else:
             lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(i)}")
-    if past:
-        step = past[0].delay / past[0].tap
+    if taps:
+        step = taps[0].delay / taps[0].tap
         lines += [
-            f"  (NAME_ago_K, in seatrial NAME~K, is the input NAME of K times {step:g} s ago: keep a",
-            "  buffer of it; of a held command its mean since the last step is better than its last value.)",
+            f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s. Keep a buffer of past",
+            "  values. For a held command, store its mean over the last step instead of its last value.",
         ]
     return lines
 
 
 def _described(signal: Input) -> str:
+    """Return the meaning of an input that is no plain sensor signal or command; otherwise an empty text."""
     if signal.name == TIME_INPUT:
         return ", the time since the start of the run"
     if signal.name == WORK_INPUT:
@@ -251,30 +311,31 @@ def _described(signal: Input) -> str:
 
 
 def _remarks(c: Content) -> list[str]:
+    """Return the header lines about removed states, their noise, relative parameters, and per-record parameters."""
     lines = []
     if c.left_out:
         lines += [
             "",
             f"Left out, as a controller does not need them: {', '.join(c.left_out)}",
-            "(disturbance forces and sensor offsets; `--with-disturbance-states` keeps them). Over times longer than",
-            "their correlation time the forces are part of the process noise here.",
+            "(disturbance forces and sensor offsets; the option `--with-disturbance-states` keeps them).",
+            "The process noise includes the effect of the forces over times longer than their correlation time.",
         ]
     if c.silent:
-        lines.append(f"In no noise, since they do nothing at rest: {', '.join(c.silent)}.")
+        lines.append(f"Included in no noise, because they have no effect at rest: {', '.join(c.silent)}.")
     if c.lasting:
         lasting = ", ".join(f"{n} ({tau:.2g} s)" for n, tau in c.lasting.items())
         lines += [
-            f"The noise of outputs has what they add to it, with how long that lasts: {lasting}.",
-            "A filter that takes it for white should use samples that far apart, or keep the states.",
+            f"The output noise includes their variance. It is correlated over these times: {lasting}.",
+            "A filter that assumes white noise should use samples that far apart, or keep the states.",
         ]
     if ratios := scale_of(c.saved.model).caveats:
         lines += ["", *ratios]
-    own = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
-    if own:
+    per_record = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
+    if per_record:
         lines += [
             "",
-            f"Different in each run: {', '.join(own)}. Set them; the values here are the means of the",
-            "fitted runs.",
+            f"Parameters that differ from run to run: {', '.join(per_record)}. Set them for your run; the values here",
+            "are the means over the fitted runs.",
         ]
     return lines
 
@@ -284,16 +345,16 @@ def _unit(unit: str) -> str:
 
 
 def comment(c: Content, i: int) -> str:
-    """Comment of a parameter: unit, standard error or where its value comes from, meaning."""
+    """Return the comment of parameter ``i``: unit, standard error or origin of a fixed value, meaning."""
     p = c.own[i]
     error = c.errors[i] if p.considered_sd is None else p.considered_sd
-    known = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else f"{p.provenance},"
-    return " ".join(" ".join(part for part in (_unit(p.unit), known, p.meaning) if part).split())
+    origin = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else f"{p.provenance},"
+    return " ".join(" ".join(part for part in (_unit(p.unit), origin, p.meaning) if part).split())
 
 
-ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression
-LONGEST = 50  # characters of an expression that stays inside another
-NAMED = {
+ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression: a higher number binds more tightly
+MAX_INLINE = 50  # characters; a longer expression becomes a variable of its own
+NAMED = {  # prefix of the variable that holds such a function of a named quantity: cos(psi) is cos_psi
     ca.OP_SIN: "sin",
     ca.OP_COS: "cos",
     ca.OP_FABS: "abs",
@@ -302,7 +363,7 @@ NAMED = {
     ca.OP_EXP: "exp",
     ca.OP_SQ: "square",
 }
-# One argument or two, named alike in math (Python), math.h (C99) and CasADi.
+# Functions of one and of two arguments that have the same name in math (Python), math.h (C99) and CasADi.
 SHARED = (
     "sin",
     "cos",
@@ -329,11 +390,18 @@ Templates = dict[int, tuple[str, int]]
 
 @dataclass(frozen=True)
 class Syntax:
-    """How a language writes operations.
+    """Syntax of a target language.
 
-    templates: by CasADi's operation, a text with ``{0}`` and ``{1}`` for the operands, and how tightly it binds;
-    operands of a function's template stand alone, others are put into parentheses as needed. ``number`` writes a
-    constant.
+    Attributes
+    ----------
+    templates : mapping
+        By CasADi's code of an operation: its text, with ``{0}`` and ``{1}`` for the operands, and its precedence.
+        Operands of a template with precedence ``ATOM`` (a function call) need no parentheses; others get parentheses
+        according to the precedences.
+    number : callable
+        Function that writes a constant.
+    assign : str
+        Template of an assignment.
     """
 
     templates: Mapping[int, tuple[str, int]]
@@ -342,6 +410,7 @@ class Syntax:
 
 
 def _arithmetic() -> Templates:
+    """Return the templates of the arithmetic operations, which all targets share."""
     return {
         ca.OP_ADD: ("{0} + {1}", SUM),
         ca.OP_SUB: ("{0} - {1}", SUM),
@@ -355,12 +424,16 @@ def _arithmetic() -> Templates:
 
 
 def _functions(prefix: str) -> Templates:
-    one = {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}})", ATOM) for n in SHARED}
-    return one | {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}}, {{1}})", ATOM) for n in SHARED_TWO}
+    """Return the templates of the shared functions, with a prefix such as ``ca.``."""
+    unary = {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}})", ATOM) for n in SHARED}
+    return unary | {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}}, {{1}})", ATOM) for n in SHARED_TWO}
 
 
 def _truth(template: str, both: str, either: str) -> Templates:
-    """Comparisons, whose values are 0 and 1; ``template`` makes a number of a condition."""
+    """Return the templates of comparisons and logical operations, whose values are 0 and 1.
+
+    ``template`` converts a condition to a number; ``both`` and ``either`` are the operators "and" and "or".
+    """
     relations = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
     table = {code: (template.format(f"{{0}} {sign} {{1}}"), ATOM) for code, sign in relations.items()}
     return table | {
@@ -428,29 +501,40 @@ CASADI = Syntax(
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 
 
+SYMBOL, CONSTANT = -1, -2  # codes of nodes that are no operation
+
+
 @dataclass
 class Node:
-    """An operation on other nodes; ``code`` -1: a symbol, -2: a number (``text``: its name or value)."""
+    """Node of an expression graph: a symbol, a constant, or an operation on other nodes."""
 
-    code: int
-    operands: tuple[int, ...] = ()
+    code: int  # CasADi's code of the operation; SYMBOL or CONSTANT
+    operands: tuple[int, ...] = ()  # indices of nodes
     symbol: str = ""
-    value: float = 0.0
-    label: str = ""
-    uses: int = 0
+    value: float = 0.0  # of a constant
+    label: str = ""  # wanted name of the result
+    uses: int = 0  # number of nodes and results that need the node
 
 
 @dataclass(frozen=True)
 class Program:
-    """Nodes in the order of computing; ``results``: which node is which result; ``used``: symbols that matter."""
+    """Straight-line program that computes the rates or the outputs of a model."""
 
-    nodes: list[Node]
-    results: tuple[int, ...]
-    used: frozenset[str] = field(default=frozenset())
+    nodes: list[Node]  # in the order of computation
+    results: tuple[int, ...]  # index of the node of each result
+    used: frozenset[str] = field(default=frozenset())  # symbols that the results depend on
 
 
 def programs(model: Model, names: Sequence[Sequence[str]]) -> tuple[Program, Program]:
-    """Rates and outputs of a model; ``names``: what states, inputs, parameters and outputs are called in the code."""
+    """Return the programs that compute the rates and the outputs of a model.
+
+    Parameters
+    ----------
+    model : Model
+        Model.
+    names : sequence of four sequences of str
+        Identifiers of states, inputs, parameters and outputs in the code.
+    """
     symbols = [[ca.SX.sym(n) for n in part] for part in names[:3]]
     s = model.signals(*symbols)
     labels = dict(_signals(s))
@@ -463,7 +547,7 @@ def programs(model: Model, names: Sequence[Sequence[str]]) -> tuple[Program, Pro
 
 
 def parameters_of(model: Model) -> set[str]:
-    """Names of the parameters that rates or outputs depend on."""
+    """Return the names of the parameters that rates or outputs depend on; parameters of noise are not among them."""
     parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters), ("y", model.outputs))
     names = [[f"{kind}{i}" for i in range(len(part))] for kind, part in parts]
     used = {symbol for program in programs(model, names) for symbol in program.used}
@@ -471,39 +555,45 @@ def parameters_of(model: Model) -> set[str]:
 
 
 def _signals(s: Signals) -> Iterator[tuple[str, Any]]:
-    """The quantities that a model names itself: forces, and those of each thruster."""
+    """Yield name and expression of the signals that a model names: forces, and quantities of each thruster."""
     for name, value in vars(s).items():
         if isinstance(value, ca.SX) and value.is_scalar():
             yield _word(name), value
         elif isinstance(value, dict) and name not in ("rate", "y"):
-            yield from ((_word(f"{name}_{key}"), one) for key, one in value.items() if isinstance(one, ca.SX))
+            yield from ((_word(f"{name}_{key}"), item) for key, item in value.items() if isinstance(item, ca.SX))
 
 
 def _word(name: str) -> str:
+    """Return a name with invalid characters replaced by underscores."""
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
 def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, Any], names: Sequence[str]) -> Program:
-    known = ca.cse([ca.densify(e) for e in [*results, *labels.values()]])
-    flat = [one for part in symbols for one in part]
-    f = ca.Function("lines", flat, known, {"allow_free": False})
+    """Return the program that computes the expressions ``results`` of the symbols.
+
+    ``labels`` are named intermediate expressions; ``names`` are the names of the results.
+    """
+    expressions = ca.cse([ca.densify(e) for e in [*results, *labels.values()]])
+    flat = [symbol for part in symbols for symbol in part]
+    f = ca.Function("lines", flat, expressions, {"allow_free": False})
     nodes: list[Node] = []
-    slot: dict[int, int] = {}
+    slot: dict[int, int] = {}  # from CasADi's work vector to the node that it holds now
     ends = [0] * f.n_out()
     for k in range(f.n_instructions()):
-        code, given = f.instruction_id(k), f.instruction_input(k)
+        code, operands = f.instruction_id(k), f.instruction_input(k)
         if code == ca.OP_OUTPUT:
-            ends[f.instruction_output(k)[0]] = slot[given[0]]
+            ends[f.instruction_output(k)[0]] = slot[operands[0]]
             continue
         if code == ca.OP_INPUT:
-            node = Node(-1, symbol=str(flat[given[0]]))
+            node = Node(SYMBOL, symbol=str(flat[operands[0]]))
         elif code == ca.OP_CONST:
-            node = Node(-2, value=f.instruction_constant(k))
+            node = Node(CONSTANT, value=f.instruction_constant(k))
         else:
-            node = Node(code, tuple(slot[i] for i in given))
+            node = Node(code, tuple(slot[i] for i in operands))
         slot[f.instruction_output(k)[0]] = len(nodes)
         nodes.append(node)
-    for name, end in list(zip(labels, ends[len(results) :], strict=True))[::-1]:  # the first name of a thing stays
+    # in reverse order, so that a node with several labels keeps the first one
+    for name, end in list(zip(labels, ends[len(results) :], strict=True))[::-1]:
         nodes[end].label = name
     for name, end in zip(names, ends, strict=False):
         nodes[end].label = nodes[end].label or name
@@ -511,7 +601,7 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
 
 
 def _counted(nodes: list[Node], results: tuple[int, ...]) -> Program:
-    """How often each node is used by the results; what they do not need is used zero times."""
+    """Return the program with the number of uses of each node; nodes that no result needs have zero uses."""
     for end in results:
         nodes[end].uses += 1
     used = set()
@@ -519,64 +609,88 @@ def _counted(nodes: list[Node], results: tuple[int, ...]) -> Program:
         if node.uses:
             for operand in node.operands:
                 nodes[operand].uses += 1
-            if node.code == -1:
+            if node.code == SYMBOL:
                 used.add(node.symbol)
     return Program(nodes, results, frozenset(used))
 
 
 def write(program: Program, syntax: Syntax, taken: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Lines of code, and what each result is called after them (an expression). ``taken``: names not to be used."""
+    """Write a program in a language.
+
+    Parameters
+    ----------
+    program : Program
+        Program to write.
+    syntax : Syntax
+        Language.
+    taken : iterable of str
+        Names that variables must not have.
+
+    Returns
+    -------
+    lines : list of str
+        Assignments, one a line.
+    results : list of str
+        Expression of each result after the assignments.
+    """
     writer = _Writer(program, syntax, set(taken))
     return writer.run(), [writer.text[end][0] for end in program.results]
 
 
 class _Writer:
+    """Writer of a program: decides which nodes become variables, and puts the others into expressions."""
+
     def __init__(self, program: Program, syntax: Syntax, taken: set[str]) -> None:
         self.nodes, self.syntax, self.taken, self.count = program.nodes, syntax, taken, 0
-        self.text: dict[int, tuple[str, int]] = {}
-        twice = {n.operands[0] for n in self.nodes if n.uses and n.code >= 0 and self._repeats(n)}
-        self.named = {k for k, n in enumerate(self.nodes) if n.code >= 0 and (n.uses > 1 or n.label or k in twice)}
+        self.text: dict[int, tuple[str, int]] = {}  # by node: its expression or variable, and the precedence
+        repeated = {n.operands[0] for n in self.nodes if n.uses and n.code >= 0 and self._repeats(n)}
+        self.named = {k for k, n in enumerate(self.nodes) if n.code >= 0 and (n.uses > 1 or n.label or k in repeated)}
 
     def _repeats(self, node: Node) -> bool:
+        """Return whether the template of an operation contains its first operand more than once."""
         return self._template(node)[0].count("{0}") > 1
 
     def _template(self, node: Node) -> tuple[str, int]:
+        """Return text and precedence of an operation; raise ValueError if the language lacks the operation."""
         try:
             return self.syntax.templates[node.code]
         except KeyError:
             raise ValueError(
-                f"the model uses an operation (CasADi's number {node.code}) that cannot be exported"
+                f"the model uses an operation (CasADi operation code {node.code}) that cannot be exported"
             ) from None
 
     def run(self) -> list[str]:
+        """Return the assignments of the program, and fill ``text``."""
         lines = []
         for k, node in enumerate(self.nodes):
             if not node.uses:
                 continue
-            text, tight = self._expression(node)
-            if node.code >= 0 and (k in self.named or len(text) > LONGEST):
+            text, precedence = self._expression(node)
+            if node.code >= 0 and (k in self.named or len(text) > MAX_INLINE):
                 name = self._name(node)
                 lines.append(self.syntax.assign.format(name=name, value=text))
-                text, tight = name, ATOM
-            self.text[k] = (text, tight)
+                text, precedence = name, ATOM
+            self.text[k] = (text, precedence)
         return lines
 
     def _expression(self, node: Node) -> tuple[str, int]:
-        if node.code == -1:
+        """Return the expression of a node and its precedence, with parentheses around operands as needed."""
+        if node.code == SYMBOL:
             return node.symbol, ATOM
-        if node.code == -2:
+        if node.code == CONSTANT:
             return self.syntax.number(node.value), UNARY if math.copysign(1.0, node.value) < 0 else ATOM
-        template, tight = self._template(node)
+        template, precedence = self._template(node)
         operands = []
         for position, operand in enumerate(node.operands):
-            text, own = self.text[operand]
-            # a - (b - c) keeps its parentheses, and a + (b + c) too: rounding is to stay what it was
-            last = position > 0 or node.code in (ca.OP_NEG, ca.OP_INV)
-            loose = own < tight or (own == tight and last)
-            operands.append(f"({text})" if loose and tight < ATOM else text)
-        return template.format(*operands), tight
+            text, operand_precedence = self.text[operand]
+            # a - (b - c) needs its parentheses; a + (b + c) keeps them, so that the rounding does not change
+            right = position > 0 or node.code in (ca.OP_NEG, ca.OP_INV)
+            loose = operand_precedence < precedence or (operand_precedence == precedence and right)
+            operands.append(f"({text})" if loose and precedence < ATOM else text)
+        return template.format(*operands), precedence
 
     def _name(self, node: Node) -> str:
+        """Return a new name for a node: its label, a name such as ``cos_psi``, or a number (``t1``)."""
         name = node.label
         if not name and len(node.operands) == 1:
             (operand,) = node.operands
@@ -593,6 +707,7 @@ class _Writer:
 
 
 def _number(value: float, infinite: str, nan: str) -> str:
+    """Return a constant as text with all digits; ``infinite`` and ``nan`` are the names of these values."""
     if math.isnan(value):
         return nan
     return repr(value) if math.isfinite(value) else infinite if value > 0 else f"-{infinite}"

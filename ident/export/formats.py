@@ -17,9 +17,22 @@ TARGETS: dict[str, Callable[[Content], str]] = {
 
 
 def export(saved: SavedModel, target: str, *, name: str | None = None, nuisance: bool = False) -> str:
-    """The text of the file for a target: ``python``, ``casadi``, ``c`` or ``ros2``.
+    """Return the text of the exported file of a fitted model.
 
-    name: prefix of functions, or the node, in place of the model's own name; nuisance: keep disturbance forces
-    and sensor biases as states. Raises ValueError where the model cannot be written.
+    Parameters
+    ----------
+    saved : SavedModel
+        Model with its provenance, standard errors and validity.
+    target : str
+        ``python``, ``casadi``, ``c`` or ``ros2``.
+    name : str, optional
+        Prefix of the functions, or name of the node; by default the model's name.
+    nuisance : bool
+        Whether disturbance forces and sensor biases are kept as states.
+
+    Raises
+    ------
+    ValueError
+        If the model uses an operation that cannot be exported.
     """
     return TARGETS[target](content(saved, name=name, nuisance=nuisance))

@@ -1,4 +1,4 @@
-"""Plain Python: one file that needs nothing but ``math``."""
+"""Export to plain Python: one file that imports only ``math``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from seatrial.ident.export.codegen import PYTHON, Content, Program, comment, header
 from seatrial.ident.export.codegen import write as write_lines
 
-FUNCTIONS = re.compile(r"\b([a-z][a-z0-9]*)\(")
+FUNCTION_CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 BUILT_IN = {"abs", "min", "max", "float"}
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "inf", "nan"}
 STEP = '''
 def step(x, u, dt, p=P):
-    """The states after dt [s] with the inputs held: one step of Runge-Kutta 4; take dt no longer than 0.1 s."""
+    """Return the states after dt [s], at most 0.1 s, for constant inputs: one step of Runge-Kutta 4."""
     k1 = f(x, u, p)
     k2 = f([a + dt / 2 * k for a, k in zip(x, k1)], u, p)
     k3 = f([a + dt / 2 * k for a, k in zip(x, k2)], u, p)
@@ -24,30 +24,36 @@ def step(x, u, dt, p=P):
 
 
 def write(c: Content) -> str:
-    """The file."""
+    """Return the text of the Python file."""
     body = "\n".join(
         [
-            _function(c, "f", c.programs[0], "Rates of the states [unit/s]; x, u: sequences of numbers."),
-            _function(c, "h", c.programs[1], "Outputs, as the sensors would have them without noise."),
+            _function(
+                c, "f", c.programs[0], "Return the rates of the states [unit/s]; x and u are sequences of numbers."
+            ),
+            _function(c, "h", c.programs[1], "Return the sensor outputs without noise."),
             STEP,
         ]
     )
-    needed = sorted(
-        {n for n in FUNCTIONS.findall(body) if n in _known()}
+    imported = sorted(
+        {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
         | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", body)}
     )
     parts = [*("# " + line if line else "#" for line in header(c, "Python")), ""]
-    parts += [f"from math import {', '.join(needed)}", ""] if needed else []
+    parts += [f"from math import {', '.join(imported)}", ""] if imported else []
     return "\n".join([*parts, *constants(c), "", body])
 
 
-def _known() -> set[str]:
-    words = {word for template, _ in PYTHON.templates.values() for word in FUNCTIONS.findall(template)}
+def _math_functions() -> set[str]:
+    """Return the functions of ``math`` that the Python syntax may use."""
+    words = {word for template, _ in PYTHON.templates.values() for word in FUNCTION_CALL.findall(template)}
     return words - BUILT_IN
 
 
 def constants(c: Content) -> list[str]:
-    """Names, units, parameters and noise, as Python."""
+    """Return lines of Python that define names, units, parameters, noise and range of validity.
+
+    The export to CasADi uses the same lines.
+    """
     rows = [
         f"    {json.dumps(n)}: {v!r},  # {comment(c, i)}"
         for i, (n, v) in enumerate(zip(c.parameters, c.values, strict=True))
@@ -60,23 +66,24 @@ def constants(c: Content) -> list[str]:
         f"STATES = {_tuple(c.states)}",
         f"INPUTS = {_tuple(c.inputs)}",
         f"OUTPUTS = {_tuple(c.outputs)}",
-        *[f"{kind}_UNITS = {_tuple([one.unit for one in part])}" for kind, part in units],
+        *[f"{kind}_UNITS = {_tuple([signal.unit for signal in part])}" for kind, part in units],
         "P = {  # value [unit] +- standard error, meaning",
         *rows,
         "}",
         "STATE_NOISE = {  # diffusion of each state [unit/sqrt(s)]",
         *diffusion,
         "}",
-        "OUTPUT_NOISE = {  # standard deviation of each output's white noise [unit]",
+        "OUTPUT_NOISE = {  # standard deviation of the noise of each output [unit]",
         *deviation,
         "}",
-        "VALID = {  # what the fitted data covered",
+        "VALID = {  # range of the estimation data",
         *valid,
         "}",
     ]
 
 
 def _tuple(items: Sequence[str]) -> str:
+    """Return a tuple of texts as Python, with eight texts a line if there are more."""
     words = [json.dumps(item, ensure_ascii=False) for item in items]
     if len(words) > 8:
         return "(\n" + "".join(f"    {', '.join(words[k : k + 8])},\n" for k in range(0, len(words), 8)) + ")"
@@ -84,7 +91,7 @@ def _tuple(items: Sequence[str]) -> str:
 
 
 def unpacked(c: Content, program: Program) -> list[str]:
-    """Lines that give what a function needs its names."""
+    """Return lines of Python that assign the states, inputs and parameters which a program uses to its symbols."""
     xs, us, ps = c.symbols
     rows = [(s, f"x[{i}]") for i, s in enumerate(xs)] + [(s, f"u[{j}]") for j, s in enumerate(us)]
     lines = [
@@ -92,26 +99,31 @@ def unpacked(c: Content, program: Program) -> list[str]:
         for part in (rows[: len(xs)], rows[len(xs) :])
         for group in _grouped(part, program)
     ]
-    named = dict(zip([p.name for p in c.own], c.parameters, strict=True))
-    held = [(s, f'p["{named[q.name]}"]') for s, q in zip(ps, c.model.parameters, strict=True) if q.name in named]
+    key_of = dict(zip([p.name for p in c.own], c.parameters, strict=True))
+    parameters = [
+        (s, f'p["{key_of[q.name]}"]') for s, q in zip(ps, c.model.parameters, strict=True) if q.name in key_of
+    ]
     return lines + [
-        f"    {', '.join(s for s, _ in group)} = {', '.join(v for _, v in group)}" for group in _grouped(held, program)
+        f"    {', '.join(s for s, _ in group)} = {', '.join(v for _, v in group)}"
+        for group in _grouped(parameters, program)
     ]
 
 
 def _grouped(rows: list[tuple[str, str]], program: Program) -> list[list[tuple[str, str]]]:
+    """Return the rows (symbol, value) that a program uses, in groups of at most four."""
     used = [row for row in rows if row[0] in program.used]
     return [used[i : i + 4] for i in range(0, len(used), 4)]
 
 
-def _function(c: Content, name: str, program: Program, says: str) -> str:
-    lines, results = write_lines(program, PYTHON, [*RESERVED, *_known(), *BUILT_IN, *program.used])
+def _function(c: Content, name: str, program: Program, docstring: str) -> str:
+    """Return the text of one function of (x, u, p)."""
+    lines, results = write_lines(program, PYTHON, [*RESERVED, *_math_functions(), *BUILT_IN, *program.used])
     returned = [f"        {r}," for r in results]
     return "\n".join(
         [
             "",
             f"def {name}(x, u, p=P):",
-            f'    """{says}"""',
+            f'    """{docstring}"""',
             *unpacked(c, program),
             *("    " + line for line in lines),
             "    return [",

@@ -1,4 +1,4 @@
-"""ROS 2: a parameter file of a node, with parameters, standard errors, noise and names."""
+"""Export to ROS 2: a parameter file of a node with names, parameters, standard errors and noise; no equations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from seatrial.ident.export.codegen import Content, comment, header
 
 
 def write(c: Content) -> str:
-    """The file. Lists without elements are left out: ROS 2 cannot tell their type."""
+    """Return the text of the YAML file; empty lists are left out, as ROS 2 cannot infer their type."""
     own = [p.name for p in c.own]
     units = {n: p.unit for n, p in zip(c.parameters, c.own, strict=True)}
     errors = {n: e for n, e in zip(c.parameters, c.errors, strict=True) if math.isfinite(e)}
@@ -23,14 +23,14 @@ def write(c: Content) -> str:
         ("output", c.outputs, c.model.outputs),
     ):
         if names:
-            rows += [f"{kind}s: {_texts(names)}", f"{kind}_units: {_texts(one.unit for one in part)}"]
+            rows += [f"{kind}s: {_texts(names)}", f"{kind}_units: {_texts(signal.unit for signal in part)}"]
     if c.angles:
         rows.append(f"angles: {_texts(c.angles)}")
     if own:
-        said = [comment(c, i) for i in range(len(own))]
+        comments = [comment(c, i) for i in range(len(own))]
         rows += [
             "parameters:",
-            *(f"  {_key(n)}: {_number(v)}  # {s}" for n, v, s in zip(c.parameters, c.values, said, strict=True)),
+            *(f"  {_key(n)}: {_number(v)}  # {s}" for n, v, s in zip(c.parameters, c.values, comments, strict=True)),
         ]
         rows += ["units:", *(f"  {_key(n)}: {_text(unit)}" for n, unit in units.items())]
     rows += _group("standard_errors", errors)
@@ -43,20 +43,24 @@ def write(c: Content) -> str:
     return "\n".join([*top, f"{c.name}:", "  ros__parameters:", *("    " + row for row in rows), ""])
 
 
-def _group(name: str, values: Mapping[str, float], says: str = "") -> list[str]:
+def _group(name: str, values: Mapping[str, float], remark: str = "") -> list[str]:
+    """Return the lines of a mapping with an optional comment; no lines for an empty mapping."""
     if not values:
         return []
-    return [f"{name}:" + (f"  # {says}" if says else ""), *(f"  {_key(n)}: {_number(v)}" for n, v in values.items())]
+    return [
+        f"{name}:" + (f"  # {remark}" if remark else ""),
+        *(f"  {_key(n)}: {_number(v)}" for n, v in values.items()),
+    ]
 
 
 def _number(value: float) -> str:
-    """YAML takes ``1e-05`` for a text, and ROS 2 ``35`` for an integer: there is always a point."""
+    """Return a number with a decimal point: YAML reads ``1e-05`` as a text, and ROS 2 reads ``35`` as an integer."""
     mantissa, e, exponent = repr(float(value)).partition("e")
     return (mantissa if "." in mantissa else f"{mantissa}.0") + e + exponent
 
 
 def _key(name: str) -> str:
-    """YAML 1.1 takes ``y`` and ``N`` for truth values."""
+    """Return a key, quoted if YAML 1.1 would read it as a truth value (``y``, ``N``)."""
     return _text(name) if name.lower() in ("y", "n", "yes", "no", "on", "off", "true", "false", "null") else name
 
 

@@ -1,14 +1,15 @@
 """Navigation: filtered and smoothed states of a fitted model along a record, with their covariance.
 
-The current is among the states: a fit estimates it as a parameter of each record, a navigator does not know it
-beforehand and estimates it along the record. Parameter errors are included as a consider covariance (Bierman 1977,
-chapter 8):
+The ocean current is a state here. A fit estimates the current as a parameter of each record; a navigator cannot know
+this parameter in advance and estimates the current along the record. Parameter errors are included as a consider
+covariance (Bierman 1977, chapter 8):
 
-    P_total = P + sum_i dx_i dx_i',   dx_i = the change of the estimate by one standard deviation of the parameters
+    P_total = P + sum_i dx_i dx_i'
 
-over the principal directions i of their covariance; exact where the estimate is linear in the parameters and the
-record is not one that they were estimated from. GNSS samples may be withheld to measure the effect of an outage
-(``seatrial.ident.navigation.outages``).
+The sum is over the principal directions i of the parameter covariance; dx_i is the change of the estimate if the
+parameters change by one standard deviation in direction i. The result is exact if the estimate is linear in the
+parameters and the parameters were estimated from other records. GNSS samples may be withheld to measure the effect of
+an outage (``seatrial.ident.navigation.outages``).
 """
 
 from __future__ import annotations
@@ -37,34 +38,57 @@ from seatrial.ident.models import CURRENT_WALK, current_walk
 from seatrial.ident.numerics import Array, wrap
 
 Kind = Literal["smoothed", "filtered"]
-CURRENT = {"V_x": "drift_x", "V_y": "drift_y"}  # parameters, and the states that replace them
+CURRENT = {"V_x": "drift_x", "V_y": "drift_y"}  # parameters of the current, and the states that replace them
 POSITION = ("x", "y")
 GNSS = {"x", "y", "vx", "vy", "speed"}  # outputs of a GNSS receiver
-CURRENT_SD = 0.5  # m/s, prior standard deviation of a current that has none
+CURRENT_SD = 0.5  # m/s, initial standard deviation of the current if its parameter has no prior
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Means x (n_rows, n_states) and covariances P (n_rows, n_states, n_states), parameter errors included."""
+    """State estimates along a record; the covariance includes the parameter errors.
+
+    Attributes
+    ----------
+    x : Array (n_rows, n_states)
+        Means.
+    P : Array (n_rows, n_states, n_states)
+        Covariances.
+    """
 
     x: Array
     P: Array
 
     @property
     def sd(self) -> Array:
-        """Standard deviations (n_rows, n_states)."""
+        """Standard deviations of the states (n_rows, n_states)."""
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0)))
 
 
 @dataclass(frozen=True)
 class Navigation:
-    """State estimates along a record.
+    """Result of navigation along a record.
 
-    Attributes:
-        record: with all that was measured.
-        predicted: one step ahead, before the samples of each row.
-        best: by all samples (``kind`` smoothed) or by those up to the row (filtered).
-        used, withheld (n_rows,): rows whose position was used, and rows whose position was withheld.
+    Attributes
+    ----------
+    model : Model
+        Model with the current as states.
+    record : Record
+        Record with all measurements, including withheld ones.
+    values : Array (n_parameters,)
+        Parameter values.
+    kind : str
+        Kind of ``best``: ``smoothed`` or ``filtered``.
+    predicted : Estimate
+        One-step predictions: states before the samples of each row are used.
+    best : Estimate
+        States from all samples (smoothed), or from the samples up to each row (filtered).
+    run : FilterResult
+        Filter run without the withheld samples.
+    used : array of bool (n_rows,)
+        Rows whose position was used.
+    withheld : array of bool (n_rows,)
+        Rows whose position was withheld.
     """
 
     model: Model
@@ -79,59 +103,84 @@ class Navigation:
 
     @property
     def t(self) -> Array:
+        """Times of the rows (n_rows,) [s]."""
         return self.record.t
 
     @property
     def states(self) -> tuple[str, ...]:
+        """Names of the states."""
         return tuple(s.name for s in self.model.states)
 
     @cached_property
     def _rowwise(self) -> VectorisedModel:
         return VectorisedModel(self.model)
 
-    def position(self, of: Estimate) -> tuple[Array, Array]:
-        """North and east of the antenna: means (n_rows, 2), covariances (n_rows, 2, 2) without measurement noise."""
+    def position(self, estimate: Estimate) -> tuple[Array, Array]:
+        """Return the position of the antenna in the NED frame that follows from an estimate.
+
+        Parameters
+        ----------
+        estimate : Estimate
+            ``predicted`` or ``best``.
+
+        Returns
+        -------
+        y : Array (n_rows, 2)
+            Means of north and east [m].
+        P : Array (n_rows, 2, 2)
+            Covariances [m2], without measurement noise.
+        """
         j = self._columns
-        y = self._rowwise(of.x, self.record.u, self.values)[:, len(self.states) :][:, j]
-        H = self._rowwise.output_jacobian(of.x, self.record.u, self.values)[:, j]
-        return y, np.einsum("kij,kjl,kml->kim", H, of.P, H)
+        # the compiled model returns the rates of all states, then the outputs
+        y = self._rowwise(estimate.x, self.record.u, self.values)[:, len(self.states) :][:, j]
+        H = self._rowwise.output_jacobian(estimate.x, self.record.u, self.values)[:, j]
+        return y, np.einsum("kij,kjl,kml->kim", H, estimate.P, H)
 
     @property
     def fixes(self) -> Array:
-        """Measured positions (n_rows, 2), NaN where there is none, withheld ones included."""
+        """Measured positions (n_rows, 2) [m], with the withheld ones; NaN in rows without a fix."""
         return self.record.y[:, self._columns]
 
     @property
     def fix_variance(self) -> Array:
-        """Measurement-noise variance of a fix, north and east (2,)."""
+        """Measurement-noise variance of a fix, north and east (2,) [m2]."""
         return self.run.R[self._columns]
 
     @cached_property
     def _columns(self) -> list[int]:
+        """Indices of the position among the outputs."""
         names = [o.name for o in self.model.outputs]
         return [names.index(n) for n in POSITION]
 
     def current(self) -> Array | None:
-        """Current to the north and east, as a mean and a standard deviation (n_rows, 4); None without one."""
+        """Return the estimated current (n_rows, 4) [m/s], None if the model has no current as states.
+
+        The columns are the means to the north and east, then the standard deviations to the north and east.
+        """
         if not set(CURRENT.values()) <= set(self.states):
             return None
         at = [self.states.index(n) for n in CURRENT.values()]
-        given = [p.value for n in CURRENT for p in self.model.parameters if p.name == n] or [0.0, 0.0]
-        return np.hstack([self.best.x[:, at] + given, self.best.sd[:, at]])
+        # the states are deviations from the parameters, which are fixed at their prior means
+        fixed = [p.value for n in CURRENT for p in self.model.parameters if p.name == n] or [0.0, 0.0]
+        return np.hstack([self.best.x[:, at] + fixed, self.best.sd[:, at]])
 
 
 def navigator(model: Model) -> Model:
-    """The model with its per-record current as states, whose initial covariance is the prior."""
-    own = {p.name: p for p in model.parameters if p.name in CURRENT and p.per_record}
-    if set(own) != set(CURRENT):
+    """Return the model with states in place of the per-record parameters of the current.
+
+    The initial standard deviation of a state is that of the parameter's prior. A model without per-record current is
+    returned unchanged.
+    """
+    currents = {p.name: p for p in model.parameters if p.name in CURRENT and p.per_record}
+    if set(currents) != set(CURRENT):
         return model
     if CURRENT_WALK not in {e.name for e in model.effects}:
-        walk = current_walk()  # constant without its diffusion
+        walk = current_walk()  # without diffusion, its states are constant
         constant = tuple(replace(s, noise=0.0) for s in walk.states)
         model = model + replace(walk, parameters=(), states=constant, requires=())
-    uncertain = {CURRENT[n]: (p.prior or (0.0, CURRENT_SD))[1] for n, p in own.items()}
-    states = tuple(replace(s, sd0=uncertain[s.name]) if s.name in uncertain else s for s in model.states)
-    fixed = [p.at(p.prior[0] if p.prior else 0.0).fixed() for p in own.values()]
+    initial_sd = {CURRENT[n]: (p.prior or (0.0, CURRENT_SD))[1] for n, p in currents.items()}
+    states = tuple(replace(s, sd0=initial_sd[s.name]) if s.name in initial_sd else s for s in model.states)
+    fixed = [p.at(p.prior[0] if p.prior else 0.0).fixed() for p in currents.values()]
     return replace(model, states=states).replace_parameters(*fixed)
 
 
@@ -143,28 +192,46 @@ def navigate(
     without_gnss: Sequence[tuple[float, float]] = (),
     known: ParameterCovariance | None = None,
 ) -> Navigation:
-    """States with their covariance along a record.
+    """Estimate the states of a fitted model along a record, with their covariance.
 
-    model: fitted, as ``seatrial.ident.estimation.load_model`` returns it. smoothed: by all samples, else by those up to
-    each row. without_gnss: intervals of ``record.t`` [s] whose GNSS samples are withheld. known: covariance of the
-    parameters; without it they count as exact. Raises ValueError where the model has no position, an interval holds no
-    fix, or the filter diverges.
+    Parameters
+    ----------
+    model : Model
+        Fitted model, as ``seatrial.ident.estimation.load_model`` returns it.
+    record : Record
+        Outputs and inputs of one log.
+    smoothed : bool
+        Whether ``Navigation.best`` uses all samples; otherwise it uses the samples up to each row.
+    without_gnss : sequence of (float, float)
+        Intervals of ``record.t`` [s] whose GNSS samples are withheld.
+    known : ParameterCovariance, optional
+        Covariance of the parameters. Without it, the parameters count as exact.
+
+    Raises
+    ------
+    ValueError
+        If the model has no position, an interval contains no fix, no fix is left, or the filter diverges.
     """
-    lost = [n for n in POSITION if n not in {o.name for o in model.outputs} or n not in {s.name for s in model.states}]
-    if lost:
-        raise ValueError(f"model {model.name} has no position: {lost[0]} is not both a state and an output of it")
+    missing = [
+        n for n in POSITION if n not in {o.name for o in model.outputs} or n not in {s.name for s in model.states}
+    ]
+    if missing:
+        raise ValueError(
+            f"model {model.name} has no position: {missing[0]} must be both a state and an output of the model"
+        )
     model = navigator(model)
     record = record.for_model(model)
     likelihood = Likelihood(model)
     values = np.array([p.value for p in model.parameters])
-    seen, withheld = _withhold(model, record, without_gnss)
-    run = likelihood.filter(seen, values)
+    reduced, withheld = _withhold(model, record, without_gnss)
+    run = likelihood.filter(reduced, values)
     if not np.isfinite(run.value):
         raise ValueError(
-            f"{record.name}: the filter of model {model.name} diverges on this record; was it fitted to this boat?"
+            f"{record.name}: the filter of model {model.name} diverges on this record; check that the model was fitted "
+            "to this boat"
         )
     x, P = _best(run, smoothed)
-    d_pred, d_best = _consider_covariance(likelihood, seen, values, run, x, known, smoothed)
+    d_pred, d_best = _consider_covariance(likelihood, reduced, values, run, x, known, smoothed)
     kind: Kind = "smoothed" if smoothed else "filtered"
     at = [o.name for o in model.outputs].index(POSITION[0])
     return Navigation(
@@ -175,36 +242,43 @@ def navigate(
         Estimate(run.x_pred, run.P_pred + d_pred),
         Estimate(x, P + d_best),
         run,
-        np.isfinite(seen.y[:, at]),
+        np.isfinite(reduced.y[:, at]),
         withheld,
     )
 
 
 def _best(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
+    """Return means and covariances of the smoother or of the filter."""
     if not smoothed:
         return run.x_filt, run.P_filt
-    done = smooth(run)
-    return done.x, done.P
+    smoother = smooth(run)
+    return smoother.x, smoother.P
 
 
 def _withhold(
     model: Model, record: Record, intervals: Sequence[tuple[float, float]]
 ) -> tuple[Record, NDArray[np.bool_]]:
-    """The record without the GNSS samples of the intervals, and the rows whose position was withheld."""
+    """Return the record without the GNSS samples of the intervals [s], and the rows whose position was withheld.
+
+    Raises
+    ------
+    ValueError
+        If an interval contains no fix, or no fix is left.
+    """
     names = [o.name for o in model.outputs]
     columns = [names.index(o.name) for s in model.sensors if {o.name for o in s.outputs} <= GNSS for o in s.outputs]
-    fixed = np.isfinite(record.y[:, names.index(POSITION[0])])
-    gone = np.zeros(record.n_rows, dtype=bool)
+    has_fix = np.isfinite(record.y[:, names.index(POSITION[0])])
+    in_outage = np.zeros(record.n_rows, dtype=bool)
     for begin, end in intervals:
         inside = (record.t >= begin) & (record.t < end)
-        if not (inside & fixed).any():
+        if not (inside & has_fix).any():
             raise ValueError(f"{record.name}: no GNSS position between {begin:g} s and {end:g} s to withhold")
-        gone |= inside
-    if not (fixed & ~gone).any():
-        raise ValueError(f"{record.name}: no GNSS position is left; withhold less")
+        in_outage |= inside
+    if not (has_fix & ~in_outage).any():
+        raise ValueError(f"{record.name}: no GNSS position is left; withhold shorter intervals")
     y = record.y.copy()
-    y[np.ix_(np.flatnonzero(gone), np.array(columns))] = np.nan
-    return replace(record, y=y), gone & fixed
+    y[np.ix_(np.flatnonzero(in_outage), np.array(columns))] = np.nan
+    return replace(record, y=y), in_outage & has_fix
 
 
 def _consider_covariance(
@@ -216,21 +290,26 @@ def _consider_covariance(
     known: ParameterCovariance | None,
     smoothed: bool,
 ) -> tuple[Array, Array]:
-    """Consider covariances (2, n_rows, n, n): contribution of parameter errors to prediction and estimate."""
+    """Return the consider covariances of prediction and best estimate, each (n_rows, n_states, n_states).
+
+    They are the contributions of the parameter errors to the covariances. ``x`` (n_rows, n_states) is the best
+    estimate at the parameters ``values``.
+    """
     n = x.shape[1]
     added = np.zeros((2, len(x), n, n))
-    for step in principal_directions(likelihood.model, values, known):
-        other = likelihood.filter(record, step)
-        if not np.isfinite(other.value):
+    for moved in principal_directions(likelihood.model, values, known):
+        moved_run = likelihood.filter(record, moved)
+        if not np.isfinite(moved_run.value):  # the filter diverges with these parameters
             continue
-        best = smoothed_mean(other) if smoothed else other.x_filt
-        for k, (a, b) in enumerate(((other.x_pred, run.x_pred), (best, x))):
+        moved_best = smoothed_mean(moved_run) if smoothed else moved_run.x_filt
+        for k, (a, b) in enumerate(((moved_run.x_pred, run.x_pred), (moved_best, x))):
             d = _difference(likelihood.model, a, b) / PARAMETER_STEP
             added[k] += d[:, :, None] * d[:, None, :]
     return added[0], added[1]
 
 
 def _difference(model: Model, a: Array, b: Array) -> Array:
+    """Return ``a - b`` of states (n_rows, n_states), with angles wrapped."""
     angles = {o.name for o in model.outputs if o.angle}
     d = a - b
     for i, state in enumerate(model.states):

@@ -1,4 +1,4 @@
-"""GNSS outages along a record: predicted position error at their end, and the error against withheld fixes."""
+"""GNSS outages along a record: predicted position error at the end of each, and errors against withheld fixes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,24 @@ from seatrial.ident.navigation.navigator import Navigation
 from seatrial.ident.numerics import Array
 
 CONFIDENCE = 0.95
-CHI2 = -2.0 * np.log(1.0 - CONFIDENCE)  # quantile of two degrees of freedom
-MIN_INTERVALS = 3.0  # usual intervals between fixes: a longer gap is an outage
-MIN_DURATION = 2.0  # s of an outage
-N_ANGLES = 720
+CHI2 = -2.0 * np.log(1.0 - CONFIDENCE)  # chi-squared quantile of two degrees of freedom
+MIN_INTERVALS = 3.0  # median intervals between fixes; an outage is longer
+MIN_DURATION = 2.0  # s; an outage is longer
+N_ANGLES = 720  # quadrature points over half a turn
 
 
 @dataclass(frozen=True)
 class Ellipse:
     """95 % confidence ellipse of a position.
 
-    Attributes:
-        major, minor: semi-axes [m].
-        azimuth: of the major axis [rad from north, 0..pi).
-        radius: [m] of the 95 % circle about the centre.
+    Attributes
+    ----------
+    major, minor : float
+        Semi-axes [m].
+    azimuth : float
+        Direction of the major axis [rad from north, 0..pi).
+    radius : float
+        Radius of the 95 % circle about the same centre [m].
     """
 
     major: float
@@ -37,12 +41,16 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class OutageErrors:
-    """Errors of the estimates against the withheld fixes.
+    """Errors of the estimated positions against the withheld fixes of an outage.
 
-    Attributes:
-        rms, largest: root mean square and largest distance [m].
-        inside: empirical coverage of the 95 % regions (measurement noise of the fix included).
-        n: number of fixes.
+    Attributes
+    ----------
+    rms, largest : float
+        Root mean square and largest distance [m].
+    inside : float
+        Empirical coverage of the 95 % ellipses, 0..1; the ellipses include the measurement noise of a fix.
+    n : int
+        Number of fixes.
     """
 
     rms: float
@@ -53,21 +61,35 @@ class OutageErrors:
 
 @dataclass(frozen=True)
 class Outage:
-    """One outage, from the last fix before it, or the first row, to the first fix after it, or to the last row
-    (``open``).
+    """One GNSS outage, from the last fix before it to the first fix after it.
 
-    Attributes:
-        start, end: s.
-        leading: no fix came before it, so that what is predicted for its end is a guess.
-        withheld: fixes were withheld on purpose.
-        north, east: position [m] that the filter predicts for the end without GNSS.
-        at_end: confidence ellipse of that prediction.
-        error: distance [m] of the prediction from the fix at the end, or from the last withheld fix where none follows.
-        allowed: 95 % radius [m] of that distance, measurement noise of the fix included.
-        inside: whether the fix is inside that region.
-        widest: largest 95 % radius [m] within the outage, by the best estimate.
-        predicted, best: errors on the withheld fixes, of the filter prediction and of the best estimate; None where
-            nothing was withheld.
+    The outage starts at the first row of the record if no fix precedes it, and ends at the last row if no fix follows.
+
+    Attributes
+    ----------
+    start, end : float
+        Times [s].
+    open : bool
+        Whether no fix follows.
+    leading : bool
+        Whether no fix precedes; the position predicted for the end then depends on the initial state alone.
+    withheld : bool
+        Whether fixes were withheld on purpose.
+    north, east : float
+        Position at the end [m], predicted by the filter without GNSS.
+    at_end : Ellipse
+        Confidence ellipse of this position.
+    error : float or None
+        Distance of the predicted position from the fix at the end [m], or from the last withheld fix if no fix
+        follows. None without either.
+    allowed : float or None
+        95 % radius of this distance [m], with the measurement noise of the fix.
+    inside : bool or None
+        Whether the fix is inside the 95 % ellipse that includes its measurement noise.
+    widest : float
+        Largest 95 % radius of the best estimate within the outage [m].
+    predicted, best : OutageErrors or None
+        Errors of the filter's prediction and of the best estimate against the withheld fixes.
     """
 
     start: float
@@ -87,11 +109,12 @@ class Outage:
 
     @property
     def duration(self) -> float:
+        """Duration [s]."""
         return self.end - self.start
 
 
 def ellipse(P: Array) -> Ellipse:
-    """Confidence ellipse of a covariance (2, 2) [m2], north and east."""
+    """Return the 95 % confidence ellipse of a position with the covariance ``P`` (2, 2) [m2] of north and east."""
     w, V = np.linalg.eigh(P)
     small, large = np.sqrt(np.maximum(w, 0.0))
     north, east = V[:, 1]
@@ -102,17 +125,29 @@ def ellipse(P: Array) -> Ellipse:
 
 
 def circular_error(large: float, small: float) -> float:
-    """Radius of the circle that holds 95 % of a bivariate normal error with these standard deviations along its axes.
+    """Return the radius of the circle that contains 95 % of a bivariate normal error.
 
-    A sample is ``rho (s1 cos(phi), s2 sin(phi))`` with rho^2 chi-squared of two degrees of freedom and phi
-    uniform, so the share within r is the mean of ``1 - exp(-r^2 k / 2)``, ``1 / k = s1^2 cos^2 + s2^2 sin^2``; solved
-    by bisection between the radii of a degenerate and of a circular distribution.
+    Parameters
+    ----------
+    large, small : float
+        Standard deviations along the principal axes [m].
+
+    Returns
+    -------
+    float
+        Radius [m].
+
+    Notes
+    -----
+    An error is ``rho (s1 cos(phi), s2 sin(phi))``, with rho^2 chi-squared of two degrees of freedom and phi uniform.
+    The probability inside a radius r is the mean over phi of ``1 - exp(-r^2 k / 2)`` with
+    ``1 / k = s1^2 cos^2(phi) + s2^2 sin^2(phi)``. Bisection solves this for r.
     """
     if large <= 0.0:
         return 0.0
     phi = (np.arange(N_ANGLES) + 0.5) * (pi / N_ANGLES)
     k = 1.0 / ((large * np.cos(phi)) ** 2 + (small * np.sin(phi)) ** 2)
-    low, high = 1.9 * large, 2.5 * large
+    low, high = 1.9 * large, 2.5 * large  # beyond the radii for small = 0 (1.96) and small = large (2.45)
     for _ in range(40):
         r = (low + high) / 2
         share = 1.0 - np.exp(-0.5 * r * r * k).mean()
@@ -121,33 +156,39 @@ def circular_error(large: float, small: float) -> float:
 
 
 def gnss_outages(navigation: Navigation) -> list[Outage]:
-    """Every interval without a used position longer than three usual intervals (and two seconds), in order."""
+    """Return the GNSS outages of a record in order of time.
+
+    An outage is a time without a used position, longer than three median intervals between fixes and than 2 s.
+    """
     used = np.flatnonzero(navigation.used)
     t = navigation.t
-    usual = float(np.median(np.diff(t[np.isfinite(navigation.fixes[:, 0])]))) if used.size > 1 else 0.0
-    least = max(MIN_INTERVALS * usual, MIN_DURATION)
+    median = float(np.median(np.diff(t[np.isfinite(navigation.fixes[:, 0])]))) if used.size > 1 else 0.0
+    least = max(MIN_INTERVALS * median, MIN_DURATION)
     marks = np.unique([0, *used, len(t) - 1])
-    view = _View(navigation)
-    return [view.outage(int(a), int(b), not navigation.used[b]) for a, b in pairwise(marks) if t[b] - t[a] > least]
+    evaluation = _Evaluation(navigation)
+    return [
+        evaluation.outage(int(a), int(b), not navigation.used[b]) for a, b in pairwise(marks) if t[b] - t[a] > least
+    ]
 
 
-class _View:
-    """Positions with their covariances, computed once."""
+class _Evaluation:
+    """Evaluation of outages; the positions and covariances of all rows are computed only once."""
 
     def __init__(self, navigation: Navigation) -> None:
-        self.of = navigation
+        self.navigation = navigation
         self.predicted, self.best = (navigation.position(e) for e in (navigation.predicted, navigation.best))
 
     def outage(self, first: int, last: int, is_open: bool) -> Outage:
-        """Between the rows of two fixes, from the first row to a fix, or from a fix to the last row."""
-        n, t = self.of, self.of.t
-        lost = first + np.flatnonzero(n.withheld[first : last + 1])
-        judged = last if not is_open else int(lost[-1]) if lost.size else None
+        """Return the outage between the rows ``first`` and ``last``; ``is_open``: the last row has no used fix."""
+        n, t = self.navigation, self.navigation.t
+        withheld = first + np.flatnonzero(n.withheld[first : last + 1])
+        # row of the fix that the prediction is compared with
+        compared = last if not is_open else int(withheld[-1]) if withheld.size else None
         error, allowed, inside = None, None, None
-        if judged is not None:
-            distance, within = self._misses(self.predicted, np.array([judged]))
+        if compared is not None:
+            distance, within = self._errors(self.predicted, np.array([compared]))
             error, inside = float(distance[0]), bool(within[0])
-            allowed = ellipse(self.predicted[1][judged] + np.diag(n.fix_variance)).radius
+            allowed = ellipse(self.predicted[1][compared] + np.diag(n.fix_variance)).radius
         inner = self.best[1][first : last + 1]
         widest = inner[int(np.argmax(np.trace(inner, axis1=1, axis2=2)))]
         north, east = self.predicted[0][last].tolist()
@@ -157,7 +198,7 @@ class _View:
             float(t[last]),
             is_open,
             leading,
-            bool(lost.size),
+            bool(withheld.size),
             north,
             east,
             ellipse(self.predicted[1][last]),
@@ -165,20 +206,22 @@ class _View:
             allowed,
             inside,
             ellipse(widest).radius,
-            self._summary(self.predicted, lost),
-            self._summary(self.best, lost),
+            self._summary(self.predicted, withheld),
+            self._summary(self.best, withheld),
         )
 
-    def _misses(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
-        e = estimate[0][rows] - self.of.fixes[rows]
-        S = estimate[1][rows] + np.diag(self.of.fix_variance)
-        distance = np.einsum("ki,ki->k", e, np.linalg.solve(S, e[:, :, None])[:, :, 0])
-        return np.hypot(e[:, 0], e[:, 1]), distance <= CHI2
+    def _errors(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
+        """Return the distances [m] from the fixes of the rows, and whether the fixes are inside the 95 % ellipses."""
+        e = estimate[0][rows] - self.navigation.fixes[rows]
+        S = estimate[1][rows] + np.diag(self.navigation.fix_variance)
+        mahalanobis = np.einsum("ki,ki->k", e, np.linalg.solve(S, e[:, :, None])[:, :, 0])  # squared distance
+        return np.hypot(e[:, 0], e[:, 1]), mahalanobis <= CHI2
 
     def _summary(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> OutageErrors | None:
+        """Return the errors against the fixes of the rows, None without rows."""
         if not rows.size:
             return None
-        distance, within = self._misses(estimate, rows)
+        distance, within = self._errors(estimate, rows)
         return OutageErrors(
             float(np.sqrt(np.mean(distance**2))), float(distance.max()), float(within.mean()), rows.size
         )

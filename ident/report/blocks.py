@@ -1,4 +1,7 @@
-"""What a page is made of: sections of a few kinds of block, and the figures they point at."""
+"""Parts of a page: sections, their blocks (text, tables, plots, tabs), and the collector of figures.
+
+Blocks contain texts and numbers that are ready to show. ``templates/blocks.html.j2`` renders each by its ``kind``.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,13 @@ class Prose:
     """A paragraph."""
 
     words: str
-    style: str = ""
+    style: str = ""  # CSS class
     kind: str = "prose"
 
 
 @dataclass(frozen=True)
 class Heading:
-    """A small heading inside a section."""
+    """A small heading inside a section, with a note in smaller type."""
 
     words: str
     note: str = ""
@@ -29,72 +32,72 @@ class Heading:
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell; ``bar`` (-1..1) draws a small diverging bar beside the text."""
+    """A cell of a table."""
 
     words: str
-    style: str = ""
-    bar: float | None = None
+    style: str = ""  # CSS class
+    bar: float | None = None  # -1..1: length of a small bar beside the text, to the left if negative
 
 
 @dataclass(frozen=True)
 class Table:
-    """``columns``: title and style (``num`` for numbers); a row of one cell is a group's heading."""
+    """A table with a header row."""
 
-    columns: Sequence[tuple[str, str]]
-    rows: Sequence[Sequence[Cell | str]]
+    columns: Sequence[tuple[str, str]]  # title and CSS class (``num`` for numbers)
+    rows: Sequence[Sequence[Cell | str]]  # a row of one cell is the heading of a group
     caption: str = ""
     kind: str = "table"
 
 
 @dataclass(frozen=True)
 class Plot:
-    """A place for a figure of the page."""
+    """The place of a figure on the page."""
 
-    id: str
-    height: int
-    label: str
-    title: str = ""
+    id: str  # key in ``Canvas.figures``
+    height: int  # px
+    label: str  # description for screen readers
+    title: str = ""  # heading above the figure
     kind: str = "plot"
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Plots side by side as far as the width allows; ``least`` is a plot's least width [px]."""
+    """Plots side by side, as many in a row as fit the page."""
 
     plots: Sequence[Plot]
-    least: int = 260
+    least: int = 260  # smallest width of a plot [px]
     style: str = ""
     kind: str = "grid"
 
 
 @dataclass(frozen=True)
 class Key:
-    """What the lines mean: pairs of style and words."""
+    """Legend of the lines and symbols in the figures below."""
 
-    items: Sequence[tuple[str, str]]
+    items: Sequence[tuple[str, str]]  # CSS class of the symbol, meaning
     kind: str = "key"
 
 
 @dataclass(frozen=True)
 class Tabs:
-    """Alternatives of which one is seen at a time; all of them in print."""
+    """Tabs: one is visible at a time; a printed page contains all."""
 
-    tabs: Sequence[tuple[str, Sequence[Any]]]
+    tabs: Sequence[tuple[str, Sequence[Any]]]  # title, blocks
     kind: str = "tabs"
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Pairs of a label and a value."""
+    """List of labelled values."""
 
-    items: Sequence[tuple[str, str]]
+    items: Sequence[tuple[str, str]]  # label, value
     style: str = ""
     kind: str = "facts"
 
 
 @dataclass(frozen=True)
 class Lines:
-    """A list of lines."""
+    """List of sentences."""
 
     items: Sequence[str]
     style: str = ""
@@ -103,7 +106,10 @@ class Lines:
 
 @dataclass(frozen=True)
 class Dumbbell:
-    """One channel's error before and after: positions in percent of the track's width."""
+    """Prediction error of one channel before and after an effect was added, drawn as two dots on a track.
+
+    The positions are in per cent of the track's width.
+    """
 
     label: str
     before: str
@@ -111,14 +117,14 @@ class Dumbbell:
     change: str
     at_before: float
     at_after: float
-    low: float | None
+    low: float | None  # ends of the 95 % interval
     high: float | None
     verdict: str  # better, worse, same
 
 
 @dataclass(frozen=True)
 class Dumbbells:
-    """Errors before and after on one relative scale."""
+    """Prediction errors before and after, of several channels on one relative scale."""
 
     items: Sequence[Dumbbell]
     caption: str
@@ -127,56 +133,56 @@ class Dumbbells:
 
 @dataclass(frozen=True)
 class EffectCard:
-    """An effect that was added to the model."""
+    """Card of an effect that was added to the model."""
 
     title: str
     name: str
     formula: str
-    parameters: Sequence[tuple[str, str, str]]
-    facts: Sequence[tuple[str, str]]
-    weight: str
-    weight_says: str
+    parameters: Sequence[tuple[str, str, str]]  # name, value with standard error, meaning
+    facts: Sequence[tuple[str, str]]  # label, value
+    importance: str  # how much larger the prediction error is without the effect: the number
+    importance_words: str  # the words after the number
     kind: str = "effect"
 
 
 @dataclass(frozen=True)
 class Bar:
-    """One candidate: bar and threshold in percent of the track's width."""
+    """Bar of one candidate's score test; lengths in per cent of the track's width."""
 
     label: str
     name: str
     numbers: str
     width: float
     threshold: float
-    generic: bool
+    generic: bool  # a nonparametric curve, not an effect of the catalogue
     passed: bool
     chosen: bool
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Candidates on a logarithmic axis; ``ticks`` are positions [%] and words."""
+    """Bar chart of the candidates' score tests on a logarithmic axis."""
 
     bars: Sequence[Bar]
-    ticks: Sequence[tuple[float, str]]
+    ticks: Sequence[tuple[float, str]]  # position [%], label
     caption: str
     kind: str = "ranking"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One finding of a check: ``level`` is fault, warning or ok; what was found where, and what to do about it."""
+    """One finding of a data check."""
 
-    level: str
-    where: str
-    check: str
-    words: str
-    advice: str
+    level: str  # fault, warning, ok
+    where: str  # log or signal
+    check: str  # name of the check
+    words: str  # what was found
+    advice: str  # what to do
 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Findings below each other."""
+    """List of findings."""
 
     items: Sequence[Verdict]
     kind: str = "verdicts"
@@ -184,30 +190,45 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Section:
-    """One heading of the page; a section without blocks is not shown."""
+    """A section of the page; pages leave out a section without blocks."""
 
-    id: str
+    id: str  # anchor
     title: str
     blocks: Sequence[Any]
-    lead: str = ""
+    lead: str = ""  # introductory paragraph
 
 
 @dataclass
 class Canvas:
-    """Collects the page's figures while the sections are built."""
+    """Collector of a page's figures while its sections are built."""
 
     budget: Budget
     figures: dict[str, Figure] = field(default_factory=dict)
 
     def plot(self, figure: Figure, height: int, label: str, title: str = "") -> Plot:
-        """Keep a figure and return its place; ``label`` says what it shows to who cannot see it."""
+        """Store a figure and return its place on the page.
+
+        Parameters
+        ----------
+        figure : Figure
+            Plotly figure.
+        height : int
+            Height [px].
+        label : str
+            Description of the figure for screen readers.
+        title : str
+            Heading above the figure.
+        """
         name = f"figure-{len(self.figures) + 1}"
         self.figures[name] = figure
         return Plot(name, height, label, title)
 
 
 def tabbed(tabs: Sequence[tuple[str, Sequence[Any]]]) -> list[Any]:
-    """Tabs; a lone one is shown without, under its title; empty ones are left out."""
+    """Return a ``Tabs`` block of the tabs that have blocks.
+
+    If only one tab has blocks, return its title as a heading followed by its blocks.
+    """
     full = [(title, list(blocks)) for title, blocks in tabs if blocks]
     if len(full) == 1:
         return [Heading(full[0][0]), *full[0][1]]

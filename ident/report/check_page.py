@@ -1,4 +1,4 @@
-"""The page of a check: is it fit for a run, what has to be mended first, and what shows it."""
+"""HTML page of a check of logs or of a rig: answer, findings, curves of the logs, and dry run of the mission."""
 
 from __future__ import annotations
 
@@ -21,22 +21,38 @@ from seatrial.ident.report.blocks import Canvas, Facts, Grid, Key, Prose, Sectio
 from seatrial.ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, line_trace, single, stacked
 from seatrial.ident.report.page import compose
 
-LEVELS = {"fault": "faults", "warning": "warnings", "ok": "in order"}
-MOST_NAMED = 4
-POINTS = 120_000  # on the page
-Make = Callable[[CheckEvidence, int], Sequence[Panel]]  # a log and the points that a trace may have -> panels
+LEVELS = {"fault": "faults", "warning": "warnings", "ok": "ok"}
+MAX_NAMED = 4  # findings named in the answer
+MAX_POINTS = 120_000  # of all traces of the page
+PanelMaker = Callable[[CheckEvidence, int], Sequence[Panel]]  # from a log and the largest number of points of a trace
 
 
 def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command: str, path: Path) -> None:
-    """Write a check's findings, the curves of its logs and its dry run as one HTML page.
+    """Write the findings of a check, the curves of its logs and its dry run as one HTML page.
 
-    It opens without a network. Raises OSError where ``path`` cannot be written.
+    The page opens without a network.
+
+    Parameters
+    ----------
+    report : CheckReport
+        Findings, and the dry run of a rig's mission.
+    logs : sequence of CheckEvidence
+        Curves of each log.
+    command : str
+        Command line of the check.
+    path : Path
+        File to write.
+
+    Raises
+    ------
+    OSError
+        If ``path`` cannot be written.
     """
-    canvas = Canvas(Budget.for_traces(sum(_count(log) for log in logs), POINTS))
-    wrong = [f for f in report.findings if f.level != "ok"]
-    opening = Section("top", "", [*([_verdicts(wrong)] if wrong else []), Facts(_facts(report, logs))])
+    canvas = Canvas(Budget.for_traces(sum(_count(log) for log in logs), MAX_POINTS))
+    problems = [f for f in report.findings if f.level != "ok"]
+    opening = Section("top", "", [*([_verdicts(problems)] if problems else []), Facts(_facts(report, logs))])
     body = [_mission(canvas, report.mission), *_evidence(canvas, logs)]
-    body.append(Section("all", "Every question", [_verdicts(report.findings)] if report.findings else []))
+    body.append(Section("all", "All checks", [_verdicts(report.findings)] if report.findings else []))
     body.append(Section("made", "How it was made", [Facts([("command", command)], "made")] if command else []))
     page = compose(
         "Preflight" if report.rig is not None else "Check of a log",
@@ -51,36 +67,38 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
 
 
 def check_answer(report: CheckReport) -> str:
-    """May it be used, and if not, why not."""
+    """Return the answer of a check in one sentence: ready or not, and the first fault or the warnings."""
     found, subject, rig = report.findings, report.subject, report.rig is not None
     faults, warnings = ([f for f in found if f.level == level] for level in ("fault", "warning"))
     if faults:
         first, *more = faults
-        rest = f" Faulty as well: {_named(more)}." if more else ""
+        rest = f" Other faults: {_named(more)}." if more else ""
         return f"{subject} {'is not ready' if rig else 'cannot be trusted yet'}: {_sentence(_phrase(first))}{rest}"
     if warnings:
-        fine = f"Nothing stops a run with {subject}" if rig else f"{subject} can be used"
-        return f"{fine}; look first at {_named(warnings)}."
+        return f"{subject} can be used{' for a run' if rig else ''}; check the warnings first: {_named(warnings)}."
     if not found:
-        return f"{subject}: there was nothing to check."
-    return f"{subject} is {'ready' if rig else 'in order'}: {counted(len(found), 'check')}, nothing wrong."
+        return f"{subject}: no check applies."
+    return f"{subject} is {'ready' if rig else 'in order'}: {counted(len(found), 'check')}, no faults or warnings."
 
 
 def _phrase(finding: Finding) -> str:
-    where, what = finding.where, finding.text
-    named = re.search(rf"(?<!\w){re.escape(where.rsplit(': ', 1)[-1])}(?!\w)", what)  # `r` is in many a word
-    return what if named else f"{where}, {what}"
+    """Return the text of a finding, preceded by its place unless the text contains the place."""
+    where, text = finding.where, finding.text
+    # whole words only: the letter of a signal such as `r` is in most texts
+    named = re.search(rf"(?<!\w){re.escape(where.rsplit(': ', 1)[-1])}(?!\w)", text)
+    return text if named else f"{where}, {text}"
 
 
 def _sentence(phrase: str) -> str:
+    """Return a phrase with a full stop unless it is a question."""
     return phrase if phrase.endswith("?") else f"{phrase}."
 
 
 def _named(found: Sequence[Finding]) -> str:
-    """``gnss (rate), left (delay) and 3 more``."""
+    """Return the places and checks of findings in a sentence: ``gnss (rate), left (delay) and 3 more``."""
     shown = [f"{f.where} ({f.check})" for f in found]
-    if len(shown) > MOST_NAMED:
-        shown = [*shown[: MOST_NAMED - 1], f"{len(shown) - MOST_NAMED + 1} more"]
+    if len(shown) > MAX_NAMED:
+        shown = [*shown[: MAX_NAMED - 1], f"{len(shown) - MAX_NAMED + 1} more"]
     return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)
 
 
@@ -89,6 +107,7 @@ def _verdicts(found: Sequence[Finding]) -> Verdicts:
 
 
 def _facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
+    """Return the labelled facts of a check: rig, durations of the logs, number of findings of each level."""
     levels = [f.level for f in report.findings]
     facts = [] if report.rig is None else [("rig", report.rig)]
     for log in logs:
@@ -98,43 +117,49 @@ def _facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str
 
 
 def _count(log: CheckEvidence) -> int:
+    """Return the approximate number of traces that the curves of a log need."""
     return sum(len(rows) for rows in (log.intervals, log.shafts, log.push, log.sensors, log.signals)) + 2
 
 
 def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
-    """One section for each kind of curve, with a tab a log; without tabs where there is one log."""
+    """Return one section for each kind of curve, with a tab per log; a single log has no tabs."""
     measured = ("measured", "measured")
     return [
         _section(
             canvas,
             logs,
             "push",
-            "Does the boat go where its thrusters push?",
-            _push,
+            "Measured motion and motion expected from the thrust",
+            _thrust_response,
             170,
-            [measured, ("line", "as the thrusters push, through a first-order lag and to scale")],
-            "Two curves that go together: sides and signs are right. Mirror images: swapped, or a wrong sign.",
+            [measured, ("line", "expected: thrust through a first-order lag, scaled to the measured motion")],
+            "If the curves agree, sides and signs of the thrusters are right. If they are mirror images, left and "
+            "right are exchanged or a sign is wrong.",
         ),
         _section(
             canvas,
             logs,
             "shafts",
-            "Do the shafts do what they are told?",
+            "Commands and shaft speeds",
             _shafts,
             132,
-            [("before", "what it is told"), ("line", "what the shaft does")],
+            [("before", "command"), ("line", "measured shaft speed")],
         ),
         _section(
             canvas,
             logs,
             "sensors",
-            "Do the sensors agree?",
+            "The same motion from two sensors",
             _sensors,
             132,
-            [("measured", "change of heading in 1 s, of position in 5 s"), ("line", "gyro, velocity as received")],
-            "One motion by two sensors. A factor between them is a unit; a shift in time, a sensor that comes late.",
+            [
+                ("measured", "change of heading in 1 s, or of position in 5 s"),
+                ("line", "yaw rate of the gyro, or velocity as received"),
+            ],
+            "The two curves should agree. A constant factor between them indicates a wrong unit, a shift in time a "
+            "delayed sensor.",
         ),
-        _section(canvas, logs, "signals", "What the sensors said", _signals, 100),
+        _section(canvas, logs, "signals", "Signals of the sensors", _signals, 100),
         _section(
             canvas,
             logs,
@@ -142,8 +167,9 @@ def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
             "Time between samples",
             _intervals,
             90,
-            [("line", "from sample to sample"), ("before", "by the rig's rate_hz")],
-            "A peak is a pause; a level above the dashed line, a device that is slower than the rig says.",
+            [("line", "time since the sample before"), ("before", "expected from rate_hz of the rig file")],
+            "A peak is a gap in the data. If the level is above the dashed line, the device is slower than rate_hz of "
+            "the rig file.",
         ),
     ]
 
@@ -153,46 +179,75 @@ def _section(
     logs: Sequence[CheckEvidence],
     key: str,
     title: str,
-    make: Make,
+    make_panels: PanelMaker,
     height: int,
-    items: Sequence[tuple[str, str]] = (),
+    legend: Sequence[tuple[str, str]] = (),
     lead: str = "",
 ) -> Section:
+    """Return the section of one kind of curve.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        Collector of the figures.
+    logs : sequence of CheckEvidence
+        Curves of each log.
+    key : str
+        Anchor of the section.
+    title : str
+        Title of the section.
+    make_panels : callable
+        Function that draws the panels of one log.
+    height : int
+        Height of a panel [px].
+    legend : sequence
+        Pairs of style and meaning.
+    lead : str
+        Introduction of the section.
+    """
     found = []
     for log in logs:
-        panels, blocks = make(log, canvas.budget.points), list[Any]()
+        panels, blocks = make_panels(log, canvas.budget.points), list[Any]()
         if panels:
             figure, high = stacked(panels, "time since the start of the log [s]", panel_height=height)
             blocks.append(Grid([canvas.plot(figure, high, f"{title} {log.name}")], 320))
         found.append((log.name, blocks))
     blocks = found[0][1] if len(found) == 1 else tabbed(found)
-    return Section(key, title, [*([Key(items)] if items else []), *blocks] if blocks else [], lead)
+    return Section(key, title, [*([Key(legend)] if legend else []), *blocks] if blocks else [], lead)
 
 
-def _push(log: CheckEvidence, limit: int) -> list[Panel]:
+def _thrust_response(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return a panel for each motion: measured, and expected from the thrust."""
     panels = []
     for row in log.push:
         factor, unit = formatting.degrees_for(row.unit)
         traces = [
             dots(row.t, factor * row.measured, "measured", limit),
-            line_trace(row.t, factor * row.expected, "as pushed", limit),
+            line_trace(row.t, factor * row.expected, "expected", limit),
         ]
         panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
     return panels
 
 
 def _shafts(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return a panel for each shaft: command and measured speed."""
     panels = []
     for row in log.shafts:
-        told = _held(row.t_command, row.n_command, row.end, limit)
-        traces = [line_trace(*told, "told", limit, color=BEFORE, dash="dash"), line_trace(row.t, row.n, "turns", limit)]
-        panels.append(Panel(f"{_capital(row.name)}, part of full speed", traces))
+        commanded = _held(row.t_command, row.n_command, row.end, limit)
+        traces = [
+            line_trace(*commanded, "command", limit, color=BEFORE, dash="dash"),
+            line_trace(row.t, row.n, "shaft speed", limit),
+        ]
+        panels.append(Panel(f"{_capital(row.name)}, fraction of full speed", traces))
     return panels
 
 
 def _held(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]:
-    """The corners of a command that is held until the next one; where these are too many, what held at equal steps of
-    time: thinned corners would be joined by slopes."""
+    """Return times and values of a staircase: each command is held until the next one, the last until ``end`` [s].
+
+    If the corners are more than ``limit`` points, return the held values at equidistant times instead.
+    """
+    # line_trace would thin more corners, and join the remaining ones by slopes
     end = max(end, float(t[-1]))
     if 2 * t.size <= limit:
         return np.append(np.repeat(t, 2)[1:], end), np.repeat(value, 2)
@@ -201,6 +256,7 @@ def _held(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]
 
 
 def _sensors(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return a panel for each motion that two sensors measure."""
     panels = []
     for row in log.sensors:
         factor, unit = formatting.degrees_for(row.unit)
@@ -211,6 +267,7 @@ def _sensors(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _signals(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return a panel for each signal; angles in degrees are unwrapped."""
     panels = []
     for row in log.signals:
         factor, unit = formatting.degrees_for(row.unit)
@@ -222,32 +279,34 @@ def _signals(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _intervals(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return a panel for each device: time between its samples [ms], and the expected time if the rig has a rate."""
     panels = []
     for row in log.intervals:
-        t, pause = row.t, 1e3 * row.interval
-        traces, top = [dots(t, pause, "pause", limit, color=MODEL)], float(pause.max())
+        t, interval = row.t, 1e3 * row.interval
+        traces, top = [dots(t, interval, "interval", limit, color=MODEL)], float(interval.max())
         if row.expected is not None:
             ends, top = np.array([t[0], t[-1]]), max(top, 1e3 * row.expected)
-            traces.append(line_trace(ends, np.full(2, 1e3 * row.expected), "by the rig", 2, color=BEFORE, dash="dash"))
+            traces.append(line_trace(ends, np.full(2, 1e3 * row.expected), "expected", 2, color=BEFORE, dash="dash"))
         panels.append(Panel(f"{row.source} [ms]", traces, {"range": [0.0, 1.2 * top]}))
     return panels
 
 
 def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
-    """The dry run: what will be told, and the way that the boat is expected to take."""
+    """Return the section of the dry run: commands of the mission and predicted track of the boat."""
     if mission is None:
         return Section("mission", "", [])
     panels = []
     for column, name in enumerate(mission.thrusters):
-        told = line_trace(
+        commanded = line_trace(
             *_held(mission.t, mission.n[:, column], mission.end, canvas.budget.points), name, canvas.budget.points
         )
-        panels.append(Panel(f"{_capital(name)}: command, part of full speed", [told], {"range": [-1.08, 1.08]}))
+        title = f"{_capital(name)}: command, fraction of full speed"
+        panels.append(Panel(title, [commanded], {"range": [-1.08, 1.08]}))
     figure, high = stacked(panels, "time since the start of the mission [s]")
     blocks: list[Any] = [Grid([canvas.plot(figure, high, "Commands of the mission")], 320)]
     if mission.track is not None:
         track = single(
-            _way(mission.track, mission.fence),
+            _predicted_track(mission.track, mission.fence),
             "east of the start [m]",
             "north of the start [m]",
             hovermode="closest",
@@ -255,22 +314,28 @@ def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
             showlegend=True,
             legend={"orientation": "h", "y": 1.08},
         )
-        words = f"Predicted by {mission.track.source}, from rest, heading north. Wind and current add to it."
-        blocks += [Grid([canvas.plot(track, 540, "Predicted track and fence")], 320, "narrow"), Prose(words, "caption")]
-    return Section("mission", f"The mission, run dry: {mission.name}", blocks)
+        words = f"Predicted by {mission.track.source}, from rest, heading north, without wind and current."
+        plot = canvas.plot(track, 540, "Predicted track and geofence")
+        blocks += [Grid([plot], 320, "narrow"), Prose(words, "caption")]
+    return Section("mission", f"Dry run of the mission {mission.name}", blocks)
 
 
-def _way(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
+def _predicted_track(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
+    """Return the traces of the predicted track, its outermost 95 % circle, the geofence and the start.
+
+    ``fence`` is the radius of the geofence [m].
+    """
     x, y = track.x - track.x[0], track.y - track.y[0]
     traces = [line_trace(y, x, "predicted track", 4000)]
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     if track.radius is not None:
-        wide = int(np.argmax(np.hypot(x, y) + track.radius))
-        around = (y[wide] + track.radius[wide] * np.sin(angle), x[wide] + track.radius[wide] * np.cos(angle))
-        traces.append(line_trace(*around, "95 % of the boats, where farthest", 200, color=drawing.FAINT))
+        # only the circle that reaches farthest from the start, which is the one that matters for the geofence
+        k = int(np.argmax(np.hypot(x, y) + track.radius))
+        circle = (y[k] + track.radius[k] * np.sin(angle), x[k] + track.radius[k] * np.cos(angle))
+        traces.append(line_trace(*circle, "95 % of the boats, at the farthest point", 200, color=drawing.FAINT))
     if fence is not None:
         circle = (fence * np.sin(angle), fence * np.cos(angle))
-        traces.append(line_trace(*circle, "fence", 200, color=drawing.AMBER, dash="dash"))
+        traces.append(line_trace(*circle, "geofence", 200, color=drawing.AMBER, dash="dash"))
     marker = {"size": 9, "color": drawing.MEASURED, "symbol": "square"}
     traces.append({"type": "scatter", "mode": "markers", "x": [0.0], "y": [0.0], "name": "start", "marker": marker})
     return [trace | {"showlegend": True} for trace in traces]

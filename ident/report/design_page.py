@@ -1,4 +1,4 @@
-"""The page of a designed mission: what it promises, against which baseline signals, and where the boat will go."""
+"""HTML page of a designed mission: expected standard errors, commands, predicted track, and baseline signals."""
 
 from __future__ import annotations
 
@@ -17,11 +17,17 @@ from seatrial.ident.results import DesignResult, DesignTrack
 
 COLORS = {"design": MODEL, "PRBS": AMBER, "RGS": GREEN}
 DASHES = {"design": "solid", "PRBS": "dash", "RGS": "dot"}
-BINS = 60
+N_BINS = 60
 
 
 def write_design_page(result: DesignResult, path: Path) -> None:
-    """Write a design as one HTML page that opens without a network. Raises OSError where it cannot be written."""
+    """Write a design as one HTML page that opens without a network.
+
+    Raises
+    ------
+    OSError
+        If ``path`` cannot be written.
+    """
     canvas = Canvas(Budget.for_traces(12))
     opening = Section("top", "", [Prose(_lead(result), "lead"), Facts(_facts(result))])
     body = [
@@ -45,22 +51,24 @@ def write_design_page(result: DesignResult, path: Path) -> None:
 
 
 def _lead(result: DesignResult) -> str:
+    """Return the introduction of the page: the criterion, and the kind of information."""
     form = (
         "with process noise (prediction error)"
         if result.form == "prediction error"
         else ("without process noise (output error)")
     )
     return (
-        f"Steps that maximise the {result.criterion} criterion of the Fisher information of "
+        f"The steps of this mission maximise the {result.criterion} criterion of the Fisher information of "
         f"{', '.join(result.chosen)}, {form}. Standard errors after the mission are those of a "
-        "prediction-error fit of this run together with what was known before."
+        "prediction-error fit to this run, combined with the information before the mission."
     )
 
 
 def _facts(result: DesignResult) -> list[tuple[str, str]]:
+    """Return the labelled facts of a design: criterion of the design and of the baselines, sensors, T values."""
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
-    found.append(("better than all in", formatting.percent(result.share_won, 1) + " of the samples"))
+    found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
     if result.rates:
         found.append(("sensors", ", ".join(f"{name} {hz:.3g} Hz" for name, hz in result.rates.items())))
     if result.apart is not None:
@@ -73,13 +81,14 @@ def _facts(result: DesignResult) -> list[tuple[str, str]]:
 
 
 def _errors(result: DesignResult) -> Section:
+    """Return the table of standard errors before and after the mission."""
     columns = (
         ("parameter", ""),
         ("value", "num"),
         ("unit", ""),
         ("± before", "num"),
         ("± after", "num"),
-        ("of the value", "num"),
+        ("± after / value", "num"),
         (f"± after the best {result.baseline}", "num"),
         ("meaning", ""),
     )
@@ -100,13 +109,14 @@ def _errors(result: DesignResult) -> Section:
         )
     return Section(
         "errors",
-        "What will be known",
+        "Expected standard errors",
         [Table(columns, lines)] if lines else [],
-        "Standard errors; a dash before: nothing is known yet.",
+        "A dash in the column “± before” means that there is no information before the mission.",
     )
 
 
 def _inputs(canvas: Canvas, result: DesignResult) -> Section:
+    """Return the commands of each thruster over time."""
     panels = [
         Panel(
             f"command {row.name}, -1..1",
@@ -118,35 +128,38 @@ def _inputs(canvas: Canvas, result: DesignResult) -> Section:
     if not panels:
         return Section("inputs", "", [])
     figure, height = stacked(panels, "time since the first step [s]")
-    return Section(
-        "inputs", "What the thrusters are told", [Grid([canvas.plot(figure, height, "Commands over time")], 600)]
-    )
+    return Section("inputs", "Thruster commands", [Grid([canvas.plot(figure, height, "Commands over time")], 600)])
 
 
 def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
+    """Return the plot of the predicted track, of sampled boats and of the area; no blocks without a track."""
     if track is None:
         return Section("track", "", [])
     traces: list[Trace] = []
-    for k, other in enumerate(track.others):
-        name = "boats within what is believed, with process noise" if k == 0 else ""
+    for k, sampled in enumerate(track.others):
+        name = "boats with sampled parameters and process noise" if k == 0 else ""
         traces.append(
-            line_trace(other[:, 1], other[:, 0], name, 400, color=FAINT)
+            line_trace(sampled[:, 1], sampled[:, 0], name, 400, color=FAINT)
             | {"opacity": 0.35, "showlegend": k == 0, "hoverinfo": "skip"}
         )
     traces.append(line_trace(track.y, track.x, "nominal boat", 400) | {"showlegend": True})
     traces.append(_dot(track.y[:1], track.x[:1]))
     current = track.current
-    water = f"the others in currents of up to {formatting.plain(current)} m/s" if current else "without current"
-    words = f"The boat starts at 0, 0, at rest, heading north, {water}. The track is that of the whole "
-    words += (
-        f"mission: {track.rest:g} s at rest before the steps, and {track.coasting:g} s of coasting after the last. "
+    water = (
+        f"; the sampled boats meet currents of up to {formatting.plain(current)} m/s"
+        if current
+        else ", without current"
     )
-    words += "Nobody steers: small errors of the model add up, so watch the geofence of the rig file."
+    words = (
+        f"The boat starts at 0, 0, at rest, heading north{water}. The track covers the whole mission: {track.rest:g} s "
+        f"at rest before the steps, and {track.coasting:g} s of coasting after the last step. The commands are open "
+        "loop: model errors accumulate in the track, so leave a margin to the geofence of the rig file."
+    )
     if track.corner is not None and track.area is not None and track.inside is not None:
         (south, west), area = track.corner, track.area
         words += (
-            f" {formatting.percent(track.inside)} of the disturbed boats keep to the area (orange) if it begins "
-            f"{formatting.plain(-south)} m south and {formatting.plain(-west)} m west of the start."
+            f" {formatting.percent(track.inside)} of the sampled boats stay in the area (orange) if its south-west "
+            f"corner is {formatting.plain(-south)} m south and {formatting.plain(-west)} m west of the start."
         )
         x, y = south + np.array([0, 1, 1, 0, 0]) * area[0], west + np.array([0, 0, 1, 1, 0]) * area[1]
         traces.append(line_trace(y, x, "area", 10, color=AMBER, dash="dash") | {"showlegend": True})
@@ -161,7 +174,7 @@ def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
     )
     return Section(
         "track",
-        "Where the boat goes",
+        "Predicted track",
         [
             Grid([canvas.plot(figure, 560, "Predicted track with sampled boats")], 320, "narrow"),
             Prose(words, "caption"),
@@ -170,6 +183,7 @@ def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
 
 
 def _dot(x: Array, y: Array) -> Trace:
+    """Return the marker of the start."""
     return {
         "type": "scatter",
         "mode": "markers",
@@ -182,6 +196,7 @@ def _dot(x: Array, y: Array) -> Trace:
 
 
 def _baselines(canvas: Canvas, result: DesignResult) -> Section:
+    """Return the histograms of the criterion over parameter samples, for the design and the baseline signals."""
     samples = result.samples
     if not samples:
         return Section("baselines", "", [])
@@ -190,27 +205,28 @@ def _baselines(canvas: Canvas, result: DesignResult) -> Section:
         traces, f"{result.criterion} criterion", "samples", showlegend=True, legend={"orientation": "h", "y": 1.12}
     )
     lead = (
-        "The criterion at 1000 samples of the parameters within what is believed of the boat: the standard errors of "
-        "a model.toml, else uniform within the spread about the nominal values; "
-        "larger is better, one unit is a factor e in the determinant. PRBS and RGS are each the best of 20, at the "
-        "bandwidth and size that suit the nominal values, and keep to no limits of area, speed or energy."
+        "Criterion at 1000 samples of the parameters. The samples are drawn from the standard errors of a model.toml, "
+        "otherwise uniformly within the prior half-width about the nominal values. Larger is better; one unit is a "
+        "factor e in the determinant. PRBS and RGS are each the best of 20 sequences, with the bandwidth and amplitude "
+        "that suit the nominal values; they do not keep the limits of area, speed or energy."
     )
     return Section(
         "baselines",
-        "Against random sequences, and if the boat is another",
+        "Comparison with random sequences, for uncertain parameters",
         [Grid([canvas.plot(figure, 300, "Histogram of the criterion")], 520)],
         lead,
     )
 
 
 def edges_of(samples: Mapping[str, Array]) -> Array:
-    """Common bins of all histograms (n,), without the tails' last half per cent."""
-    every = np.concatenate(list(samples.values()))
-    low, high = np.quantile(every[np.isfinite(every)], [0.002, 0.998])
-    return np.linspace(low, max(high, low + 1e-6), BINS + 1)
+    """Return the common bin edges (N_BINS + 1,) of all histograms, from the 0.2 % to the 99.8 % quantile."""
+    values = np.concatenate(list(samples.values()))
+    low, high = np.quantile(values[np.isfinite(values)], [0.002, 0.998])
+    return np.linspace(low, max(high, low + 1e-6), N_BINS + 1)
 
 
 def _histogram(name: str, values: Array, edges: Array) -> Trace:
+    """Return the outline of a histogram; values beyond the edges count in the first or last bin."""
     count = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].astype(float)
     outline_x, outline_y = np.repeat(edges, 2)[1:-1], np.repeat(count, 2)
     trace = line_trace(

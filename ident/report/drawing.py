@@ -1,4 +1,4 @@
-"""Small tools for figures as plain data: thinned and packed arrays, lines, bands and stacked panels."""
+"""Construction of Plotly figures as plain data: thinned and packed arrays, lines, bands, stacked panels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Trace = dict[str, Any]
 Figure = dict[str, Any]
 Index = NDArray[np.intp]
 
-# Okabe and Ito's colours, which people with any kind of colour vision tell apart
+# palette of Okabe and Ito (2008), distinguishable with any kind of colour vision
 MODEL, BEFORE, MEASURED, GREEN, PURPLE, SKY, AMBER = (
     "#0072B2",
     "#D55E00",
@@ -30,8 +30,8 @@ MODEL, BEFORE, MEASURED, GREEN, PURPLE, SKY, AMBER = (
 INK, GRID, FAINT = "#1c2430", "#e6e9ee", "#8a93a0"
 LINES = (MODEL, AMBER, GREEN, PURPLE, SKY, BEFORE)
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "solid")
-Z95 = 1.96
-LARGEST = float(np.finfo(np.float32).max)  # of what a figure can hold
+Z95 = 1.96  # half width of a 95 % interval of the normal distribution, in standard deviations
+LARGEST = float(np.finfo(np.float32).max)  # figures store 32-bit floats
 FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 TEMPLATE: Figure = {
     "layout": {
@@ -52,23 +52,26 @@ TEMPLATE: Figure = {
 
 @dataclass
 class Budget:
-    """How many points a trace may have, so that a page with many of them stays small."""
+    """Largest number of points of a trace, which keeps the file of a page with many traces small."""
 
     points: int = 3000
 
     @classmethod
     def for_traces(cls, n_traces: int, total: int = 220_000) -> Budget:
-        """About ``total`` points on the page; never more than 3000 a trace, never fewer than 200."""
+        """Return the budget of a page of about ``total`` points; each trace may have 200 to 3000 points."""
         return cls(int(np.clip(total / max(n_traces, 1), 200, 3000)))
 
 
 def drawable(y: Array | None) -> Array | None:
-    """None where there is not one finite number."""
+    """Return the array, or None if it has no finite value."""
     return y if y is not None and np.isfinite(y).any() else None
 
 
 def thinned(y: Array, limit: int) -> Index:
-    """Indices of at most ``limit`` points that keep the smallest and the largest of every interval."""
+    """Return indices of at most ``limit`` points that include the minimum and maximum of each interval.
+
+    The first and the last point are included.
+    """
     n = y.size
     if n <= limit:
         return np.arange(n)
@@ -83,12 +86,12 @@ def thinned(y: Array, limit: int) -> Index:
 
 
 def strided(n: int, limit: int) -> Index:
-    """Indices of at most ``limit`` points at equal distance, first and last among them."""
+    """Return indices of at most ``limit`` equidistant points, with the first and the last."""
     return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(int))
 
 
 def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
-    """Indices of at most about ``limit`` points of a cloud: at equal distance, and the largest of all."""
+    """Return indices of about ``limit`` points of a scatter plot: equidistant ones and the ``n_extreme`` largest."""
     if y.size <= limit:
         return np.arange(y.size)
     largest = np.argsort(-np.nan_to_num(np.abs(y)))[:n_extreme]
@@ -96,8 +99,10 @@ def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
 
 
 def packed(values: Any) -> Any:
-    """Numbers for a figure: short ones as a list, long ones as little-endian 32-bit floats in base64. What is too large
-    for these, of a model that ran away, is left out."""
+    """Return an array in a form that Plotly reads: a list, or base64 of little-endian 32-bit floats if it is long.
+
+    Values that are not finite or exceed the range of 32-bit floats (diverged models) become gaps.
+    """
     a = np.asarray(values, dtype=float)
     a = np.where(np.abs(a) < LARGEST, a, np.nan)
     if a.size <= 64:
@@ -105,33 +110,39 @@ def packed(values: Any) -> Any:
     return {"dtype": "f4", "bdata": base64.b64encode(a.astype("<f4").tobytes()).decode("ascii")}
 
 
-def said(words: str) -> str:
-    """A text for a figure: what looks like markup is shown as written."""
+def escaped(words: str) -> str:
+    """Return a text for a figure in which markup and hover variables are shown as written."""
     return html.escape(words, quote=False).replace("%{", "% {")
 
 
 def line_trace(
     x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid", turn: float | None = None
 ) -> Trace:
-    """A line of at most ``limit`` points; it breaks where y is NaN, and an angle where it jumps by a ``turn``."""
+    """Return a line of at most ``limit`` points with gaps at NaN.
+
+    ``turn`` is a full turn in the unit of a wrapped angle; the line then has gaps where the angle jumps.
+    """
     at = thinned(y, limit)
     style = {"color": color, "width": 1.6, "dash": dash}
     return _scatter(*_broken(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
 
 
 def _jumps(y: Array, turn: float | None) -> Index:
-    """Points before which a wrapped angle jumps to the other side."""
+    """Return the indices of the points just after a jump of a wrapped angle; empty without ``turn``."""
     return np.flatnonzero(np.abs(np.diff(y)) > turn / 2) + 1 if turn else np.zeros(0, dtype=np.intp)
 
 
 def _broken(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
-    """With a NaN at each jump."""
+    """Return x and y with a NaN inserted at each jump of a wrapped angle."""
     at = _jumps(y, turn)
     return np.insert(x, at, x[at]), np.insert(y, at, np.nan)
 
 
 def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, turn: float | None = None) -> Trace:
-    """Measured values: dots where they are few, a thin line (broken at gaps) where they are many."""
+    """Return measured values as dots, or as a thin line with gaps if there are more than 700.
+
+    ``turn`` is a full turn in the unit of a wrapped angle.
+    """
     x, y = x[np.isfinite(y)], y[np.isfinite(y)]
     if x.size <= 700:
         return _scatter(x, y, name, mode="markers", marker={"color": color, "size": 3.5, "opacity": 0.7})
@@ -152,7 +163,10 @@ def band(
     opacity: float = 0.18,
     turn: float | None = None,
 ) -> Trace:
-    """What is between middle - half and middle + half, filled; in pieces where an angle jumps by a ``turn``."""
+    """Return the filled band from ``middle - half`` to ``middle + half``, all arrays (n,).
+
+    ``turn`` is a full turn in the unit of a wrapped angle; the band is then split where the angle jumps.
+    """
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(middle) & np.isfinite(half))
     at = good[strided(good.size, max(limit // 2, 100))]
     ends = _jumps(middle[at], turn)
@@ -162,7 +176,10 @@ def band(
 def between(
     x: Array, low: Array, high: Array, *, color: str = MODEL, opacity: float = 0.18, ends: Index | None = None
 ) -> Trace:
-    """What is between two curves, filled; it does not answer the pointer. ``ends``: points that begin a new piece."""
+    """Return the filled area between two curves (n,), without hover text.
+
+    The area is split before the points ``ends``.
+    """
     pieces = [np.split(a, [] if ends is None else ends) for a in (x, low, high)]
     around = [(np.append(t, t[::-1]), np.append(b, a[::-1])) for t, a, b in zip(*pieces, strict=True)]
     sides = ([np.append(a, np.nan) for a in side] for side in zip(*around, strict=True))
@@ -173,27 +190,31 @@ def between(
 
 
 def _scatter(x: Array, y: Array, name: str, **style: Any) -> Trace:
-    return {"type": "scatter", "x": packed(x), "y": packed(y), "name": said(name), **style}
+    """Return a scatter trace with packed coordinates and an escaped name."""
+    return {"type": "scatter", "x": packed(x), "y": packed(y), "name": escaped(name), **style}
 
 
 @dataclass
 class Panel:
-    """One row of a stacked figure: its traces and what stands above it."""
+    """One row of a stacked figure."""
 
     title: str
     traces: list[Trace] = field(default_factory=list)
-    y: dict[str, Any] = field(default_factory=dict)
+    y: dict[str, Any] = field(default_factory=dict)  # layout of the vertical axis
 
 
 def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -> tuple[Figure, int]:
-    """Panels above each other on one x axis, so they zoom together; returns the figure and its height [px]."""
+    """Return a figure of panels above each other with a common horizontal axis, and its height [px].
+
+    The common axis makes all panels zoom together. ``panel_height`` is in px.
+    """
     n, top, bottom, gap = len(panels), 22, 40, 26
     inner = n * panel_height + (n - 1) * gap
     data: list[Trace] = []
     layout: Figure = {
         "margin": {"l": 50, "r": 8, "t": top, "b": bottom},
         "xaxis": {
-            "title": {"text": said(x_title)},
+            "title": {"text": escaped(x_title)},
             "anchor": f"y{n}" if n > 1 else "y",
             "hoverformat": ".2f",
             "showspikes": True,
@@ -214,14 +235,20 @@ def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -
 
 
 def heading(title: str, y: float) -> dict[str, Any]:
-    """A panel's title above its left corner."""
+    """Return the annotation of a panel's title, above its left upper corner.
+
+    ``y`` is the upper end of the panel, as a fraction of the figure.
+    """
     place = {"x": 0, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
-    return {"text": said(title), "showarrow": False, "font": {"size": 12, "color": INK}, **place}
+    return {"text": escaped(title), "showarrow": False, "font": {"size": 12, "color": INK}, **place}
 
 
 def single(traces: list[Trace], x_title: str, y_title: str = "", **layout: Any) -> Figure:
-    """One pair of axes; further keyword arguments update the layout (``xaxis`` and ``yaxis`` are merged)."""
-    x = {"title": {"text": said(x_title)}, **layout.pop("xaxis", {})}
-    y = {"title": {"text": said(y_title)}, **layout.pop("yaxis", {})} if y_title else layout.pop("yaxis", {})
+    """Return a figure with one pair of axes.
+
+    Keyword arguments update the layout; ``xaxis`` and ``yaxis`` are merged with the titles.
+    """
+    x = {"title": {"text": escaped(x_title)}, **layout.pop("xaxis", {})}
+    y = {"title": {"text": escaped(y_title)}, **layout.pop("yaxis", {})} if y_title else layout.pop("yaxis", {})
     margin = {"l": 58 if y_title else 42, "r": 8, "t": 8, "b": 36}
     return {"data": traces, "layout": {"xaxis": x, "yaxis": y, "margin": margin, **layout}}

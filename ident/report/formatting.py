@@ -1,4 +1,4 @@
-"""Numbers, units and names as people read them: degrees, a few digits, a true minus sign."""
+"""Formatting of numbers, units and channel names for reports: degrees, few digits, a true minus sign."""
 
 from __future__ import annotations
 
@@ -56,7 +56,10 @@ SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 
 
 def degrees_for(unit: str) -> tuple[float, str]:
-    """Factor from the file's unit to the shown one, and the shown unit: rad, rad/s, rad2/Hz become degrees."""
+    """Return the factor from the unit of a result file to the shown unit, and the shown unit.
+
+    Radians become degrees, also in compound units (rad/s, rad2/Hz); other units are only tidied.
+    """
     found = _RADIANS.match(unit)
     if found is None:
         return 1.0, tidy(unit)
@@ -66,7 +69,10 @@ def degrees_for(unit: str) -> tuple[float, str]:
 
 
 def tidy(unit: str) -> str:
-    """``kg m2/s`` -> ``kg m²/s``, ``sqrt(s)`` -> ``√s``; no unit is an empty text."""
+    """Return a unit in typeset form: ``kg m2/s`` -> ``kg m²/s``, ``sqrt(s)`` -> ``√s``.
+
+    The dimensionless units ``1`` and ``-`` become an empty text.
+    """
     if unit.strip() in ("", "1", "-"):
         return ""
     roots = re.sub(r"sqrt\(([^()]+)\)", r"√\1", unit)
@@ -74,12 +80,12 @@ def tidy(unit: str) -> str:
 
 
 def bracket(unit: str) -> str:
-    """`` [deg/s]`` for the end of a label; empty without a unit."""
+    """Return a unit in brackets with a leading space, `` [deg/s]``; empty without a unit."""
     return f" [{unit}]" if unit else ""
 
 
 def named(name: str) -> str:
-    """``heading ψ``: meaning and symbol of a channel; a name that is not known stays as it is."""
+    """Return meaning and symbol of a channel, ``heading ψ``; an unlisted name is returned unchanged."""
     meaning = MEANINGS.get(name)
     if not meaning or name in meaning.split() or name.replace("_", " ") == meaning:
         return meaning or name
@@ -87,33 +93,33 @@ def named(name: str) -> str:
 
 
 def symbol(name: str) -> str:
-    """The short form of a channel: ``ψ``, ``n_left``."""
+    """Return the symbol of a channel: ``ψ``, ``n_left``."""
     return SYMBOLS.get(name, name)
 
 
 def titled(name: str) -> str:
-    """``Heading ψ``; a name that is not known stays as it is."""
+    """Return ``named`` with a capital, ``Heading ψ``; an unlisted name is returned unchanged."""
     words = named(name)
     return words[0].upper() + words[1:] if name in MEANINGS else name
 
 
 def moment(created: str) -> str:
-    """``2026-05-06T07:08:09+00:00`` -> ``2026-05-06 07:08:09 UTC``."""
+    """Return an ISO time in readable form: ``2026-05-06T07:08:09+00:00`` -> ``2026-05-06 07:08:09 UTC``."""
     return created.replace("T", " ").replace("+00:00", " UTC")
 
 
 def tied(words: str) -> str:
-    """A text in which no line begins with a lonely percent sign or unit."""
+    """Return a text with no-break spaces between numbers and their units or percent signs."""
     return re.sub(r"(?<=\d) (?=(%|ms?|s|N|kg|deg|Hz|V)\b|%)", "\u00a0", words)
 
 
 def count(value: float | None) -> str:
-    """A number of things."""
+    """Return a count as text; a dash for None."""
     return "–" if value is None else f"{value:g}"
 
 
 def plain(value: float | None, digits: int = 3) -> str:
-    """A number with ``digits`` significant digits; a dash for none."""
+    """Return a number with ``digits`` significant digits; a dash if it is None or not finite."""
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -125,7 +131,10 @@ def plain(value: float | None, digits: int = 3) -> str:
 
 
 def with_error(value: float | None, se: float | None, unit: str = "") -> str:
-    """``40.05 ± 0.12 N``: as many digits as two of the standard error; without one, four digits."""
+    """Return a value with its standard error, ``40.05 ± 0.12 N``.
+
+    The precision is that of two significant digits of the standard error; without standard error, four digits.
+    """
     value_text, se_text = pair(value, se)
     joined = f"{value_text} ± {se_text}" if se_text else value_text
     if "×" in joined and se_text:
@@ -141,7 +150,7 @@ def noise_level(value: float, se: float | None, limit: float | None, factor: flo
 
 
 def pair(value: float | None, se: float | None) -> tuple[str, str]:
-    """Value and standard error as texts of the same precision; the second is empty where there is none."""
+    """Return value and standard error as texts of the same precision; the second is empty without standard error."""
     if value is None or se is None or not se > 0:
         return short(plain(value, 4)), ""
     size = math.floor(math.log10(float(f"{se:.1e}")))
@@ -154,19 +163,20 @@ def pair(value: float | None, se: float | None) -> tuple[str, str]:
 
 
 def short(number: str) -> str:
-    """``0.4000`` -> ``0.4``."""
+    """Return a decimal number without trailing zeros: ``0.4000`` -> ``0.4``."""
     return number.rstrip("0").rstrip(".") if re.fullmatch(r"−?\d+\.\d+", number) else number
 
 
 def _scientific(value: float, size: int, decimals: int) -> str:
+    """Return ``value`` as mantissa times ten to the power ``size``: ``1.2 ×10⁻⁶``."""
     return f"{value / 10.0**size:.{max(decimals, 0)}f} ×10{str(size).translate(SUPER)}".replace("-", "−")
 
 
 def probability(p: float | None) -> str:
-    """A p value: two digits, or a power of ten where it is small."""
+    """Return a p value with two digits, or as an upper power of ten if it is below 0.001; a dash for None."""
     if p is None:
         return "–"
-    if p < 1e-300:
+    if p < 1e-300:  # near the smallest floating-point number, the value is no longer accurate
         return "< 10⁻³⁰⁰"
     if p < 1e-3:
         return f"< 10{str(math.floor(math.log10(p)) + 1).translate(SUPER)}"
@@ -174,15 +184,15 @@ def probability(p: float | None) -> str:
 
 
 def percent(share: float | None, digits: int = 0) -> str:
-    """0.34 -> ``34 %``."""
+    """Return a share in per cent: 0.34 -> ``34 %``; a dash for None."""
     if share is None:
         return "–"
-    rounded = round(100 * share, digits) + 0.0  # no minus before a nought
+    rounded = round(100 * share, digits) + 0.0  # turns -0.0 into 0.0
     return f"{rounded:.{digits}f} %".replace("-", "−")
 
 
 def duration(seconds: float | None) -> str:
-    """``9 min 58 s``."""
+    """Return a duration [s] in hours, minutes and seconds: ``9 min 58 s``; a dash for None."""
     if seconds is None:
         return "–"
     minutes, rest = divmod(round(seconds), 60)
@@ -192,5 +202,5 @@ def duration(seconds: float | None) -> str:
 
 
 def scaled(factor: float, *values: float | None) -> list[float | None]:
-    """Numbers in another unit; None stays so."""
+    """Return the values times a factor; None stays None."""
     return [None if value is None else factor * value for value in values]

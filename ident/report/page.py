@@ -1,4 +1,4 @@
-"""One self-contained page from a result: everything inside it, nothing fetched."""
+"""Self-contained HTML page of a result: styles, scripts and figures are embedded, so no network is needed."""
 
 from __future__ import annotations
 
@@ -34,13 +34,18 @@ KINDS = {
 def write_report(result: Result, path: Path) -> None:
     """Write a result as one HTML page that opens without a network.
 
-    Sections without data are left out. Raises OSError where ``path`` cannot be written.
+    Sections without data are left out.
+
+    Raises
+    ------
+    OSError
+        If ``path`` cannot be written.
     """
     write_output(path, render(result))
 
 
 def render(result: Result) -> str:
-    """The page's text."""
+    """Return the HTML text of the page of a result."""
     canvas = Canvas(Budget.for_traces(_count_traces(result)))
     opening, body = sections.opening(result), sections.body(canvas, result)
     return compose(
@@ -66,7 +71,25 @@ def compose(
     created: str = "",
     warnings: Sequence[str] = (),
 ) -> str:
-    """A page of sections and the figures that they point at; ``answer`` is its headline, ``warnings`` above it."""
+    """Return the HTML text of a page.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of the result, shown above the headline and in the title.
+    answer : str
+        Headline of the page.
+    opening : Section
+        Blocks that follow the headline.
+    body : sequence of Section
+        Sections of the page; each has an entry in the contents.
+    figures : mapping
+        Plotly figures by the id of their ``Plot``.
+    version, created : str
+        Version of seatrial and ISO time, for the footer.
+    warnings : sequence of str
+        Sentences shown above the headline.
+    """
     scripts = [_asset(PLOTLY), _asset("report.js")] if figures else [_asset("report.js")]
     return (
         _environment()
@@ -89,6 +112,7 @@ def compose(
 
 @cache
 def _environment() -> Environment:
+    """Return the Jinja environment of the templates; undefined variables raise, and text is escaped."""
     return Environment(
         loader=PackageLoader("seatrial.ident.report"),
         autoescape=True,
@@ -99,13 +123,13 @@ def _environment() -> Environment:
 
 
 def _count_traces(result: Result) -> int:
-    """About how many long traces the page will hold."""
+    """Return the approximate number of long traces of a page: rows of each kind times the curves of a row."""
     weights = {"traces": 8, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
     return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
 
 
 def _embedded(value: Any) -> str:
-    """JSON that cannot end the script element it stands in."""
+    """Return JSON whose characters cannot end the surrounding script element."""
     written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         written = written.replace(character, f"\\u{ord(character):04x}")
@@ -113,11 +137,12 @@ def _embedded(value: Any) -> str:
 
 
 def _policy(scripts: list[str]) -> str:
-    """A content security policy: only these scripts run, and nothing is loaded from anywhere."""
+    """Return a content security policy: only these scripts run, and the page loads nothing from the network."""
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
     return f"default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; script-src {allowed}"
 
 
 def _asset(name: str) -> str:
+    """Return the text of a file of the templates folder."""
     return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8").strip()

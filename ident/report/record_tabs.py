@@ -1,4 +1,4 @@
-"""Rows of a result by record: one tab each."""
+"""Tabs of a page: the rows of a result, grouped by record."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Protocol, TypeVar
 
 from seatrial.ident.results import LogSummary, Trace
 
-ROLES = ("validation", "estimation")  # the order of showing: what was not fitted convinces more
+ROLES = ("validation", "estimation")  # order of the tabs: records that were not fitted are stronger evidence
 
 
 class OfRecord(Protocol):
-    """A row that belongs to a record."""
+    """Any row of a result that belongs to one record."""
 
     @property
     def record(self) -> str: ...
@@ -23,24 +23,27 @@ R = TypeVar("R", bound=OfRecord)
 
 @dataclass(frozen=True)
 class RecordTab:
-    """One record as the page shows it: a tab."""
+    """Tab of one record: the record's name and its role (estimation or validation)."""
 
     name: str
     role: str
 
     @property
     def title(self) -> str:
-        """What stands on the tab."""
+        """Label of the tab: role and name."""
         return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 
 def roles_of(logs: Sequence[LogSummary], traces: Sequence[Trace] = ()) -> dict[str, str]:
-    """The role of each record, by name."""
+    """Return the role of each record by its name; traces take precedence over logs."""
     return {log.name: log.role for log in logs} | {row.record: row.role for row in traces}
 
 
 def origin_words(logs: Sequence[LogSummary], record: str) -> str:
-    """`` of its first fix`` or `` of the first fix of NAME`` where a record's x and y count from there; else empty."""
+    """Return the origin of a record's x and y as the end of an axis title; empty if the log has no origin.
+
+    The texts are `` of its first fix`` and `` of the first fix of NAME``.
+    """
     found = next((log.origin for log in logs if log.name == record), None)
     if found is None:
         return ""
@@ -48,7 +51,7 @@ def origin_words(logs: Sequence[LogSummary], record: str) -> str:
 
 
 def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
-    """Where x and y of the logs count from, a line for each place."""
+    """Return one sentence per origin: the latitude and longitude that x and y of the logs count from."""
     origins: dict[tuple[float, float, str], list[str]] = {}
     for log in logs:
         if log.origin is not None:
@@ -64,7 +67,7 @@ def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
 
 
 def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[RecordTab]:
-    """The records that have rows, validation before estimation, else in the file's order."""
+    """Return a tab for each record that has rows: validation records first, otherwise in the order of the rows."""
     names = list(dict.fromkeys(row.record for row in rows))
     order = {role: i for i, role in enumerate(ROLES)}
     tabs = [RecordTab(name, roles.get(name, "")) for name in names]
@@ -72,5 +75,5 @@ def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[Reco
 
 
 def of_record(rows: Iterable[R], tab: RecordTab) -> list[R]:
-    """The rows of one record."""
+    """Return the rows that belong to the record of a tab."""
     return [row for row in rows if row.record == tab.name]

@@ -1,7 +1,6 @@
-"""The page of a Monte Carlo study: is the estimator to be believed, and in which parameter not.
+"""Reports of a Monte Carlo study of estimators: HTML page, Markdown page with SVG pictures, and terminal tables.
 
-The picture of a Monte Carlo study beside its table: a dot a parameter for bias, variance and coverage, as SVG.
-A Monte Carlo study in Markdown: a picture and a table of each model; and its tables for a terminal.
+All of them compare bias, variance and coverage of each parameter with the aims of the study.
 """
 
 from __future__ import annotations
@@ -31,26 +30,39 @@ COLUMNS = (
     ("variance / bound", "num"),
     ("coverage", "num"),
     ("at a bound", "num"),
-    ("misses", ""),
+    ("beyond the aim", ""),
 )
 PANELS: tuple[tuple[Number, str, float], ...] = (
     ("bias", "bias, standard deviations", 1.0),
     ("ratio", "variance / bound", 1.0),
     ("coverage", "coverage of 95 % intervals, %", 100.0),
 )
+# sizes in the SVG picture: width of the names, of a panel and of the gap; heights of row, title, axis and legend
 NAMES_PX, PANEL_PX, GAP_PX, PICTURE_ROW_PX, TOP_PX, AXIS_PX, KEY_PX = 64, 250, 22, 20, 30, 24, 26
 N_TICKS = 5
-KEY = (("fine", "as wanted"), ("chance", "beyond the aim, perhaps by chance"), ("miss", "beyond the aim"))
+KEY = (("fine", "within the aim"), ("chance", "beyond the aim, perhaps by chance"), ("miss", "beyond the aim"))
 Number = Literal["bias", "ratio", "coverage"]
 HEAD = ("parameter", "n", "at bound", "bias, sd", "variance/reported", "variance/bound", "coverage", "")
-PICTURES = "pictures"  # the folder beside a page
+PICTURES = "pictures"  # folder beside the Markdown page
 
 
 def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     """Write a study's result as one HTML page that opens without a network.
 
-    ``aims``: what is wanted of bias (standard deviations), ratio (of variances) and coverage (0..1), low and high.
-    Raises OSError where ``path`` cannot be written.
+    Parameters
+    ----------
+    result : StudyResult
+        Studies of one or more models.
+    aims : mapping
+        Lower and upper limit of the aim for ``bias`` [standard deviations], ``ratio`` (of variances) and
+        ``coverage`` (0..1).
+    path : Path
+        File to write.
+
+    Raises
+    ------
+    OSError
+        If ``path`` cannot be written.
     """
     canvas = Canvas(Budget())
     body = [_study(canvas, study, aims) for study in result.studies]
@@ -73,28 +85,31 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
 
 
 def _lead(aims: Aims) -> str:
+    """Return the introduction of the page: the aims in words."""
     bias, (low, high), coverage = aims["bias"][1], aims["ratio"], aims["coverage"]
     return (
-        f"Wanted: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the "
-        f"least possible one, and 95 % intervals that hold the truth in {formatting.percent(coverage[0])} to "
-        f"{formatting.percent(coverage[1])} of the fits. Each estimate is of a simulated mission with its own noise."
+        f"Aims: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the least possible "
+        f"variance, and 95 % intervals that contain the true value in {formatting.percent(coverage[0])} to "
+        f"{formatting.percent(coverage[1])} of the fits. Each replicate is a fit to a simulated mission with its own "
+        "noise."
     )
 
 
 def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
+    """Return the section of one model: facts, three plots and the table of its parameters."""
     found, name = study.parameters, study.model
     if not found:
-        return Section(f"study-{name}", name, [Prose("No replicate can be judged.")])
+        return Section(f"study-{name}", name, [Prose("No replicate can be evaluated.")])
     kinds: tuple[tuple[Number, str, float], ...] = (
         ("bias", "bias [standard deviations]", 1.0),
-        ("ratio", "variance over the least possible", 1.0),
+        ("ratio", "variance / least possible variance", 1.0),
         ("coverage", "coverage of 95 % intervals [%]", 100.0),
     )
     plots = [_forest(canvas, found, key, title, factor, aims[key]) for key, title, factor in kinds]
     key = Key(
         [
-            ("after", "as wanted: estimate with its own 95 % interval; the band is the aim"),
-            ("diamond", "diamonds miss the aim, open ones perhaps by chance"),
+            ("after", "within the aim; with 95 % interval of the study, the band is the aim"),
+            ("diamond", "beyond the aim; an open diamond: perhaps by chance"),
         ]
     )
     return Section(
@@ -102,31 +117,35 @@ def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
         f"{name}: {study.about}",
         [
             Facts(_facts(study)),
-            Heading("Against what is wanted"),
+            Heading("Comparison with the aims"),
             key,
             Grid(plots, 290),
-            Heading("The numbers"),
+            Heading("Table"),
             Table(COLUMNS, [_row(row) for row in found]),
         ],
     )
 
 
 def _facts(study: ModelStudy) -> list[tuple[str, str]]:
+    """Return the labelled facts of a study: estimator, replicates, failures, CPU time."""
     facts = [
         ("estimator", study.estimator),
         ("replicates", str(study.replicates)),
         ("failed", str(study.failed)),
         ("did not converge", str(study.unconverged)),
     ]
-    both = ((study.cpu_fit, "fit"), (study.cpu_simulation, "simulation"))
-    times = [f"{1e3 * t:.0f} ms a {what}" for t, what in both if t is not None]
+    tasks = ((study.cpu_fit, "fit"), (study.cpu_simulation, "simulation"))
+    times = [f"{1e3 * t:.0f} ms a {task}" for t, task in tasks if t is not None]
     return [*facts, *([("CPU time", ", ".join(times))] if times else [])]
 
 
 def _forest(
     canvas: Canvas, found: Sequence[ParameterStudy], key: Number, title: str, factor: float, aim: tuple[float, float]
 ) -> Plot:
-    """One number of every parameter with its own interval, against the aim."""
+    """Return the plot of one statistic of every parameter with its 95 % interval; a band marks the aim.
+
+    ``factor`` converts the statistic to the unit of the axis.
+    """
     value, low, high = factor * np.array([interval(row, key) for row in found]).T
     place = np.arange(len(found))[::-1]
     verdicts = [verdict_of(row, key) for row in found]
@@ -179,17 +198,17 @@ def _forest(
 
 
 def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
-    """A parameter's bias, ratio or coverage with the ends of its own 95 % interval."""
+    """Return bias, variance ratio or coverage of a parameter, and the ends of its 95 % interval."""
     if key == "bias":
         half = drawing.Z95 * row.bias_error
         return row.bias, row.bias - half, row.bias + half
-    if key == "ratio":  # the variance is judged by what is possible
+    if key == "ratio":  # of the variance to the Cramér-Rao bound, not to the reported variance
         return row.bound_ratio, row.bound_ratio_low, row.bound_ratio_high
     return row.coverage, row.coverage_low, row.coverage_high
 
 
 def verdict_of(row: ParameterStudy, key: Number) -> str:
-    """``fine``, ``chance`` (beyond the aim, but perhaps by chance) or ``miss``."""
+    """Return ``fine`` (within the aim), ``chance`` (beyond the aim, perhaps by chance) or ``miss`` (beyond)."""
     word = {"bias": "bias", "ratio": "variance", "coverage": "coverage"}[key]
     misses = [miss for miss in row.misses if miss.startswith(word)]
     if not misses:
@@ -198,6 +217,7 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
 
 
 def _row(row: ParameterStudy) -> list[Cell | str]:
+    """Return the cells of one parameter in the order of ``COLUMNS``."""
     shown = [
         formatting.with_error(row.bias, row.bias_error),
         formatting.plain(row.ratio),
@@ -206,22 +226,31 @@ def _row(row: ParameterStudy) -> list[Cell | str]:
         str(row.at_bound),
     ]
     value = f"{formatting.short(formatting.plain(row.truth, 4))} {formatting.tidy(row.unit)}".strip()
-    sure = [miss for miss in row.misses if "chance" not in miss]
+    certain = [miss for miss in row.misses if "chance" not in miss]
     return [
         Cell(row.name, "symbol"),
         Cell(value, "num"),
         *(Cell(words, "num") for words in shown),
-        Cell(", ".join(row.misses) or "–", "bad wide" if sure else "wide" if row.misses else "quiet"),
+        Cell(", ".join(row.misses) or "–", "bad wide" if certain else "wide" if row.misses else "quiet"),
     ]
 
 
 def _between(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
-    middle, low, high = (factor * number_ for number_ in interval(row, key))
+    """Return ``value (low to high)``: a statistic times ``factor`` with its 95 % interval."""
+    middle, low, high = (factor * value for value in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def picture(study: ModelStudy, aims: Aims) -> str:
-    """SVG of one of ``studies``; ``aims`` as for the page, low and high of each number."""
+    """Return an SVG picture of bias, variance and coverage of each parameter of a study.
+
+    Parameters
+    ----------
+    study : ModelStudy
+        Study of one model.
+    aims : mapping
+        Lower and upper limit of the aim for ``bias``, ``ratio`` and ``coverage``.
+    """
     found = study.parameters
     bottom = TOP_PX + PICTURE_ROW_PX * len(found)
     width, height = NAMES_PX + 3 * (PANEL_PX + GAP_PX), bottom + AXIS_PX + KEY_PX
@@ -247,13 +276,17 @@ def picture(study: ModelStudy, aims: Aims) -> str:
 def _panel(
     found: Sequence[ParameterStudy], key: Number, factor: float, aim: tuple[float, float], left: int, bottom: int
 ) -> list[str]:
-    """One number of every parameter with its own interval, over its aim."""
+    """Return the SVG elements of one statistic of every parameter, with intervals, aim and chance limits.
+
+    ``factor`` converts the statistic to the unit of the axis; ``left`` and ``bottom`` are in px.
+    """
     table = factor * np.array([interval(row, key) for row in found])
-    edges, luck = factor * np.array(aim), factor * np.array(by_chance(key, _n(found)))
-    least, most = np.nanmin([*table[:, 1], *edges, *luck]), np.nanmax([*table[:, 2], *edges, *luck])
+    edges, chance = factor * np.array(aim), factor * np.array(by_chance(key, _n(found)))
+    least, most = np.nanmin([*table[:, 1], *edges, *chance]), np.nanmax([*table[:, 2], *edges, *chance])
     room = 0.04 * (most - least)
 
     def x(value: float) -> str:
+        """Return the horizontal position [px] of a value."""
         return f"{left + PANEL_PX * (value - least + room) / (most - least + 2 * room):.1f}"
 
     size = f'y="{TOP_PX}" height="{bottom - TOP_PX}"'
@@ -261,7 +294,7 @@ def _panel(
         f'<rect x="{x(edges[0])}" width="{float(x(edges[1])) - float(x(edges[0])):.1f}" {size} '
         f'fill="{drawing.MODEL}" fill-opacity="0.12"/>'
     ]
-    for value in luck:
+    for value in chance:
         parts.append(
             f'<line x1="{x(value)}" x2="{x(value)}" y1="{TOP_PX}" y2="{bottom}" stroke="{drawing.FAINT}" '
             'stroke-dasharray="4 3"/>'
@@ -279,8 +312,11 @@ def _panel(
 
 
 def by_chance(key: Number, n: int) -> tuple[float, float]:
-    """What holds 95 % of the biases [standard deviations], variance ratios or coverages that an estimator shows in
-    ``n`` replicates when there is nothing wrong with it."""
+    """Return the limits that contain 95 % of a statistic of an ideal estimator in a study of ``n`` replicates.
+
+    The ideal estimator is unbiased, attains the Cramér-Rao bound and reports its variance exactly. Bias is in
+    standard deviations, coverage in 0..1.
+    """
     if key == "bias":
         return -drawing.Z95 / float(np.sqrt(n)), drawing.Z95 / float(np.sqrt(n))
     if key == "ratio":
@@ -291,14 +327,17 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
 
 def _n(found: Sequence[ParameterStudy]) -> int:
+    """Return the median number of estimates of a parameter."""
     return int(np.median([row.n for row in found]))
 
 
 def _middle(k: int) -> int:
+    """Return the vertical middle [px] of row ``k`` of the picture."""
     return TOP_PX + PICTURE_ROW_PX * k + PICTURE_ROW_PX // 2
 
 
 def _mark(x: float, y: float, verdict: str) -> str:
+    """Return the SVG symbol of a verdict: a circle within the aim, otherwise a diamond (open: perhaps by chance)."""
     if verdict == "fine":
         return f'<circle cx="{x:g}" cy="{y:g}" r="4" fill="{drawing.MODEL}"/>'
     fill = drawing.BEFORE if verdict == "miss" else "#ffffff"
@@ -306,7 +345,7 @@ def _mark(x: float, y: float, verdict: str) -> str:
 
 
 def _axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> list[str]:
-    """Round numbers below a panel."""
+    """Return the SVG ticks and labels below a panel, at round numbers."""
     raw = (most - least) / N_TICKS
     step = float(10.0 ** np.floor(np.log10(raw)))
     step *= next(s for s in (1, 2, 5, 10) if s * step >= raw)
@@ -319,28 +358,31 @@ def _axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> 
 
 
 def write_study_docs(result: StudyResult, path: Path) -> None:
-    """The page of ``docs/study.md`` as ``path``, and its pictures in a folder beside it.
+    """Write a study's result as a Markdown page (``docs/study.md``) and its SVG pictures into a folder beside it.
 
-    Raises OSError where they cannot be written.
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
     """
     (path.parent / PICTURES).mkdir(parents=True, exist_ok=True)
-    for one in result.studies:
-        if one.parameters:
-            drawn = picture(one, AIMS)
-            write_output(path.parent / _picture(one), drawn)
+    for study in result.studies:
+        if study.parameters:
+            write_output(path.parent / _picture_path(study), picture(study, AIMS))
     write_output(path, page(result))
 
 
-def _picture(one: ModelStudy) -> str:
-    return f"{PICTURES}/study-{one.model}.svg"
+def _picture_path(study: ModelStudy) -> str:
+    return f"{PICTURES}/study-{study.model}.svg"
 
 
-def table(one: ModelStudy) -> list[tuple[str, ...]]:
-    """Lines of a study, the head first."""
-    return [HEAD, *(_line(r) for r in one.parameters)]
+def table(study: ModelStudy) -> list[tuple[str, ...]]:
+    """Return the table of a study as rows of text, the header first."""
+    return [HEAD, *(_line(r) for r in study.parameters)]
 
 
 def _line(r: ParameterStudy) -> tuple[str, ...]:
+    """Return the cells of one parameter in the order of ``HEAD``."""
     return (
         r.name,
         str(r.n),
@@ -354,54 +396,58 @@ def _line(r: ParameterStudy) -> tuple[str, ...]:
 
 
 def as_text(result: StudyResult) -> str:
-    """The answer and the tables, for a terminal."""
+    """Return the tables and the answer of a study as text for a terminal."""
     lines = []
-    for one in result.studies:
-        rows = table(one)
+    for study in result.studies:
+        rows = table(study)
         width = [max(len(row[k]) for row in rows) for k in range(len(HEAD))]
-        lines += ["", f"{one.model}, {one.method}: {one.about}", f"estimator: {one.estimator}"]
-        lines += [f"not in the numbers: {one.left_out}"] if one.left_out else []
+        lines += ["", f"{study.model}, {study.method}: {study.about}", f"estimator: {study.estimator}"]
+        lines += [f"left out of the table: {study.left_out}"] if study.left_out else []
         lines += [""]
         lines += ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]
     return "\n".join([*lines[1:], "", result.answer, ""])
 
 
 def page(result: StudyResult) -> str:
-    """The studies in Markdown: what was done, and a picture and a table each."""
+    """Return the Markdown page of a study: the method in words, and a picture and a table of each model."""
     lines = [
         "# Monte Carlo study of the estimators",
         "",
         f"    {result.command}",
         "",
-        "Data of each model itself, with process noise, simulated in plain numpy by steps of Heun "
-        "(`ident/estimation/stochastic_simulation.py`); "
-        f"each fit starts within a factor {2.718281828**APART:.1f} of the truth. Errors are those of the coordinate in "
-        "which the estimator moves: the logarithm of a positive parameter. `bias, sd`: mean error over the standard "
-        "deviation of the estimates, with its own standard error. `variance/reported`: variance of the estimates over "
-        "the mean of the variances that the fits reported; `variance/bound`: over the Cramer-Rao bound at the truth, "
-        "or the least variance where parameters are near their bounds "
-        "(`ident/studies/monte_carlo.py`). `coverage`: of 95 % "
-        "intervals, which are one-sided for estimates `at bound`. Each title is followed by the "
-        "estimator: restricted likelihood is that of `ident/estimation/restricted_likelihood.py`, "
-        "a filter's mean of second order that of "
-        "`ident/engine/ekf_graph.py`, and both are what the commands do. In brackets, 95 % intervals of these numbers "
-        "themselves. The last column names "
-        f"what is beyond the aim (|bias| < {BIAS}, variance within {100 * VARIANCE:.0f} %, coverage "
-        f"{100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %), with `chance?` where the number's own interval reaches "
-        "into the aim. In the pictures lines are these intervals, the light band is the aim, and dashes hold 95 % of "
-        "what chance alone makes of an estimator that is right, with as many replicates (binomial, for the coverage).",
+        "The data of each study are simulated from the model itself, with process noise, by the Heun method in plain "
+        f"numpy (`ident/estimation/stochastic_simulation.py`). Each fit starts within a factor "
+        f"{2.718281828**APART:.1f} of the true values. Errors are in the coordinates of the estimator: the logarithm "
+        "for positive parameters. Numbers in brackets are 95 % intervals of the statistics.",
+        "",
+        "- `bias, sd`: mean error over the standard deviation of the estimates, ± its standard error.",
+        "- `variance/reported`: variance of the estimates over the mean of the variances that the fits reported.",
+        "- `variance/bound`: variance of the estimates over the Cramér-Rao bound at the true values, or over the least "
+        "variance for parameters near their bounds (`ident/studies/monte_carlo.py`).",
+        "- `coverage`: share of the 95 % intervals that contain the true value. Intervals of estimates `at bound` are "
+        "one-sided.",
+        f"- The last column names the statistics beyond the aim (|bias| < {BIAS}, variance within "
+        f"{100 * VARIANCE:.0f} %, coverage {100 * COVERAGE[0]:.0f}-{100 * COVERAGE[1]:.0f} %); `chance?` means that "
+        "the interval of the statistic reaches into the aim.",
+        "",
+        "In the pictures, lines are the 95 % intervals and the light band is the aim. The dashed lines contain 95 % of "
+        "the statistics of an ideal estimator with as many replicates (binomial distribution for the coverage).",
+        "",
+        "The estimator is given below each title. Restricted likelihood is described in "
+        "`ident/estimation/restricted_likelihood.py`, the filter's second-order mean in `ident/engine/ekf_graph.py`. "
+        "Both are as in the commands.",
     ]
-    for one in result.studies:
-        head, *rows = table(one)
+    for study in result.studies:
+        head, *rows = table(study)
         lines += [
             "",
-            f"## {one.model}, {one.method}",
+            f"## {study.model}, {study.method}",
             "",
-            f"{one.about}; {one.estimator}; {one.replicates} replicates, {one.failed} failed, "
-            f"{one.unconverged} did not converge; {_ms(one.cpu_fit)} ms CPU a fit, "
-            f"{_ms(one.cpu_simulation)} ms a simulation.",
+            f"{study.about}; {study.estimator}; {study.replicates} replicates, {study.failed} failed, "
+            f"{study.unconverged} did not converge; {_ms(study.cpu_fit)} ms CPU per fit, "
+            f"{_ms(study.cpu_simulation)} ms per simulation.",
             "",
-            *([f"![bias, variance and coverage of every parameter]({_picture(one)})", ""] if rows else []),
+            *([f"![bias, variance and coverage of every parameter]({_picture_path(study)})", ""] if rows else []),
             "| " + " | ".join(head) + " |",
             "|" + "---|" * len(head),
             *("| " + " | ".join(r) + " |" for r in rows),
@@ -410,4 +456,5 @@ def page(result: StudyResult) -> str:
 
 
 def _ms(seconds: float | None) -> str:
+    """Return a time [s] in whole milliseconds, a dash for None."""
     return "–" if seconds is None else f"{1e3 * seconds:.0f}"

@@ -1,4 +1,4 @@
-"""A result in about forty lines of a terminal, 80 columns wide."""
+"""Summary of a result for a terminal: about forty lines, 80 columns wide."""
 
 from __future__ import annotations
 
@@ -33,18 +33,19 @@ from seatrial.ident.results import (
     VehicleResult,
 )
 
-MOST_OUTAGES, MOST_SEGMENTS, MOST_NOISES = 8, 24, 12
-EVEN = 1.05  # a standard error that grows by less without a segment does not hang on it
+MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # rows of a table
+MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
+MIN_GROWTH = 1.05  # a standard error that grows by a smaller factor does not depend on the segment
 
 
 def titled_table(title: str) -> Table:
-    """An empty table in the style of all of them."""
+    """Return an empty table with the common style of the terminal tables."""
     style = {"title_justify": "left", "title_style": "bold cyan", "header_style": "dim", "border_style": "dim"}
     return Table(title=Text(title), box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, **style)  # type: ignore[arg-type]
 
 
 def tables_of(result: Result) -> list[Table]:
-    """What the terminal shows of a result below its answer."""
+    """Return the tables shown below the answer, for results that are not fits."""
     if isinstance(result, NoiseResult):
         return [noise_table(result)]
     if isinstance(result, NavigationResult):
@@ -55,8 +56,8 @@ def tables_of(result: Result) -> list[Table]:
 
 
 def noise_table(result: NoiseResult) -> Table:
-    """White noise and random walk of each channel, those first whose model fails."""
-    shown = sorted(result.noise, key=lambda c: c.accepted)[:MOST_NOISES]
+    """Return the table of white noise and random walk per channel, rejected noise models first."""
+    shown = sorted(result.noise, key=lambda c: c.accepted)[:MAX_NOISE_CHANNELS]
     left = f" ({len(result.noise) - len(shown)} more in the report)" if len(result.noise) > len(shown) else ""
     table = titled_table(f"Noise{left}")
     table.add_column("", no_wrap=True, overflow="ellipsis")
@@ -76,13 +77,13 @@ def noise_table(result: NoiseResult) -> Table:
 
 
 def outage_table(result: NavigationResult) -> Table:
-    """The worst GNSS outages."""
+    """Return the table of the GNSS outages with the largest predicted position errors."""
     found = result.outages
-    shown = sorted(found, key=lambda o: -o.at_end.radius)[:MOST_OUTAGES]
+    shown = sorted(found, key=lambda o: -o.at_end.radius)[:MAX_OUTAGES]
     worst = "" if len(shown) == len(found) else f" ({len(shown)} worst of {len(found)})"
     table = titled_table(f"GNSS outages{worst}")
     table.add_column("", no_wrap=True, overflow="ellipsis")
-    for title in ("from [s]", "for [s]", "95 % radius [m]", "off by [m]", "allowed [m]"):
+    for title in ("from [s]", "for [s]", "95 % radius [m]", "error [m]", "allowed [m]"):
         table.add_column(Text(title), justify="right", no_wrap=True)
     for o in shown:
         words = [f"{o.start:.0f}", *(formatting.plain(v) for v in (o.duration, o.at_end.radius, o.error, o.allowed))]
@@ -92,54 +93,57 @@ def outage_table(result: NavigationResult) -> Table:
 
 
 def parameter_table(result: InformationResult) -> Table:
-    """What logs already taken tell of each parameter, and the segment that it hangs on."""
-    table = titled_table("What these logs tell")
+    """Return the table of standard errors from these logs and the most informative segment per parameter."""
+    table = titled_table("Information of these logs")
     table.add_column("", no_wrap=True)
     table.add_column("value ± s.e.", justify="right", no_wrap=True)
     table.add_column("", no_wrap=True)
-    table.add_column("hangs most on", style="dim", no_wrap=True, overflow="ellipsis", max_width=32)
-    table.add_column("× without", justify="right", no_wrap=True)
+    table.add_column("depends most on", style="dim", no_wrap=True, overflow="ellipsis", max_width=32)
+    table.add_column("× without it", justify="right", no_wrap=True)
     for p in result.information.parameters:
         factor, unit = formatting.degrees_for(p.unit)
-        shown, where, times = "nothing", "", "–"
+        shown, segment, growth = "no information", "", "–"
         if p.se is not None:
-            shown, where = formatting.with_error(factor * p.value, factor * p.se), place(p)
-            times = _times(math.inf if p.weight is None else p.weight)
-        table.add_row(Text(p.name, style="bold"), Text(shown), Text(unit), Text(where), Text(times))
+            shown, segment = formatting.with_error(factor * p.value, factor * p.se), place(p)
+            growth = _growth(math.inf if p.weight is None else p.weight)
+        table.add_row(Text(p.name, style="bold"), Text(shown), Text(unit), Text(segment), Text(growth))
     return table
 
 
 def segment_table(result: InformationResult) -> Table:
-    """How many times as large each standard error would be without each segment."""
+    """Return the table of factors by which standard errors would grow without each segment."""
     names, found = result.information.names, result.information.segments
-    shown = names[:MOST_PARAMETERS]
+    shown = names[:MAX_PARAMETERS]
     title = "Without a segment, standard errors grow by ×"
-    if len(found) > MOST_SEGMENTS or len(names) > len(shown):
-        title += f" (first {min(len(found), MOST_SEGMENTS)} of {len(found)}; all in the report)"
+    if len(found) > MAX_SEGMENTS or len(names) > len(shown):
+        title += f" (first {min(len(found), MAX_SEGMENTS)} of {len(found)}; all in the report)"
     table = titled_table(title)
     table.padding = (0, 1, 0, 0)
     table.add_column("", style="dim", no_wrap=True, overflow="ellipsis", max_width=26)
     for name in shown:
         table.add_column(name, justify="right", no_wrap=True, min_width=4)
-    for row in found[:MOST_SEGMENTS]:
+    for row in found[:MAX_SEGMENTS]:
         values: Sequence[float] = row.weight[: len(shown)].tolist()
-        cells = [Text(_times(v), style="dim" if v < EVEN else "bold green") for v in values]
+        cells = [Text(_growth(v), style="dim" if v < MIN_GROWTH else "bold green") for v in values]
         table.add_row(Text(place(row)), *cells)
     return table
 
 
-def _times(weight: float) -> str:
-    """``all``: only this segment tells; a dash: nothing tells."""
-    if math.isnan(weight):
+def _growth(factor: float) -> str:
+    """Return the growth of a standard error as text.
+
+    ``all``: only this segment informs the parameter. A dash: no segment does. A dot: the growth is negligible.
+    """
+    if math.isnan(factor):
         return "–"
-    return "all" if math.isinf(weight) else "·" if weight < EVEN else formatting.plain(weight, 2)
-
-
-MOST_PARAMETERS, MOST_CANDIDATES, MOST_CHANNELS = 9, 6, 8
+    return "all" if math.isinf(factor) else "·" if factor < MIN_GROWTH else formatting.plain(factor, 2)
 
 
 def print_result(result: Result, console: Console) -> None:
-    """Print the answer, the parameters, the ranked candidates, and the error before and after."""
+    """Print the warnings, the answer and the tables of a result.
+
+    The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
+    """
     console.print()
     for warning in result.warnings:
         console.print(Padding(Text(f"⚠ {warning.text}", style="yellow"), (0, 1)))
@@ -156,6 +160,7 @@ def print_result(result: Result, console: Console) -> None:
 
 
 def _tables(result: Result) -> Sequence[Table | None]:
+    """Return the tables of any result in the order of printing, None for a table without rows."""
     if not isinstance(result, FitResult):
         return tables_of(result)
     diagnosis = result if isinstance(result, DiagnosisResult) else None
@@ -168,15 +173,18 @@ def _tables(result: Result) -> Sequence[Table | None]:
 
 
 def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
-    """The effects' parameters first, then those of the dynamics; noise and fixed ones are for the report."""
+    """Return the table of free parameters: those of the added effects first, then those of the dynamics.
+
+    Noise parameters and fixed parameters are left out; the report contains them.
+    """
     effects = [row for effect in added for row in effect.parameters]
-    own = {row.name for row in effects}
-    fitted = [row for row in fit.parameters if row.free and row.name not in own and "noise" not in row.meaning]
-    fitted.sort(key=lambda row: row.record is not None)  # those of single runs last
+    effect_names = {row.name for row in effects}
+    fitted = [row for row in fit.parameters if row.free and row.name not in effect_names and "noise" not in row.meaning]
+    fitted.sort(key=lambda row: row.record is not None)  # per-record parameters last
     found: list[EffectParameter | ParameterRow] = [*effects, *fitted]
     if not found:
         return None
-    shown = found[:MOST_PARAMETERS]
+    shown = found[:MAX_PARAMETERS]
     more = f" ({len(found) - len(shown)} more in the report)" if len(found) > len(shown) else ""
     table = titled_table(f"Parameters{more}")
     table.add_column("", no_wrap=True)
@@ -186,7 +194,7 @@ def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
     for row in shown:
         factor, unit = formatting.degrees_for(row.unit)
         value, se = formatting.scaled(factor, row.value, row.se)
-        name = Text(row.name, style="bold green" if row.name in own else "bold")
+        name = Text(row.name, style="bold green" if row.name in effect_names else "bold")
         flag, record = (row.flag, row.record) if isinstance(row, ParameterRow) else (None, None)
         words = f"⚠ {flag}" if flag else row.meaning + (f", {record}" if record else "")
         table.add_row(name, Text(formatting.with_error(value, se)), Text(unit), Text(words))
@@ -194,12 +202,12 @@ def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
 
 
 def error_title(scale: ForceScale) -> str:
-    """Of the column of standard errors: whether they know of the thrust's own uncertainty."""
+    """Return the title of the value column: does its standard error include the uncertainty of the thrust?"""
     return "value ± s.e. (statistical only)" if scale.statistical_only else "value ± s.e."
 
 
 def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
-    """The intervals that were asked for; the curves are for the report."""
+    """Return the table of profile-likelihood intervals; the report shows their curves."""
     if not found:
         return None
     table = titled_table("Profile likelihood")
@@ -219,19 +227,20 @@ def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
 
 
 def _candidates(result: DiagnosisResult) -> Table | None:
+    """Return the table of the best candidates of the first round that tested any, with their score tests."""
     found = [row for row in result.rounds if row.candidates]
     if not found:
         return None
     every, removed = found[0].candidates, {row.name for row in result.removed_effects}
     chosen = {row.chosen for row in found} - removed
-    shown = every[:MOST_CANDIDATES]
+    shown = every[:MAX_CANDIDATES]
     title = f"First round: {found[0].passed} of {found[0].tested} candidates passed the score test, {len(shown)} best"
     table = titled_table(title)
     legend = ["✓ added to the model", *["− added and removed again"] * bool(removed), "· passed", "(blank) not passed"]
     table.caption, table.caption_justify = "   ".join(legend), "left"
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, overflow="ellipsis", max_width=38)
-    for title in ("score", "threshold", "p by blocks"):
+    for title in ("score", "threshold", "block-robust p"):
         table.add_column(title, justify="right", no_wrap=True)
     for row in shown:
         won = row.name in chosen
@@ -243,28 +252,30 @@ def _candidates(result: DiagnosisResult) -> Table | None:
 
 
 def _errors(errors: Errors, seconds: float) -> Table | None:
+    """Return the table of RMS prediction errors, from validation data if the result has any."""
     role, data = by_role(errors.validation, errors.estimation)[0]
     kinds = [(title, table) for title, table in horizons(data, seconds) if table]
     every = list(dict.fromkeys(name for _, table in kinds for name in table))
-    channels = every[:MOST_CHANNELS]
+    channels = every[:MAX_ERROR_CHANNELS]
     if not channels:
         return None
     more = f" ({len(every) - len(channels)} more in the report)" if len(every) > len(channels) else ""
     compared = any(table[c].before is not None for _, table in kinds for c in channels if c in table)
-    what = "Error before → after" if compared else "Prediction error (rms)"
-    table = titled_table(f"{what}, {role} data{more}")
+    quantity = "Error before → after" if compared else "Prediction error (rms)"
+    table = titled_table(f"{quantity}, {role} data{more}")
     table.add_column("", no_wrap=True)
     table.add_column("", no_wrap=True, style="dim")
     for title, _ in kinds:
         table.add_column(title.lower(), justify="right", no_wrap=True)
     for channel in channels:
-        found = [rows_.get(channel) for _, rows_ in kinds]
+        found = [rows.get(channel) for _, rows in kinds]
         unit = next(formatting.degrees_for(row.unit)[1] for row in found if row is not None)
-        table.add_row(Text(channel, style="bold"), Text(unit), *(_step(row) for row in found))
+        table.add_row(Text(channel, style="bold"), Text(unit), *(_error_text(row) for row in found))
     return table
 
 
-def _step(row: ErrorComparison | None) -> Text:
+def _error_text(row: ErrorComparison | None) -> Text:
+    """Return ``before → after`` of a channel, or one error if nothing was compared; empty without a row."""
     factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
     before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)
     if before is None or after is None:

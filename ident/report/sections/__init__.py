@@ -1,4 +1,4 @@
-"""The page's sections in their order, each built from a result alone."""
+"""Sections of the page of a result, in their order; each is built from the result alone."""
 
 from __future__ import annotations
 
@@ -18,12 +18,18 @@ from seatrial.ident.results import (
 
 
 def opening(result: Result) -> Section:
-    """What stands under the answer."""
+    """Return the blocks that follow the headline of the page."""
     return answer.section(result)
 
 
 def body(canvas: Canvas, result: Result) -> list[Section]:
-    """The sections that have something to show."""
+    """Return the sections of a result that have blocks, in the order of the page.
+
+    Raises
+    ------
+    TypeError
+        If there is no page for this type of result.
+    """
     if isinstance(result, FitResult):
         found = _fit(canvas, result)
     elif isinstance(result, ThrustCurveResult):
@@ -44,6 +50,7 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
 
 
 def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
+    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis."""
     static = result.static if isinstance(result, ThrusterResult) else None
     profiled = result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()
     diagnosis = result if isinstance(result, DiagnosisResult) else None

@@ -1,4 +1,7 @@
-"""The answer first: what the effect removed, or the parameters that matter, and the curve of a thruster."""
+"""First section of the page: error reduction and cards of the found effects, or the key parameters of a fit.
+
+The section of a thruster's static thrust curve is here too.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +21,18 @@ from seatrial.ident.results import (
     StaticForce,
 )
 
-KEY_PARAMETERS = 9
+MAX_KEY_PARAMETERS = 9
 
 
 def section(result: Result) -> Section:
-    """Without a title: it follows the answer itself."""
+    """Return the untitled section that follows the headline.
+
+    A fit that did not converge has no blocks, as its estimates are not valid.
+    """
     caveat = [result.caveat] if isinstance(result, DiagnosisResult) and result.caveat else []
     blocks: list[Any] = [Prose(line, "callout") for line in caveat]
     if isinstance(result, FitResult) and not result.converged:
-        pass  # its estimates are no answer
+        pass
     elif isinstance(result, DiagnosisResult):
         blocks += headline(result) + [effect_card(effect) for effect in result.effects]
     elif isinstance(result, FitResult):
@@ -35,28 +41,36 @@ def section(result: Result) -> Section:
 
 
 def headline(result: DiagnosisResult) -> list[Any]:
-    """Errors over the horizon before and after, on validation data where there are some."""
+    """Return the chart of prediction errors over the horizon, before and after the effects were added.
+
+    The errors are from validation data if the result has any, otherwise from estimation data.
+    """
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
-    lost = [name for name, row in data.horizon.items() if row.before is None or row.after is None]
+    diverged = [name for name, row in data.horizon.items() if row.before is None or row.after is None]
     if not items:
         return []
     caption = (
-        f"RMS prediction error {result.horizon_seconds:g} s ahead on {role} data, before → after; the axis is relative "
-        "to before, the thin line is the 95 % interval. Only what changed beyond its interval is coloured."
+        f"RMS prediction error {result.horizon_seconds:g} s ahead on {role} data, before → after. The axis is the "
+        "ratio to the error before; the thin line is its 95 % interval. A channel is coloured only if its interval "
+        "excludes an unchanged error."
     )
-    caption += f" Not drawn, as a prediction diverged: {', '.join(map(formatting.titled, lost))}." if lost else ""
+    caption += (
+        f" Not drawn, because a prediction diverged: {', '.join(map(formatting.titled, diverged))}." if diverged else ""
+    )
     return [Dumbbells(_dumbbells(items), caption)]
 
 
 def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
+    """Return the rows of the chart on a common scale: the largest ratio, at most 2.5, is near the right end."""
     ratios = [(row.after or 0.0) / max(row.before or 0.0, 1e-300) for _, row in items]
     widest = max([1.0, *ratios, *(row.high or 0.0 for _, row in items)])
-    scale = 96.0 / min(widest, 2.5)  # percent of the track for a ratio of one
+    scale = 96.0 / min(widest, 2.5)  # per cent of the track's width for a ratio of one
     return [_dumbbell(name, row, ratio, scale) for (name, row), ratio in zip(items, ratios, strict=True)]
 
 
 def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Dumbbell:
+    """Return one channel's row; ``scale`` is the length of a ratio of one, in per cent of the track's width."""
     factor, unit = formatting.degrees_for(row.unit)
     before, after = (factor * (value or 0.0) for value in (row.before, row.after))
     low, high = row.low, row.high
@@ -75,14 +89,14 @@ def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Du
 
 
 def _behind(criterion: float) -> str:
-    """A competing model may be ahead on the fitted data and yet not hold on the others."""
-    if criterion < 0:
-        return f"{formatting.plain(-criterion)} ahead, but not on the validation data"
-    return f"{formatting.plain(criterion)} behind"
+    """Return how much worse or better the criterion (BIC) of a competing model is."""
+    if criterion < 0:  # the effect was still preferred, because validation data do not support the competing model
+        return f"{formatting.plain(-criterion)} better, but worse on the validation data"
+    return f"{formatting.plain(criterion)} worse"
 
 
 def effect_card(effect: EffectRow) -> EffectCard:
-    """Formula, parameters with standard errors, source, and the experiment that shows it."""
+    """Return the card of an effect: formula, parameters, source, experiment, competing models, importance."""
     parameters = []
     for row in effect.parameters:
         factor, unit = formatting.degrees_for(row.unit)
@@ -94,7 +108,7 @@ def effect_card(effect: EffectRow) -> EffectCard:
         ("Source", effect.source),
         ("Shown by", effect.experiment),
         ("Competing models, Δ BIC", ", ".join(alternatives)),
-        ("How sure", how_sure(effect)),
+        ("Attribution", attribution_words(effect)),
     )
     return EffectCard(
         effect.title or effect.name,
@@ -107,30 +121,32 @@ def effect_card(effect: EffectRow) -> EffectCard:
 
 
 def _importance(factor: float | None) -> tuple[str, str]:
-    """How much larger the prediction error is without the effect (seatrial.ident.diagnosis.importance): the figure, and
-    the words after it."""
+    """Return how much larger the prediction error is without the effect: the number, and the words after it.
+
+    ``factor`` is the error without the effect over the error with it (seatrial.ident.diagnosis.importance).
+    """
     if factor is None:
         return "", ""
     if factor >= 2.0:
-        return f"{formatting.plain(factor)} times", "as large a prediction error without it"
+        return f"{formatting.plain(factor)} times", "as large a prediction error without this effect"
     larger = "larger" if factor >= 1.0 else "smaller"
-    return formatting.percent(abs(factor - 1.0)), f"{larger} prediction error without it"
+    return formatting.percent(abs(factor - 1.0)), f"{larger} prediction error without this effect"
 
 
-def how_sure(effect: EffectRow) -> str:
-    """In words: a name that stands alone, or what speaks against it."""
+def attribution_words(effect: EffectRow) -> str:
+    """Return how far the name of an effect can be trusted, with the reasons if it is ambiguous."""
     if effect.attribution == "ambiguous":
-        others = [formatting.titled(name) for name in effect.not_excluded]
-        reasons = [*effect.reasons, *([f"not excluded: {', '.join(others)}"] if others else [])]
-        return "it resembles this; " + "; ".join(reasons)
+        alternatives = [formatting.titled(name) for name in effect.not_excluded]
+        reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
+        return "ambiguous; " + "; ".join(reasons)
     return {
-        "identified": "nothing is left that this should explain, and no competing model comes close",
-        "nonparametric": "no known effect explains it; the curve is what the data draw",
+        "identified": "identified: the effect explains all that was missing, and no competing model comes close",
+        "nonparametric": "nonparametric: no known effect explains the residual; the curve is estimated from the data",
     }[effect.attribution]
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:
-    """The free parameters of the dynamics that all runs share, not those of the noise."""
+    """Return the facts of the free dynamic parameters that all runs share; noise parameters are left out."""
     found = []
     for row in fit.parameters:
         value, se = row.value, row.se
@@ -142,9 +158,9 @@ def key_parameters(fit: FitSummary) -> list[Any]:
         found.append((title, _symbol(row, factor * value, factor * se, unit)))
     if not found:
         return []
-    said = ["± one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
-    said += [f"{len(found) - KEY_PARAMETERS} more below"] if len(found) > KEY_PARAMETERS else []
-    return [Facts(found[:KEY_PARAMETERS], "cards"), Prose("; ".join(said), "caption")]
+    caption = ["± one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
+    caption += [f"{len(found) - MAX_KEY_PARAMETERS} more below"] if len(found) > MAX_KEY_PARAMETERS else []
+    return [Facts(found[:MAX_KEY_PARAMETERS], "cards"), Prose("; ".join(caption), "caption")]
 
 
 def _symbol(row: ParameterRow, value: float, se: float, unit: str) -> str:
@@ -152,27 +168,28 @@ def _symbol(row: ParameterRow, value: float, se: float, unit: str) -> str:
 
 
 def static_section(canvas: Canvas, static: StaticForce) -> Section:
-    """Steady force against shaft speed, measured and fitted."""
+    """Return the section of a thruster's static curve: steady force over shaft speed, measured and fitted."""
     traces = [
         drawing.band(static.n_model, static.force_model, drawing.Z95 * static.force_sd, 600),
         drawing.line_trace(static.n_model, static.force_model, "model", 600),
     ]
     if static.n.size:
-        where = {"x": drawing.packed(static.n), "y": drawing.packed(static.force)}
-        points = {"type": "scatter", "mode": "markers", **where}
+        coordinates = {"x": drawing.packed(static.n), "y": drawing.packed(static.force)}
+        points = {"type": "scatter", "mode": "markers", **coordinates}
         marker = {"color": "#ffffff", "size": 8, "line": {"color": drawing.INK, "width": 1.5}}
         bars = {"type": "data", "array": drawing.packed(drawing.Z95 * static.sd), "thickness": 1.2, "width": 0}
         errors = {"error_y": {**bars, "color": drawing.INK}}
         traces.append({**points, "name": "measured", "marker": marker, **errors})
     lead = (
-        "Circles: means of steady segments with 95 % bars. Line: the fitted curve with its 95 % band. Bars and band "
-        "are statistical: the load cell's calibration, which moves all of it together, is not in them."
+        "Circles: means of steady segments with 95 % intervals. Line: the fitted curve with its 95 % band. Intervals "
+        "and band are statistical only: an error of the load cell's calibration, which scales all forces alike, is "
+        "not included."
     )
     if static.force_quadratic is not None:
         n, force = static.n_model, static.force_quadratic
         traces.append(drawing.line_trace(n, force, "quadratic", 600, color=drawing.BEFORE, dash="dash"))
         lead += " Dashed: c1 n|n| + c2 n²."
-    figure = drawing.single(traces, f"{static.abscissa}, part of full", "force [N]", hovermode="closest")
-    title = f"orce against {static.abscissa.removesuffix(' n')}"
-    plot = canvas.plot(figure, 380, f"Steady f{title}")
-    return Section("static", f"F{title}", [Grid([plot], 320)], lead)
+    figure = drawing.single(traces, f"{static.abscissa}, fraction of full", "force [N]", hovermode="closest")
+    abscissa = static.abscissa.removesuffix(" n")
+    plot = canvas.plot(figure, 380, f"Steady force against {abscissa}")
+    return Section("static", f"Force against {abscissa}", [Grid([plot], 320)], lead)

@@ -1,4 +1,4 @@
-"""Where the boat was: outages, the track with its 95 % ellipses, and every state with its band."""
+"""Sections of navigation: GNSS outages, track with 95 % ellipses, and all states with their 95 % bands."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from seatrial.ident.report.record_tabs import origin_words
 from seatrial.ident.results import GnssFixes, GnssOutage, NavigatedRecord, NavigationResult, StateTrace
 
 TIME = "time [s]"
-TURN = np.linspace(0.0, 2 * np.pi, 73)
+ELLIPSE_ANGLES = np.linspace(0.0, 2 * np.pi, 73)  # rad
 
 
 def outages_section(result: NavigationResult) -> Section:
-    """A row an outage: what was claimed at its end, and what came true."""
+    """Return the table of outages: predicted position error at the end of each, and the distance from the next fix."""
     found = result.outages
     if not found:
         return Section("outages", "", [])
@@ -28,22 +28,24 @@ def outages_section(result: NavigationResult) -> Section:
         ("from", "num"),
         ("duration", "num"),
         ("95 % radius", "num"),
-        ("off by", "num"),
+        ("error", "num"),
         ("allowed", "num"),
         ("", ""),
     ]
     if withheld:
-        columns += [("rms without GNSS", "num"), ("rms by the best estimate", "num")]
+        columns += [("rms error, prediction", "num"), ("rms error, best estimate", "num")]
     lead = (
-        "95 % radius: of the circle that holds the position at the outage's end, predicted without GNSS. Off by: the "
-        "distance from the first fix after it; allowed: 95 % of such distances, the noise of the fix included."
+        "95 % radius: radius of the circle that contains the position at the end of the outage with 95 % probability, "
+        "predicted without GNSS. Error: distance of this prediction from the first fix after the outage. Allowed: 95 % "
+        "of these distances should be smaller, with the noise of the fix included."
     )
     if withheld:
-        lead += " Where GNSS was withheld on purpose: the distance from all fixes that were not used."
+        lead += " RMS errors: for outages with GNSS fixes withheld on purpose, distances from all withheld fixes."
     return Section("outages", "GNSS outages", [Table(columns, [_outage(o, withheld) for o in found])], lead)
 
 
 def _outage(o: GnssOutage, withheld: bool) -> list[Cell | str]:
+    """Return the row of one outage; ``withheld`` adds the RMS errors on withheld fixes."""
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[o.inside]
     cells: list[Cell | str] = [
         o.record,
@@ -63,32 +65,38 @@ def _metres(value: float | None) -> Cell:
 
 
 def states_section(canvas: Canvas, result: NavigationResult) -> Section:
-    """One tab a record: the track, then all states over time."""
+    """Return the section of estimated states: one tab per record with the track and all states over time."""
     tabs = []
-    for one in result.navigation:
-        outages, of = [o for o in result.outages if o.record == one.record], origin_words(result.logs, one.record)
-        tabs.append((one.record, _record(canvas, one, outages, of)))
+    for row in result.navigation:
+        outages, origin = [o for o in result.outages if o.record == row.record], origin_words(result.logs, row.record)
+        tabs.append((row.record, _record(canvas, row, outages, origin)))
     if not any(blocks for _, blocks in tabs):
         return Section("navigation", "", [])
-    lead = "Line: the estimate with its 95 % band (the parameters' own errors included). Grey: what was measured."
+    lead = "Line: the estimate with its 95 % band, which includes the parameter errors. Grey: measurements."
     return Section("navigation", "Track and states", tabbed(tabs), lead)
 
 
-def _record(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage], of: str) -> list[Any]:
+def _record(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> list[Any]:
+    """Return the blocks of one record; ``origin`` ends the titles of the track's axes."""
     blocks: list[Any] = []
-    track = _track(canvas, one, outages, of)
+    track = _track(canvas, row, outages, origin)
     if track is not None:
-        key = Key([("after", "estimate, with 95 % ellipses"), ("measured", "fixes"), ("before", "fixes withheld")])
-        blocks += [key, Grid([track], 320)]
-    panels = [panel for s in one.states if (panel := _panel(canvas, one.t, s, outages)) is not None]
+        legend = [
+            ("after", "estimate, with the 95 % ellipse at the end of each outage"),
+            ("measured", "used fixes"),
+            ("before", "withheld fixes"),
+        ]
+        blocks += [Key(legend), Grid([track], 320)]
+    panels = [panel for s in row.states if (panel := _panel(canvas, row.t, s, outages)) is not None]
     if panels:
         figure, height = drawing.stacked(panels, TIME)
-        blocks += [Prose("Shaded: without GNSS.", "quiet")] if outages else []
-        blocks.append(Grid([canvas.plot(figure, height, f"States over time, {one.record}")], 320))
+        blocks += [Prose("Shaded: GNSS outages.", "quiet")] if outages else []
+        blocks.append(Grid([canvas.plot(figure, height, f"States over time, {row.record}")], 320))
     return blocks
 
 
 def _panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOutage]) -> drawing.Panel | None:
+    """Return the panel of one state over time ``t`` (n_rows,) [s], None without finite values."""
     if not np.isfinite(state.value).any():
         return None
     factor, unit = formatting.degrees_for(state.unit)
@@ -97,7 +105,7 @@ def _panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOu
     top, bottom = float(np.nanmax(value + drawing.Z95 * sd)), float(np.nanmin(value - drawing.Z95 * sd))
     if state.measured is not None and np.isfinite(state.measured).any():
         measured = factor * state.measured
-        if state.angle:
+        if state.angle:  # shifted by whole turns to the estimate, which is not wrapped
             measured = measured - 360.0 * np.round((measured - value) / 360.0)
         top, bottom = max(top, float(np.nanmax(measured))), min(bottom, float(np.nanmin(measured)))
         traces.append(drawing.dots(t, measured, "measured", limit))
@@ -112,12 +120,13 @@ def _panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOu
     return drawing.Panel(title + formatting.bracket(unit), [*shade, *traces])
 
 
-def _track(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage], of: str) -> Plot | None:
-    values = {s.name: s.value for s in one.states}
+def _track(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> Plot | None:
+    """Return the plot of the track with fixes and outage ellipses, None for a model without position."""
+    values = {s.name: s.value for s in row.states}
     if not {"x", "y"} <= set(values):
         return None
-    traces = _fixes(one.fixes, canvas.budget.points)
-    at = drawing.strided(one.t.size, canvas.budget.points)
+    traces = _fixes(row.fixes, canvas.budget.points)
+    at = drawing.strided(row.t.size, canvas.budget.points)
     line = {"color": drawing.MODEL, "width": 1.8}
     traces.append(
         {
@@ -130,17 +139,18 @@ def _track(canvas: Canvas, one: NavigatedRecord, outages: Sequence[GnssOutage], 
         }
     )
     for o in outages:
-        if not o.leading:  # its ellipse is wider than the track
+        if not o.leading:  # before the first fix, the ellipse is wider than the track
             traces.append(_ellipse(o))
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
-    figure = drawing.single(traces, f"east{of} [m]", f"north{of} [m]", hovermode="closest", yaxis=equal)
-    return canvas.plot(figure, 420, f"Track, {one.record}", "Track, north up")
+    figure = drawing.single(traces, f"east{origin} [m]", f"north{origin} [m]", hovermode="closest", yaxis=equal)
+    return canvas.plot(figure, 420, f"Track, {row.record}", "Track, north up")
 
 
 def _fixes(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
+    """Return the traces of used and withheld fixes, each of at most ``limit`` points."""
     traces = []
-    for wanted, name, color in ((1.0, "fix", drawing.MEASURED), (0.0, "withheld", drawing.BEFORE)):
-        chosen = np.flatnonzero(fixes.used == wanted)
+    for used, name, color in ((1.0, "fix", drawing.MEASURED), (0.0, "withheld", drawing.BEFORE)):
+        chosen = np.flatnonzero(fixes.used == used)
         at = chosen[drawing.strided(chosen.size, limit)]
         if at.size:
             traces.append(
@@ -157,14 +167,15 @@ def _fixes(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
 
 
 def _ellipse(o: GnssOutage) -> drawing.Trace:
-    """The 95 % ellipse about the prediction at an outage's end."""
+    """Return the trace of the 95 % ellipse about the position predicted for the end of an outage."""
     e = o.at_end
-    a, b, (c, s) = e.major * np.cos(TURN), e.minor * np.sin(TURN), (np.cos(e.azimuth), np.sin(e.azimuth))
+    a, b = e.major * np.cos(ELLIPSE_ANGLES), e.minor * np.sin(ELLIPSE_ANGLES)
+    c, s = np.cos(e.azimuth), np.sin(e.azimuth)
     name = f"95 % after {formatting.plain(o.duration)} s"
     return {
         "type": "scatter",
         "mode": "lines",
-        "name": drawing.said(name),
+        "name": drawing.escaped(name),
         "x": drawing.packed(o.east + s * a + c * b),
         "y": drawing.packed(o.north + c * a - s * b),
         "line": {"color": drawing.INK, "width": 1.4},

@@ -1,4 +1,4 @@
-"""Sensor noise: white noise and random walk of each channel, and whether that model holds."""
+"""Section of sensor noise: white noise and random walk of each channel, and the test of this noise model."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
-    """A table of all channels, and the densities of each."""
+    """Return the section of sensor noise: a table of all channels and a power spectral density plot of each."""
     columns = (
         ("channel", ""),
         ("white noise", "num"),
         ("random walk", "num"),
-        ("model holds", ""),
-        ("predictable", "num"),
+        ("model accepted", ""),
+        ("predictable share", "num"),
         ("p", "num"),
     )
     blocks: list[Any] = [Table(columns, [_row(c) for c in result.noise])] if result.noise else []
     plots = [plot for c in result.noise if (plot := _density(canvas, c)) is not None]
     if plots:
-        lines = [("measured", "power spectral density, and its average over bands with 95 % interval")]
-        blocks += [Key([*lines, ("after", "of the fitted model")]), Grid(plots, 320)]
+        lines = [("measured", "measured power spectral density, with averages over bands and their 95 % intervals")]
+        blocks += [Key([*lines, ("after", "power spectral density of the fitted model")]), Grid(plots, 320)]
     return Section("noise", "Noise of each channel", blocks)
 
 
 def _row(c: ChannelNoise) -> list[Cell | str]:
+    """Return the cells of one channel."""
     factor, unit = formatting.degrees_for(c.unit)
     cells: list[Cell | str] = [formatting.named(c.channel)]
     walk_unit = f"{unit}/√s" if unit else "1/√s"
@@ -44,6 +45,7 @@ def _row(c: ChannelNoise) -> list[Cell | str]:
 
 
 def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
+    """Return the plot of a channel's measured and modelled power spectral density, None without finite values."""
     factor, unit = formatting.degrees_for(c.unit)
     traces = []
     for values, name in ((c.psd, "measured"), (c.psd_model, "model")):
@@ -70,7 +72,10 @@ def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
 
 
 def _averages(bands: SpectrumBands, factor: float) -> drawing.Trace:
-    """Dots with bars: what can be told from the model by eye."""
+    """Return the averages over frequency bands with their 95 % intervals, which the reader can compare to the model.
+
+    ``factor`` converts the density to the shown unit.
+    """
     y, low, high = (factor * a for a in (bands.psd, bands.low, bands.high))
     bars = {"type": "data", "symmetric": False, "array": drawing.packed(high - y),
             "arrayminus": drawing.packed(y - low), "thickness": 1, "width": 0, "color": drawing.MEASURED}  # fmt: skip
@@ -78,11 +83,11 @@ def _averages(bands: SpectrumBands, factor: float) -> drawing.Trace:
 
 
 def _ticks(frequency: Array) -> dict[str, Any]:
-    """A logarithmic axis with 1, 2 and 5 of each decade where it has few of them, else with its powers of ten."""
-    there = frequency[frequency > 0]
-    if not there.size:
+    """Return a logarithmic axis with ticks at powers of ten, and at 2 and 5 if it spans less than 2.5 decades."""
+    positive = frequency[frequency > 0]
+    if not positive.size:
         return {"type": "log"}
-    low, high = np.log10(there.min()), np.log10(there.max())
+    low, high = np.log10(positive.min()), np.log10(positive.max())
     steps = (1, 2, 5) if high - low < 2.5 else (1,)
     values = [m * 10.0**k for k in range(int(np.floor(low)), int(np.ceil(high)) + 1) for m in steps]
     shown = [v for v in values if low <= np.log10(v) <= high]

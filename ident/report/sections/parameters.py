@@ -1,8 +1,8 @@
-"""Parameters: what was estimated and how well, what moved, and what goes with what.
+"""Sections of parameters.
 
-Profile likelihoods: how far each parameter can move before the data object.
-
-Which segments of logs tell of which parameter, as a table and as a map over time.
+- Estimates with standard errors, changes by the added effects, and correlation of the estimates.
+- Profile likelihoods with their 95 % intervals.
+- Information of each segment of the logs about each parameter, as a table and as a map over time.
 """
 
 from __future__ import annotations
@@ -28,11 +28,21 @@ from seatrial.ident.results import (
     SegmentInformation,
 )
 
-MANY = 14  # parameters, above which the correlation's numbers show on hover only
+MAX_NUMBERED = 14  # parameters; larger correlation matrices show their numbers on hover only
 
 
 def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[ParameterChange] = ()) -> Section:
-    """Table of the fit, before and after, and the correlation."""
+    """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        Collector of the figures.
+    fit : FitSummary
+        The last fit.
+    changes : sequence of ParameterChange
+        Parameters before and after the effects of a diagnosis were added.
+    """
     blocks: list[Any] = _fit_facts(fit)
     table = fit.parameters
     if table:
@@ -42,16 +52,17 @@ def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[Parame
         used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
         columns += [(title, style) for _, title, style in used]
         blocks.append(Table(columns, [_row(row, [key for key, _, _ in used]) for row in table]))
-    blocks += _moved(changes) + _correlation(canvas, fit.correlation)
+    blocks += _changes(changes) + _correlation(canvas, fit.correlation)
     return Section("parameters", "Parameters", blocks)
 
 
 def _fit_facts(fit: FitSummary) -> list[Any]:
+    """Return the facts of a fit: model, method, convergence, likelihood, kind of standard errors, time."""
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
     log_likelihood = fit.log_likelihood
     errors = ["robust (sandwich): the residuals are autocorrelated"] * fit.coloured
-    errors += ["statistical only: what the forces rest on is taken for exact"] * fit.scale.statistical_only
+    errors += ["statistical only: the scale of the forces is taken as exact"] * fit.scale.statistical_only
     facts = (
         ("Model", fit.model),
         ("Method", methods[fit.method]),
@@ -66,6 +77,7 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
 
 
 def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
+    """Return the cells of one parameter; ``extra`` names the optional columns of the table."""
     factor, unit = formatting.degrees_for(row.unit)
     value, se = formatting.scaled(factor, row.value, row.se)
     shown, error = formatting.pair(value, se)
@@ -84,15 +96,17 @@ def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
     return cells + [more[key] for key in extra]
 
 
-def _moved(table: Sequence[ParameterChange]) -> list[Any]:
+def _changes(table: Sequence[ParameterChange]) -> list[Any]:
+    """Return the table of the parameters before and after the effects were added."""
     if not table:
         return []
-    columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("moved by", "num"))
-    note = "in standard errors of the value before"
-    return [Heading("Before and after the effects", note), Table(columns, [_moved_row(row) for row in table])]
+    columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
+    note = "change in standard errors of the value before"
+    return [Heading("Before and after the effects", note), Table(columns, [_change_row(row) for row in table])]
 
 
-def _moved_row(row: ParameterChange) -> list[Cell | str]:
+def _change_row(row: ParameterChange) -> list[Cell | str]:
+    """Return the cells of one parameter; a change beyond the 95 % interval is in bold."""
     factor, unit = formatting.degrees_for(row.unit)
     before, before_se, after, after_se = formatting.scaled(factor, row.before, row.before_se, row.after, row.after_se)
     se = before_se or after_se
@@ -101,15 +115,16 @@ def _moved_row(row: ParameterChange) -> list[Cell | str]:
         size = (after - before) / se
         words = f"{'+' if size > 0 else '−' if size < 0 else ''}{abs(size):.1f} s.e."
         shift = Cell(words, "num strong" if abs(size) > drawing.Z95 else "num", float(np.clip(size / 6, -1, 1)))
-    texts_ = [formatting.with_error(before, before_se), formatting.with_error(after, after_se)]
-    return [Cell(row.name, "symbol"), *(Cell(words, "num") for words in texts_), Cell(unit, "nowrap"), shift]
+    texts = [formatting.with_error(before, before_se), formatting.with_error(after, after_se)]
+    return [Cell(row.name, "symbol"), *(Cell(words, "num") for words in texts), Cell(unit, "nowrap"), shift]
 
 
 def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
+    """Return the heat map of the correlation of the estimates; no blocks for fewer than two parameters."""
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
         return []
-    labels = [drawing.said(name) for name in names]
+    labels = [drawing.escaped(name) for name in names]
     heat: drawing.Trace = {
         "type": "heatmap",
         "x": labels,
@@ -123,7 +138,7 @@ def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
         "colorbar": {"thickness": 10, "len": 0.7, "outlinewidth": 0, "tickvals": [-1, -0.5, 0, 0.5, 1]},
         "hovertemplate": "%{y}, %{x}: %{z:.2f}<extra></extra>",
     }
-    if len(names) <= MANY:
+    if len(names) <= MAX_NUMBERED:
         heat |= {"texttemplate": "%{z:.1f}", "textfont": {"size": 9}}
     layout: drawing.Figure = {
         "hovermode": "closest",
@@ -141,19 +156,19 @@ def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
 
 
 def _strongest(names: Sequence[str], table: Array, n: int = 4) -> str:
-    """The pairs that the data tell apart least."""
+    """Return the ``n`` most correlated pairs with their correlation; pairs below 0.5 are left out."""
     i, j = np.triu_indices(len(names), 1)
     size = np.nan_to_num(np.abs(table[i, j]))
     order = [k for k in np.argsort(-size)[:n] if size[k] >= 0.5]
     return ", ".join(f"{names[i[k]]} and {names[j[k]]} {table[i[k], j[k]]:.2f}".replace("-", "−") for k in order)
 
 
-DROP = 1.92  # of the log-likelihood: the 95 % interval
-TOP = 2.6  # of the picture
+DROP_95 = 1.92  # drop of the log-likelihood that bounds the 95 % interval: chi-squared quantile over two
+MAX_DROP = 2.6  # upper end of the plots
 
 
 def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
-    """A table of intervals and a small curve for each parameter."""
+    """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter."""
     if not table:
         return Section("profiles", "Profile likelihoods", [])
     columns = [("parameter", ""), ("value", "num"), ("95 % by profile", "num"), ("95 % by s.e.", "num"), ("unit", "")]
@@ -163,14 +178,24 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
     plots = [plot for row in table if (plot := _curve(canvas, row)) is not None]
     if plots:
         blocks += [
-            Key([("line", "profile"), ("before", "as the standard error has it"), ("bar weak", "95 %")]),
+            Key(
+                [
+                    ("line", "profile likelihood"),
+                    ("before", "quadratic approximation by the standard error"),
+                    ("bar weak", "95 % interval"),
+                ]
+            ),
             Grid(plots, 240),
         ]
-    lead = "The drop of the log-likelihood as one parameter is moved and all others are fitted again; 1.92 is 95 %."
+    lead = (
+        "Drop of the log-likelihood over one parameter, with all others fitted again. A drop of 1.92 bounds the 95 % "
+        "interval."
+    )
     return Section("profiles", "Profile likelihoods", blocks, lead)
 
 
 def _profile_row(row: ProfileCurve, noted: bool) -> list[Cell | str]:
+    """Return the cells of one parameter: value, both intervals, unit, and its notes if the table has a note column."""
     factor, unit = formatting.degrees_for(row.unit)
     ends = ((row.low, row.high), (row.wald_low, row.wald_high))
     cells: list[Cell | str] = [
@@ -183,7 +208,7 @@ def _profile_row(row: ProfileCurve, noted: bool) -> list[Cell | str]:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """``1.2 to 3.4``; an end that the data do not close is open."""
+    """Return an interval as text, ``1.2 to 3.4``; an end that the data do not bound is ``open``."""
     if low is None and high is None:
         return "–"
     ends = ["open" if end is None else formatting.plain(end) for end in (low, high)]
@@ -191,6 +216,7 @@ def interval(low: float | None, high: float | None) -> str:
 
 
 def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
+    """Return the plot of a profile likelihood, None if it has fewer than three points."""
     value = row.value
     if row.grid.size < 3 or drawing.drawable(row.drop) is None:
         return None
@@ -199,13 +225,13 @@ def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
     traces = [drawing.line_trace(x, drop, "profile", canvas.budget.points)]
     low, high = row.wald_low, row.wald_high
     if low is not None and high is not None and low < value < high:
-        # the parabola of the standard error, each side by its own end: in a logarithm they differ
+        # parabola of the standard error, each side by its own end: for logarithmic parameters the two sides differ
         fine = np.linspace(x.min(), x.max(), 60)
         half = factor * np.where(fine < factor * value, value - low, high - value)
         traces.append(
             drawing.line_trace(
                 fine,
-                DROP * ((fine - factor * value) / half) ** 2,
+                DROP_95 * ((fine - factor * value) / half) ** 2,
                 "standard error",
                 60,
                 color=drawing.BEFORE,
@@ -214,42 +240,43 @@ def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
         )
     ends = [row.low, row.high]
     a, b = (x.min() if ends[0] is None else factor * ends[0]), (x.max() if ends[1] is None else factor * ends[1])
-    traces.append(drawing.between(np.array([a, b]), np.zeros(2), np.full(2, DROP), opacity=0.1))
+    traces.append(drawing.between(np.array([a, b]), np.zeros(2), np.full(2, DROP_95), opacity=0.1))
     name = row.name
-    figure = drawing.single(traces, f"{name} [{unit}]" if unit else name, "drop", yaxis={"range": [0, TOP]})
+    figure = drawing.single(traces, f"{name} [{unit}]" if unit else name, "drop", yaxis={"range": [0, MAX_DROP]})
     return canvas.plot(figure, 220, f"Profile likelihood of {name}", name)
 
 
 TIME = "time [s]"
-# one colour from light to dark: it keeps its order in print and for every kind of colour vision
-SCALE = [[0.0, "#f4f6f8"], [0.25, "#c3ddee"], [0.5, "#7db8dc"], [0.75, "#2f8dc1"], [1.0, "#00466e"]]
-ROW_HEIGHT, AROUND, LEFT = 26, 104, 74  # px
+# shades of one colour, light to dark: they keep their order in grey print and for every kind of colour vision
+SHADES = [[0.0, "#f4f6f8"], [0.25, "#c3ddee"], [0.5, "#7db8dc"], [0.75, "#2f8dc1"], [1.0, "#00466e"]]
+ROW_PX, AXES_PX, LEFT_PX = 26, 104, 74  # height of a row, height of colour bar and axis, left margin
 
 
 def information_section(result: InformationResult) -> Section:
-    """A row a parameter: what is known of it, and the segment that it hangs on."""
+    """Return the table of standard errors that the logs give, and of the most informative segment per parameter."""
     found = result.information.parameters
     columns = [
         ("parameter", ""),
         ("value", "num"),
         ("± from all logs", "num"),
-        ("hangs most on", ""),
-        ("± without it", "num"),
+        ("depends most on", ""),
+        ("± without this segment", "num"),
         ("± from it alone", "num"),
     ]
     lead = (
-        "Standard errors by prediction error with the model's own noise; the current and the offsets of each log "
-        "count as unknown."
+        "Standard errors of a prediction-error fit to these logs, for the noise of the model. The current and the "
+        "sensor offsets of each log are estimated too."
     )
     rows = [_information_row(p) for p in found]
-    return Section("known", "What these logs tell", [Table(columns, rows)] if rows else [], lead)
+    return Section("known", "Information of these logs", [Table(columns, rows)] if rows else [], lead)
 
 
 def _information_row(p: InformedParameter) -> list[Cell | str]:
+    """Return the cells of one parameter."""
     factor, unit = formatting.degrees_for(p.unit)
     name, shown = f"{p.name}  {p.meaning}{formatting.bracket(unit)}", Cell(formatting.plain(factor * p.value), "num")
     if p.se is None:
-        return [name, shown, Cell("nothing", "num"), "", Cell("–", "num"), Cell("–", "num")]
+        return [name, shown, Cell("no information", "num"), "", Cell("–", "num"), Cell("–", "num")]
     se, alone = factor * p.se, None if p.alone is None else factor * p.alone
     without = "unknown" if p.weight is None else f"{formatting.plain(se * p.weight)} (× {formatting.plain(p.weight)})"
     return [
@@ -263,13 +290,13 @@ def _information_row(p: InformedParameter) -> list[Cell | str]:
 
 
 def place(segment: LogSpan) -> str:
-    """``run, 30 to 60 s (zigzag)``."""
+    """Return record, interval and manoeuvre of a segment: ``run, 30 to 60 s (zigzag)``."""
     words = f"{segment.record}, {segment.t_from:.0f} to {segment.t_to:.0f} s"
     return f"{words} ({segment.what})" if segment.what else words
 
 
 def segments_section(canvas: Canvas, result: InformationResult) -> Section:
-    """One tab a log: the part of each parameter's information that each segment alone brings, over the inputs."""
+    """Return the map of lost information over time: one tab per log, with the inputs below the map."""
     tabs = []
     for record in dict.fromkeys(row.record for row in result.information.segments):
         found = [row for row in result.information.segments if row.record == record]
@@ -278,8 +305,9 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
     if not any(blocks for _, blocks in tabs):
         return Section("segments", "", [])
     lead = (
-        "Dark: of what all logs tell of the parameter, so much would be lost without this segment (1 − the square "
-        "of the standard error with it over that without it). What others tell as well is not lost."
+        "Share of a parameter's information that would be lost without a segment; dark is a large share. The share is "
+        "1 − (standard error with the segment / standard error without it)². Information that other segments contain "
+        "too is not lost."
     )
     return Section("segments", "Segment by segment", tabbed(tabs), lead)
 
@@ -287,6 +315,7 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
 def _record(
     canvas: Canvas, names: Sequence[str], found: Sequence[SegmentInformation], inputs: Sequence[InputTrace]
 ) -> list[Any]:
+    """Return the map of one log and its inputs over the same time axis; no blocks without information."""
     good = [row for row in found if np.isfinite(row.lost).any()]
     if not good:
         return []
@@ -294,17 +323,16 @@ def _record(
     edges = np.array([good[0].t_from, *(row.t_to for row in good)])
     z = np.clip(np.column_stack([row.lost for row in good]), 0.0, 1.0)
     words = [[place(row) for row in good]] * len(names)
-    every = {"autorange": "reversed", "type": "category", "dtick": 1}
+    parameter_axis = {"autorange": "reversed", "type": "category", "dtick": 1}
     figure = drawing.single(
         [_map(edges, z, names, words)],
         TIME,
-        yaxis=every,
+        yaxis=parameter_axis,
         hovermode="closest",
-        margin={"l": LEFT, "r": 8, "t": 56, "b": 44},
+        margin={"l": LEFT_PX, "r": 8, "t": 56, "b": 44},
     )
-    blocks: list[Any] = [
-        Grid([canvas.plot(figure, ROW_HEIGHT * len(names) + AROUND, f"Lost without each segment, {record}")], 600)
-    ]
+    label = f"Information lost without each segment, {record}"
+    blocks: list[Any] = [Grid([canvas.plot(figure, ROW_PX * len(names) + AXES_PX, label)], 600)]
     panels = [
         drawing.Panel(
             formatting.titled(row.name) + formatting.bracket(row.unit),
@@ -314,17 +342,21 @@ def _record(
     ]
     if panels:
         shown, height = drawing.stacked(panels, TIME, panel_height=70)
-        shown["layout"]["margin"]["l"] = LEFT  # below the same times of the map
-        blocks += [Prose("What was done meanwhile:", "quiet"), Grid([canvas.plot(shown, height, "Inputs")], 600)]
+        shown["layout"]["margin"]["l"] = LEFT_PX  # aligns the time axis with that of the map
+        blocks += [Prose("Inputs over the same time:", "quiet"), Grid([canvas.plot(shown, height, "Inputs")], 600)]
     return blocks
 
 
 def _map(edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]) -> drawing.Trace:
+    """Return a heat map of the shares ``z`` (n_parameters, n_segments) between the times ``edges`` [s].
+
+    ``words`` describes the segment of each cell on hover.
+    """
     shown = [[None if not np.isfinite(v) else round(float(v), 4) for v in line] for line in z]
-    said = [[drawing.said(word) for word in line] for line in words]
+    texts = [[drawing.escaped(word) for word in line] for line in words]
     return {
-        "type": "heatmap", "x": edges.round(3).tolist(), "y": [drawing.said(n) for n in names], "z": shown, "zmin": 0.0,
-        "zmax": 1.0, "colorscale": SCALE, "xgap": 1, "ygap": 2, "text": said, "hoverongaps": False,
+        "type": "heatmap", "x": edges.round(3).tolist(), "y": [drawing.escaped(n) for n in names], "z": shown,
+        "zmin": 0.0, "zmax": 1.0, "colorscale": SHADES, "xgap": 1, "ygap": 2, "text": texts, "hoverongaps": False,
         "hovertemplate": "%{y}: %{z:.0%} lost without<br>%{text}<extra></extra>",
         "colorbar": {"tickformat": ".0%", "thickness": 8, "outlinewidth": 0, "orientation": "h", "len": 0.4, "x": 1.0,
                      "xanchor": "right", "y": 1.0, "yanchor": "bottom", "nticks": 5,

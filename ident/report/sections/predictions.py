@@ -1,4 +1,4 @@
-"""Error before and after, whether the predicted bands are right, and the end of the page."""
+"""Sections of prediction errors and calibration of prediction intervals, and the last sections of the page."""
 
 from __future__ import annotations
 
@@ -26,48 +26,57 @@ Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
 
 
 def horizons(table: ErrorTable, seconds: float) -> list[tuple[str, Mapping[str, ErrorComparison]]]:
-    """Title and rows of each kind of prediction, that over the horizon of ``seconds`` first."""
+    """Return title and rows of each kind of prediction; the prediction over the horizon [s] comes first."""
     one_step, horizon, simulation = titles(seconds)
     return [(horizon, table.horizon), (one_step, table.one_step), (simulation, table.simulation)]
 
 
 def titles(seconds: float) -> tuple[str, str, str]:
-    """Of each kind of prediction, in the order of a table."""
+    """Return the titles of one-step prediction, prediction over the horizon [s], and simulation."""
     return "One step ahead", f"{seconds:g} s ahead", "Simulation"
 
 
 def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
-    """In the order of showing: what was not fitted convinces more."""
+    """Return role and data in the order of the page: validation data first, as they are stronger evidence."""
     return [*([] if validation is None else [("validation", validation)]), ("estimation", estimation)]
 
 
 def compared(errors: Errors) -> bool:
-    """Whether there is an error before."""
+    """Return whether any channel has an error before the effects were added."""
     tables = [table for _, table in by_role(errors.validation, errors.estimation)]
     kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.simulation)]
     return any(row.before is not None for kind in kinds for row in kind.values())
 
 
 def errors_section(errors: Errors, seconds: float) -> Section:
-    """One table for validation and one for estimation data."""
-    two = compared(errors)
-    table = _table if two else _alone
-    both = by_role(errors.validation, errors.estimation)
-    tabs = [(f"{role} data", table(horizons(data, seconds))) for role, data in both]
-    lead = "Root mean square of measured less predicted."
-    if two:
-        lead += " ▼ and ▲: fell or rose beyond the 95 % interval of the ratio."
-    return Section("errors", "Error before and after" if two else "Prediction error", tabbed(tabs), lead)
+    """Return the section of RMS prediction errors: one tab for validation data, one for estimation data.
+
+    Parameters
+    ----------
+    errors : Errors
+        Errors of one model, or of the models before and after effects were added.
+    seconds : float
+        Horizon [s].
+    """
+    has_before = compared(errors)
+    table = _before_after_table if has_before else _error_table
+    roles = by_role(errors.validation, errors.estimation)
+    tabs = [(f"{role} data", table(horizons(data, seconds))) for role, data in roles]
+    lead = "Root mean square of the difference of measured and predicted values."
+    if has_before:
+        lead += " ▼ and ▲: the error fell or rose; the 95 % interval of the ratio excludes 1."
+    return Section("errors", "Error before and after" if has_before else "Prediction error", tabbed(tabs), lead)
 
 
-def _table(kinds: Kinds) -> list[Any]:
+def _before_after_table(kinds: Kinds) -> list[Any]:
+    """Return the table of errors before and after, with their ratio."""
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
-    return _grouped(kinds, columns, _row)
+    return _grouped(kinds, columns, _before_after_cells)
 
 
-def _alone(kinds: Kinds) -> list[Any]:
-    """Of one model: its error, and how much of what was measured it explains."""
-    return _grouped(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _single)
+def _error_table(kinds: Kinds) -> list[Any]:
+    """Return the table of the errors of one model, with the fit in per cent."""
+    return _grouped(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _error_cells)
 
 
 def _grouped(
@@ -75,6 +84,7 @@ def _grouped(
     columns: tuple[tuple[str, str], ...],
     cells: Callable[[str, ErrorComparison], list[Cell | str]],
 ) -> list[Any]:
+    """Return a table with a group of rows for each kind of prediction; no block without rows."""
     lines: list[list[Cell | str]] = []
     for title, table in kinds:
         found = [cells(name, row) for name, row in table.items()]
@@ -82,7 +92,8 @@ def _grouped(
     return [Table(columns, lines)] if lines else []
 
 
-def _single(channel: str, row: ErrorComparison) -> list[Cell | str]:
+def _error_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
+    """Return channel, error, unit and fit."""
     factor, unit = formatting.degrees_for(row.unit)
     error = row.after
     fit = None if error is None or not row.spread else 1 - error / row.spread
@@ -95,11 +106,12 @@ def _single(channel: str, row: ErrorComparison) -> list[Cell | str]:
 
 
 def error_words(error: float | None) -> str:
-    """An RMS error that is not finite is of a prediction that diverged."""
+    """Return an RMS error as text; None (not finite in the computation) means that the prediction diverged."""
     return "diverged" if error is None else formatting.plain(error)
 
 
-def _row(channel: str, row: ErrorComparison) -> list[Cell | str]:
+def _before_after_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
+    """Return channel, error before and after, unit, ratio with its verdict, and its 95 % interval."""
     factor, unit = formatting.degrees_for(row.unit)
     before, after = formatting.scaled(factor, row.before, row.after)
     low, high = row.low, row.high
@@ -116,12 +128,12 @@ def _row(channel: str, row: ErrorComparison) -> list[Cell | str]:
 
 
 def next_section(words: str | None) -> Section:
-    """What to run next."""
+    """Return the section of the recommended experiment."""
     return Section("next", "Next experiment", [Prose(words, "callout")] if words else [])
 
 
 def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> Section:
-    """What was left out, what failed, what to know; then a line for each signal that the model does not take."""
+    """Return the section of the notes of a result and of the signals that the model does not use."""
     blocks: list[Any] = [Lines(list(lines))] if lines else []
     if unused:
         blocks += [Heading("Signals that are not used", ""), Lines([f"{s.signal}: {s.reason}" for s in unused])]
@@ -129,7 +141,7 @@ def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> 
 
 
 def made_section(made: Provenance) -> Section:
-    """Command, version, time."""
+    """Return the section of provenance: command, version of seatrial, time."""
     facts = (("Command", made.command), ("seatrial", made.seatrial), ("Time", formatting.moment(made.created)))
     found = [(label, value) for label, value in facts if value]
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])
@@ -139,31 +151,43 @@ COLUMNS = (
     ("channel", ""),
     ("inside 50 %", "num"),
     ("inside 95 %", "num"),
-    ("error / claimed", "num"),
+    ("error / predicted s.d.", "num"),
     ("95 %", "num"),
-    ("independent", "num"),
+    ("independent samples", "num"),
     ("", ""),
 )
 VERDICTS: dict[Verdict, Cell] = {
-    "right": Cell("✓ right", "good"),
-    "overconfident": Cell("▲ too sure", "bad"),
-    "underconfident": Cell("▼ too cautious", "weak"),
-    "insufficient_data": Cell("too few to say", "weak"),
+    "right": Cell("✓ calibrated", "good"),
+    "overconfident": Cell("▲ overconfident", "bad"),
+    "underconfident": Cell("▼ underconfident", "weak"),
+    "insufficient_data": Cell("too few samples", "weak"),
 }
 
 
 def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: float) -> Section:
-    """A table and three small reliability plots for each set of data; ``seconds``: the horizon."""
-    both = by_role(calibration.validation, calibration.estimation)
-    tabs = [(f"{role} data", _tables(canvas, role, data, seconds)) for role, data in both]
+    """Return the section of calibration: a table and reliability plots for validation and for estimation data.
+
+    Parameters
+    ----------
+    canvas : Canvas
+        Collector of the figures.
+    calibration : Calibrations
+        Coverage of the prediction intervals.
+    seconds : float
+        Horizon [s].
+    """
+    roles = by_role(calibration.validation, calibration.estimation)
+    tabs = [(f"{role} data", _calibration_blocks(canvas, role, data, seconds)) for role, data in roles]
     lead = (
-        "The model says how far off its predictions may be; here is whether they are. Right: as many errors inside the "
-        "bands as they promise, and error over claimed error about 1."
+        "The model predicts the standard deviation of its own errors. It is calibrated if 50 % and 95 % of the errors "
+        "are inside the 50 % and 95 % intervals, and if the errors over their predicted standard deviation are about "
+        "1. Overconfident: the intervals are too narrow. Underconfident: they are too wide."
     )
-    return Section("calibration", "Are the predicted bands right?", tabbed(tabs), lead)
+    return Section("calibration", "Calibration of the prediction intervals", tabbed(tabs), lead)
 
 
-def _tables(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -> list[Any]:
+def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -> list[Any]:
+    """Return the table of all kinds of prediction for one set of data, and a reliability plot for each kind."""
     lines: list[list[Cell | str]] = []
     plots = []
     for title, found in zip(titles(seconds), (data.one_step, data.horizon, data.simulation), strict=True):
@@ -172,12 +196,16 @@ def _tables(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -
         plots += [plot] if plot is not None else []
     if not lines:
         return []
-    note = "A simulation is one experiment: its errors are correlated, and few of them are independent."
-    drawn = "Shares of the errors inside the predicted bands against those promised; below the diagonal is too sure."
-    return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(drawn, "quiet"), Grid(plots, 220)] if plots else [])]
+    note = "The errors of a simulation are correlated in time, so that few of them are independent."
+    axes = (
+        "Share of the errors inside the prediction intervals over the nominal share. A curve below the diagonal is "
+        "overconfident."
+    )
+    return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(axes, "quiet"), Grid(plots, 220)] if plots else [])]
 
 
 def _line(channel: str, row: CalibrationRow) -> list[Cell | str]:
+    """Return the cells of one channel in the order of ``COLUMNS``."""
     low, high = row.low, row.high
     return [
         formatting.named(channel),
@@ -191,16 +219,20 @@ def _line(channel: str, row: CalibrationRow) -> list[Cell | str]:
 
 
 def _reliability(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:
-    """Central bands of 20, 40, ... 100 %, from the tenths of the predicted distribution."""
-    promised: Any = 0.2 * np.arange(6)
-    traces = [drawing.line_trace(promised, promised, "promised", 10, color=drawing.FAINT, dash="dot")]
+    """Return the reliability plot: empirical over nominal coverage of the central 20, 40, ... 100 % intervals.
+
+    The coverage is summed from the histogram of the probability integral transform, which has ten bins.
+    """
+    nominal: Any = 0.2 * np.arange(6)
+    traces = [drawing.line_trace(nominal, nominal, "nominal", 10, color=drawing.FAINT, dash="dot")]
     for i, (channel, row) in enumerate(found.items()):
         pit = row.pit
+        # each central interval adds one bin on either side of the median
         inside = np.append(0.0, np.cumsum((pit[:5] + pit[:4:-1])[::-1]))
         color, dash = drawing.LINES[i % 6], drawing.DASHES[i // 6 % 6]
-        traces.append(drawing.line_trace(promised, inside, formatting.symbol(channel), 10, color=color, dash=dash))
+        traces.append(drawing.line_trace(nominal, inside, formatting.symbol(channel), 10, color=color, dash=dash))
     if len(traces) == 1:
         return None
     axis = {"range": [0, 1], "tickformat": ".0%"}
-    figure = drawing.single(traces, "promised", "inside", xaxis=axis, yaxis=axis, showlegend=True)
+    figure = drawing.single(traces, "nominal", "inside", xaxis=axis, yaxis=axis, showlegend=True)
     return canvas.plot(figure, 260, f"Reliability, {title}", title)

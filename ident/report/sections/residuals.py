@@ -1,4 +1,4 @@
-"""Residuals: is anything left in the innovations, and do they still know the inputs?"""
+"""Section of residuals: whiteness of the innovations and their correlation with the inputs."""
 
 from __future__ import annotations
 
@@ -14,33 +14,42 @@ from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs,
 from seatrial.ident.results import CorrelationTest, CrossCorrelation, FitResult, ResidualTests, WhitenessTests
 
 T = TypeVar("T", WhitenessTests, CorrelationTest)
-KOLMOGOROV_95 = 1.358  # of sqrt(m) times the largest distance of a cumulative periodogram (Bartlett 1955)
+# 95 % quantile of sqrt(m) times the largest distance of the cumulative periodogram of white noise from the diagonal,
+# for m frequencies (Bartlett 1955)
+KOLMOGOROV_95 = 1.358
 
 
 def section(canvas: Canvas, result: FitResult) -> Section:
-    """One tab a record: a table of verdicts, three plots a channel, and the correlations with the inputs."""
+    """Return the section of residuals: one tab per record.
+
+    A tab has the table of whiteness tests, three plots per channel, and the correlations with the inputs.
+    """
     tabs = []
     for tab in record_tabs([*result.residuals, *result.cross], roles_of(result.logs, result.traces)):
         rows, cross = of_record(result.residuals, tab), of_record(result.cross, tab)
         tabs.append((tab.title, _verdicts(rows) + _channels(canvas, rows, tab) + _cross(canvas, cross, tab)))
     if not any(blocks for _, blocks in tabs):
         return Section("residuals", "", [])
-    lead = "One-step prediction errors in units of their predicted standard deviation. Of a complete model they are "
-    lead += "white: inside the grey bands in 95 of 100 cases. Each channel is judged alone, by both tests together at "
-    lead += "1 % (Bonferroni): ✗ where either p is below 0.5 %. The answer weighs all channels together."
-    two = any(r.after is not None for r in result.residuals) or any(c.after is not None for c in result.cross)
-    key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if two else []
+    lead = (
+        "One-step prediction errors divided by their predicted standard deviation. The residuals of a complete model "
+        "are white: 95 % of the values are inside the grey bands. Each channel is tested alone, by both tests "
+        "together at 1 % (Bonferroni): ✗ if either p is below 0.5 %. The answer at the top tests all channels "
+        "together."
+    )
+    compared = any(r.after is not None for r in result.residuals) or any(c.after is not None for c in result.cross)
+    key = [Key([("before-dots", "before"), ("after-dots", "after the effects were added")])] if compared else []
     return Section("residuals", "Residuals", [*key, *tabbed(tabs)], lead)
 
 
 def _versions(row: T, after: T | None) -> list[tuple[str, T, str]]:
-    """(name, values, colour): before and after where there are both, else the one."""
+    """Return name, values and colour of the models before and after effects were added, or of the only model."""
     if after is not None:
         return [("before", row, drawing.BEFORE), ("after", after, drawing.MODEL)]
     return [("residual", row, drawing.MODEL)]
 
 
 def _verdicts(found: Sequence[ResidualTests]) -> list[Any]:
+    """Return the table of the whiteness tests of a record."""
     columns = (
         ("channel", ""),
         ("white", ""),
@@ -50,6 +59,7 @@ def _verdicts(found: Sequence[ResidualTests]) -> list[Any]:
 
 
 def _verdict(row: ResidualTests) -> list[Cell | str]:
+    """Return the cells of one channel: verdict, p values, number of outliers, largest residual."""
     versions: list[WhitenessTests] = [row] if row.after is None else [row, row.after]
     verdict = " → ".join("✓" if v.white else "✗" for v in versions)
     cells: list[Cell | str] = [
@@ -63,17 +73,19 @@ def _verdict(row: ResidualTests) -> list[Cell | str]:
     return [*cells, Cell(" → ".join(str(v.outliers) for v in versions), style), Cell(f"{largest} σ", "num")]
 
 
-def _channels(canvas: Canvas, rows: Sequence[ResidualTests], take: RecordTab) -> list[Any]:
+def _channels(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab) -> list[Any]:
+    """Return a heading and three plots for each channel."""
     blocks: list[Any] = []
     for row in rows:
         makers = (_over_time, _autocorrelation, _periodogram)
-        plots = [plot for make in makers if (plot := make(canvas, row, take))]
+        plots = [plot for make in makers if (plot := make(canvas, row, tab))]
         if plots:
             blocks += [Heading(formatting.titled(row.channel)), Grid(plots, 250)]
     return blocks
 
 
-def _over_time(canvas: Canvas, row: ResidualTests, take: RecordTab) -> Plot | None:
+def _over_time(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+    """Return the plot of the standardised innovations over time, None without finite values."""
     traces = []
     for name, values, color in _versions(row, row.after):
         t, e = row.t, values.e
@@ -86,42 +98,47 @@ def _over_time(canvas: Canvas, row: ResidualTests, take: RecordTab) -> Plot | No
         return None
     band = [_level(level) for level in (-drawing.Z95, drawing.Z95)]
     figure = drawing.single(traces, "time since the start of the record [s]", shapes=band, hovermode="closest")
-    return canvas.plot(figure, 210, _label("Innovations over time", row, take), "Standardised innovations")
+    return canvas.plot(figure, 210, _label("Innovations over time", row, tab), "Standardised innovations")
 
 
 def _level(y: float) -> dict[str, Any]:
+    """Return a dotted horizontal line at ``y``."""
     line = {"color": drawing.FAINT, "width": 1, "dash": "dot"}
     return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
 
 
-def _stretch(half: float) -> dict[str, Any]:
+def _level_band(half: float) -> dict[str, Any]:
+    """Return a grey horizontal band from ``-half`` to ``half``."""
     style = {"fillcolor": "#8a93a0", "opacity": 0.22, "line": {"width": 0}, "layer": "below"}
     return {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half, **style}
 
 
-def _label(what: str, row: ResidualTests, take: RecordTab) -> str:
-    return f"{what}, {formatting.named(row.channel)}, {take.title}"
+def _label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
+    return f"{plot}, {formatting.named(row.channel)}, {tab.title}"
 
 
 def _stems(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
+    """Return a trace of markers joined by a thin line; the trace named "before" is open and dotted."""
     marker = {"color": color, "size": 5, "symbol": "circle-open" if name == "before" else "circle"}
     line = {"color": color, "width": 1, "dash": "dot" if name == "before" else "solid"}
-    where = {"x": drawing.packed(x), "y": drawing.packed(y)}
-    return {"type": "scatter", "mode": "lines+markers", "name": name, "marker": marker, "line": line, **where}
+    coordinates = {"x": drawing.packed(x), "y": drawing.packed(y)}
+    return {"type": "scatter", "mode": "lines+markers", "name": name, "marker": marker, "line": line, **coordinates}
 
 
-def _autocorrelation(canvas: Canvas, row: ResidualTests, take: RecordTab) -> Plot | None:
+def _autocorrelation(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+    """Return the plot of the autocorrelation over the lag [s], None without finite values."""
     traces = []
     for name, values, color in _versions(row, row.after):
         if drawing.drawable(values.acf) is not None and values.acf.size == row.lags.size:
             traces.append(_stems(row.lags, values.acf, name, color))
     if not traces:
         return None
-    figure = drawing.single(traces, "lag [s]", shapes=[_stretch(row.band)])
-    return canvas.plot(figure, 210, _label("Autocorrelation", row, take), "Autocorrelation")
+    figure = drawing.single(traces, "lag [s]", shapes=[_level_band(row.band)])
+    return canvas.plot(figure, 210, _label("Autocorrelation", row, tab), "Autocorrelation")
 
 
-def _periodogram(canvas: Canvas, row: ResidualTests, take: RecordTab) -> Plot | None:
+def _periodogram(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+    """Return the plot of the cumulative periodogram with its 95 % band, None without finite values."""
     traces, top = [], 0.0
     for name, values, color in _versions(row, row.after):
         x, y = row.frequency, values.cumulative
@@ -136,10 +153,11 @@ def _periodogram(canvas: Canvas, row: ResidualTests, take: RecordTab) -> Plot | 
     ends, low, high = np.array([0.0, top]), np.array([-half, 1 - half]), np.array([half, 1 + half])
     traces.insert(0, drawing.between(ends, low, high, color=drawing.FAINT, opacity=0.22))
     figure = drawing.single(traces, "frequency [Hz]", yaxis={"range": [-0.05, 1.05]}, xaxis={"range": [0, top]})
-    return canvas.plot(figure, 210, _label("Cumulative periodogram", row, take), "Cumulative periodogram")
+    return canvas.plot(figure, 210, _label("Cumulative periodogram", row, tab), "Cumulative periodogram")
 
 
-def _cross(canvas: Canvas, rows: Sequence[CrossCorrelation], take: RecordTab) -> list[Any]:
+def _cross(canvas: Canvas, rows: Sequence[CrossCorrelation], tab: RecordTab) -> list[Any]:
+    """Return a plot of the cross-correlation for each pair of channel and input."""
     plots = []
     for row in rows:
         traces, p = [], []
@@ -148,10 +166,10 @@ def _cross(canvas: Canvas, rows: Sequence[CrossCorrelation], take: RecordTab) ->
                 traces.append(_stems(row.lags, values.z, name, color))
                 p.append(formatting.probability(values.p))
         if traces:
-            figure = drawing.single(traces, "lag [s]", shapes=[_stretch(drawing.Z95)])
+            figure = drawing.single(traces, "lag [s]", shapes=[_level_band(drawing.Z95)])
             channel, name = (formatting.symbol(word) for word in (row.channel, row.input))
             title = f"{channel} × {name}"
             shown = f"{title} · p {' → '.join(p)}"
-            plots.append(canvas.plot(figure, 180, f"Cross-correlation, {title}, {take.title}", shown))
-    note = "correlation in its standard deviations under independence, over the lag of the input"
-    return [Heading("With the inputs", note), Grid(plots, 250)] if plots else []
+            plots.append(canvas.plot(figure, 180, f"Cross-correlation, {title}, {tab.title}", shown))
+    note = "in units of the standard deviation that independent signals have, over the lag of the input"
+    return [Heading("Cross-correlation with the inputs", note), Grid(plots, 250)] if plots else []

@@ -1,4 +1,4 @@
-"""What was run, and measured against model: logs, inputs, channels over time, track."""
+"""Sections of the runs: logs and inputs, channels measured and predicted or simulated over time, and the track."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ TIME = "time since the start of the record [s]"
 
 
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
-    """Logs with their roles, and what the thrusters were told."""
+    """Return the section of the logs (role, duration, rig, mission, warnings) and of their inputs over time."""
     columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
     blocks: list[Any] = [Table(columns, [_log_row(row) for row in logs])] if logs else []
     if places := origin_lines(logs):
@@ -28,7 +28,7 @@ def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[Inp
         blocks.append(Lines(warnings, "warning"))
     tabs = record_tabs(inputs, roles_of(logs))
     blocks += tabbed([(tab.title, _inputs(canvas, of_record(inputs, tab), tab)) for tab in tabs])
-    return Section("run", "What was run", blocks)
+    return Section("run", "Runs and inputs", blocks)
 
 
 def _log_name(row: LogSummary) -> str:
@@ -48,6 +48,7 @@ def _log_row(row: LogSummary) -> list[Cell | str]:
 
 
 def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> list[Any]:
+    """Return the figure of the inputs of one record: one panel for each unit."""
     by_unit: dict[str, list[InputTrace]] = {}
     for row in inputs:
         by_unit.setdefault(row.unit, []).append(row)
@@ -71,20 +72,26 @@ def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> lis
 
 
 def prediction_section(canvas: Canvas, result: FitResult) -> Section:
-    """Every channel measured and predicted over the horizon, one tab a record: what the headline is about."""
+    """Return the section of channels measured and predicted over the horizon, one tab per record.
+
+    The errors of the headline are those of these predictions.
+    """
     seconds = result.horizon_seconds
     found = record_tabs(result.traces, roles_of(result.logs, result.traces))
     tabs = [(tab.title, _predicted(canvas, result, of_record(result.traces, tab), tab)) for tab in found]
     if not any(blocks for _, blocks in tabs):
         return Section("prediction", "", [])
     compared = any(row.horizon_before is not None for row in result.traces)
-    lead = f"Each sample from the state {seconds:g} s earlier and the inputs since; the fit is of all records of a set."
+    lead = (
+        f"Each value is predicted from the filtered state {seconds:g} s earlier and the inputs since then. "
+        "The fit in the panel titles is over all records with the same role."
+    )
     key = _key(f"predicted {seconds:g} s ahead", compared)
     return Section("prediction", f"Predicted {seconds:g} s ahead against measured", [key, *tabbed(tabs)], lead)
 
 
 def traces_section(canvas: Canvas, result: FitResult) -> Section:
-    """Every channel measured and simulated, and the track, one tab a record."""
+    """Return the section of channels measured and simulated, and of the track, one tab per record."""
     tabs = [
         (tab.title, _simulated(canvas, result, of_record(result.traces, tab), tab) + _track(canvas, result, tab))
         for tab in record_tabs([*result.traces, *result.track], roles_of(result.logs, result.traces))
@@ -93,28 +100,30 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
         return Section("traces", "", [])
     compared = any(row.before is not None for row in result.traces)
     lead = (
-        "From the inputs alone after the first 15 s: small errors of speed and heading add up in the position; the fit "
-        "is of all records of a set."
+        "After the first 15 s, the simulation uses the inputs alone, so that small errors of speed and heading "
+        "accumulate in the position. The fit in the panel titles is over all records with the same role."
     )
     return Section("traces", "Simulated against measured", [_key("simulated", compared), *tabbed(tabs)], lead)
 
 
 def _key(model: str, compared: bool) -> Key:
+    """Return the legend of measured and model curves; ``compared`` adds the model before the effects."""
     items = [("measured", "measured"), ("after", f"{model}, with 95 % interval")]
     return Key([*items, ("before", f"{model}, before the effects were added")] if compared else items)
 
 
 @dataclass(frozen=True)
 class _Curves:
-    """What is drawn of a channel beside its samples, at times t (n,) [s]: a model, its deviation sd, and another."""
+    """Model curves of one channel; all arrays are (n,), NaN for gaps."""
 
-    t: Array
+    t: Array  # s
     model: Array
-    sd: Array
-    before: Array | None
+    sd: Array  # standard deviation of the prediction
+    before: Array | None  # of the model before the effects were added
 
 
 def _predicted(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    """Return the figure of the predictions over the horizon for one record."""
     panels = []
     for row in rows:
         curves = _Curves(row.t_horizon, row.horizon, row.sd_horizon, row.horizon_before)
@@ -125,6 +134,7 @@ def _predicted(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: Re
 
 
 def _simulated(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    """Return the figure of the simulations of one record; a diverged simulation is cut at its divergence."""
     panels = []
     for row in rows:
         note, model, sd = _fit_note(_errors_of(result, row.role).simulation.get(row.channel)), row.model, row.sd
@@ -137,12 +147,12 @@ def _simulated(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: Re
 
 
 def _errors_of(result: FitResult, role: str) -> ErrorTable:
-    known, unseen = result.errors.estimation, result.errors.validation
-    return unseen if role == "validation" and unseen is not None else known
+    estimation, validation = result.errors.estimation, result.errors.validation
+    return validation if role == "validation" and validation is not None else estimation
 
 
 def _fit_note(row: ErrorComparison | None) -> str:
-    """Fit in per cent, before and after."""
+    """Return the fit in per cent, before and after if both are known; empty if the output is constant."""
     if row is None or not row.spread:
         return ""
     errors = (row.after,) if row.before is None else (row.before, row.after)
@@ -150,15 +160,18 @@ def _fit_note(row: ErrorComparison | None) -> str:
 
 
 def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> list[Any]:
+    """Return the figure of the panels, with a caption if the vertical range of any is limited."""
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
     plots = [Grid([canvas.plot(figure, height, label)], 320)]
-    cut = "Cut where an interval or a curve leaves the frame; a double click shows all of it."
+    cut = "The vertical range is limited: part of an interval or curve is outside. Double-click to show all of it."
+    # panels of angles have a fixed range and ticks
     return [*plots, Prose(cut, "caption")] if any("range" in p.y and "dtick" not in p.y for p in panels) else plots
 
 
 def _channel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
+    """Return the panel of one channel: measurements, model with 95 % band, and model before; None without values."""
     limit = canvas.budget.points
     factor, unit = formatting.degrees_for(row.unit)
     found = (drawing.drawable(a) for a in (row.measured, curves.model, curves.sd, curves.before))
@@ -187,28 +200,33 @@ def _channel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.
 
 
 def _wrapped(angle: Array | None, turn: float | None) -> Array | None:
-    """Within half a turn of zero."""
+    """Return an angle wrapped to half a ``turn`` about zero; other signals are returned unchanged."""
     return angle if angle is None or turn is None else np.mod(angle + turn / 2, turn) - turn / 2
 
 
 def _frame(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
-    """Limits of y where curves that ran away would squeeze what is shown to a line; None where they do not."""
+    """Return limits of the vertical axis that keep the curves ``shown`` readable, None if none are needed.
+
+    Limits are needed if the curves ``wide`` exceed the span of the others by more than that span on a side.
+    """
     least, most = _span(shown)
-    room = 0.5 * (most - least)
+    margin = 0.5 * (most - least)
     low, high = _span([*shown, *wide])
-    if not room > 0.0 or (low >= least - 2.0 * room and high <= most + 2.0 * room):
+    if not margin > 0.0 or (low >= least - 2.0 * margin and high <= most + 2.0 * margin):
         return None
-    return [max(low, least - room), min(high, most + room)]
+    return [max(low, least - margin), min(high, most + margin)]
 
 
 def _span(curves: list[Array | None]) -> tuple[float, float]:
+    """Return the smallest and largest finite value of all curves, NaN without any."""
     finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
     every = np.concatenate(finite) if finite else np.empty(0)
     return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
 def _track(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
-    plots, of = [], origin_words(result.logs, tab.name)
+    """Return the plot of the track of a record: measured, simulated, and simulated before the effects."""
+    plots, origin = [], origin_words(result.logs, tab.name)
     for row in of_record(result.track, tab):
         styles = (
             ("measured", row.x_measured, row.y_measured),
@@ -218,12 +236,13 @@ def _track(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
         traces = [t for style, x, y in styles for t in _path(style, x, y, canvas.budget.points)]
         if traces:
             equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
-            figure = drawing.single(traces, f"east{of} [m]", f"north{of} [m]", hovermode="closest", yaxis=equal)
+            figure = drawing.single(traces, f"east{origin} [m]", f"north{origin} [m]", hovermode="closest", yaxis=equal)
             plots.append(canvas.plot(figure, 420, f"Track, {tab.title}", "Track, north up"))
     return [Grid(plots, 320, "narrow" if len(plots) == 1 else "")] if plots else []
 
 
 def _path(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
+    """Return the trace of a path [m] and a marker at its start; ``style`` is measured, before or model."""
     if north is None or east is None:
         return []
     good = np.isfinite(north) & np.isfinite(east)
@@ -235,8 +254,8 @@ def _path(style: str, north: Array | None, east: Array | None, limit: int) -> li
         "before": {"color": drawing.BEFORE, "width": 1.6, "dash": "dash"},
         "model": {"color": drawing.MODEL, "width": 1.8},
     }[style]
-    where = {"x": drawing.packed(east[at]), "y": drawing.packed(north[at])}
+    coordinates = {"x": drawing.packed(east[at]), "y": drawing.packed(north[at])}
     start = {"type": "scatter", "mode": "markers", "x": [float(east[at[0]])], "y": [float(north[at[0]])]}
     marker = {"symbol": "circle-open", "size": 9, "color": line["color"], "line": {"width": 2}}
-    path = {"type": "scatter", "mode": "lines", "name": style, **where, "line": line}
+    path = {"type": "scatter", "mode": "lines", "name": style, **coordinates, "line": line}
     return [path, {**start, "name": f"{style}, start", "marker": marker}]

@@ -1,4 +1,4 @@
-"""The search: what was tried in each round, what was chosen and why, and the forces that were unexplained."""
+"""Section of the search for effects: candidates and refits of each round, residual forces, nonparametric curves."""
 
 from __future__ import annotations
 
@@ -11,26 +11,29 @@ from seatrial.ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, 
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
 from seatrial.ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
 
-SHOWN = 14
+MAX_BARS = 14
 OUTCOMES = {
     "added": "added",
-    "outranked": "accepted; another explains more",
-    "small": "small beside what was found",
-    "not-supported": "does not pay for its parameters",
-    "not-validated": "validation data do not support it",
+    "outranked": "accepted, but another effect explains more",
+    "small": "small compared with the effects found before",
+    "not-supported": "gain too small for its number of parameters",
+    "not-validated": "not supported by validation data",
     "worse-prediction": "prediction is worse with it",
-    "no-better-prediction": "prediction is no better with it",
+    "no-better-prediction": "prediction is not better with it",
 }
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
-    """Rounds in tabs; then residual forces and nonparametric effects."""
+    """Return the section of the search: a tab per round, then residual forces and nonparametric curves."""
     found, removed = result.rounds, {row.name for row in result.removed_effects}
     rounds = [(_round_title(i, row, removed), _round(row, removed)) for i, row in enumerate(found, 1)]
     blocks: list[Any] = tabbed(rounds)
     blocks += _forces(canvas, result) + _curves(canvas, result.nonparametric_effects)
-    lead = "Every candidate is tested on the residual at once, the best are fitted, validation data decide."
-    return Section("search", "The search", blocks, lead if found else "")
+    lead = (
+        "Each round tests all candidates on the residuals (score test) and refits the model with the best of them. "
+        "Validation data decide whether an effect is added."
+    )
+    return Section("search", "Search for missing effects", blocks, lead if found else "")
 
 
 def _round_title(i: int, row: Round, removed: Collection[str]) -> str:
@@ -38,17 +41,26 @@ def _round_title(i: int, row: Round, removed: Collection[str]) -> str:
 
 
 def _round(row: Round, removed: Collection[str]) -> list[Any]:
+    """Return the blocks of one round; ``removed`` names the effects that were removed later."""
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
-        blocks.append(Prose("It was removed again: beside the others it does not pay; see the notes.", "why"))
+        words = "This effect was removed again: with the other effects in the model it adds too little; see the notes."
+        blocks.append(Prose(words, "why"))
     chosen = None if row.chosen in removed else row.chosen
     return blocks + ranking(row, chosen) + _refits(row, chosen)
 
 
 def ranking(row: Round, chosen: str | None) -> list[Any]:
-    """The best candidates on a logarithmic axis."""
-    every = [c for c in row.candidates if c.lm > 0]
-    best = every[:SHOWN]
+    """Return the bar chart of the best candidates of a round on a logarithmic axis.
+
+    Parameters
+    ----------
+    row : Round
+        Round with its candidates in order.
+    chosen : str, optional
+        Name of the effect that was added.
+    """
+    best = [c for c in row.candidates if c.lm > 0][:MAX_BARS]
     if not best:
         return []
     sizes = [c.lm for c in best]
@@ -57,22 +69,24 @@ def ranking(row: Round, chosen: str | None) -> list[Any]:
     high = max(*sizes, *limits) * 1.25
 
     def at(value: float) -> float:
+        """Return the position of a statistic on the axis, in per cent of the track's width."""
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
     bars = [_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
     decades = range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
     caption = (
-        f"{row.passed} of {row.tested} candidates passed the score test; the {len(best)} best by their statistic over "
-        "its degrees of freedom; shown is the statistic (χ², logarithmic axis), with the threshold for as many tests "
-        "as were made"
+        f"{row.passed} of {row.tested} candidates passed the score test. Shown are the {len(best)} candidates with the "
+        "largest statistic per degree of freedom. The bar is the statistic (χ², logarithmic axis); the line is its "
+        "threshold, which accounts for the number of tests."
     )
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
 
 def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
+    """Return the bar of one candidate; ``width`` and ``limit`` are positions in per cent of the track's width."""
     p, p_block = (formatting.probability(value) for value in (candidate.p, candidate.p_block))
-    numbers = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df, p {p}, by blocks {p_block}"
+    numbers = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df, p {p}, block-robust {p_block}"
     name = candidate.name
     return Bar(
         candidate.title or name,
@@ -87,21 +101,24 @@ def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -
 
 
 def _refits(row: Round, chosen: str | None) -> list[Any]:
+    """Return the table of the refits of a round."""
     found = row.refits
     columns = (
         ("refitted with", ""),
-        ("its parameters", ""),
+        ("effect parameters", ""),
         ("gain 2 Δln L", "num"),
         ("df", "num"),
         ("criterion", "num"),
-        ("on validation data Δln L", "num"),
+        ("Δln L on validation data", "num"),
         ("t", "num"),
         ("outcome", ""),
     )
-    return [Heading("Refits of the best"), Table(columns, [_refit(r, chosen) for r in found])] if found else []
+    heading = Heading("Refits with the best candidates")
+    return [heading, Table(columns, [_refit(r, chosen) for r in found])] if found else []
 
 
 def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
+    """Return the cells of one refit."""
     parameters = []
     for p in row.parameters:
         factor, unit = formatting.degrees_for(p.unit)
@@ -123,6 +140,7 @@ def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
 
 
 def _forces(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
+    """Return the residual forces over time, one tab per record; no blocks if no force has finite values."""
     forces = result.residual_forces
     found = record_tabs(forces, roles_of(result.logs, result.traces))
     tabs = [(tab.title, _force_tab(canvas, of_record(forces, tab), tab)) for tab in found]
@@ -130,11 +148,12 @@ def _forces(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
         return []
     after = any(row.after_mean is not None for row in forces)
     items = [("before", "before"), ("after", "after the effects were added")] if after else [("before", "estimate")]
-    note = "what the model does not explain, smoothed, with 95 % bands"
+    note = "smoothed forces that the model does not explain, with 95 % bands"
     return [Heading("Residual forces", note), Key(items), *tabbed(tabs)]
 
 
 def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) -> list[Any]:
+    """Return the figure of the residual forces of one record."""
     panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
@@ -143,6 +162,7 @@ def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) 
 
 
 def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
+    """Return the panel of one force before and after the effects were added, None without finite values."""
     limit, traces = canvas.budget.points, []
     mean, sd, after_mean, after_sd = map(drawing.drawable, (row.mean, row.sd, row.after_mean, row.after_sd))
     for middle, half, name, color, dash in (
@@ -159,6 +179,7 @@ def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
 
 
 def _curves(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
+    """Return a plot of each nonparametric curve: residual force or sensor error over one variable."""
     plots = []
     for row in curves:
         if drawing.drawable(row.value) is None:
@@ -175,5 +196,8 @@ def _curves(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
         y_title = force + formatting.bracket(y_unit)
         figure = drawing.single(traces, variable + formatting.bracket(unit), y_title)
         plots.append(canvas.plot(figure, 280, f"{force} over {variable}", f"{force} over {variable}"))
-    note = "what is unexplained over one variable, as the data draw it; 95 % bands hold the whole curve"
-    return [Heading("What the data draw", note), Grid(plots, 320)] if plots else []
+    note = (
+        "unexplained force or sensor error over one variable, estimated from the data; "
+        "the 95 % band contains the whole curve"
+    )
+    return [Heading("Nonparametric curves", note), Grid(plots, 320)] if plots else []

@@ -71,7 +71,7 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     assert np.abs(n[at, 0] - np.array(result["inputs"][0]["value"][:-1])).max() < 0.45  # within a row of the same ramps
     page = out.with_suffix(".html").read_text(encoding="utf-8")
     assert re.search(r'<td class="symbol[^"]*">m_u</td>', page)  # alone: beside its meaning it is five lines on a phone
-    for words_ in ("What will be known", "Where the boat goes", "Against random sequences", "PRBS"):
+    for words_ in ("Expected standard errors", "Predicted track", "Comparison with random sequences", "PRBS"):
         assert words_ in page
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 

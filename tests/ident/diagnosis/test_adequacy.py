@@ -288,7 +288,7 @@ def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
     write_report(loaded(result), tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("The name is uncertain: a lag explains nearly as much.") == 1
-    assert "it resembles this; a lag explains nearly as much; not excluded: lag" in page
+    assert "ambiguous; a lag explains nearly as much; not excluded: lag" in page
     console = Console(width=80, record=True, file=StringIO())
     print_result(loaded(result), console)
     assert "The name is uncertain: a lag explains nearly as much." in console.export_text()

@@ -210,7 +210,7 @@ def test_a_sideslip_that_is_left_out_is_noise_of_both_axes() -> None:
     ):
         assert noise[names[0]] == pytest.approx(noise[names[1]]) == pytest.approx(math.hypot(own, whole / math.sqrt(2)))
     assert c.silent == ("stamp_error_left", "stamp_error_right")
-    assert "do nothing at rest: stamp_error_left, stamp_error_right." in " ".join(export(saved(model), "c").split())
+    assert "have no effect at rest: stamp_error_left, stamp_error_right." in " ".join(export(saved(model), "c").split())
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -119,14 +119,14 @@ def test_the_answer_is_one_sentence() -> None:
     rows = report.findings
     ok = tuple(row for row in rows if row.level == "ok")
     warned = tuple(row for row in rows if row.level != "fault")
-    assert check_answer(replace(report, findings=ok)) == "boat.toml is ready: 2 checks, nothing wrong."
+    assert check_answer(replace(report, findings=ok)) == "boat.toml is ready: 2 checks, no faults or warnings."
     assert (
         check_answer(replace(report, findings=warned))
-        == "Nothing stops a run with boat.toml; look first at gnss (late)."
+        == "boat.toml can be used for a run; check the warnings first: gnss (late)."
     )
-    assert check_answer(CheckReport("a.mcap", ok)) == "a.mcap is in order: 2 checks, nothing wrong."
+    assert check_answer(CheckReport("a.mcap", ok)) == "a.mcap is in order: 2 checks, no faults or warnings."
     assert check_answer(replace(report, findings=3 * rows[:2])).endswith(
-        "difference. Faulty as well: gnss (rate), left and right (sides), gnss (rate) and 2 more."
+        "difference. Other faults: gnss (rate), left and right (sides), gnss (rate) and 2 more."
     )
 
 

@@ -259,7 +259,7 @@ def test_a_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[s
 
 def test_the_terminal_says_the_units_of_outages() -> None:
     words = " ".join(printed(KINDS["navigation"]()).split())
-    assert "from [s] for [s] 95 % radius [m] off by [m] allowed [m]" in words
+    assert "from [s] for [s] 95 % radius [m] error [m] allowed [m]" in words
 
 
 def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
@@ -299,7 +299,7 @@ def test_an_effect_that_was_removed_again_is_not_shown_as_added(small: dict[str,
     page.mkdir()
     words = " ".join(Page(written(result, page)).words.split())
     assert f"Round 1: {name}, removed again" in words
-    assert "It was removed again" in words
+    assert "This effect was removed again" in words
 
 
 def test_errors_that_are_statistical_only_are_marked_on_the_page_too(small: dict[str, Any], tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ def test_what_misses_stands_out(tmp_path: Path) -> None:
     assert {style for style in styles if "bad" in style} == {"bad wide"}  # a sentence, in a row of numbers
     words = " ".join(page.words.split())
     assert "in 93 % to 97 % of the fits" in words
-    assert "No replicate can be judged." in words
+    assert "No replicate can be evaluated." in words
     assert "−0.170 ± 0.040" in words
     assert "89.0 (87.0 to 91.0) %" in words
     figures = list(page.figures().values())

@@ -190,7 +190,7 @@ def test_fits_that_failed_or_did_not_converge_are_in_the_verdict() -> None:
         one = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
         assert says in study.study_answer(one)
         text = as_text(msgspec.structs.replace(result, studies=(one,)))
-        assert ("not in the numbers: " in text) == bool(failed + unconverged)
+        assert ("left out of the table: " in text) == bool(failed + unconverged)
     assert study.study_answer(none) == "none: no replicate can be judged: 1 did not converge."
 
 

@@ -156,9 +156,10 @@ def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: 
         assert row["what"] in ("turns", "straight ahead")
     assert "turns" in result["answer"] or "Only" in result["answer"]
     assert re.search(r"one, 60 to 90 s \(turns\)", said)
-    assert "What these logs tell" in said
+    assert "Information of these logs" in said
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
-    for words in ("Information in logs", "What these logs tell", "Segment by segment", "heatmap", "hangs most on"):
+    titles = ("Information in logs", "Information of these logs", "Segment by segment")
+    for words in (*titles, "heatmap", "depends most on"):
         assert words in page
     assert "Inputs" in page
 
