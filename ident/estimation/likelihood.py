@@ -91,7 +91,7 @@ class FilterResult:
     allowed : Array (n_outputs,) of bool
         Outputs with the outlier model; None if no output has it.
     left : Array (n_rows, n_outputs) of bool
-        Outliers that were removed before the first measurement that the filter was given.
+        Outliers before the first measurement, which the filter skips.
     """
 
     t: Array
