@@ -450,7 +450,8 @@ def _report(
     message = (
         f"converged in {optimum.iterations} iterations"
         if converged
-        else f"stopped after {optimum.iterations} iterations; its log-posterior can still rise by {optimum.gain_left:.3g}"
+        else f"stopped after {optimum.iterations} iterations; "
+        f"its log-posterior can still rise by {optimum.gain_left:.3g}"
     )
     return Fit(
         model=model,

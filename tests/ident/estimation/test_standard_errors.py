@@ -25,7 +25,10 @@ def test_a_bound_that_is_just_reached_widens_as_if_it_were_not_there() -> None:
     assert found.errors[0] == pytest.approx(1.0)
     assert np.isnan(found.errors[1])
     assert found.limits[1] == pytest.approx(1.96, abs=1e-3)
-    assert found.flags == (("b", "at its bound"), ("a", "its error is 3.2 times as large because b may leave its bound"))
+    assert found.flags == (
+        ("b", "at its bound"),
+        ("a", "its error is 3.2 times as large because b may leave its bound"),
+    )
 
 
 def test_a_step_that_ends_on_a_bound_but_for_its_rounding_is_at_it() -> None:
