@@ -158,7 +158,7 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
 
 
 def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
-    """Return a thrust coefficient of a thruster's model. Raise SeatrialError if the bench test does not determine it."""
+    """Return a coefficient of a thruster model. Raise SeatrialError if the bench test does not determine it."""
     if name not in bench.model.values:
         raise SeatrialError(f"{path}: has no {name}: a model with a load cell's force is needed")
     p = bench.model.parameter(name)
