@@ -168,6 +168,6 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
 
 
 def dynamic_parameters(model: Model) -> list[str]:
-    """Return the names of the free parameters that all records share, except those of noise."""
+    """Return the names of the free parameters that all records share, except those of noise and disturbances."""
     noise = model.noise_parameters
     return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]
