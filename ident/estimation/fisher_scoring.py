@@ -458,11 +458,11 @@ class Problem:
 
         It costs less than the information of all.
         """
-        slope, wanted, n = self.slopes(z), set(which.tolist()), len(self.free)
+        slope, selected, n = self.slopes(z), set(which.tolist()), len(self.free)
         total = np.diag(self.prior[1])
 
         def chosen(i: int) -> list[int]:
-            return [k for k in range(n) if self.places[i][k] in wanted]
+            return [k for k in range(n) if self.places[i][k] in selected]
 
         rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, [self.free[k] for k in chosen(i)]), z)
         for i, scores in enumerate(rows):
@@ -478,6 +478,7 @@ class Problem:
         """
 
         def work(i: int, v: Array) -> float:
+            """Return the log-likelihood of record i, from the last call if its values are the same."""
             last, known = self._last_values.get(i, (None, 0.0))
             if last is None or not np.array_equal(last, v):
                 known = self.likelihood.value(self.records[i], v)

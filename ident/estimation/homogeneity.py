@@ -208,6 +208,7 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
         return float("nan"), float("nan"), float("nan")
 
     def mean_of(tau: float) -> tuple[float, float, float]:
+        """Return mean, its information and the restricted log-likelihood for a scatter tau."""
         W = np.linalg.inv(V + tau**2 * np.eye(m.size))
         information = float(W.sum())
         mean = float(W.sum(axis=0) @ m) / information
@@ -232,7 +233,7 @@ def between_runs(fitted: Fit) -> dict[str, Effect]:
     """
     if len(fitted.records) < 2:
         return {}
-    model, stuck = fitted.model, {n for n, what in fitted.flags if what in (AT_BOUND, VAGUE)}
+    model, stuck = fitted.model, {n for n, flag in fitted.flags if flag in (AT_BOUND, VAGUE)}
     names = [PAYLOAD] if {"m_u", "m_v"} <= set(model.values) else []
     names += [THRUST] if "c1" in model.values else []
     found = {p.name for p in fitted.parameters if p.segment is None} - model.noise_parameters - stuck
@@ -291,20 +292,24 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     return _between(target, f"a difference of {meaning} between runs", change, factor, formula)
 
 
-def _between(what: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str) -> Effect:
+def _between(target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str) -> Effect:
     """Return the between-run effect of one per-record parameter.
 
     Parameters
     ----------
-    what
-        Second part of the effect's name.
+    target
+        What differs: second part of the effect's name.
+    title
+        Title of the effect.
     change
-        Changes the parameters in the signals of a model.
+        Changes the parameters in a model's signals.
     own
         The per-record parameter.
+    formula
+        Formula of the effect in words.
     """
     return Effect(
-        BETWEEN + what,
+        BETWEEN + target,
         title,
         {PARAMETERS: change},
         (own,),

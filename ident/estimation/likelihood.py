@@ -24,8 +24,8 @@ from seatrial.ident.model import LIKELY, Model, robust_weight
 from seatrial.ident.numerics import Array
 
 # The adjoint filter needs 4 kB for each row, and the covariances another 4 kB. A record of more than WHOLE rows is
-# therefore processed in pieces. Only one piece is in memory; the others keep the state at their start and are run again
-# when needed. A piece fits into the cache of the processor.
+# therefore processed in pieces of PIECE rows. Only one piece is in memory. Of the others only the state at their start
+# is kept, from which the filter runs again when needed. A piece fits into the cache of the processor.
 WHOLE, PIECE = 16384, 1024  # rows
 
 
@@ -287,6 +287,7 @@ class Likelihood:
         outputs, pieces = len(self.model.outputs), _pieces(data.n_rows)
 
         def run(rows: slice, s: Array) -> dict[str, Array]:
+            """Run the filter over a slice of rows from the state s at its start."""
             sensor_arrays = {
                 f"{kind}{bit}": np.full((rows.stop - rows.start, len(sensor.outputs)), np.nan)
                 for bit, sensor in enumerate(self.model.sensors)
@@ -308,6 +309,7 @@ class Likelihood:
         last = {len(pieces) - 1: _covariances(done, n)}  # covariances of the piece that was requested last
 
         def covariances(requested: slice) -> Covariances:
+            """Return the covariances of the requested rows. Run the filter again for pieces that are not in memory."""
             first, end, _ = requested.indices(n_rows)
             parts = []
             for k, rows in enumerate(pieces):

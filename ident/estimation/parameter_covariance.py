@@ -74,8 +74,8 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
         parameters are then known by other means.
     """
     noise, parameters = fit.model.noise_parameters, list(fit.model.parameters)
-    wanted = [p.name not in noise if p.segment is None else p.segment == record for p in fit.parameters]
-    at = [i for i, w in enumerate(wanted) if w and np.isfinite(fit.errors[i])]
+    selected = [p.name not in noise if p.segment is None else p.segment == record for p in fit.parameters]
+    at = [i for i, w in enumerate(selected) if w and np.isfinite(fit.errors[i])]
     names = [p.name for p in parameters]
     columns = tuple(names.index(fit.parameters[i].name) for i in at)
     slopes = np.array([parameters[c].slope(float(fit.values[i])) for c, i in zip(columns, at, strict=True)])
