@@ -86,6 +86,8 @@ class RecordEvaluation:
 
     Attributes
     ----------
+    model, record
+        The model with its estimates, and the record.
     values : Array (n_parameters,)
         The estimates for this record, over ``model.parameters`` in order.
     """
@@ -172,12 +174,21 @@ def fit_with_rescaling(
     declared noise of the sensors. If that fit fails, does not converge or is much less likely than the first, it is
     repeated from the shared estimates of the first fit.
 
+    Parameters
+    ----------
+    full
+        The model of `nominal`.
+    records, unseen
+        Estimation and validation data.
+    options
+        Plain maximum likelihood by default.
+
     Returns
     -------
     FittedModel
-        The first refit that has converged and is about as likely as the first fit; otherwise the best refit. It is the
-        first fit if no second one is needed. It is also the first fit if this alone has converged and the declared
-        noise is not contradicted.
+        The first fit if no second one is needed. Otherwise the first refit that has converged and is about as likely as
+        the first fit, or else the best refit. If only the first fit has converged, it is returned, except if the
+        declared noise is contradicted.
 
     Raises
     ------
@@ -185,8 +196,8 @@ def fit_with_rescaling(
         If no refit can be evaluated.
     """
     stage = fit_and_evaluate(full, records, unseen, options)
-    assumed, found, as_declared = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
-    again = as_declared
+    assumed, found, noise_revised = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
+    again = noise_revised
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
     if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         again = rescale(again, found)
@@ -205,7 +216,7 @@ def fit_with_rescaling(
             return refits[-1]
     best = max(refits, key=lambda refit: (refit.fit.converged, refit.fit.log_posterior))
     lost = first.converged and not best.fit.converged
-    return stage if lost and as_declared is full else best
+    return stage if lost and noise_revised is full else best
 
 
 def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:
