@@ -97,7 +97,9 @@ def free_start(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str
     begin
         Initial values ``x0_NAME@RECORD`` from the first samples.
 
-    Notes ----- Without process noise an error of the initial state persists through the whole record and biases the
+    Notes
+    -----
+    Without process noise an error of the initial state persists through the whole record and biases the
     dynamics. The noise of a first sample would be such an error.
     """
     spread = {s.name: model.values[s.sd0] if isinstance(s.sd0, str) else s.sd0 for s in model.states}

@@ -174,7 +174,9 @@ def _beside_bounds(
     flags : list of (name, remark)
         Parameters whose standard error becomes much larger.
 
-    Notes ----- If the parameter is held at its bound, the intervals of the others are too short: with a quadratic
+    Notes
+    -----
+    If the parameter is held at its bound, the intervals of the others are too short: with a quadratic
     damping at zero, the 95 % interval of the linear damping held the truth in 89 % of the cases. If the bound is
     ignored, they are too long.
 

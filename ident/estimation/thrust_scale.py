@@ -126,8 +126,7 @@ def pose_scale(model: Model) -> Model:
 
     - If c2 was not given, it gets a wide prior around zero.
     - If no arm was given, the two arms become one symmetric arm, which the Munk moment determines. If one was given,
-    the
-      other mirrors it.
+      the other mirrors it.
     - If c1 was not given but a mass was, c1 is estimated. If neither was given, c1 keeps its built-in value, and the
       estimates are ratios to it.
     """
@@ -268,9 +267,11 @@ def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     list of (parameter, estimate, distance)
         The distance between data and prior is in standard deviations.
 
-    Notes ----- An estimate is the mean of what the data determine and of the prior, weighted by their informations.
-    With the prior's share w of the information, the two differ by ``(estimate - mean) / (sd sqrt(1 - w))`` of their
-    common standard deviation.
+    Notes
+    -----
+    An estimate is the mean of what the data determine and of the prior, weighted by their informations. With the
+    prior's share w of the information, the two differ by ``(estimate - mean) / (sd sqrt(1 - w))`` of their common
+    standard deviation.
     """
     found = []
     given_origins = {ParameterOrigin.MEASURED, ParameterOrigin.PRIOR}
