@@ -317,6 +317,24 @@ def refine_lbfgsb(
 
     The coordinates are scaled by the information. The search ends if a step gains a small share of the ``tolerance``,
     so that a rough fit does not spend hundreds of steps on it.
+
+    Parameters
+    ----------
+    value_and_gradient
+        The objective and its gradient (n,).
+    start
+        Point at which Fisher scoring ended.
+    bounds
+        Bounds of the coordinates.
+    evaluate
+        The objective with all derivatives.
+    tolerance
+        Tolerance of the fit.
+
+    Returns
+    -------
+    Optimum
+        The start, if no better point was found.
     """
     from scipy import optimize  # imported here: it takes half a second and is seldom needed
 
@@ -385,15 +403,16 @@ class Problem:
         copies = [replace(model.parameter(n), segment=i) for i in range(len(records)) for n in own]
         self.parameters = (*(model.parameter(n) for n in shared), *copies)
         self.names = tuple(p.full_name for p in self.parameters)
-        self.columns = [index[p.name] for p in self.parameters]
+        # columns[k]: index of coordinate k's parameter in model.parameters
         # places[i]: indices of record i's free parameters among the coordinates
+        self.columns = [index[p.name] for p in self.parameters]
         first = len(shared)
         self.places = [
             [*range(first), *range(first + i * len(own), first + (i + 1) * len(own))] for i in range(len(records))
         ]
         self.base = np.array([p.value for p in model.parameters])
         self.threads = max(1, min(threads, len(records)))
-        self._last_values: dict[int, tuple[Array, float]] = {}
+        self._last_values: dict[int, tuple[Array, float]] = {}  # by record: values and result of the last `value`
 
     @cached_property
     def bounds(self) -> Bounds:
