@@ -453,8 +453,9 @@ class Problem:
         return np.array([p.slope(p.from_free(float(c))) for p, c in zip(self.parameters, z, strict=True)])
 
     def evaluate(self, z: Array) -> Evaluation:
-        """Return log-posterior, gradient and information by the coordinates. The information includes that of the
-        priors.
+        """Return log-posterior, gradient and information by the coordinates.
+
+        The information includes that of the priors.
         """
         mean, weight = self.prior
         value = 0.0

@@ -386,8 +386,9 @@ def _pieces(n_rows: int) -> list[slice]:
 
 
 def _symmetric(blocks: Array) -> Array:
-    """Return a symmetric matrix from blocks (groups, groups, width, width) of which those on and above the diagonal are
-    set.
+    """Return a symmetric matrix from its blocks (groups, groups, width, width).
+
+    Only the blocks on and above the diagonal are used.
     """
     groups, _, width, _ = blocks.shape
     upper = np.triu(blocks.swapaxes(1, 2).reshape(groups * width, groups * width))

@@ -288,8 +288,9 @@ def fit(
 
 
 def _check_data(problem: Problem) -> None:
-    """Raise ValueError if the model has no free parameter, or more free parameters without a prior than measured
-    values.
+    """Raise ValueError if the data cannot determine the free parameters.
+
+    The model must have a free parameter, and at least as many measured values as free parameters without a prior.
     """
     if not problem.names:
         raise ValueError(f"model {problem.model.name} has no free parameters")

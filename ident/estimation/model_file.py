@@ -113,8 +113,9 @@ class SavedModel:
         return float(np.hypot(self.errors[name], (self.calibration or 0.0) * self.model.parameter(name).value))
 
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
-        """Return the covariance of all estimates, or of those in ``wanted``. Estimates without a standard error are
-        left out.
+        """Return the covariance of all estimates, or of those in ``wanted``.
+
+        Estimates without a standard error are left out.
         """
         names = self.names if wanted is None else [n for n in self.names if n in wanted]
         known = tuple(n for n in names if np.isfinite(self.errors.get(n, np.nan)) and self.errors[n] > 0.0)
@@ -384,8 +385,9 @@ def _restored(state: State, row: Mapping[str, Any]) -> State:
 
 
 def _size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
-    """Return the size of the file's boat, by its masses. Steps and bounds of effects are not in the file; they scale
-    with it.
+    """Return the size of the file's boat, by its masses.
+
+    Steps and bounds of effects are not in the file; they scale with it.
     """
     masses = {row["name"]: float(row["value"]) for row in rows if row["name"] in ("m_u", "m_r")}
     return size_of(model.with_values({n: z for n, z in masses.items() if n in model.values}))
@@ -417,8 +419,9 @@ def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
 
 
 def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
-    """Return a parameter of the structure with the values of its row. A row without a prior keeps the structure's
-    prior.
+    """Return a parameter of the structure with the values of its row.
+
+    A row without a prior keeps the structure's prior.
     """
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
@@ -442,8 +445,9 @@ def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
 
 
 def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
-    """Return an effect by its name in the file: a component of the model, a curve, a between-run effect or of the
-    catalogue.
+    """Return an effect by its name in the file.
+
+    It is a component of the model, a nonparametric curve, a between-run effect, or an effect of the catalogue.
     """
     if name == "disturbance":
         return disturbance_of(model)

@@ -46,8 +46,9 @@ def best_of_starts(first: Fit, records: Sequence[Record], refit: Callable[[Mappi
 
 
 def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, float]]:
-    """Return the likeliest points of the model's start grid that are away from the fit, with all other values of the
-    fit.
+    """Return the likeliest points of the model's start grid that are away from the fit.
+
+    All other parameters have the values of the fit.
 
     Parameters
     ----------

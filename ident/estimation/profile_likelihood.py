@@ -145,8 +145,9 @@ def _problem(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
 def _gathered(
     line: ConstrainedObjective, name: str, sides: Sequence[ProfileBranch], wald: Sequence[float], notes: Sequence[str]
 ) -> Profile:
-    """Return the profile in the parameter's own unit from both branches, the Wald interval (in the coordinate) and
-    notes.
+    """Return the profile in the parameter's own unit.
+
+    ``sides`` are its two branches. ``wald`` are the ends of the Wald interval, in the estimator's coordinate.
     """
     p, centre = line.parameter, float(line.z[line.k])
 
@@ -310,8 +311,9 @@ class ProfileBranch:
 
     @property
     def power(self) -> float:
-        """The exponent with which the drop grows at the last point inside: 2 for a parabola, less if the drop flattens
-        out.
+        """The exponent with which the drop grows at the last point inside.
+
+        It is 2 for a parabola, and less if the drop flattens out.
         """
         before, last = self.inside[-2:]
         if before.drop < MIN_DROP or before.s == 0.0:

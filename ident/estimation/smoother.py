@@ -64,8 +64,9 @@ def smooth(run: FilterResult) -> SmootherResult:
 
 
 def smoothed_states(run: FilterResult) -> SmoothedStates:
-    """Return means and standard deviations of the smoothed states. It needs less memory than `smooth` for a long
-    record.
+    """Return means and standard deviations of the smoothed states.
+
+    It needs less memory than `smooth` for a long record.
     """
     x, sd = np.empty((2, *run.x_filt.shape))
     for rows, mean, P, _ in _backwards(run):

@@ -60,8 +60,7 @@ class ThrustScale:
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """Warnings about numbers that are written in kg and N although their scale is unknown; empty if the scale is
-        known.
+        """Warnings about numbers in kg and N whose scale is unknown; empty if the scale is known.
 
         Other programs need numbers in these units.
         """
@@ -143,8 +142,9 @@ def pose_scale(model: Model) -> Model:
 
 
 def _with_arms(model: Model) -> Model:
-    """Return the model with one symmetric arm if no arm was given, or with the missing arm as the mirror of the given
-    one.
+    """Return the model with arms for both thrusters.
+
+    If no arm was given, it gets one symmetric arm. If one arm was given, the other mirrors it.
     """
     if not {"m_r", "y_left", "y_right"} <= set(model.values) or ".py:" in model.source:
         return model

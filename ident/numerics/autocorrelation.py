@@ -63,12 +63,13 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
 
 
 def correlation_length(series: Sequence[Array]) -> float:
-    """Return the correlation length m [samples]; block sums of L samples miss a share ``m / 2L`` of the variance of the
-    sum.
+    """Return the correlation length m of a series [samples]; zero for white noise.
+
+    Block sums of L samples miss a share ``m / 2L`` of the variance of the sum of all samples.
 
     The length is ``tau - 1 / tau`` for first-order noise; other noise is treated alike. It comes from the samples by
     the window. It comes from sums over 2, 4, 8, ... samples by the correlation of neighbouring sums if that gives a
-    significantly longer one. It is zero for white noise.
+    significantly longer one.
 
     Parameters
     ----------
@@ -97,8 +98,9 @@ def correlation_length(series: Sequence[Array]) -> float:
 
 
 def _neighbours(series: Sequence[Array]) -> tuple[float, float]:
-    """Return the correlation of neighbouring samples in series with their means removed, and its ratio to its standard
-    error.
+    """Return the correlation of neighbouring samples, and its ratio to its standard error.
+
+    The mean of each series is removed.
     """
     centred = [x - x.mean() for x in series if x.size]
     pairs = np.concatenate([np.zeros(1), *(x[1:] * x[:-1] for x in centred)])
@@ -114,11 +116,10 @@ def _window(rho: Array) -> float:
 
 
 def _initial_positive(rho: Array) -> float:
-    """Return the integrated autocorrelation time by Geyer's initial positive sequence, from the autocorrelations rho
-    (n,).
+    """Return the integrated autocorrelation time by Geyer's initial positive sequence.
 
-    For a reversible chain the sums of neighbouring autocorrelations are positive and decrease. The sequence ends at the
-    first sum that is not positive, and is made to decrease.
+    For a reversible chain the sums of neighbouring autocorrelations are positive and decrease. The sequence of these
+    sums, from the autocorrelations rho (n,), ends at the first one that is not positive, and is made to decrease.
     """
     pairs = rho[: rho.size // 2 * 2].reshape(-1, 2).sum(axis=1)
     negative = np.flatnonzero(pairs <= 0)
@@ -127,10 +128,9 @@ def _initial_positive(rho: Array) -> float:
 
 
 def effective_sample_size(z: Array) -> float:
-    """Return the number of independent samples whose mean of squares is as accurate as that of z (n,), which has zero
-    mean.
+    """Return the number of independent samples whose mean of squares is as accurate as that of z (n,).
 
-    Autocorrelations are summed up to the first that is within its noise, ``2 / sqrt(n)``.
+    The mean of z is zero. Autocorrelations are summed up to the first that is within its noise, ``2 / sqrt(n)``.
     """
     n, power = z.size, float(z @ z)
     if n < MIN_SAMPLES or power == 0.0:
@@ -151,10 +151,14 @@ def block_error(x: Array, n_blocks: int = 10) -> float:
 
 
 def mean_error(x: Array) -> tuple[float, float]:
-    """Return the standard error of the mean of evenly sampled measurements x (n,), and their autocorrelation time
-    [samples].
+    """Return the standard error of the mean of evenly sampled measurements, and their autocorrelation time [samples].
 
-    The error is the larger of two: by the integrated autocorrelation time, and by blocks. n must be at least 4.
+    The error is the larger of two: by the integrated autocorrelation time, and by blocks.
+
+    Parameters
+    ----------
+    x : Array (n,)
+        The measurements, at least four.
     """
     tau = integrated_autocorrelation_time([x], "positive")
     by_tau = float(x.std(ddof=1)) * float(np.sqrt(tau / x.size))

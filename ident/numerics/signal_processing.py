@@ -141,10 +141,9 @@ def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
 
 
 def noise_from_differences(second_differences: Array) -> float:
-    """Return the standard deviation of white noise, from second differences (n,) of a smooth signal; zero if there are
-    none.
+    """Return the standard deviation of white noise from second differences (n,) of a smooth signal.
 
-    It comes from their median absolute value and is robust against outliers.
+    It comes from their median absolute value and is robust against outliers. It is zero if there are no differences.
     """
     if not second_differences.size:
         return 0.0
