@@ -216,9 +216,7 @@ def _end(line: ConstrainedObjective, sign: int, side: ProfileBranch, room: float
     if side.outer is None:
         bound = side.inner.s >= room
         side.limit = room if bound else float("nan")
-        side.note = (
-            "reaches its bound" if bound else f"the data set no limit up to {reached:.4g}, where the search ended"
-        )
+        side.note = "reaches its bound" if bound else f"the data set no limit; the search ended at {reached:.4g}"
     elif np.isfinite(side.outer.drop):
         side.limit = side.crossing()[0]
     else:

@@ -127,7 +127,7 @@ def test_what_the_data_do_not_limit_is_open() -> None:
     assert math.isnan(one.low)
     assert one.high > one.value
     (note,) = one.notes
-    assert note.startswith("lower side: the data set no limit up to ")
+    assert note.startswith("lower side: the data set no limit; the search ended at ")
     assert float(note.rpartition(" ")[2]) == pytest.approx(one.grid[0], rel=1e-3)
 
 

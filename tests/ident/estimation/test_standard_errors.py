@@ -107,7 +107,7 @@ def test_each_combination_that_is_not_seen_is_named_by_itself(
         np.zeros(6),
     )
     combinations = {
-        name: set(text.rpartition(" of ")[2].split()[1::2])
+        name: set(text.rpartition(" the joint change ")[2].split()[1::2])
         for name, text in found.flags
         if text.startswith("not identified")
     }
@@ -115,7 +115,7 @@ def test_each_combination_that_is_not_seen_is_named_by_itself(
     lost = {name for name, _ in found.flags}
     assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]
     if "d" in said:
-        assert dict(found.flags)["d"].endswith("a change of +0.5 c +1 d")
+        assert dict(found.flags)["d"].endswith("the joint change +0.5 c +1 d")
 
 
 def test_the_share_of_a_prior_is_that_of_what_the_data_tell() -> None:
