@@ -1,1 +1,1 @@
-"""Explain: arrays to models, residuals, effects and reports, and the design of the next experiment."""
+"""System identification: models fitted to logs, their residuals, missing effects, reports, and experiment design."""

@@ -1,4 +1,4 @@
-"""How long work reports: lines of progress, and warnings that a person should see."""
+"""Reporters of long computations: lines of progress and warnings for the user."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from typing import Protocol
 
 
 class Reporter(Protocol):
-    """Receiver of lines for people; a command line shows them, a program may drop them."""
+    """Receiver of progress and warnings. A command line prints them; another program may ignore them."""
 
     def progress(self, text: str) -> None:
-        """What is being done now."""
+        """Report the step that starts now."""
 
     def warning(self, text: str) -> None:
-        """What is not as it should be, though the work goes on."""
+        """Report a problem that does not stop the computation."""
 
 
 class Quiet:
-    """Drops progress; warnings go to the standard error."""
+    """Reporter that ignores progress and prints warnings to the standard error stream."""
 
     def progress(self, text: str) -> None:
-        """Nothing."""
+        """Ignore the line."""
 
     def warning(self, text: str) -> None:
-        """One line."""
+        """Print one line to the standard error stream."""
         print(f"seatrial: {text}", file=sys.stderr)
 
 

@@ -1,4 +1,4 @@
-"""Parameter estimation: maximum likelihood with an extended Kalman filter or by output error, and its uncertainty."""
+"""Parameter estimation: maximum likelihood with an extended Kalman filter or by output error, and standard errors."""
 
 import lazy_loader
 

@@ -1,10 +1,10 @@
-"""Blocked cross-validation: each block in time is predicted with what the others tell (Burman, Chow and Nolan 1994).
+"""Blocked cross-validation: each block in time is predicted by the fit to the others (Burman, Chow and Nolan 1994).
 
-The fit without a block is one Newton step away from the fit to all (approximate leave-one-out; Beirami et al. 2017), so
-that no model is fitted twice. A block begins anew, anywhere where the states of its record have been, with sensor
-offsets of its own; what the nominal model has for each record (the current) is then adapted to the block, as it is to a
-validation run. What an effect has for each record (a drift of the current) is not: it comes from the other blocks, or
-it would be judged by its own data.
+The fit without a block is approximated by one Newton step from the fit to all blocks (approximate leave-one-out;
+Beirami et al. 2017), so that no model is fitted twice. A block has initial states of its own, with the spread that the
+states have in its record, and sensor offsets of its own. The nominal model's per-record parameters (the current) are
+then estimated from the block itself, as in a validation run. Per-record parameters of effects (a drift of the current)
+come from the other blocks: otherwise the effect would be judged by its own data.
 """
 
 from __future__ import annotations
@@ -22,15 +22,23 @@ from seatrial.ident.estimation.maximum_likelihood import ROUGH, fit
 from seatrial.ident.model import Model, Parameter
 from seatrial.ident.numerics import Array
 
-BLOCK_LENGTH = 12  # blocks of the model's own length (``Model.block``): a minute for a boat
-FEWEST_BLOCKS, MOST_BLOCKS = 5, 8  # in time, of a record
-LARGE_GAIN = 10.0  # that a step promises: beyond it the likelihood may not be quadratic, and it is looked at
-HALVINGS = 6  # of such a step
+BLOCK_LENGTH = 12  # length of a block in units of ``Model.block``: a minute for a boat
+FEWEST_BLOCKS, MOST_BLOCKS = 5, 8  # number of blocks in a record
+LARGE_GAIN = 10.0  # above this expected gain the likelihood may not be quadratic: the step is then checked
+HALVINGS = 6  # largest number of halvings of a step that fails this check
 
 
 @dataclass(frozen=True)
 class TimeBlocks:
-    """Blocks in time of some records; ``of``: the index of the record that each is a part of."""
+    """Blocks in time of some records.
+
+    Attributes
+    ----------
+    records
+        The blocks.
+    of
+        For each block, the index of its record.
+    """
 
     records: tuple[Record, ...]
     of: tuple[int, ...]
@@ -39,11 +47,16 @@ class TimeBlocks:
 def time_blocks(
     records: Sequence[Record], block: float, starts: Sequence[Mapping[str, tuple[float, float]]]
 ) -> TimeBlocks:
-    """Records cut into blocks in time, five to eight each, of a minute or longer where there is time enough.
+    """Cut records into five to eight blocks in time each, of a minute or longer if the record is long enough.
 
-    Parameters:
-        block: of the model (``Model.block``) [s].
-        starts: for each record ``Record.start`` of its blocks.
+    Parameters
+    ----------
+    records
+        The records.
+    block
+        ``Model.block`` of the model [s].
+    starts
+        For each record, ``Record.start`` of its blocks.
     """
     parts: list[Record] = []
     of: list[int] = []
@@ -58,15 +71,28 @@ def time_blocks(
 def leave_one_block_out(
     model: Model, blocks: TimeBlocks, values: Array, parameters: Sequence[Parameter]
 ) -> list[Array]:
-    """Estimates for each block that its own data had no part in, but for the current and the like.
+    """Return parameter values for each block that do not depend on its own data, except those of the current.
 
-    Parameters:
-        model: as it was fitted.
-        blocks: of the records.
-        values (n_records, n_parameters): as fitted to the records, over ``model.parameters`` in order.
-        parameters: those that were estimated from the records, each record's own with its ``segment``.
+    Parameters
+    ----------
+    model
+        The fitted model.
+    blocks
+        Blocks of the records.
+    values : Array (n_records, n_parameters)
+        Values fitted to the records, over ``model.parameters`` in order.
+    parameters
+        The estimated parameters. A per-record parameter appears once for each record, with its ``segment``.
 
-    Returns (n_parameters,) for each block. Raises ValueError where a block cannot be evaluated.
+    Returns
+    -------
+    list of Array (n_parameters,)
+        Values for each block.
+
+    Raises
+    ------
+    ValueError
+        If a block cannot be evaluated.
     """
     likelihood, index = Likelihood(model), {p.name: k for k, p in enumerate(model.parameters)}
     rows = [r.for_model(model) for r in blocks.records]
@@ -75,9 +101,9 @@ def leave_one_block_out(
     z = np.array([p.to_free(x) for p, x in zip(parameters, at, strict=True)])
     low, high = np.array([p.free_bounds() for p in parameters]).reshape(-1, 2).T
     bounds = Bounds(low, high, np.array([p.transform == "log" for p in parameters], dtype=bool))
-    given = [p.free_prior() for p in parameters]
-    weight = np.array([0.0 if g is None else 1.0 / g[1] ** 2 for g in given])
-    mean = np.array([0.0 if g is None else g[0] for g in given])
+    priors = [p.free_prior() for p in parameters]
+    weight = np.array([0.0 if g is None else 1.0 / g[1] ** 2 for g in priors])
+    mean = np.array([0.0 if g is None else g[0] for g in priors])
     places = [[k for k, p in enumerate(parameters) if p.segment in (None, i)] for i in blocks.of]
     gradients, informations = np.zeros((len(rows), z.size)), np.zeros((len(rows), z.size, z.size))
     for b, (row, own) in enumerate(zip(rows, places, strict=True)):
@@ -87,16 +113,17 @@ def leave_one_block_out(
         gradients[b, own] = slope[own] * score.gradient
         informations[b][np.ix_(own, own)] = np.outer(slope[own], slope[own]) * score.information
 
-    def of_block(b: int, z: Array) -> Array:
-        """The values that belong to a block at these coordinates (n_parameters,)."""
+    def block_values(b: int, z: Array) -> Array:
+        """Return the values of block b at these coordinates (n_parameters,)."""
         found: Array = values[blocks.of[b]].copy()
         for k in places[b]:
             found[index[parameters[k].name]] = np.clip(parameters[k].from_free(float(z[k])), *parameters[k].bounds)
         return found
 
-    def of_others(b: int, z: Array) -> float:
+    def others_log_posterior(b: int, z: Array) -> float:
+        """Return the log-posterior of all blocks except b."""
         others = (j for j in range(len(rows)) if j != b)
-        total = sum(float(likelihood.value_by_row(rows[j], of_block(j, z)).sum()) for j in others)
+        total = sum(float(likelihood.value_by_row(rows[j], block_values(j, z)).sum()) for j in others)
         return total - 0.5 * float(weight @ (z - mean) ** 2)
 
     found = []
@@ -106,15 +133,19 @@ def leave_one_block_out(
         there = Evaluation(0.0, gradient, information, np.zeros(z.size))
         step = solve_step(there, information, z, bounds, 0.0)
         if expected_gain(there, information, step) > LARGE_GAIN:
-            least, tried = of_others(b, z), 0
-            while not of_others(b, bounds.clip(z + step)) > least and tried < HALVINGS:
+            # halve the step until the log-posterior rises
+            least, tried = others_log_posterior(b, z), 0
+            while not others_log_posterior(b, bounds.clip(z + step)) > least and tried < HALVINGS:
                 step, tried = step / 2, tried + 1
-        found.append(_adapted(model, row, of_block(b, bounds.clip(z + step))))
+        found.append(_adapted(model, row, block_values(b, bounds.clip(z + step))))
     return found
 
 
 def _adapted(model: Model, block: Record, values: Array) -> Array:
-    """The nominal model's own parameters of a record (the current) estimated from the block, all others kept."""
+    """Return the values with the nominal model's per-record parameters (the current) estimated from the block.
+
+    All other parameters keep their values.
+    """
     of_effects = {p.name for e in model.effects if not e.kind.nuisance for p in e.parameters}
     own = [p.name for p in model.parameters if p.free and p.per_record and p.name not in of_effects]
     if not own:

@@ -1,10 +1,10 @@
-"""Damped Fisher scoring inside bounds: Gauss-Newton steps with the expected information as the Hessian.
+"""Damped Fisher scoring inside bounds, and the objective of a fit.
 
-Levenberg's damping with Nielsen's rule for it (Madsen, Nielsen and Tingleff 2004, section 3.2). A step that
-would leave the bounds ends on them, and the rest of it is solved for anew. A value that is not a number
-rejects the step.
+Fisher scoring makes Gauss-Newton steps with the expected information as the Hessian. The damping is Levenberg's, with
+Nielsen's rule for its size (Madsen, Nielsen and Tingleff 2004, section 3.2). A step that would leave the bounds ends on
+them, and its rest is solved again. A step to a value that is not finite is rejected.
 
-Objective of a fit: log-likelihood and log-prior over the free coordinates.
+The objective of a fit (`Problem`) is the log-likelihood plus the log-prior, over the free coordinates.
 """
 
 from __future__ import annotations
@@ -23,23 +23,35 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.numerics import Array
 
 Flags = NDArray[np.bool_]
-LARGEST_STEP = 1.5  # of the logarithm of a parameter in one iteration: a factor 4.5
-FLAT_CHANGE = 0.5  # of the log-likelihood by such a step: less, and the coordinate must not hold up the others
-MAX_DAMPING = 1e12  # over the diagonal of the Hessian: no step is left
-DIVERGENCE_LIMIT = 1e30  # of the information's diagonal: no data give as much, the simulation has diverged
-MAX_SENSITIVITY_RATIO = 1e6  # of the information after a step to the largest before (median): it is about to diverge
-DAMPING_FLOOR = 1e-4  # of the largest information that a coordinate ever had: the least that its damping goes by
-LBFGSB_TOLERANCE = 0.05  # of the fit's tolerance: gain of a step of L-BFGS-B that is not worth the next one
-QUADRATIC_GAIN = 3.0  # of the log-likelihood in one step: below it the objective is about quadratic
-ROUNDING = 1e-12  # of a bound: z + (bound - z) need not be the bound
-MAX_BFGS_PAIRS = 12  # of steps and changes of the gradient that a BFGS correction is made of
+LARGEST_STEP = 1.5  # largest change of a parameter's logarithm in one iteration: a factor 4.5
+# If such a step changes the log-likelihood by less than this, the coordinate must not shorten the steps of the others.
+FLAT_CHANGE = 0.5
+MAX_DAMPING = 1e12  # relative to the Hessian's diagonal; with more damping no step remains
+DIVERGENCE_LIMIT = 1e30  # information above this is not possible: the simulation has diverged
+# If a step increases the information by more than this factor (median over the coordinates), the simulation is about
+# to diverge.
+MAX_SENSITIVITY_RATIO = 1e6
+DAMPING_FLOOR = 1e-4  # least damping of a coordinate, relative to the largest information that it had so far
+LBFGSB_TOLERANCE = 0.05  # L-BFGS-B ends if a step gains less than this share of the fit's tolerance
+QUADRATIC_GAIN = 3.0  # the objective is nearly quadratic if a step gains less log-likelihood than this
+ROUNDING = 1e-12  # relative tolerance in the comparison with a bound: z + (bound - z) may differ from the bound
+MAX_BFGS_PAIRS = 12  # largest number of steps in a BFGS correction
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Objective to be maximised, its gradient (n,) and expected information (n, n), at a point.
+    """Objective and its derivatives at a point. The objective is maximised.
 
-    curvature (n,): what the expected information lacks of the Hessian's diagonal, where that can be said.
+    Attributes
+    ----------
+    value
+        The objective.
+    gradient : Array (n,)
+        Its gradient.
+    information : Array (n, n)
+        Its expected information.
+    curvature : Array (n,)
+        What has to be added to the information's diagonal to get that of the negative Hessian; zero if unknown.
     """
 
     value: float
@@ -49,64 +61,95 @@ class Evaluation:
 
     @property
     def hessian(self) -> Array:
-        """Positive: minus the second derivative, as well as it is known."""
+        """Best approximation of the negative Hessian (n, n); positive semidefinite."""
         return self.information + np.diag(self.curvature)
 
     @property
     def finite(self) -> bool:
-        """Whether a search can go on from there."""
+        """Whether the values are finite, so that a search can continue from this point."""
         numbers = np.isfinite(self.value) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all()
         return bool(numbers and np.diag(self.information).max(initial=0.0) < DIVERGENCE_LIMIT)
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """low, high (n,); logarithmic (n,): coordinates whose steps are limited."""
+    """Bounds of the coordinates.
+
+    Attributes
+    ----------
+    low, high : Array (n,)
+        Lower and upper bounds.
+    logarithmic : Array (n,) of bool
+        Whether the coordinate is a logarithm. Steps of logarithms are limited.
+    """
 
     low: Array
     high: Array
     logarithmic: Flags
 
     def clip(self, z: Array) -> Array:
+        """Return the coordinates z (n,) clipped to the bounds."""
         return np.clip(z, self.low, self.high)
 
     def held(self, z: Array, gradient: Array) -> Flags:
-        """Coordinates at a bound that the objective pushes against."""
+        """Return which coordinates are at a bound and have a gradient that points out of it."""
         low, high = self.reached(z)
         return np.asarray((low & (gradient < 0)) | (high & (gradient > 0)))
 
     def reached(self, z: Array) -> tuple[Flags, Flags]:
-        """Coordinates at their lower and at their upper bound, to the rounding of the step that ended there."""
+        """Return which coordinates are at their lower and which at their upper bound, within rounding."""
         near = [ROUNDING * np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (self.low, self.high)]
         return np.asarray(z <= self.low + near[0]), np.asarray(z >= self.high - near[1])
 
 
 @dataclass(frozen=True)
 class Optimum:
+    """End point of a search.
+
+    Attributes
+    ----------
+    z : Array (n,)
+        Coordinates.
+    at
+        Objective and derivatives there.
+    iterations, evaluations
+        Effort of the search.
+    gain_left
+        Expected gain of one more step.
+    """
+
     z: Array
     at: Evaluation
     iterations: int
     evaluations: int
-    gain_left: float  # what a last step is expected to gain
+    gain_left: float
 
 
 Evaluate = Callable[[Array], Evaluation]
-Iterations = Callable[[int, float], None]  # is told each iteration's number and objective
+Iterations = Callable[[int, float], None]  # called with the number and the objective of each iteration
 
 
 @dataclass
 class BfgsCorrection:
-    """Steps and the changes of the gradient they brought, near the optimum: what the expected information does
-    not know of the Hessian. Each turns a direction of it by a BFGS update (Nocedal and Wright 2006, eq. 6.19).
+    """Correction of the expected information near the optimum, from steps and the changes of the gradient along them.
 
-    largest (n,): of the Hessian's diagonal so far. At a kink (the end of a dead zone between two samples) a coordinate
-    loses its information, and with a damping by what is left of it would be flung to its bounds (Moré 1978, section 5).
+    Each step corrects the Hessian in its direction by a BFGS update (Nocedal and Wright 2006, eq. 6.19).
+
+    Attributes
+    ----------
+    largest : Array (n,)
+        Largest diagonal of the Hessian so far. At a kink, such as the end of a dead zone between two samples, a
+        coordinate loses its information. If its damping were relative to what remains, its next step would reach its
+        bounds (Moré 1978, section 5).
+    pairs
+        Steps (n,) and changes of the gradient (n,).
     """
 
     largest: Array
     pairs: list[tuple[Array, Array]] = field(default_factory=list)
 
     def add(self, step: Array, before: Evaluation, after: Evaluation) -> None:
+        """Add a step. Forget all steps if this one gained so much that the objective is not quadratic yet."""
         self.largest = np.maximum(self.largest, np.diag(after.hessian))
         if after.value - before.value > QUADRATIC_GAIN:
             self.pairs.clear()
@@ -114,14 +157,18 @@ class BfgsCorrection:
         self.pairs = [*self.pairs[1 - MAX_BFGS_PAIRS :], (step, before.gradient - after.gradient)]
 
     def holds(self, trial: Evaluation) -> bool:
-        """Whether the sensitivities are of the order that they were. Where a simulation is about to diverge its value
-        may be finite, and better, but the sensitivities have diverged already, and seem to leave nothing to gain."""
+        """Return whether the sensitivities at a trial point have the same order of magnitude as before.
+
+        Just before a simulation diverges, its value may be finite and even better. Its sensitivities have diverged
+        already, so that the remaining gain appears to be zero.
+        """
         known = self.largest > 0.0
         if not known.any():
             return True
         return bool(np.median(np.diag(trial.information)[known] / self.largest[known]) < MAX_SENSITIVITY_RATIO)
 
     def hessian(self, at: Evaluation) -> Array:
+        """Return the corrected negative Hessian (n, n) at a point."""
         H = at.hessian
         for s, y in self.pairs:
             Hs = H @ s
@@ -132,15 +179,35 @@ class BfgsCorrection:
 
 
 def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: float, least: Array | float = 0.0) -> Array:
-    """The damped step, ending on the bounds where it would cross them; ``H`` (n, n): minus the Hessian; ``least`` (n,):
-    what its diagonal counts for in the damping at least. What the data do not inform at all stays where it is.
+    """Return the damped step, which ends on the bounds if it would cross them.
 
-    No logarithm moves by more than ``LARGEST_STEP``: the whole step is shortened. But one that hardly matters does not
-    hold up the rest: a noise that the data do not inform asks for a step of thousands, beside which all others would
-    stand still. It alone is held, and the rest is solved for it.
+    Coordinates without any information do not move. No logarithm moves by more than ``LARGEST_STEP``; otherwise the
+    whole step is shortened. A logarithm that hardly changes the objective is an exception: it alone is limited, and the
+    step of the others is solved with it. Otherwise a noise parameter that the data do not inform would ask for a very
+    long step and shorten those of all others to almost zero.
+
+    Parameters
+    ----------
+    at
+        Objective and derivatives at ``z``.
+    H : Array (n, n)
+        Negative Hessian.
+    z : Array (n,)
+        Coordinates.
+    bounds
+        Their bounds.
+    damping
+        Damping relative to the diagonal of ``H``.
+    least : Array (n,) or float
+        The least value of that diagonal in the damping.
+
+    Returns
+    -------
+    Array (n,)
+        The step.
     """
-    felt = LARGEST_STEP * np.abs(at.gradient) + 0.5 * LARGEST_STEP**2 * np.diag(H)
-    reach = np.where(bounds.logarithmic & (felt < FLAT_CHANGE), LARGEST_STEP, np.inf)
+    change = LARGEST_STEP * np.abs(at.gradient) + 0.5 * LARGEST_STEP**2 * np.diag(H)
+    reach = np.where(bounds.logarithmic & (change < FLAT_CHANGE), LARGEST_STEP, np.inf)
     low, high = np.maximum(bounds.low - z, -reach), np.minimum(bounds.high - z, reach)
     fixed = bounds.held(z, at.gradient) | (np.diag(H) <= 0.0)
     size = np.maximum(np.diag(H), 1e-300)
@@ -157,7 +224,7 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
         crossing = free & ((step < low) | (step > high))
         if not crossing.any():
             break
-        # only the bound that is met first: without its coordinate the others may not cross theirs
+        # Only the first bound is applied: with its coordinate held, the others may not cross their bounds.
         room = np.where(step < 0, -low, high)
         first = int(np.argmin(np.where(crossing, room / np.maximum(np.abs(step), 1e-300), np.inf)))
         step[first] = np.clip(step[first], low[first], high[first])
@@ -167,11 +234,12 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
 
 
 def expected_gain(at: Evaluation, H: Array, step: Array) -> float:
+    """Return the gain of the objective that the quadratic approximation predicts for a step (n,)."""
     return float(at.gradient @ step - 0.5 * step @ H @ step)
 
 
 def remaining_gain(at: Evaluation, H: Array, z: Array, bounds: Bounds) -> float:
-    """What an undamped step is expected to gain."""
+    """Return the expected gain of an undamped step."""
     return expected_gain(at, H, solve_step(at, H, z, bounds, 0.0))
 
 
@@ -184,42 +252,58 @@ def maximise(
     tolerance: float,
     progress: Iterations | None = None,
 ) -> Optimum:
-    """From ``z`` until a full step is expected to gain less than ``tolerance``, or no step gains anything, neither by
-    the corrected Hessian nor by the expected information alone.
+    """Maximise an objective from ``z`` by damped Fisher scoring.
 
-    ``evaluate(z)`` must be finite at the start.
+    The search ends if a full step is expected to gain less than ``tolerance``. It also ends if no step gains anything,
+    neither with the corrected Hessian nor with the expected information alone.
+
+    Parameters
+    ----------
+    evaluate
+        The objective with its derivatives; finite at the start.
+    z : Array (n,)
+        Start.
+    bounds
+        Bounds of the coordinates.
+    max_iterations
+        Largest number of iterations.
+    tolerance
+        Expected gain below which the search ends.
+    progress
+        Called in each iteration.
     """
     z = bounds.clip(z)
     at = evaluate(z)
-    memory = BfgsCorrection(np.diag(at.hessian))
+    correction = BfgsCorrection(np.diag(at.hessian))
     evaluations, damping, growth = 1, 1e-3, 2.0
     for iteration in range(max_iterations):
         if progress is not None:
             progress(iteration, at.value)
-        H = memory.hessian(at)
-        left = remaining_gain(at, H, z, bounds)
-        if abs(left) < tolerance:
-            return Optimum(z, at, iteration, evaluations, left)
+        H = correction.hessian(at)
+        gain_left = remaining_gain(at, H, z, bounds)
+        if abs(gain_left) < tolerance:
+            return Optimum(z, at, iteration, evaluations, gain_left)
         while True:
-            step = solve_step(at, H, z, bounds, damping, DAMPING_FLOOR * memory.largest)
+            step = solve_step(at, H, z, bounds, damping, DAMPING_FLOOR * correction.largest)
             expected = expected_gain(at, H, step)
             trial = evaluate(bounds.clip(z + step))
             evaluations += 1
-            gained = trial.value - at.value if trial.finite and memory.holds(trial) else -np.inf
+            gained = trial.value - at.value if trial.finite and correction.holds(trial) else -np.inf
             if gained > max(1e-4 * expected, 0.0):
                 ratio = min(gained / max(expected, 1e-300), 1.0)
                 damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-12), 2.0
-                memory.add(bounds.clip(z + step) - z, at, trial)
+                correction.add(bounds.clip(z + step) - z, at, trial)
                 z, at = bounds.clip(z + step), trial
                 break
             damping, growth = damping * growth, growth * 2
             if damping > MAX_DAMPING or growth > 2.0**12:
-                if not memory.pairs:
-                    return Optimum(z, at, iteration + 1, evaluations, left)
-                memory.pairs.clear()  # of steps as small as rounding, or across a kink, they promise what is not there
+                if not correction.pairs:
+                    return Optimum(z, at, iteration + 1, evaluations, gain_left)
+                # Steps as small as rounding, or across a kink, have spoiled the correction: continue without it.
+                correction.pairs.clear()
                 damping, growth = 1e-3, 2.0
                 break
-    return Optimum(z, at, max_iterations, evaluations, remaining_gain(at, memory.hessian(at), z, bounds))
+    return Optimum(z, at, max_iterations, evaluations, remaining_gain(at, correction.hessian(at), z, bounds))
 
 
 def refine_lbfgsb(
@@ -229,9 +313,30 @@ def refine_lbfgsb(
     evaluate: Evaluate,
     tolerance: float,
 ) -> Optimum:
-    """L-BFGS-B with the exact gradient, scaled by the information: where scoring stands still. It ends where a step
-    gains next to nothing of the ``tolerance``: a rough fit need not crawl on for a hundred steps."""
-    from scipy import optimize  # half a second of import, and scoring seldom stands still
+    """Continue a search by L-BFGS-B with the exact gradient, if Fisher scoring makes no progress.
+
+    The coordinates are scaled by the information. The search ends if a step gains a small share of the ``tolerance``,
+    so that a rough fit does not spend hundreds of steps on it.
+
+    Parameters
+    ----------
+    value_and_gradient
+        The objective and its gradient (n,).
+    start
+        Point at which Fisher scoring ended.
+    bounds
+        Bounds of the coordinates.
+    evaluate
+        The objective with all derivatives.
+    tolerance
+        Tolerance of the fit.
+
+    Returns
+    -------
+    Optimum
+        The start, if no better point was found.
+    """
+    from scipy import optimize  # imported here: it takes half a second and is seldom needed
 
     size = np.sqrt(np.maximum(np.diag(start.at.hessian), 1e-12))
 
@@ -240,7 +345,7 @@ def refine_lbfgsb(
         finite = np.isfinite(value) and bool(np.isfinite(gradient).all())
         return (-value, -gradient / size) if finite else (1e30, np.zeros(size.size))
 
-    relative = LBFGSB_TOLERANCE * tolerance / max(abs(start.at.value), 1.0)  # of the value, as L-BFGS-B wants it
+    relative = LBFGSB_TOLERANCE * tolerance / max(abs(start.at.value), 1.0)  # L-BFGS-B takes it relative to the value
     limits = optimize.Bounds(bounds.low * size, bounds.high * size)
     found = optimize.minimize(
         negative,
@@ -263,7 +368,23 @@ T = TypeVar("T")
 
 
 class Problem:
-    """Of the ``free`` parameters; ``begin``: values of ``V_x@0`` and the like to start from, not the model's own."""
+    """Objective of a fit: log-posterior of the free parameters, given records.
+
+    A per-record parameter has one coordinate for each record.
+
+    Parameters
+    ----------
+    likelihood
+        Likelihood of the model.
+    records
+        The records.
+    free
+        Names of the parameters to be estimated.
+    threads
+        Number of records that are evaluated at once.
+    begin
+        Initial values of per-record parameters (``V_x@0``) that differ from the model's.
+    """
 
     def __init__(
         self,
@@ -282,35 +403,38 @@ class Problem:
         copies = [replace(model.parameter(n), segment=i) for i in range(len(records)) for n in own]
         self.parameters = (*(model.parameter(n) for n in shared), *copies)
         self.names = tuple(p.full_name for p in self.parameters)
+        # columns[k]: index of coordinate k's parameter in model.parameters
+        # places[i]: indices of record i's free parameters among the coordinates
         self.columns = [index[p.name] for p in self.parameters]
-        # places[i]: where record i's free parameters stand among the coordinates
         first = len(shared)
         self.places = [
             [*range(first), *range(first + i * len(own), first + (i + 1) * len(own))] for i in range(len(records))
         ]
         self.base = np.array([p.value for p in model.parameters])
         self.threads = max(1, min(threads, len(records)))
-        self._last_values: dict[int, tuple[Array, float]] = {}
+        self._last_values: dict[int, tuple[Array, float]] = {}  # by record: values and result of the last `value`
 
     @cached_property
     def bounds(self) -> Bounds:
+        """Bounds of the coordinates."""
         low, high = np.array([p.free_bounds() for p in self.parameters]).reshape(-1, 2).T
         return Bounds(low, high, np.array([p.transform == "log" for p in self.parameters], dtype=bool))
 
     @property
     def start(self) -> Array:
+        """Initial coordinates (n,)."""
         own = zip(self.names, self.parameters, strict=True)
         return np.array([p.to_free(self.begin.get(name, p.value)) for name, p in own])
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """Mean and information of each coordinate's prior; no prior has no information."""
+        """Mean and information of each coordinate's prior (n,); the information is zero without a prior."""
         given = [p.free_prior() for p in self.parameters]
         mean = np.array([g[0] if g else 0.0 for g in given])
         return mean, np.array([1.0 / g[1] ** 2 if g else 0.0 for g in given])
 
     def values(self, z: Array) -> Array:
-        """(n_records, n_parameters) in own units."""
+        """Return the values of all parameters for each record (n_records, n_parameters), in their own units."""
         own = self.own(z)
         out = np.tile(self.base, (len(self.records), 1))
         for i, places in enumerate(self.places):
@@ -318,15 +442,21 @@ class Problem:
         return out
 
     def own(self, z: Array) -> Array:
-        """The coordinates' values in own units (n,); the bounds once more, for the rounding of logarithms."""
+        """Return the values of the free parameters in their own units (n,).
+
+        They are clipped to their bounds again, since logarithms are rounded.
+        """
         return np.array([np.clip(p.from_free(float(c)), *p.bounds) for p, c in zip(self.parameters, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """d value / d coordinate."""
+        """Return the derivative of each parameter by its coordinate (n,)."""
         return np.array([p.slope(p.from_free(float(c))) for p, c in zip(self.parameters, z, strict=True)])
 
     def evaluate(self, z: Array) -> Evaluation:
-        """Log-posterior, gradient and information with the priors', by the coordinates."""
+        """Return log-posterior, gradient and information by the coordinates.
+
+        The information includes that of the priors.
+        """
         mean, weight = self.prior
         value = 0.0
         gradient, information = np.zeros(z.size), np.zeros((z.size, z.size))
@@ -336,20 +466,23 @@ class Problem:
             value += scores.value
             gradient[places] += slope[places] * scores.gradient
             information[np.ix_(places, places)] += np.outer(slope[places], slope[places]) * scores.information
-        # A logarithm of a standard deviation s that goes to zero: ln L ~ -c s^2, whose second derivative is twice
-        # its first, while the expected information is of the order s^4 and would let the prior overshoot.
+        # The logarithm of a standard deviation s near zero: ln L ~ -c s^2, whose second derivative by ln s is twice
+        # the first. The expected information is of the order s^4; a step of the prior alone would overshoot.
         twice = np.where(self.bounds.logarithmic, 2.0 * np.maximum(-gradient, 0.0), 0.0)
         curvature = np.maximum(twice - np.diag(information), 0.0)
         value -= 0.5 * float(weight @ (z - mean) ** 2)
         return Evaluation(value, gradient - weight * (z - mean), information + np.diag(weight), curvature)
 
     def information(self, z: Array, which: NDArray[np.intp]) -> Array:
-        """Of some of the coordinates alone, with their priors' (n_which, n_which): less work than all of it."""
-        slope, wanted, n = self.slopes(z), set(which.tolist()), len(self.free)
+        """Return the information of some coordinates (n_which, n_which), with that of their priors.
+
+        It costs less than the information of all.
+        """
+        slope, selected, n = self.slopes(z), set(which.tolist()), len(self.free)
         total = np.diag(self.prior[1])
 
         def chosen(i: int) -> list[int]:
-            return [k for k in range(n) if self.places[i][k] in wanted]
+            return [k for k in range(n) if self.places[i][k] in selected]
 
         rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, [self.free[k] for k in chosen(i)]), z)
         for i, scores in enumerate(rows):
@@ -358,10 +491,14 @@ class Problem:
         return total[np.ix_(which, which)]
 
     def value(self, z: Array) -> float:
-        """Log-posterior. A record whose values are those of the last call is not evaluated again: where a coordinate
-        that one record has for itself is moved, that record alone."""
+        """Return the log-posterior.
+
+        A record whose values are the same as in the last call is not evaluated again. If only a per-record parameter
+        changes, a single record is evaluated.
+        """
 
         def work(i: int, v: Array) -> float:
+            """Return the log-likelihood of record i, from the last call if its values are the same."""
             last, known = self._last_values.get(i, (None, 0.0))
             if last is None or not np.array_equal(last, v):
                 known = self.likelihood.value(self.records[i], v)
@@ -372,7 +509,7 @@ class Problem:
         return sum(self._map(work, z), -0.5 * float(weight @ (z - mean) ** 2))
 
     def value_and_gradient(self, z: Array) -> tuple[float, Array]:
-        """Log-posterior and gradient by the adjoint."""
+        """Return the log-posterior and its gradient (n,), by the adjoint filter."""
         mean, weight = self.prior
         value, gradient = -0.5 * float(weight @ (z - mean) ** 2), -weight * (z - mean)
         slope = self.slopes(z)
@@ -383,7 +520,7 @@ class Problem:
         return value, gradient
 
     def by_row(self, z: Array) -> list[tuple[list[int], Array]]:
-        """For each record: its coordinates, and what each row adds to the gradient."""
+        """Return for each record the indices of its coordinates and the contribution of each row to their gradient."""
         slope = self.slopes(z)
         rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, self.free, by_row=True), z)
         return [
@@ -393,17 +530,18 @@ class Problem:
         ]
 
     def check(self, z: Array) -> None:
-        """Raise ValueError naming the first record that cannot be evaluated."""
+        """Raise ValueError if a record cannot be evaluated; the message names the first one."""
         for record, values in zip(self.records, self.values(z), strict=True):
             if not np.isfinite(self.likelihood.value(record, values)):
                 raise ValueError(
                     f"record {record.name}: the likelihood of model {self.model.name} cannot be "
-                    "evaluated at the starting values"
+                    "evaluated at the initial values"
                 )
 
     def _map(self, work: Callable[[int, Array], T], z: Array) -> list[T]:
+        """Return ``work(i, values)`` for each record i, in threads."""
         values = self.values(z)
         if self.threads == 1:
             return [work(i, v) for i, v in enumerate(values)]
-        with ThreadPoolExecutor(self.threads) as pool:  # the kernels leave Python's lock
+        with ThreadPoolExecutor(self.threads) as pool:  # the kernels release Python's global lock
             return list(pool.map(work, range(len(values)), values))

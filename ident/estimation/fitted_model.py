@@ -1,4 +1,4 @@
-"""A model fitted to estimation data and evaluated on validation data: the unit that a diagnosis compares."""
+"""A model fitted to estimation data and evaluated on validation data: what a diagnosis compares."""
 
 from __future__ import annotations
 
@@ -21,19 +21,21 @@ from seatrial.ident.models import for_diagnosis, forces_of, rescale, residuals_o
 from seatrial.ident.numerics import NORMAL_MAD, Array, noise_from_differences
 from seatrial.ident.reporter import QUIET, Reporter
 
-COLLAPSED_NOISE = 1e-2  # of the white noise that the samples show: noise below it has collapsed to zero
-# declared noise that the innovations exceed by this ratio is no more than a prior, with this relative deviation
+# Estimated noise has collapsed to zero if it is below this share of the white noise that the samples show.
+COLLAPSED_NOISE = 1e-2
+# Innovations larger than the declared noise by the first factor contradict it. The declared value then becomes a prior
+# with the second number as its relative standard deviation.
 CONTRADICTED_NOISE, DECLARED_NOISE_SD = 1.5, 0.125
-RESCALING_RATIO = 2.0  # of the estimated force or moment to the assumed: from it the priors are scaled anew
-AS_LIKELY = 2.0  # in ln L: what other priors may cost; a fit that loses more has lost its way
-FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # of what cannot be evaluated
+RESCALING_RATIO = 2.0  # priors are scaled again if estimated and assumed force or moment differ by this factor
+AS_LIKELY = 2.0  # a refit may lose this much ln L by its new priors; if it loses more, its search failed
+FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # raised if a model cannot be evaluated on a record
 
 Unseen = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
 
 
 @dataclass(frozen=True)
 class FailedRun:
-    """A validation run, by the name of its record, that cannot be evaluated, and why."""
+    """A validation run that cannot be evaluated: the name of its record, and the reason."""
 
     record: str
     reason: str
@@ -43,9 +45,20 @@ class FailedRun:
 class FittedModel:
     """A model, its fit to the estimation data, and its evaluation on every record of both sets.
 
-    Parameters of a single record (the current) are estimated on the validation data, too; nothing else is.
-    ``failed``: validation runs that could not be evaluated; ``cross_validated``: ``validation`` are blocks of the
-    estimation records, each with the estimates of the others.
+    On validation data only per-record parameters (the current) are estimated.
+
+    Attributes
+    ----------
+    model
+        The model before the fit.
+    fit
+        The fit to the estimation data.
+    estimation, validation
+        Evaluation of the fitted model on each record.
+    failed
+        Validation runs that could not be evaluated.
+    cross_validated
+        Whether ``validation`` contains blocks of the estimation records, each with the estimates from the other blocks.
     """
 
     model: Model
@@ -57,21 +70,26 @@ class FittedModel:
 
     @property
     def records(self) -> list[Record]:
-        """Those that it was fitted to."""
+        """The records of the fit."""
         return [v.record for v in self.estimation]
 
     @property
     def outlier_notes(self) -> list[str]:
-        """Outliers in the estimation data: a line for each channel in which they are allowed."""
+        """Lines about outliers in the estimation data, one for each channel that has the outlier model."""
         runs, measured = [v.run.outliers for v in self.estimation], [np.isfinite(r.y) for r in self.records]
         return outlier_notes(self.model, runs, measured)
 
 
 @dataclass(frozen=True)
 class RecordEvaluation:
-    """A fitted model on one record; filter and smoother run when they are first asked for.
+    """A fitted model on one record. Filter and smoother run at the first access.
 
-    values (n_parameters,): the estimates that belong to this record, in the order of ``model.parameters``.
+    Attributes
+    ----------
+    model, record
+        The model with its estimates, and the record.
+    values : Array (n_parameters,)
+        The estimates for this record, over ``model.parameters`` in order.
     """
 
     model: Model
@@ -85,7 +103,7 @@ class RecordEvaluation:
 
     @cached_property
     def ll(self) -> Array:
-        """Log-likelihood by row (n_rows,): all that is asked of most candidates."""
+        """Log-likelihood by row (n_rows,). It is cheaper than `run`, and enough for most candidates of a diagnosis."""
         return Likelihood(self.model).value_by_row(self.record, self.values)
 
     @cached_property
@@ -103,14 +121,20 @@ def fit_nominal_model(
     rate: float = 10.0,
     reporter: Reporter = QUIET,
 ) -> FittedModel:
-    """The model fitted as it is, with disturbance forces and sensor offsets as states; no search for missing effects.
+    """Fit the model as it is, with disturbance forces and sensor offsets as states; no search for missing effects.
 
-    Parameters:
-        model: its ``nominal`` form is fitted.
-        estimation, validation: logs that the fit sees, and others.
-        options: plain maximum likelihood by default.
-        rate: rows a second to which faster sensors are averaged [Hz].
-        reporter: is told what is being fitted.
+    Parameters
+    ----------
+    model
+        Its ``nominal`` form is fitted.
+    estimation, validation
+        Logs for the fit, and logs that judge it.
+    options
+        Plain maximum likelihood by default.
+    rate
+        Rows per second to which faster sensors are averaged [Hz].
+    reporter
+        Receives a line of progress.
     """
     full = nominal(model)
     records = [make_record(full, r, rate) for r in estimation]
@@ -125,8 +149,10 @@ def fit_nominal_model(
 def validation_records(
     model: Model, segments: Sequence[LogSegment], rate: float
 ) -> tuple[list[Record], tuple[FailedRun, ...]]:
-    """Records of the validation runs, and the runs of which none can be made; ``rate`` [Hz] as in
-    `seatrial.ident.data.make_record`."""
+    """Return the records of the validation runs, and the runs that cannot be converted to a record.
+
+    ``rate`` [Hz] is that of `seatrial.ident.data.make_record`.
+    """
     records, failed = list[Record](), list[FailedRun]()
     for segment in segments:
         try:
@@ -142,12 +168,36 @@ def fit_with_rescaling(
     unseen: Unseen,
     options: EstimationOptions | None = None,
 ) -> FittedModel:
-    """The model of ``nominal`` fitted; once more where the boat turns out to be of another size than its start said, or
-    the sensors noisier than declared; started at the first fit's shared estimates where it loses its way. The first fit
-    itself where nothing else converges, and only priors are of another size."""
+    """Fit the model of `nominal`, and fit it again if its priors turn out to be wrong.
+
+    A second fit follows if the boat's estimated size differs from the assumed one, or if the innovations contradict the
+    declared noise of the sensors. If that fit fails, does not converge or is much less likely than the first, it is
+    repeated from the shared estimates of the first fit.
+
+    Parameters
+    ----------
+    full
+        The model of `nominal`.
+    records, unseen
+        Estimation and validation data.
+    options
+        Plain maximum likelihood by default.
+
+    Returns
+    -------
+    FittedModel
+        The first fit if no second one is needed. Otherwise the first refit that has converged and is about as likely as
+        the first fit, or else the best refit. If only the first fit has converged, it is returned, except if the
+        declared noise is contradicted.
+
+    Raises
+    ------
+    ValueError, ArithmeticError
+        If no refit can be evaluated.
+    """
     stage = fit_and_evaluate(full, records, unseen, options)
-    assumed, found, as_declared = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
-    again = as_declared
+    assumed, found, noise_revised = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
+    again = noise_revised
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
     if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         again = rescale(again, found)
@@ -155,26 +205,27 @@ def fit_with_rescaling(
         return stage
     first, refits = stage.fit, list[FittedModel]()
     shared = {p.name: float(v) for p, v in zip(first.parameters, first.values, strict=True) if p.segment is None}
-    for begun in (again, again.with_values(shared)):
+    for initial in (again, again.with_values(shared)):
         try:
-            refits.append(fit_and_evaluate(begun, records, unseen, options))
+            refits.append(fit_and_evaluate(initial, records, unseen, options))
         except FIT_ERRORS:
-            if begun is not again and not refits:
+            if initial is not again and not refits:
                 raise
             continue
         if refits[-1].fit.converged and refits[-1].fit.log_likelihood > first.log_likelihood - AS_LIKELY:
             return refits[-1]
     best = max(refits, key=lambda refit: (refit.fit.converged, refit.fit.log_posterior))
     lost = first.converged and not best.fit.converged
-    return stage if lost and as_declared is full else best
+    return stage if lost and noise_revised is full else best
 
 
 def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:
-    """With what was declared of the sensors' noise as priors, where it is contradicted by the innovations of a channel.
+    """Return the model with the declared noise of the sensors as priors if the innovations of a channel contradict it.
 
-    Taken for true, noise that is too small makes chance look like an effect, and pins the estimates. The noise of all
-    channels is then doubtful: what one of them lacks the others' innovations hide. The median decides, as outliers
-    are no noise.
+    If noise that is declared too small were kept fixed, random errors would look like an effect, and the standard
+    errors would be too small. One contradicted channel makes the declared noise of all channels doubtful: its errors go
+    into the states and hide in the innovations of the others. The median of the innovations decides, since it is not
+    sensitive to outliers.
     """
     declared, ratios = list[Parameter](), list[float]()
     for e, o in zip(np.concatenate([v.run.standardised for v in stage.estimation]).T, full.outputs, strict=True):
@@ -194,20 +245,28 @@ def fit_and_evaluate(
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
 ) -> FittedModel:
-    """Fit to the records; on the unseen ones adapt only what each record has for itself.
+    """Fit the model to the records. On validation records estimate only the per-record parameters.
 
-    Parameters:
-        model: what is fitted, from its own values; a rough search (without robust errors) tries no other starts.
-        records, unseen: estimation and validation data. A validation record that cannot be evaluated is left out and
-            named in ``failed``.
-        options, settings: of the fit (``seatrial.ident.estimation.maximum_likelihood.fit``).
+    Parameters
+    ----------
+    model
+        The model, with its initial values. A rough search (without robust errors) tries no other initial values.
+    records, unseen
+        Estimation and validation data. A validation record that cannot be evaluated is named in ``failed``.
+    options, settings
+        See `seatrial.ident.estimation.maximum_likelihood.fit`.
+
+    Raises
+    ------
+    ValueError
+        If an estimation record or a block of one cannot be evaluated.
     """
     options, settings = options or EstimationOptions(), settings or SearchSettings()
     model = options.with_mean_order(model)
-    begun, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
+    initial, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
     def fitted_from(start: Mapping[str, float]) -> Fit:
-        return fit(begun, rows, options, settings, start=start)
+        return fit(initial, rows, options, settings, start=start)
 
     fitted = fitted_from({})
     if model.start_grid is not None and settings.robust_errors:
@@ -221,8 +280,13 @@ def fit_and_evaluate(
 
 
 def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
-    """The fit judged on blocks in time of its estimation records, each with the estimates of the others. Raises
-    ValueError where a block cannot be evaluated."""
+    """Return the fit judged on blocks in time of its estimation records, each with the estimates from the others.
+
+    Raises
+    ------
+    ValueError
+        If a block cannot be evaluated.
+    """
     fitted, blocks = stage.fit, _with_own_starts(stage, blocks)
     values = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
     views = tuple(_view(fitted.model, r, v) for r, v in zip(blocks.records, values, strict=True))
@@ -230,14 +294,25 @@ def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
 
 
 def blocks_of(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
-    """Records cut into blocks in time; ``views``: a model on them, whose states say how a block may begin; ``block``
-    [s]: ``Model.block``."""
+    """Cut records into blocks in time.
+
+    Parameters
+    ----------
+    records
+        The records.
+    views
+        A model evaluated on them. Its filtered states give the initial states of the blocks.
+    block
+        ``Model.block`` [s].
+    """
     return time_blocks(records, block, [_starts_anywhere(v) for v in views])
 
 
 def _with_own_starts(stage: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
-    """Blocks that say how the states of the model's effects may begin, too: at rest they would be wrong wherever a run
-    is cut."""
+    """Return the blocks with initial states for all states of the fitted model, including those of its effects.
+
+    Initial states at rest would be wrong wherever a record is cut.
+    """
     known = [r.start for r in blocks.records]
     if all(s.name in start for s in stage.fit.model.states for start in known):
         return blocks
@@ -248,7 +323,7 @@ def _with_own_starts(stage: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
 
 
 def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
-    """Mean and standard deviation of each state over a record, with the filter's own uncertainty."""
+    """Return mean and standard deviation of each state over a record. They include the filter's own uncertainty."""
     mean, variance = view.run.x_filt.mean(axis=0), view.run.x_filt.var(axis=0)
     sd = np.sqrt(variance + np.diagonal(view.run.P_filt, axis1=1, axis2=2).mean(axis=0))
     return {s.name: (float(m), float(e)) for s, m, e in zip(view.model.states, mean, sd, strict=True)}
@@ -257,8 +332,10 @@ def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
 def _adapted(
     fitted: Fit, unseen: Sequence[Record], settings: SearchSettings
 ) -> tuple[list[RecordEvaluation], list[FailedRun]]:
-    """Validation records with their own parameters (the current) estimated, all at once, or where that fails one by
-    one; and those that cannot be evaluated."""
+    """Return the validation records with their per-record parameters (the current) estimated, and those that failed.
+
+    All records are fitted at once. If that fails, they are fitted one by one.
+    """
     model = fitted.model
     own = [p.name for p in model.parameters if p.free and p.per_record]
     if not unseen:
@@ -280,8 +357,15 @@ def _adapted(
 
 
 def validated_in_blocks(stage: FittedModel) -> FittedModel:
-    """The same fit judged on blocks in time of its validation records, as an effect must be that has parameters of its
-    own for each run: those come from the other blocks of the run. Raises ValueError where a block cannot be evaluated.
+    """Return the fit judged on blocks in time of its validation records.
+
+    An effect with per-record parameters must be judged this way: the values for a block come from the other blocks of
+    the run. A fit without validation records, or one that is cross-validated already, is returned unchanged.
+
+    Raises
+    ------
+    ValueError
+        If a block cannot be evaluated.
     """
     if stage.cross_validated or not stage.validation:
         return stage
@@ -298,7 +382,10 @@ def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
 
 
 def nominal(model: Model) -> Model:
-    """With disturbance forces and sensor offsets, unless it has them; a model without a hull stays as it is."""
+    """Return the model with disturbance forces and sensor offsets, scaled to its size.
+
+    A model that has them already is only scaled. A model without forces or kinematic residuals is returned unchanged.
+    """
     if not (forces_of(model) or residuals_of(model)):
         return model
     present = any(e.kind is EffectKind.DISTURBANCE for e in model.effects)
@@ -308,7 +395,10 @@ def nominal(model: Model) -> Model:
 def superset(
     nominal: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
 ) -> tuple[Model, dict[str, Effect]]:
-    """The model with every candidate whose inputs all runs have, so that one record serves them all."""
+    """Return the model with all candidates whose inputs exist in all runs, and these candidates by name.
+
+    One record of this model then serves all candidates.
+    """
     everything, kept = nominal, {}
     for name, effect in candidates.items():
         if not any(lacking_inputs(nominal, effect, run) for run in runs):
@@ -317,39 +407,45 @@ def superset(
 
 
 def lacking_inputs(nominal: Model, effect: Effect, run: LogSegment) -> set[str]:
-    """Inputs of an effect that a run has not, nor what they follow from."""
+    """Return the inputs of an effect that a run lacks and that cannot be derived from its channels."""
     derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
     return {i.tap_of or i.name for i in effect.inputs} - derived - set(run.channels)
 
 
 def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
-    """Fix the noise of sensors that no record has: nothing can be said about it."""
-    return model.replace_parameters(*[model.parameter(n).fixed() for n in _untold_noise(model, records)])
+    """Return the model with the noise of sensors that no record has fixed, since the data cannot inform it."""
+    return model.replace_parameters(*[model.parameter(n).fixed() for n in _absent_noise(model, records)])
 
 
 def without_untold_sensors(model: Model, records: Sequence[Record], unseen: Sequence[Record]) -> list[Record]:
-    """Validation records without the samples of sensors that no estimation record has: nothing tells their noise,
-    unless it is given, and a guess would judge the model."""
-    untold = {n for n in _untold_noise(model, records) if model.parameter(n).free}
-    out = {o.name for o in model.outputs if o.noise in untold}
+    """Return the validation records without samples of sensors that no estimation record has.
+
+    The noise of such a sensor is not estimated, and a guess of it would judge the model. If its noise is fixed to a
+    given value, the samples stay.
+    """
+    unknown = {n for n in _absent_noise(model, records) if model.parameter(n).free}
+    dropped = {o.name for o in model.outputs if o.noise in unknown}
     return [
-        replace(r, y=np.where([name in out for name in r.outputs], np.nan, r.y)) if out & set(r.outputs) else r
+        replace(r, y=np.where([name in dropped for name in r.outputs], np.nan, r.y)) if dropped & set(r.outputs) else r
         for r in unseen
     ]
 
 
-def _untold_noise(model: Model, records: Sequence[Record]) -> set[str]:
-    """The noise parameters of sensors that no record has."""
+def _absent_noise(model: Model, records: Sequence[Record]) -> set[str]:
+    """Return the noise parameters of sensors that no record has."""
     columns = {n: j for j, n in enumerate(records[0].outputs)}
     seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
-    told = {o.noise for o in model.outputs if o.name in seen}
-    return {o.noise for o in model.outputs if o.noise} - told
+    informed = {o.noise for o in model.outputs if o.name in seen}
+    return {o.noise for o in model.outputs if o.noise} - informed
 
 
 def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
-    """With a start for noise that an earlier fit put to zero, from where no search comes back: the median second
-    difference of what was measured, as white noise has it. Noise with a floor stays: it does not get there, and of a
-    smoothed signal the differences are motion."""
+    """Return the model with new initial values for noise that an earlier fit estimated as almost zero.
+
+    No search returns from a noise near zero. The new value comes from the median second difference of the samples,
+    taken as white noise. Noise with a lower bound keeps its value: it cannot collapse. The second differences of a
+    smoothed signal would measure its motion instead.
+    """
     new, names = [], records[0].outputs
     for o in model.outputs:
         p = model.parameter(o.noise) if o.noise else None

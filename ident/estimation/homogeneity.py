@@ -1,13 +1,15 @@
-"""Heterogeneity of parameters between logs: tests, effects that describe it, and shifts in a validation run.
+"""Heterogeneity of parameters between logs: homogeneity test, between-run effects, and shifts in a validation run.
 
-The homogeneity test is the likelihood ratio of one value for all logs to one for each, with the scatter between them.
+The homogeneity test is the likelihood ratio of one value for each log to one value for all logs. It also estimates the
+scatter between the logs.
 
-With values ``m`` (k,) fitted one a log and their covariance V, the logs' own scatter tau is that of
+Let ``m`` (k,) be the values fitted one for each log, and V their covariance. The scatter tau of the logs beyond V is
+that of
 
     m ~ N(mu 1, V + tau^2 I)
 
-by restricted maximum likelihood (DerSimonian and Laird 1986 is its moment form; Viechtbauer 2005). Where the logs
-disagree, the standard error of a common fit is too small, and mu with its own error is the calibrated answer.
+by restricted maximum likelihood (DerSimonian and Laird 1986 give its moment form; Viechtbauer 2005). If the logs
+disagree, the standard error of a common fit is too small; mu and its own standard error are then calibrated.
 """
 
 from __future__ import annotations
@@ -27,21 +29,36 @@ from seatrial.ident.estimation.standard_errors import AT_BOUND, VAGUE
 from seatrial.ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
 from seatrial.ident.numerics import Array
 
-LEVEL = 0.01
-BETWEEN, PAYLOAD, THRUST = "between-runs:", "payload", "thrust"
-SPREAD = 0.3  # relative, that a parameter may plausibly differ between runs: one standard deviation of the prior
-LEAST, MOST = -0.9, 9.0  # relative differences that are tried
-PAYLOAD_SHARE = 0.2  # of the surge mass, one standard deviation of the prior of a payload
-TOLD = 0.95  # of the prior's width: an error above it is the prior's own, and the record says nothing
-MIN_SHIFT = 5.0  # standard errors of both runs together, from which a parameter is said to be another
+LEVEL = 0.01  # significance level of the homogeneity test
+BETWEEN, PAYLOAD, THRUST = "between-runs:", "payload", "thrust"  # name of an effect: BETWEEN + target
+RELATIVE_SD = 0.3  # prior standard deviation of a parameter's relative difference between runs
+MIN_DIFFERENCE, MAX_DIFFERENCE = -0.9, 9.0  # bounds of that relative difference
+PAYLOAD_SHARE = 0.2  # prior standard deviation of a payload, as a share of the surge mass
+# A record informs a parameter if its standard error is below this share of the prior's standard deviation.
+INFORMED_SHARE = 0.95
+MIN_SHIFT = 5.0  # a parameter has shifted if it differs by this many standard errors of both runs together
 
 
 @dataclass(frozen=True)
 class HomogeneityTest:
-    """value, error, robust_error: of the fit with one value; values, errors (n_records,): of the fit with one a
-    record; left_out: records that do not inform the parameter, which ``df`` does not count; lr with df degrees of
-    freedom; scatter: between the records, beyond their errors; mean, mean_error and interval (95 %, Student's t by the
-    records with an error) with that scatter."""
+    """Result of the homogeneity test of one parameter over several logs.
+
+    Attributes
+    ----------
+    value, error, robust_error
+        Estimate and standard errors of the fit with one value for all records.
+    values, errors : Array (n_records,)
+        Estimates and standard errors of the fit with one value for each record; NaN errors for records at a bound.
+    lr, df, p
+        Likelihood ratio, its degrees of freedom and its p value.
+    scatter
+        Standard deviation between the records, beyond their standard errors.
+    mean, mean_error, interval
+        Mean of the records' values with that scatter, its standard error, and its 95 % interval. The interval uses
+        Student's t, with the number of records that have a standard error.
+    left_out
+        Records that do not inform the parameter. ``df`` does not count them.
+    """
 
     name: str
     unit: str
@@ -62,43 +79,65 @@ class HomogeneityTest:
 
     @property
     def agree(self) -> bool:
+        """Return whether the test does not reject one common value."""
         return self.p > LEVEL
 
 
-def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> HomogeneityTest:
-    """Fit again with a value of ``name`` for each record. ``one`` is the fit of the same records with one value."""
-    if name not in one.names:
-        free = ", ".join(p.name for p in one.parameters if p.segment is None)
-        raise SeatrialError(f"--test-homogeneity {name}: no free parameter that the logs share; there are {free}")
+def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> HomogeneityTest:
+    """Test whether one value of a parameter holds for all records, by a fit with one value for each record.
+
+    Parameters
+    ----------
+    common
+        Fit of the same records with one value for all of them.
+    records
+        The records of ``common``.
+    name
+        A free parameter that the records share.
+
+    Raises
+    ------
+    SeatrialError
+        If ``name`` is not such a parameter, or if there are fewer than two records.
+    """
+    if name not in common.names:
+        free = ", ".join(p.name for p in common.parameters if p.segment is None)
+        raise SeatrialError(
+            f"--test-homogeneity {name}: not a free parameter that all logs share; choose one of {free}"
+        )
     if len(records) < 2:
-        raise SeatrialError(f"--test-homogeneity {name}: it takes two logs or more")
-    shared = one.model.parameter(name)
-    model = _with_one_each(one.model, shared, len(records))
-    each = _again(one, model, records, range(len(records)))
+        raise SeatrialError(f"--test-homogeneity {name}: give two logs or more")
+    shared = common.model.parameter(name)
+    model = _with_one_each(common.model, shared, len(records))
+    each = _again(common, model, records, range(len(records)))
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
     at = [each.names.index(segment_name(name, i)) for i in range(len(records))]
-    # at a bound it has no error, but the record has pushed it there
-    stuck = {n for n, what in each.flags if what == AT_BOUND}
+    # a value at a bound has no standard error, but the record does inform it: its data pushed the value there
+    stuck = {n for n, flag in each.flags if flag == AT_BOUND}
     prior = model.parameter(name).free_prior()
-    widest = np.array([np.inf if prior is None else TOLD * prior[1] * shared.slope(value) for value in values])
+    widest = np.array(
+        [np.inf if prior is None else INFORMED_SHARE * prior[1] * shared.slope(value) for value in values]
+    )
     known = errors < widest
     informs = [i for i, k in enumerate(at) if known[i] or each.names[k] in stuck]
-    lr, df = 2.0 * (each.log_posterior - one.log_posterior), len(informs) - 1
-    if 0 < df < len(records) - 1:  # what the others say of noise, with a value of their own, is not of the parameter
-        of_each = _again(one, _with_one_each(one.model, shared, len(informs)), records, informs)
-        lr = 2.0 * (of_each.log_posterior - _again(one, one.model, records, informs).log_posterior)
+    lr, df = 2.0 * (each.log_posterior - common.log_posterior), len(informs) - 1
+    if 0 < df < len(records) - 1:
+        # Fit both models again to the informing records alone: otherwise the likelihood ratio would include what the
+        # other records tell about the noise.
+        of_each = _again(common, _with_one_each(common.model, shared, len(informs)), records, informs)
+        lr = 2.0 * (of_each.log_posterior - _again(common, common.model, records, informs).log_posterior)
     lr, df = max(lr, 0.0), max(df, 0)
-    told = [k for k, is_known in zip(at, known, strict=True) if is_known]
-    scatter, mean, mean_error = between_log_variance(values[known], each.covariance[np.ix_(told, told)])
+    informed_at = [k for k, is_known in zip(at, known, strict=True) if is_known]
+    scatter, mean, mean_error = between_log_variance(values[known], each.covariance[np.ix_(informed_at, informed_at)])
     half = float(stats.t.ppf(0.975, max(int(known.sum()) - 1, 1))) * mean_error
-    value, error = one.estimate(name)
+    value, error = common.estimate(name)
     return HomogeneityTest(
         name,
         model.parameter(name).unit,
         tuple(r.name for r in records),
         value,
         error,
-        float(one.robust_errors[one.names.index(name)]),
+        float(common.robust_errors[common.names.index(name)]),
         values,
         errors,
         lr,
@@ -112,35 +151,56 @@ def homogeneity_test(one: Fit, records: Sequence[Record], name: str) -> Homogene
     )
 
 
-def _with_one_each(model: Model, shared: Parameter, n: int) -> Model:
-    """With a value for each of n records. What was known of the one value is known once, not once for each record:
-    equal values then have the same posterior."""
-    prior = None if shared.prior is None else (shared.prior[0], shared.prior[1] * np.sqrt(n))
-    return model.replace_parameters(replace(shared, per_record=True, prior=prior))
+def _with_one_each(model: Model, parameter: Parameter, n: int) -> Model:
+    """Return the model with one value of a parameter for each of n records.
+
+    The prior is weakened by ``sqrt(n)``: n equal values then have the same posterior as the one common value.
+    """
+    prior = None if parameter.prior is None else (parameter.prior[0], parameter.prior[1] * np.sqrt(n))
+    return model.replace_parameters(replace(parameter, per_record=True, prior=prior))
 
 
-def _again(one: Fit, model: Model, records: Sequence[Record], which: Sequence[int]) -> Fit:
-    """Another model fitted to some of the records as ``one`` was, for only then their likelihoods compare: its model
-    has the outliers and the free starts of output error already, and each record begins where it ended."""
+def _again(previous: Fit, model: Model, records: Sequence[Record], which: Sequence[int]) -> Fit:
+    """Fit another model to some of the records with the options of a previous fit, so that their likelihoods compare.
+
+    The previous model already has the outlier model and the free initial states of output error, so that neither is
+    applied again. The parameters of each record start from their previous values.
+
+    Parameters
+    ----------
+    which
+        Indices of the records.
+    """
     begin = {
         segment_name(p.name, k): float(v)
         for k, i in enumerate(which)
-        for p, v in zip(one.parameters, one.values, strict=True)
+        for p, v in zip(previous.parameters, previous.values, strict=True)
         if p.segment == i
     }
     return fit(
         model,
         [records[i] for i in which],
-        replace(one.options, outlier_model=False),
+        replace(previous.options, outlier_model=False),
         SearchSettings(initial_state="given"),
         start=begin,
     )
 
 
 def between_log_variance(values: Array, covariance: Array) -> tuple[float, float, float]:
-    """Scatter between values (k,) beyond their covariance (k, k), their mean with it, and the mean's standard error.
+    """Estimate the scatter between values beyond their covariance, by restricted maximum likelihood.
 
-    Values without an error are left out. Restricted maximum likelihood.
+    Parameters
+    ----------
+    values : Array (k,)
+        One value for each log.
+    covariance : Array (k, k)
+        Their covariance. Values with a NaN variance are left out.
+
+    Returns
+    -------
+    scatter, mean, mean_error
+        Standard deviation between the logs, the mean with that scatter, and its standard error. All are NaN if fewer
+        than two values remain.
     """
     known = np.isfinite(np.diag(covariance))
     m, V = values[known], covariance[np.ix_(known, known)]
@@ -148,6 +208,7 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
         return float("nan"), float("nan"), float("nan")
 
     def mean_of(tau: float) -> tuple[float, float, float]:
+        """Return mean, its information and the restricted log-likelihood for a scatter tau."""
         W = np.linalg.inv(V + tau**2 * np.eye(m.size))
         information = float(W.sum())
         mean = float(W.sum(axis=0) @ m) / information
@@ -165,11 +226,14 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
 
 
 def between_runs(fitted: Fit) -> dict[str, Effect]:
-    """Candidates for what differs between the records of a fit: a payload, the thrust, or one parameter alone; none
-    for a single record."""
+    """Return the candidate effects for what may differ between the records of a fit.
+
+    These are a payload, the thrust, and each single positive parameter. Each name starts with ``BETWEEN``. The result
+    is empty for a single record.
+    """
     if len(fitted.records) < 2:
         return {}
-    model, stuck = fitted.model, {n for n, what in fitted.flags if what in (AT_BOUND, VAGUE)}
+    model, stuck = fitted.model, {n for n, flag in fitted.flags if flag in (AT_BOUND, VAGUE)}
     names = [PAYLOAD] if {"m_u", "m_v"} <= set(model.values) else []
     names += [THRUST] if "c1" in model.values else []
     found = {p.name for p in fitted.parameters if p.segment is None} - model.noise_parameters - stuck
@@ -178,10 +242,18 @@ def between_runs(fitted: Fit) -> dict[str, Effect]:
     return {BETWEEN + n: between_runs_effect(model, n) for n in names}
 
 
-def between_runs_effect(model: Model, what: str) -> Effect:
-    """A payload [kg] on the masses of surge and sway, a factor on the thrust, or on one parameter, in each record its
-    own."""
-    if what == PAYLOAD:
+def between_runs_effect(model: Model, target: str) -> Effect:
+    """Return the effect of a difference between records.
+
+    Parameters
+    ----------
+    model
+        The model to which the effect is added.
+    target
+        ``PAYLOAD``: a mass [kg] added to the masses in surge and sway. ``THRUST``: a factor on the thrust coefficients.
+        Otherwise the name of the parameter that gets a factor. Each record has its own mass or factor.
+    """
+    if target == PAYLOAD:
 
         def load(s: Signals) -> None:
             s.p.m_u, s.p.m_v = s.p.m_u + s.p.m_payload, s.p.m_v + s.p.m_payload
@@ -191,38 +263,53 @@ def between_runs_effect(model: Model, what: str) -> Effect:
             "m_payload",
             0.0,
             "kg",
-            "mass more than on average over the runs",
+            "mass above the average over the runs",
             prior=(0.0, sd),
             per_record=True,
             step=0.05 * sd,
         )
         return _between(PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run")
-    names = ("c1", "c2") if what == THRUST else (what,)
-    meaning = "the thrust" if what == THRUST else f"{what} ({model.parameter(what).meaning})"
+    names = ("c1", "c2") if target == THRUST else (target,)
+    meaning = "the thrust" if target == THRUST else f"{target} ({model.parameter(target).meaning})"
 
     def change(s: Signals) -> None:
-        factor = 1.0 + getattr(s.p, f"k_{what}")
+        factor = 1.0 + getattr(s.p, f"k_{target}")
         for name in names:
             if hasattr(s.p, name):
                 setattr(s.p, name, getattr(s.p, name) * factor)
 
     factor = Parameter(
-        f"k_{what}",
+        f"k_{target}",
         0.0,
         "",
         f"relative difference of {meaning} from its mean over the runs",
-        prior=(0.0, SPREAD),
-        bounds=(LEAST, MOST),
+        prior=(0.0, RELATIVE_SD),
+        bounds=(MIN_DIFFERENCE, MAX_DIFFERENCE),
         per_record=True,
         step=0.01,
     )
     formula = f"{', '.join(names)} (1 + k) in each run"
-    return _between(what, f"a difference of {meaning} between runs", change, factor, formula)
+    return _between(target, f"a difference of {meaning} between runs", change, factor, formula)
 
 
-def _between(what: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str) -> Effect:
+def _between(target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str) -> Effect:
+    """Return the between-run effect of one per-record parameter.
+
+    Parameters
+    ----------
+    target
+        What differs: second part of the effect's name.
+    title
+        Title of the effect.
+    change
+        Changes the parameters in a model's signals.
+    own
+        The per-record parameter.
+    formula
+        Formula of the effect in words.
+    """
     return Effect(
-        BETWEEN + what,
+        BETWEEN + target,
         title,
         {PARAMETERS: change},
         (own,),
@@ -236,7 +323,7 @@ def _between(what: str, title: str, change: Callable[[Signals], None], own: Para
 
 @dataclass(frozen=True)
 class RunDifference:
-    """How much a record's own parameter is more than in the first record, with the standard error of that."""
+    """Difference of a per-record parameter from its value in the first record, with its standard error."""
 
     record: str
     value: float
@@ -244,7 +331,10 @@ class RunDifference:
 
 
 def run_differences(fitted: Fit, name: str) -> tuple[RunDifference, ...]:
-    """Differences of a parameter that each record has for itself, from its value in the first record."""
+    """Return the differences of a per-record parameter from its value in the first record.
+
+    The standard errors take account of the covariance of the two values; NaN if the variance is not positive.
+    """
     at = [fitted.names.index(segment_name(name, i)) for i in range(len(fitted.records))]
     found = []
     for record, k in zip(fitted.records[1:], at[1:], strict=True):
@@ -257,8 +347,17 @@ def run_differences(fitted: Fit, name: str) -> tuple[RunDifference, ...]:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """A parameter, or a payload, that explains best how a run differs from those of a fit: fitted and error of the fit,
-    value and value_error of that run alone, all other parameters kept; gain: d ln L in that run."""
+    """The parameter, or payload, whose change explains best how a run differs from those of a fit.
+
+    Attributes
+    ----------
+    fitted, error
+        Estimate of the fit and its standard error; zero for a payload.
+    value, value_error
+        Estimate from that run alone with all other shared parameters kept, and its standard error.
+    gain
+        Increase of the log-likelihood in that run.
+    """
 
     name: str
     unit: str
@@ -270,9 +369,23 @@ class ParameterShift:
 
 
 def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShift | None:
-    """What explains best how a run differs from those of a fit, if anything does by ``MIN_SHIFT`` standard errors.
+    """Return the parameter whose change explains best how a run differs from those of a fit.
 
-    values (n_parameters,): as the fit has them for this record.
+    Each shared parameter but those of noise, and a payload, is fitted to the run alone.
+
+    Parameters
+    ----------
+    fitted
+        The fit.
+    record
+        The run.
+    values : Array (n_parameters,)
+        Values of the fit for this record, over ``model.parameters`` in order.
+
+    Returns
+    -------
+    ParameterShift or None
+        None if no parameter differs by more than ``MIN_SHIFT`` standard errors.
     """
     model = fitted.model.with_values(dict(zip(fitted.model.values, values.tolist(), strict=True)))
     own = [p.name for p in model.parameters if p.free and p.per_record]
@@ -287,11 +400,11 @@ def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShif
         except FIT_ERRORS:
             continue
         unit, (value, value_error) = larger.parameter(name).unit, alone.estimate(name)
-        was, error = fitted.estimate(name) if name in model.values else (0.0, 0.0)
-        if abs(value - was) > MIN_SHIFT * float(np.hypot(error, value_error)):  # not where an error is not known
-            found.append(ParameterShift(name, unit, was, error, value, value_error, alone.log_likelihood))
+        before, error = fitted.estimate(name) if name in model.values else (0.0, 0.0)
+        if abs(value - before) > MIN_SHIFT * float(np.hypot(error, value_error)):  # false if an error is NaN
+            found.append(ParameterShift(name, unit, before, error, value, value_error, alone.log_likelihood))
     if not found:
         return None
-    begun = float(Likelihood(model).value_by_row(record.for_model(model), values).sum())
+    initial = float(Likelihood(model).value_by_row(record.for_model(model), values).sum())
     best = max(found, key=lambda s: s.gain)
-    return replace(best, gain=best.gain - begun)
+    return replace(best, gain=best.gain - initial)

@@ -1,4 +1,4 @@
-"""Maximum likelihood, or maximum a posteriori where parameters have priors, over any number of records."""
+"""Maximum likelihood estimation over any number of records; maximum a posteriori if parameters have priors."""
 
 from __future__ import annotations
 
@@ -30,23 +30,29 @@ from seatrial.ident.model import with_outlier_model as with_outliers
 from seatrial.ident.numerics import Array
 
 Method = Literal["prediction-error", "output-error"]
-TOLERANCE = 1e-6  # of the log-likelihood: parameters within about a thousandth of a standard error
+TOLERANCE = 1e-6  # of the log-likelihood: parameters are then exact to about a thousandth of a standard error
 
 
 @dataclass(frozen=True)
 class EstimationOptions:
-    """How parameters are estimated: chosen on the command line, kept with the fit.
+    """How parameters are estimated: chosen on the command line and kept with the fit.
 
-    Attributes:
-        outlier_model: contaminated normal innovations in all sensors (``seatrial.ident.model.outlier_density``);
-        without it
-            in those in which the model has them.
-        reml: restricted maximum likelihood for noise (``seatrial.ident.estimation.restricted_likelihood``); not in
-        output
-            error, which has no noise parameters but those of the sensors.
-        mean_order: propagation of the filter's mean, of first or second order; None: as the model says.
-        method: extended Kalman filter between samples, or simulation without process noise.
-        horizon: how far ahead predictions are judged [s]; None: the model's own.
+    Attributes
+    ----------
+    outlier_model
+        Whether all sensors get the outlier model: contaminated normal innovations
+        (``seatrial.ident.model.outlier_density``). Otherwise only the sensors for which the model has it.
+    reml
+        Whether the noise is estimated by restricted maximum likelihood
+        (``seatrial.ident.estimation.restricted_likelihood``). It has no effect in output error, which has no noise
+        parameters except those of the sensors.
+    mean_order
+        Order of the propagation of the filter's mean, 1 or 2; None: that of the model.
+    method
+        ``prediction-error``: extended Kalman filter between samples. ``output-error``: simulation without process
+        noise.
+    horizon
+        Horizon at which predictions are judged [s]; None: that of the model.
     """
 
     outlier_model: bool = False
@@ -61,27 +67,35 @@ class EstimationOptions:
 
     @property
     def process_noise(self) -> bool:
-        """Whether the model's process noise counts."""
+        """Whether the likelihood includes the model's process noise."""
         return self.method == "prediction-error"
 
     def with_mean_order(self, model: Model) -> Model:
-        """The model with its mean propagated as chosen here."""
+        """Return the model with the mean's order of propagation that is chosen here."""
         return model if self.mean_order is None else replace(model, second_order=self.mean_order == 2)
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How exactly one search for the maximum is carried out.
+    """How accurately one search for the maximum is carried out.
 
-    Attributes:
-        tolerance: gain in log-likelihood below which the search ends.
-        max_iterations: of Fisher scoring.
-        robust_errors: also standard errors that hold for autocorrelated residuals (sandwich covariance), and those of
-            parameters on a flat likelihood. Both cost evaluations, which the many rough fits of a diagnosis spare.
-        initial_state: of output error alone: the start of each record is estimated too
-            (``seatrial.ident.estimation.output_error.free_start``), or taken for exact as the model gives it.
-        joseph: Joseph's form of the covariance update, for a start that is uncertain by many orders.
-        threads: records that are evaluated at once.
+    Attributes
+    ----------
+    tolerance
+        The search ends if the expected gain in log-likelihood is smaller.
+    max_iterations
+        Largest number of iterations of Fisher scoring.
+    robust_errors
+        Whether to compute robust standard errors, and those of parameters with a flat likelihood. Both cost
+        evaluations, which the many rough fits of a diagnosis avoid.
+    initial_state
+        For output error only. ``free``: the initial state of each record is estimated
+        (``seatrial.ident.estimation.output_error.free_start``). ``given``: it is that of the model, taken as exact.
+    joseph
+        Whether to use Joseph's form of the covariance update, for an initial state that is uncertain by many orders of
+        magnitude.
+    threads
+        Number of records that are evaluated at once.
     """
 
     tolerance: float = TOLERANCE
@@ -96,29 +110,67 @@ class SearchSettings:
             raise ValueError(f"no initial state {self.initial_state!r}: free or given")
 
 
-# of a candidate's fit; the model that is kept is fitted exactly
+# For the fits of candidates in a diagnosis. The model that is kept is fitted again with the default settings.
 ROUGH = SearchSettings(tolerance=0.02, robust_errors=False)
 
 
-CLOSE_ENOUGH = 1e-2  # what may be left to gain where no step gains more
+CLOSE_ENOUGH = 1e-2  # a search has converged if the expected gain in log-posterior of one more step is smaller
 
 
 @dataclass(frozen=True)
 class Fit:
-    """An estimate and what is known of it, in the parameters' own units.
+    """Estimates of a model's free parameters with their uncertainty, in the parameters' own units.
 
-    parameters (n,): what was estimated, each record's own with its ``segment``, at their initial values, and their
-    names, ``m_u`` or ``V_x@0``; values, errors (n,): errors are
-    NaN for parameters at a bound or not informed, which ``flags`` names; limits (n,): of a parameter at its bound,
-    the far end of its 95 % interval, NaN for all others; covariance, correlation (n, n); considered (n, n): what of the
-    covariance comes from considered parameters, which what the same sensors measure does not feel;
-    prior_weight (n,): the part of a parameter's information that its prior gave (1: the data said nothing);
-    robust_errors (n,): from the sandwich covariance, valid when the residuals are coloured, NaN where they
-    were not asked for; coloured: they are, so that errors and covariance are those of the sandwich where it is the
-    larger (``_coloured``; never in output error); inflation (n,): by what factor it is, 1 where it is not;
-    record_values (n_records, n_parameters): over ``model.parameters`` in order. The log-likelihood is the largest, also
-    where the noise was then restricted; the log-posterior leaves out the constants of the priors.
-    ``gain_left``: what one more step would gain; ``options``: what was asked for.
+    Attributes
+    ----------
+    model
+        The model with the estimates; per-record parameters have their mean over the records.
+    options
+        The options of the fit.
+    records
+        Names of the records.
+    parameters
+        The n estimated parameters with their initial values. A per-record parameter appears once for each record, with
+        its ``segment``.
+    values, errors : Array (n,)
+        Estimates and standard errors. An error is NaN if the parameter is at a bound or not identified; ``flags`` then
+        contains the reason.
+    limits : Array (n,)
+        For a parameter at its bound, the far end of its 95 % interval; NaN for all others.
+    covariance, correlation : Array (n, n)
+        Of the estimates.
+    considered : Array (n, n)
+        Part of the covariance that comes from considered parameters. It does not affect predictions of what the same
+        sensors measure.
+    prior_weight : Array (n,)
+        Share of a parameter's information that comes from its prior; 1 if the data contain no information.
+    robust_errors : Array (n,)
+        Standard errors from the sandwich covariance, valid for coloured residuals; NaN if they were not requested.
+    coloured
+        Whether the residuals are coloured (`_coloured`). Errors and covariance are then those of the sandwich if it is
+        larger. Never true in output error.
+    inflation : Array (n,)
+        Factor by which coloured residuals increased each standard error; 1 for none.
+    record_values : Array (n_records, n_parameters)
+        Values of each record, over ``model.parameters`` in order.
+    log_likelihood
+        Log-likelihood at the maximum of the log-posterior. The later step of REML does not change this number.
+    log_posterior
+        Log-likelihood plus the logarithms of the priors, without their constants.
+    n_measured
+        Number of measured values.
+    gradient_norm
+        Length of the gradient in standard errors.
+    gain_left
+        Expected gain in log-posterior of one more step.
+    iterations, evaluations
+        Effort of the search.
+    cpu_seconds
+        Processor time [s].
+    flags
+        Pairs of a parameter's name and a remark.
+    converged, message
+        Whether the search converged, and a sentence about it.
     """
 
     model: Model
@@ -150,11 +202,14 @@ class Fit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters: ``m_u``, ``V_x@0``."""
+        """Full names of the estimated parameters: ``m_u``, ``V_x@0``."""
         return tuple(p.full_name for p in self.parameters)
 
     def estimate(self, name: str, record: int = 0) -> tuple[float, float]:
-        """Value and standard error (NaN: fixed, at a bound, or not informed) of a parameter in a record."""
+        """Return value and standard error of a parameter in a record.
+
+        The error is NaN if the parameter is fixed, at a bound or not identified.
+        """
         for i, p in enumerate(self.parameters):
             if p.name == name and p.segment in (None, record):
                 return float(self.values[i]), float(self.errors[i])
@@ -162,7 +217,7 @@ class Fit:
 
     @property
     def bic(self) -> float:
-        """Schwarz's criterion; smaller is better."""
+        """Bayesian information criterion (Schwarz); smaller is better."""
         return float(len(self.names) * np.log(self.n_measured) - 2.0 * self.log_likelihood)
 
 
@@ -175,18 +230,28 @@ def fit(
     start: Mapping[str, float] | None = None,
     progress: Iterations | None = None,
 ) -> Fit:
-    """Maximum likelihood (or maximum a posteriori) estimate of the free parameters of a model.
+    """Estimate the free parameters of a model by maximum likelihood, or maximum a posteriori if there are priors.
 
-    Parameters:
-        model: what is estimated, from its own values.
-        records: at least one; they share all parameters but those that each record has for itself.
-        options: plain maximum likelihood by prediction error where none are given.
-        settings: of the search.
-        start: values to begin with instead of the model's, ``V_x@0`` those of a record.
-        progress: called with the iteration and the log-posterior.
+    Parameters
+    ----------
+    model
+        The model, with its initial values.
+    records
+        At least one record. The records share all parameters except per-record ones.
+    options
+        Plain maximum likelihood by prediction error if None.
+    settings
+        Settings of the search.
+    start
+        Initial values that replace those of the model; ``V_x@0`` for a single record.
+    progress
+        Called with the number of the iteration and the log-posterior.
 
-    Raises ValueError, naming the record, where a record does not fit the model or cannot be evaluated, and naming all
-    where the search diverges.
+    Raises
+    ------
+    ValueError
+        If a record does not match the model or cannot be evaluated (the message names it), or if the search diverges
+        (the message names all records).
     """
     began = time.process_time()
     options, settings = options or EstimationOptions(), settings or SearchSettings()
@@ -202,14 +267,14 @@ def fit(
         model = _with_outliers(model, records, options, settings, begin)
     likelihood = Likelihood(model, joseph=settings.joseph, process_noise=options.process_noise)
     problem = Problem(likelihood, records, _estimable(model, options), settings.threads, begin)
-    _check_enough(problem)
+    _check_data(problem)
     mean, weight = problem.prior
     options = replace(options, reml=options.reml and options.process_noise)
     try:
         optimum = _search(problem, settings, progress)
         prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
         optimum = apply_reml(problem, optimum) if options.reml else optimum
-        known, robust = _known(problem, optimum, settings.robust_errors)
+        known, robust = _uncertainty(problem, optimum, settings.robust_errors)
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in records)
         raise ValueError(f"{names}: the search for the parameters of model {model.name} diverged: {error}") from error
@@ -222,27 +287,36 @@ def fit(
     return _report(problem, optimum, known, robust.errors, coloured, options, prior_part, time.process_time() - began)
 
 
-def _check_enough(problem: Problem) -> None:
-    """Raises ValueError where there is nothing to estimate, or less to do it from."""
+def _check_data(problem: Problem) -> None:
+    """Raise ValueError if the data cannot determine the free parameters.
+
+    The model must have a free parameter, and at least as many measured values as free parameters without a prior.
+    """
     if not problem.names:
         raise ValueError(f"model {problem.model.name} has no free parameters")
-    told = sum(problem.likelihood.measured(record) for record in problem.records)
-    unknown = int(np.sum(problem.prior[1] == 0))
-    if told < unknown:
+    n_measured = sum(problem.likelihood.measured(record) for record in problem.records)
+    n_unknown = int(np.sum(problem.prior[1] == 0))
+    if n_measured < n_unknown:
         names = ", ".join(r.name for r in problem.records)
         raise ValueError(
-            f"{names}: {told} measured samples for {unknown} free parameters of model "
+            f"{names}: {n_measured} measured samples for {n_unknown} free parameters of model "
             f"{problem.model.name} without a prior; give more data, or fix some of them"
         )
 
 
-def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertainty, Sandwich]:
-    """What is known of the estimates, and errors that allow for coloured residuals, NaN where not asked for."""
+def _uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -> tuple[Uncertainty, Sandwich]:
+    """Return the uncertainty of the estimates, and the robust standard errors.
+
+    Parameters
+    ----------
+    with_robust
+        Whether to compute robust errors and intervals of flat coordinates. Otherwise the robust errors are NaN.
+    """
     z, slopes = optimum.z, problem.slopes(optimum.z)
-    # A search's many rough fits need neither: both cost evaluations.
+    # The many rough fits of a diagnosis skip these two: both cost evaluations.
     information, bounds = optimum.at.information, problem.bounds
-    flat = flat_coordinates(problem.value, z, problem.parameters, information, bounds) if coloured else []
-    considered = considered_information(problem, z) if coloured and problem.model.considered else None
+    flat = flat_coordinates(problem.value, z, problem.parameters, information, bounds) if with_robust else []
+    considered = considered_information(problem, z) if with_robust and problem.model.considered else None
     known = assess(
         with_interval_information(optimum.at, flat),
         z,
@@ -254,16 +328,29 @@ def _known(problem: Problem, optimum: Optimum, coloured: bool) -> tuple[Uncertai
     )
     known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
     robust = Sandwich(*np.full((3, z.size), np.nan))
-    if coloured:
+    if with_robust:
         robust = sandwich(known, problem.by_row(z), slopes, problem.prior[1])
     for p in flat:
-        robust.errors[p.at] = robust.least[p.at] = known.errors[p.at]  # no row has a part in it
+        # the interval of a flat coordinate does not come from contributions of rows
+        robust.errors[p.at] = robust.least[p.at] = known.errors[p.at]
     return known, robust
 
 
 def considered_information(problem: Problem, z: Array) -> Array:
-    """Information (n, n_considered) between the estimates and the considered parameters, per standard deviation of the
-    latter."""
+    """Return the information between the estimates and the considered parameters.
+
+    Parameters
+    ----------
+    problem
+        The problem of the fit.
+    z : Array (n,)
+        The estimates, in the estimator's coordinates.
+
+    Returns
+    -------
+    Array (n, n_considered)
+        Per standard deviation of each considered parameter.
+    """
     names = problem.model.considered
     begin = dict(zip(problem.names, problem.own(z).tolist(), strict=True))
     both = Problem(problem.likelihood, problem.records, (*problem.free, *names), problem.threads, begin)
@@ -273,8 +360,10 @@ def considered_information(problem: Problem, z: Array) -> Array:
 
 
 def _coloured(problem: Problem, robust: Sandwich) -> bool:
-    """Whether the information matrix test rejects the errors of any parameter but noise, whose scores depend on the
-    fourth moment of the residuals, too."""
+    """Return whether the information matrix test rejects the standard error of any parameter except noise.
+
+    The scores of noise parameters also depend on the fourth moment of the residuals, so that the test would not apply.
+    """
     noise = problem.model.noise_parameters
     p = np.array([p for p, q in zip(robust.p.tolist(), problem.parameters, strict=True) if q.name not in noise])
     return bool((p * np.isfinite(p).sum() < COLOURED).any())
@@ -287,14 +376,14 @@ def _with_outliers(
     settings: SearchSettings,
     begin: Mapping[str, float],
 ) -> Model:
-    """The model with outliers allowed, at the better of two starts: its own values, or those of a plain fit.
+    """Return the model with the outlier model, at the better of two starts: its own values, or those of a plain fit.
 
-    Outliers are told from good samples by the noise, so its scale must be about right first, which a plain fit
-    sees to; but one far outlier can spoil that fit, or make it impossible.
+    Outliers can be separated from good samples only if the noise is about right. A plain fit estimates it. A single far
+    outlier can distort that fit or make it fail, so that the model's own values are tried, too.
     """
     own = with_outliers(model)
     try:
-        # output error's starts are free in this model already, or meant to be as they are
+        # "given": the initial states of output error are already free in this model, or fixed on purpose
         plain = fit(
             model,
             records,
@@ -310,7 +399,10 @@ def _with_outliers(
 
 
 def _estimable(model: Model, options: EstimationOptions) -> tuple[str, ...]:
-    """Output error knows nothing of process noise and of the uncertainty of the initial state."""
+    """Return the free parameters that the method can estimate.
+
+    Output error has neither process noise nor uncertainty of the initial state.
+    """
     if options.process_noise:
         return model.free
     ignored = {s.noise for s in model.states} | {s.sd0 for s in model.states}
@@ -318,6 +410,7 @@ def _estimable(model: Model, options: EstimationOptions) -> tuple[str, ...]:
 
 
 def _search(problem: Problem, settings: SearchSettings, progress: Iterations | None) -> Optimum:
+    """Search for the maximum by Fisher scoring, and by L-BFGS-B if scoring stops before it has converged."""
     tolerance, max_iterations = settings.tolerance, settings.max_iterations
     z = problem.bounds.clip(problem.start)
     if not problem.evaluate(z).finite:
@@ -340,6 +433,15 @@ def _report(
     prior_part: float,
     cpu_seconds: float,
 ) -> Fit:
+    """Return the fit with all its results.
+
+    Parameters
+    ----------
+    robust : Array (n,)
+        Robust standard errors.
+    prior_part
+        Part of the log-posterior that comes from the priors.
+    """
     record_values = problem.values(optimum.z)
     names = [p.name for p in problem.model.parameters]
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
@@ -349,7 +451,8 @@ def _report(
     message = (
         f"converged in {optimum.iterations} iterations"
         if converged
-        else f"stopped after {optimum.iterations} iterations with {optimum.gain_left:.3g} left to gain"
+        else f"stopped after {optimum.iterations} iterations; "
+        f"its log-posterior can still rise by {optimum.gain_left:.3g}"
     )
     return Fit(
         model=model,

@@ -1,4 +1,4 @@
-"""Reading and writing of model.toml, a fitted model. See docs/formats/model.md."""
+"""Reader and writer of model.toml, the file of a fitted model. See docs/formats/model.md."""
 
 from __future__ import annotations
 
@@ -58,14 +58,39 @@ from seatrial.ident.models import (
 from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-model 1"
-NOTABLE_INFLATION = 1.001  # of a standard error: below it is rounding
-STATE_NUMBERS = ("sd0", "noise")  # of a state, where no parameter holds them
+NOTABLE_INFLATION = 1.001  # an inflation of a standard error below this factor is rounding, and is not written
+STATE_NUMBERS = ("sd0", "noise")  # attributes of a state that are written if they are numbers, not parameter names
 
 
 @dataclass(frozen=True)
 class SavedModel:
-    """A model read back. ``errors``: standard errors by name (NaN: none); ``validity``: ranges by signal;
-    ``correlation`` (n, n): of the estimates ``names``; ``reml``: noise by restricted likelihood."""
+    """A model read from a file, with its estimates' uncertainty.
+
+    Attributes
+    ----------
+    model
+        The model with its values.
+    errors
+        Standard errors by parameter; NaN for none.
+    validity
+        Range of each signal in the fitted data.
+    provenance
+        Software version, command line, logs and their hashes.
+    names, correlation : Array (n, n)
+        Names of the estimates, and their correlation.
+    effects_file
+        Python file with the effects that are not in the catalogue.
+    reml
+        Whether the noise is estimated by restricted maximum likelihood.
+    calibration
+        Relative standard uncertainty of the measured forces in the fitted data; None if unknown.
+    origin
+        Origin of x and y for the model's fixed points; None if it has no fixed point, or if the origin is unknown.
+    inflation
+        By parameter, the factor by which correlated residuals increased its standard error.
+    rates
+        By sensor, its sample rate in the fitted data [Hz].
+    """
 
     model: Model
     errors: Mapping[str, float]
@@ -73,21 +98,25 @@ class SavedModel:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     names: tuple[str, ...] = ()
     correlation: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    effects_file: Path | None = None  # where effects that are not in the catalogue come from
+    effects_file: Path | None = None
     reml: bool = False
-    calibration: float | None = None  # relative standard uncertainty of the forces that it was fitted to; None: unknown
-    origin: FrameOrigin | None = None  # from which its fixed points count; None: it has none, or nobody knows
-    # by parameter, factor by which correlated residuals made its standard error larger than by the information
+    calibration: float | None = None
+    origin: FrameOrigin | None = None
     inflation: Mapping[str, float] = field(default_factory=dict)
-    rates: Mapping[str, float] = field(default_factory=dict)  # by sensor: its samples a second in the fitted data [Hz]
+    rates: Mapping[str, float] = field(default_factory=dict)
 
     def uncertainty(self, name: str) -> float:
-        """Standard uncertainty of an estimated force: of its estimate and of the load cell's calibration; NaN where the
-        estimate has none."""
+        """Return the standard uncertainty of a measured force coefficient [N]; NaN if it has no standard error.
+
+        It combines the standard error of the estimate and the uncertainty of the load cell's calibration.
+        """
         return float(np.hypot(self.errors[name], (self.calibration or 0.0) * self.model.parameter(name).value))
 
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
-        """Covariance of the estimates, or of those in ``wanted``, that have a standard error."""
+        """Return the covariance of all estimates, or of those in ``wanted``.
+
+        Estimates without a standard error are left out.
+        """
         names = self.names if wanted is None else [n for n in self.names if n in wanted]
         known = tuple(n for n in names if np.isfinite(self.errors.get(n, np.nan)) and self.errors[n] > 0.0)
         at = [self.names.index(n) for n in known]
@@ -106,10 +135,27 @@ def save_model(
     origin: FrameOrigin | None = None,
     rates: Mapping[str, float] | None = None,
 ) -> None:
-    """Write the model of a fit, and beside it a copy of each Python file of the user's own that it is made with.
-    ``effects_file``: where effects that are not in the catalogue come from; ``calibration``: relative standard
-    uncertainty of the forces that were measured; ``origin``: of x and y of the logs, which a model with a fixed point
-    keeps; ``rates``: by sensor, its samples a second in the fitted data, of averages where it was averaged [Hz]."""
+    """Write the model of a fit, and beside it a copy of each user-defined Python file that the model needs.
+
+    Parameters
+    ----------
+    path
+        The model.toml to be written.
+    fit
+        The fit.
+    validity
+        Range of each signal in the fitted data.
+    provenance
+        Software version, command line, logs and their hashes.
+    effects_file
+        Python file with the effects that are not in the catalogue.
+    calibration
+        Relative standard uncertainty of the measured forces.
+    origin
+        Origin of x and y in the logs. Only a model with a fixed point keeps it.
+    rates
+        By sensor, its sample rate in the fitted data [Hz]; after averaging, the rate of the averages.
+    """
     model, document = fit.model, tomlkit.document()
     document["format"] = FORMAT
     document["name"] = model.name
@@ -143,13 +189,13 @@ def save_model(
         document["rates"] = {k: float(f"{z:.4g}") for k, z in rates.items()}
     if states := _states_table(model, effects_file):
         document["states"] = states
-    # disturbance forces get the size of the boat whenever a fit begins (seatrial.ident.models.scaling); a prior of that
-    # size would get it twice
-    sized_anew = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
+    # Each fit scales the priors of disturbance forces to the size of the boat (seatrial.ident.models.scaling). A prior
+    # that is written with that size would be scaled twice.
+    scaled_by_fits = {p.name for e in model.effects if e.kind is EffectKind.DISTURBANCE for p in e.parameters}
     parameters = tomlkit.aot()
     for p in model.parameters:
         table = tomlkit.table()
-        table.update(_row(p, fit, with_prior=p.name not in sized_anew))
+        table.update(_row(p, fit, with_prior=p.name not in scaled_by_fits))
         parameters.append(table)
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
@@ -157,7 +203,7 @@ def save_model(
 
 
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
-    """Numbers of the states of effects, which go with the size of the boat that the fit began with."""
+    """Return the numbers of those effects' states that were scaled to the boat's size when the fit began."""
     own = load_effects(effects_file) if effects_file is not None else {}
     return {
         s.name: {k: float(z) for k in STATE_NUMBERS if not isinstance(z := getattr(s, k), str)}
@@ -168,12 +214,12 @@ def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str
 
 
 def _is_sized(effect: Effect, own: Mapping[str, Effect]) -> bool:
-    """Whether it goes with the size of the boat (``scale_priors``); the user's own are as they were written."""
+    """Return whether the effect is scaled to the size of the boat (``scale_priors``). User-defined effects are not."""
     return (effect.name in catalogue() and effect.name not in own) or effect.kind.unknown
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
-    """Return the table of where thrust and arm come from; None if the model has no forces of its own."""
+    """Return the table with the provenance of thrust and arm; None if the model has no forces of its own."""
     scale, table = scale_of(model), tomlkit.table()
     for line in scale.caveats:
         table.add(tomlkit.comment(line))
@@ -185,7 +231,7 @@ def _scale_table(model: Model, calibration: float | None) -> Any:
 
 
 def _curve_table(effect: Effect) -> dict[str, Any]:
-    """What tells an effect that no catalogue lists."""
+    """Return the table of an effect that is in no catalogue (a nonparametric curve, a lagged or resonant response)."""
     assert effect.curve is not None
     curve = effect.curve
     table = {"kind": str(effect.kind), "force": curve.force, "variable": curve.variable}
@@ -194,7 +240,10 @@ def _curve_table(effect: Effect) -> dict[str, Any]:
 
 
 def _copied(path: Path, file: Path) -> Path:
-    """The file in the model's folder: itself or a copy, under a name of its own where another file has its name."""
+    """Return the path of the Python file in the model's folder, copied there if necessary.
+
+    The copy gets the digest in its name if another file there has the same name.
+    """
     text, place = file.read_bytes(), path.parent / file.name
     if place.exists() and place.read_bytes() != text:
         place = path.parent / f"{file.stem}_{file_digest(file)}.py"
@@ -205,7 +254,7 @@ def _copied(path: Path, file: Path) -> Path:
 
 
 def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
-    """A parameter's table: what does not apply is left out."""
+    """Return the table of a parameter. Entries that do not apply are left out."""
     value, error = fit.estimate(p.name)
     row: dict[str, Any] = {
         "name": p.name,
@@ -231,9 +280,14 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
 
 
 def load_model(path: Path) -> SavedModel:
-    """Read a model.toml. A Python file that it names is run only where `seatrial.ident.models.trusted_file` allows it.
+    """Read a model.toml.
 
-    Raises SeatrialError with what is wrong and where.
+    A Python file that it names is run only if `seatrial.ident.models.trusted_file` allows it.
+
+    Raises
+    ------
+    SeatrialError
+        If the file is not a complete model; the message says what is wrong and where.
     """
     if path.is_dir():
         raise SeatrialError(f"{path}: is a folder; give the model in it: {path / 'model.toml'}")
@@ -253,22 +307,33 @@ def load_model(path: Path) -> SavedModel:
         validity = {k: (float(a), float(b)) for k, (a, b) in table.get("validity", {}).items()}
         rates = {k: float(z) for k, z in table.get("rates", {}).items()}
         if bad := [k for k, z in rates.items() if not 0.0 < z < np.inf]:
-            raise ValueError(f"rates: {bad[0]} = {rates[bad[0]]:g}; a rate is above 0 Hz")
-        between = table.get("correlation", {})
-        names = tuple(str(n) for n in between.get("names", ()))
-        correlation = np.asarray(between.get("matrix", ()), dtype=float).reshape(len(names), len(names))
+            raise ValueError(f"rates: {bad[0]} = {rates[bad[0]]:g}; a rate must be finite and above 0 Hz")
+        estimates = table.get("correlation", {})
+        names = tuple(str(n) for n in estimates.get("names", ()))
+        correlation = np.asarray(estimates.get("matrix", ()), dtype=float).reshape(len(names), len(names))
         reml = bool(table.get("reml", False))
-        made, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
+        provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
         calibration = None if calibration is None else float(calibration)
-    except (AttributeError, KeyError, TypeError, ValueError) as problem:  # attribute: a value where a table should be
+    except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
         raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
     return SavedModel(
-        model, errors, validity, made, names, correlation, effects_file, reml, calibration, origin, inflation, rates
+        model,
+        errors,
+        validity,
+        provenance,
+        names,
+        correlation,
+        effects_file,
+        reml,
+        calibration,
+        origin,
+        inflation,
+        rates,
     )
 
 
 def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
-    """The source of the structure and the file of effects, as they are found from here."""
+    """Return the source of the structure and the file of effects. Files are looked for beside ``path``."""
     source, effects = str(table["source"]), None
     file, _, name = source.rpartition(":")
     if is_own_model(source):
@@ -279,18 +344,29 @@ def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
 
 
 def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
+    """Return the model of the file: its structure with effects, outlier model and parameter values.
+
+    Parameters
+    ----------
+    table
+        The whole file.
+    source
+        Name of a catalogue model, or ``FILE:FUNCTION`` of a user-defined one.
+    own
+        User-defined effects by name.
+    """
     model = own_model(source) if is_own_model(source) else catalogue_model(source, table["sensors"])
     size, written = _size(model, table["parameter"]), {row["name"] for row in table["parameter"]}
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
             effect = own[name] if name in own else _effect(name, model, table.get("curves", {}))
             if name == ESTIMATOR_ERROR and not {p.name for p in effect.parameters} <= written:
-                raise ValueError("its errors of an estimator are of an older form: fit the model again")
+                raise ValueError("its errors of an estimator are in an older format: fit the model again")
             if _is_sized(effect, own):
                 _check_units(effect, table["parameter"])
                 effect = _holding(scale_priors(effect, size), table["parameter"])
-                begun = table.get("states", {})
-                effect = replace(effect, states=tuple(_begun(s, begun.get(s.name, {})) for s in effect.states))
+                saved = table.get("states", {})
+                effect = replace(effect, states=tuple(_restored(s, saved.get(s.name, {})) for s in effect.states))
             model = model + effect
     model = replace(
         with_outlier_model(model, table.get("robust", [])), second_order=bool(table.get("second_order", False))
@@ -302,19 +378,23 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
     return model.replace_parameters(*(_parameter(p, rows[p.name]) for p in model.parameters if p.name in rows))
 
 
-def _begun(state: State, row: Mapping[str, Any]) -> State:
+def _restored(state: State, row: Mapping[str, Any]) -> State:
+    """Return the state with the numbers of its row in the file."""
     numbers: dict[str, Any] = {k: float(row[k]) for k in STATE_NUMBERS if k in row}
     return replace(state, **numbers)
 
 
 def _size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
-    """Of the boat that the file is of: steps and bounds of its effects are not in it."""
+    """Return the size of the file's boat, by its masses.
+
+    Steps and bounds of effects are not in the file; they scale with it.
+    """
     masses = {row["name"]: float(row["value"]) for row in rows if row["name"] in ("m_u", "m_r")}
     return size_of(model.with_values({n: z for n, z in masses.items() if n in model.values}))
 
 
 def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Raises ValueError where the file has lagged or resonant coefficients in another unit than they have now."""
+    """Raise ValueError if lagged or resonant coefficients in the file have another unit than they have now."""
     units = {p.name: p.unit for p in effect.parameters} if effect.kind is not EffectKind.NONPARAMETRIC else {}
     for row in rows:
         if effect.kind.unknown and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
@@ -323,27 +403,36 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
-    """The effect with bounds that hold the file's values: they go with the size of the boat, which the fit that found a
-    value at its bound may have taken for another."""
+    """Return the effect with bounds wide enough for the file's values.
+
+    Bounds are scaled with the size of the boat. The fit that wrote the file may have assumed another size, so that a
+    value at its bound may lie outside the bounds of today.
+    """
     values = {row["name"]: float(row["value"]) for row in rows}
 
     def wide(p: Parameter) -> Parameter:
         value, (low, high) = values.get(p.name, p.value), p.bounds
-        return replace(p, bounds=(low and min(low, value), high and max(high, value)))  # zero is so for all sizes
+        # a bound of zero does not depend on the size: it stays
+        return replace(p, bounds=(low and min(low, value), high and max(high, value)))
 
     return replace(effect, parameters=tuple(wide(p) if p.scales else p for p in effect.parameters))
 
 
 def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
-    """Return a parameter of the structure with the values of its row. A row without a prior keeps the structure's."""
+    """Return a parameter of the structure with the values of its row.
+
+    A row without a prior keeps the structure's prior.
+    """
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
     prior = p.prior
     if "prior" in row:
         mean, sd = (float(z) for z in row["prior"])
         if not (sd > 0 and (mean > 0 or p.transform != "log")):
-            what = "a positive mean and standard deviation" if p.transform == "log" else "a positive standard deviation"
-            raise ValueError(f"parameter {p.name}: its prior [{mean:g}, {sd:g}] needs {what}")
+            needed = (
+                "a positive mean and standard deviation" if p.transform == "log" else "a positive standard deviation"
+            )
+            raise ValueError(f"parameter {p.name}: its prior [{mean:g}, {sd:g}] needs {needed}")
         prior = mean, sd
     return replace(
         p,
@@ -356,6 +445,10 @@ def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
 
 
 def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
+    """Return an effect by its name in the file.
+
+    It is a component of the model, a nonparametric curve, a between-run effect, or an effect of the catalogue.
+    """
     if name == "disturbance":
         return disturbance_of(model)
     if name == "sensor-bias":
@@ -380,7 +473,7 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
 
 
 def _unlisted(model: Model, row: Mapping[str, Any]) -> Effect:
-    """The effect that a table under ``curves`` tells."""
+    """Return the effect of a table under ``curves``."""
     kind = EffectKind(row["kind"])
     curve = ForceCurve(row["force"], row["variable"], row.get("second", ""))
     if kind is EffectKind.NONPARAMETRIC:

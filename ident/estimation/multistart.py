@@ -1,7 +1,8 @@
-"""Multistart: the best of fits from several initial values, where the likelihood is multimodal.
+"""Multistart: the best of fits from several initial values, for a likelihood with several maxima.
 
-With low-rate shaft telemetry a long delay before a quick shaft and a short delay before a slow one explain much the
-same data, and a search ends at the maximum that it starts below. So it does with a dead zone that no command is near.
+With low-rate shaft telemetry, a long delay before a quick shaft and a short delay before a slow shaft explain much the
+same data. A search ends at the maximum that is nearest to its start. The same happens with a dead zone if no command is
+near it.
 """
 
 from __future__ import annotations
@@ -15,28 +16,51 @@ from seatrial.ident.data import Record
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import Fit
 
-N_STARTS = 2
-WORTH = 2.0  # in the log-likelihood, of one parameter alone, by which a point is likelier than the fit: not by chance
-MIN_GAIN = 0.5  # in the log-posterior, by which another maximum has to be higher
+N_STARTS = 2  # largest number of other starts
+# For a grid that must gain, a point's log-likelihood must exceed that of the fit by this: more than one parameter gains
+# by chance.
+START_GAIN = 2.0
+MIN_GAIN = 0.5  # another maximum is taken only if its log-posterior is higher by this
 
 
 def best_of_starts(first: Fit, records: Sequence[Record], refit: Callable[[Mapping[str, float]], Fit]) -> Fit:
-    """The best of a fit and of those from the model's other starts; ``refit`` begins at the values it is given."""
+    """Return the best of a fit and the fits from the model's other starts.
+
+    Parameters
+    ----------
+    first
+        The fit from the model's own initial values.
+    records
+        Its records.
+    refit
+        Fits the model from given initial values.
+    """
     best = first
     for start in alternative_starts(first, records):
         try:
             found = refit(start)
-        except ValueError:  # a start from where nothing can be evaluated
+        except ValueError:  # the likelihood cannot be evaluated at this start
             continue
         best = found if found.log_posterior > best.log_posterior + MIN_GAIN else best
     return best
 
 
 def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, float]]:
-    """The likeliest points of the model's start grid away from the fit, with all else as it was fitted.
+    """Return the likeliest points of the model's start grid that are away from the fit.
 
-    Parameters: first, the fit; records, what it was fitted to.
-    Returns: initial values by parameter, at most ``N_STARTS``; none for a model without a start grid.
+    All other parameters have the values of the fit.
+
+    Parameters
+    ----------
+    first
+        The fit.
+    records
+        Its records.
+
+    Returns
+    -------
+    list of dict
+        Initial values by parameter, at most ``N_STARTS``; empty if the model has no start grid.
     """
     model, likelihood = first.model, Likelihood(first.model)
     grid = model.start_grid
@@ -45,21 +69,22 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
     columns = [[p.name for p in model.parameters].index(name) for name in grid.names]
     rows = [r.for_model(model) for r in records]
 
-    def value(point: Sequence[float]) -> float:
+    def log_likelihood(point: Sequence[float]) -> float:
+        """Return the log-likelihood at a point of the grid."""
         values = first.record_values.copy()
         values[:, columns] = point
         found = sum(likelihood.value(r, v) for r, v in zip(rows, values, strict=True))
         return found if np.isfinite(found) else -np.inf
 
-    others = list(product(*grid.values[1:]))
-    merit = np.array([[value((a, *rest)) for rest in others] for a in grid.values[0]])
+    inner_points = list(product(*grid.values[1:]))
+    merit = np.array([[log_likelihood((a, *rest)) for rest in inner_points] for a in grid.values[0]])
     found: list[dict[str, float]] = []
-    least = sum(map(likelihood.value, rows, first.record_values)) + WORTH if grid.gaining else -np.inf
+    least = sum(map(likelihood.value, rows, first.record_values)) + START_GAIN if grid.gaining else -np.inf
     for at in np.argsort(-merit.max(axis=1)).tolist():
         taken = [model.values[grid.names[0]], *[f[grid.names[0]] for f in found]]
         if merit[at].max() <= least:
             break
-        if len(found) < N_STARTS and min(abs(grid.values[0][at] - other) for other in taken) > 1.5 * grid.apart:
-            point = (grid.values[0][at], *others[int(np.argmax(merit[at]))])
+        if len(found) < N_STARTS and min(abs(grid.values[0][at] - value) for value in taken) > 1.5 * grid.apart:
+            point = (grid.values[0][at], *inner_points[int(np.argmax(merit[at]))])
             found.append(dict(zip(grid.names, map(float, point), strict=True)))
     return found

@@ -1,8 +1,8 @@
 """Output error: simulation without process noise, its likelihood, and predictions from given states.
 
-The likelihood is that of ``seatrial.ident.estimation.likelihood`` with a certain initial state and no process noise, so
-S is the variance of the measurement noise. Value, exact forward sensitivities and Gauss-Newton information (and with it
-the Cramer-Rao bound) are the same calls: ``output_error(model).scores(record, values)``.
+The likelihood is that of ``seatrial.ident.estimation.likelihood`` with an exact initial state and no process noise. S
+is then the variance of the measurement noise. The value, the forward sensitivities and the Gauss-Newton information
+(and with it the Cramer-Rao bound) come from the same calls: ``output_error(model).scores(record, values)``.
 """
 
 from __future__ import annotations
@@ -19,12 +19,22 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.model import Model, Parameter, segment_name
 from seatrial.ident.numerics import Array
 
-INPUTS = ("u", "u_next", "h")  # what a simulation takes of a record
+INPUTS = ("u", "u_next", "h")  # arrays of a record that a simulation uses
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """t (n_rows,) s; x (n_rows, n_states); y (n_rows, n_outputs) without noise."""
+    """Simulated record.
+
+    Attributes
+    ----------
+    t : Array (n_rows,)
+        Time [s].
+    x : Array (n_rows, n_states)
+        States.
+    y : Array (n_rows, n_outputs)
+        Outputs without noise.
+    """
 
     t: Array
     x: Array
@@ -32,54 +42,79 @@ class Simulation:
 
 
 def output_error(model: Model) -> Likelihood:
-    """The likelihood of a model without process noise."""
+    """Return the likelihood of a model without process noise."""
     return Likelihood(model, process_noise=False)
 
 
 def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_record: bool = True) -> Model:
-    """The model with the named states' initial values (all by default) as free parameters ``x0_NAME``.
+    """Return the model with initial values of states as free parameters ``x0_NAME``.
 
-    They start from the states' own x0, and in prediction error they take the place of its uncertainty.
+    Their values start at the states' own x0. The uncertainty of the initial state becomes zero.
+
+    Parameters
+    ----------
+    model
+        The model.
+    names
+        States; all by default.
+    per_record
+        Whether each record has its own initial values.
+
+    Raises
+    ------
+    KeyError
+        If the model lacks a state.
     """
-    wanted = [s.name for s in model.states] if names is None else list(names)
-    unknown = set(wanted) - {s.name for s in model.states}
+    chosen = [s.name for s in model.states] if names is None else list(names)
+    unknown = set(chosen) - {s.name for s in model.states}
     if unknown:
         raise KeyError(f"model {model.name} has no state {sorted(unknown)[0]!r}")
-    states, new = [], []
+    states, parameters = [], []
     for state in model.states:
-        if state.name not in wanted or isinstance(state.x0, str):
+        if state.name not in chosen or isinstance(state.x0, str):
             states.append(state)
             continue
         name = f"x0_{state.name}"
-        new.append(
+        parameters.append(
             Parameter(name, state.x0, state.unit, f"{state.meaning or state.name} at the start", per_record=per_record)
         )
         states.append(replace(state, x0=name, sd0=0.0, from_output=""))
-    return replace(model, states=tuple(states), parameters=model.parameters + tuple(new))
+    return replace(model, states=tuple(states), parameters=model.parameters + tuple(parameters))
 
 
 def free_start(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str, float]]:
-    """What output error estimates: the model with the start of each record free, and where to begin with it.
+    """Return the model that output error estimates, with the initial state of each record free.
 
-    Without process noise a start that is taken for exact, the noise of a first sample included, is an error that the
-    whole record carries, and the dynamics bend to it. A state that starts from a measurement becomes the parameter
-    ``x0_NAME`` of each record, which begins at its first sample; one that starts from a number has that as its prior,
-    with ``sd0``; what is known exactly (``sd0`` zero) or is a parameter already stays. Returns ``x0_NAME@RECORD`` with
-    the first samples.
+    A state that starts from a measurement gets a free parameter ``x0_NAME`` for each record, which starts at that
+    record's first sample. A state that starts from a number gets a parameter with that number as prior mean and ``sd0``
+    as prior standard deviation. A state that is known exactly (``sd0`` zero), or whose initial value is a parameter
+    already, stays as it is.
+
+    Returns
+    -------
+    model
+        The extended model.
+    begin
+        Initial values ``x0_NAME@RECORD`` from the first samples.
+
+    Notes
+    -----
+    Without process noise an error of the initial state persists through the whole record and biases the
+    dynamics. The noise of a first sample would be such an error.
     """
     spread = {s.name: model.values[s.sd0] if isinstance(s.sd0, str) else s.sd0 for s in model.states}
     unknown = [s for s in model.states if not isinstance(s.x0, str) and (s.from_output or spread[s.name] > 0)]
     extended = with_initial_state(model, [s.name for s in unknown])
-    outputs, begin, given = [o.name for o in model.outputs], {}, []
+    outputs, begin, priors = [o.name for o in model.outputs], {}, []
     for state in unknown:
         name = f"x0_{state.name}"
         if state.from_output not in outputs:
-            given.append(replace(extended.parameter(name), prior=(float(state.x0), spread[state.name])))
+            priors.append(replace(extended.parameter(name), prior=(float(state.x0), spread[state.name])))
             continue
         for i, record in enumerate(records):
             first = Preparer(model)(record).first[outputs.index(state.from_output)]
             begin[segment_name(name, i)] = float(first) if np.isfinite(first) else float(state.x0)
-    return extended.replace_parameters(*given), begin
+    return extended.replace_parameters(*priors), begin
 
 
 def simulate(
@@ -89,38 +124,62 @@ def simulate(
     x0: Array | None = None,
     preparer: Preparer | None = None,
 ) -> Simulation:
-    """Run the model through a record's inputs, from ``x0`` (n_states,) or the model's own initial state.
+    """Simulate the model over a record's inputs.
 
-    Measurements matter only to states that start from one (``from_output``). ``preparer``: of the model, which keeps
-    what it makes of a record that is simulated many times.
+    Measurements matter only for states that start from one (``from_output``).
+
+    Parameters
+    ----------
+    model, record
+        The model and the record.
+    values : Array (n_parameters,), optional
+        Values of the parameters; by default those of the model.
+    x0 : Array (n_states,), optional
+        Initial state; by default that of the model.
+    preparer
+        Preparer of the model. It keeps its results, which saves time if a record is simulated many times.
     """
     values = _values(model, values)
     data = (preparer or Preparer(model))(record)
     start = initial_condition(model, values, data, covariance=False).s if x0 is None else x0
-    given = {n: data.rows[n] for n in INPUTS} | {"p": values, "s": np.array(start, dtype=np.float64)}
-    done = _kernel(model)(data.n_rows, None, given)
+    arrays = {n: data.rows[n] for n in INPUTS} | {"p": values, "s": np.array(start, dtype=np.float64)}
+    done = _kernel(model)(data.n_rows, None, arrays)
     return Simulation(record.t, done["x"], done["z"])
 
 
 def predict_ahead(
     model: Model, record: Record, values: Array | None, states: Array, start: NDArray[np.int64], end: NDArray[np.int64]
 ) -> Simulation:
-    """Predict rows from the states at earlier rows and the inputs between them.
+    """Predict rows of a record from the states at earlier rows and the inputs between them.
 
-    Parameters: states (n_rows, n_states): where to start, as the filtered states of
-    ``seatrial.ident.estimation.likelihood``; start, end (n,): rows of the record, ``start < end``. Returns what is
-    predicted at the n ends.
+    Parameters
+    ----------
+    model, record
+        The model and the record.
+    values : Array (n_parameters,) or None
+        Values of the parameters; None for those of the model.
+    states : Array (n_rows, n_states)
+        State at each row, such as the filtered states of ``seatrial.ident.estimation.likelihood``.
+    start, end : Array (n,) of int
+        Rows between which each prediction runs, ``start < end``.
+
+    Returns
+    -------
+    Simulation
+        Predictions at the n end rows.
     """
     data, kernel = Preparer(model)(record), _kernel(model)
-    given = {n: data.rows[n] for n in INPUTS} | {"p": _values(model, values)}
-    done = kernel.segments(start.tolist(), (end + 1).tolist(), given, states[start], ("z", "x"))
+    arrays = {n: data.rows[n] for n in INPUTS} | {"p": _values(model, values)}
+    done = kernel.segments(start.tolist(), (end + 1).tolist(), arrays, states[start], ("z", "x"))
     return Simulation(record.t[end], done["x"], done["z"])
 
 
 def _kernel(model: Model) -> Kernel:
+    """Return the compiled simulation of the model."""
     return programs_for(model, covariance=False).simulate
 
 
 def _values(model: Model, values: Array | None) -> Array:
+    """Return the values as a contiguous array; those of the model if None."""
     given = [p.value for p in model.parameters] if values is None else values
     return np.ascontiguousarray(given, dtype=np.float64)

@@ -1,13 +1,14 @@
-"""Parameter covariance, and its contribution to the covariance of a prediction (delta method).
+"""Parameter covariance, and its contribution to the variance of a prediction (delta method).
 
-The covariance of the estimate is split into its principal directions, of one standard deviation each; the prediction is
-made with the parameters moved either way along each of them, and half the differences are the columns of ``J L``:
+The covariance of the estimates is split into its principal directions of one standard deviation each. The prediction is
+computed with the parameters moved either way along each direction. Half the differences are the columns of ``J L``:
 
     var y = H P H' + R + sum_k (y(theta + l_k) - y(theta - l_k))^2 / 4,   L L' = cov theta
 
-the delta method by central differences over a standard deviation, which also sees how far the model bends within it
-(as the sigma points of an unscented transform do: Julier and Uhlmann 1997). Parameters move in the estimator's
-coordinates (logarithms of positive ones) and stay within their bounds.
+This is the delta method with central differences over one standard deviation. Unlike derivatives, the differences
+include the nonlinearity of the model over that distance (as do the sigma points of an unscented transform: Julier and
+Uhlmann 1997). Parameters move in the estimator's coordinates (logarithms of positive ones) and stay inside their
+bounds.
 """
 
 from __future__ import annotations
@@ -24,24 +25,32 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, covariance_root
 
-NULL_SPACE_TOLERANCE = 1e-12  # of the largest eigenvalue of the correlation: below it is rounding
-PARAMETER_STEP = 0.05  # standard deviations of the parameters, for differences: the model is linear over it
+NULL_SPACE_TOLERANCE = 1e-12  # smaller eigenvalues of the correlation, relative to the largest, are rounding
+PARAMETER_STEP = 0.05  # step of finite differences [standard deviations]; models are linear over it
 
 
 @dataclass(frozen=True)
 class ParameterUncertainty:
-    """``columns`` (n,): places among ``model.parameters``; ``root`` (n, k): directions of one standard deviation, in
-    the estimator's coordinates."""
+    """Principal directions of the covariance of a fit's parameters.
+
+    Attributes
+    ----------
+    columns
+        Positions of the parameters in ``model.parameters``.
+    root : Array (n, k)
+        Directions of one standard deviation in columns, in the estimator's coordinates.
+    """
 
     columns: tuple[int, ...]
     root: Array
 
     def around(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
-        """For each direction the values (n_parameters,) moved either way along it."""
+        """Yield for each direction two vectors of values (n_parameters,), moved either way along it."""
         for step in self.root.T:
             yield self._moved(model, values, step), self._moved(model, values, -step)
 
     def _moved(self, model: Model, values: Array, step: Array) -> Array:
+        """Return the values moved by a step (n,) in the estimator's coordinates, clipped to their bounds."""
         out = values.copy()
         for i, d in zip(self.columns, step.tolist(), strict=True):
             p = model.parameters[i]
@@ -50,15 +59,23 @@ class ParameterUncertainty:
 
 
 def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncertainty:
-    """Of a fit's parameters but for noise, which no prediction of the mean depends on.
+    """Return the uncertainty of a fit's parameters as principal directions.
 
-    record: with what that record has for itself; None: for a record that the fit has not seen, whose own parameters are
-    known by other means. Parameters without a standard error (at a bound, not informed) are left out, and so is what
-    considered parameters add: the sensors that are off in the fit are those that a prediction is compared with.
+    Noise parameters are left out, because the mean of a prediction does not depend on them. So are parameters without a
+    standard error (at a bound, not identified). The part of the covariance from considered parameters is subtracted: a
+    prediction is compared with the same sensors that were wrong in the fit.
+
+    Parameters
+    ----------
+    fit
+        The fit.
+    record
+        Index of a record, to include its per-record parameters. None for a record that is not in the fit; its own
+        parameters are then known by other means.
     """
     noise, parameters = fit.model.noise_parameters, list(fit.model.parameters)
-    wanted = [p.name not in noise if p.segment is None else p.segment == record for p in fit.parameters]
-    at = [i for i, w in enumerate(wanted) if w and np.isfinite(fit.errors[i])]
+    selected = [p.name not in noise if p.segment is None else p.segment == record for p in fit.parameters]
+    at = [i for i, w in enumerate(selected) if w and np.isfinite(fit.errors[i])]
     names = [p.name for p in parameters]
     columns = tuple(names.index(fit.parameters[i].name) for i in at)
     slopes = np.array([parameters[c].slope(float(fit.values[i])) for c, i in zip(columns, at, strict=True)])
@@ -69,9 +86,25 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
 def prediction_variance(
     uncertainty: ParameterUncertainty, model: Model, record: Record, values: Array, known: int, likelihood: Likelihood
 ) -> Array:
-    """Variance (n_rows, n_outputs) that this adds to predictions from the inputs after the first ``known`` rows,
-    of which the filter has the measurements; before that nothing is added, since those hold the prediction. It is
-    infinite where the prediction runs away within a standard deviation."""
+    """Return the variance of predictions (n_rows, n_outputs) that the uncertainty of the parameters adds.
+
+    The filter has the measurements of the first ``known`` rows. From there the prediction uses the inputs only. Nothing
+    is added in the first rows, where measurements correct the prediction. The variance is infinite if the prediction
+    diverges within one standard deviation of the parameters.
+
+    Parameters
+    ----------
+    uncertainty
+        Directions in which the parameters are moved.
+    model, record
+        The model and the record.
+    values : Array (n_parameters,)
+        Values of the parameters.
+    known
+        Number of rows with measurements, at least 1.
+    likelihood
+        Likelihood of the model.
+    """
     head, tail = record.rows(slice(0, known)), record.rows(slice(known - 1, None))
     preparer = Preparer(model)
 
@@ -80,23 +113,41 @@ def prediction_variance(
 
     total = np.zeros((record.n_rows, len(model.outputs)))
     for plus, minus in uncertainty.around(model, values):
-        with np.errstate(over="ignore", invalid="ignore"):  # one that runs away, either way
+        with np.errstate(over="ignore", invalid="ignore"):  # a prediction may diverge
             total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
     return np.nan_to_num(total, nan=np.inf, posinf=np.inf)
 
 
 @dataclass(frozen=True)
 class ParameterCovariance:
-    """Covariance (n, n) of the parameters ``names`` (n,), in their own units; None: not known."""
+    """Covariance of parameters in their own units.
+
+    Attributes
+    ----------
+    names
+        The parameters.
+    covariance : Array (n, n)
+        Their covariance; None if unknown.
+    """
 
     names: tuple[str, ...] = ()
     covariance: Array | None = None
 
 
 def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
-    """Parameter vectors moved by `PARAMETER_STEP` along each principal direction of the covariance.
+    """Return parameter vectors moved by `PARAMETER_STEP` along each principal direction of the covariance.
 
-    The directions are in the estimator's coordinates. Noise parameters, which hardly move the estimate, are left alone.
+    The directions are in the estimator's coordinates. Noise parameters are not moved: the state estimate hardly depends
+    on them.
+
+    Parameters
+    ----------
+    model
+        The model, at whose values the directions are computed.
+    values : Array (n_parameters,)
+        The vector that is moved.
+    known
+        Covariance of the parameters; None if unknown.
     """
     if known is None or known.covariance is None:
         return []
@@ -117,6 +168,6 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
 
 
 def dynamic_parameters(model: Model) -> list[str]:
-    """Free parameters that all records share, without those of noise and of disturbance forces."""
+    """Return the names of the free parameters that all records share, except those of noise and disturbances."""
     noise = model.noise_parameters
     return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]

@@ -1,4 +1,4 @@
-"""Prior knowledge: rig geometry, bench characterisation, and values that the user gave."""
+"""Prior knowledge in a model: rig geometry, results of a thruster's bench test, and values that the user gives."""
 
 from __future__ import annotations
 
@@ -28,23 +28,36 @@ GNSS = {"x", "y", "vx", "vy"}
 def apply_rig_geometry(
     model: Model, rig: Rig | None, vehicle: Mapping[str, float] | None = None
 ) -> tuple[Model, list[str]]:
-    """The model with what the rig file says of the boat, and a line for each thing that it cannot take into account.
-    ``vehicle``: what is known of the boat, by default the rig's; ``NAME_sd`` is the standard uncertainty of NAME."""
+    """Return the model with the dimensions in the rig file, and a note for each that the model cannot use.
+
+    A parameter that the model estimates starts at the given value. One with a standard uncertainty gets a prior. Any
+    other one is fixed to the value.
+
+    Parameters
+    ----------
+    model
+        The model.
+    rig
+        The rig file.
+    vehicle
+        Values by parameter; by default those of the rig. ``NAME_sd`` is the standard uncertainty of NAME.
+    """
     given, known = dict(vehicle if vehicle is not None else rig.vehicle if rig else {}), []
     levers = {f"y_{t.name}": t.position_m[1] for t in (rig.thrusters if rig else ()) if t.name in SIDES}
     for name, value in (levers | given).items():
         if name in model.values:
             p, sd = model.parameter(name), given.get(f"{name}_sd", 0.0)
             origin = ParameterOrigin.PRIOR if sd else ParameterOrigin.GIVEN
-            starts = p.free and not sd  # an estimate begins there; what is not estimated is known
-            known.append(p.at(value) if starts else p.known(value, sd, origin))
+            initial = p.free and not sd  # a value without uncertainty is only the start of an estimate
+            known.append(p.at(value) if initial else p.known(value, sd, origin))
     model = model.replace_parameters(*known)
     return _with_antenna(model, rig) if rig else (model, [])
 
 
 def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
-    felt = slice(2 if "hull" in model.provides else 3)  # a level boat does not feel the height
-    arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[felt])]
+    """Return the model with the lever arm of the rig's antenna, and a note if this is not possible or ambiguous."""
+    sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
+    arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]
     seen = sorted(GNSS & {o.name for o in model.outputs})
     if not arms or not seen:
         return model, []
@@ -52,35 +65,43 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     part = antenna_component(model, arms[0])
     if not model.accepts(part):
         return model, [
-            f"the rig's antenna ({where}) is not in model {model.name}, which takes "
-            f"{', '.join(seen)} as that of the origin"
+            f"model {model.name} cannot include the lever arm of the rig's antenna ({where}): "
+            f"it takes {', '.join(seen)} as measured at the origin"
         ]
-    first = f"the rig places {len(arms)} antennas; model {model.name} takes the first of them ({where}) for all GNSS"
-    return model + part, [first] if len(set(arms)) > 1 else []
+    note = f"the rig has {len(arms)} antennas; model {model.name} uses the first of them ({where}) for all GNSS"
+    return model + part, [note] if len(set(arms)) > 1 else []
 
 
 def with_effects(model: Model, names: Sequence[str]) -> Model:
-    """The model with effects by name, their parameters free; one that has another form for this model takes that.
+    """Return the model with effects by name, their parameters free.
 
-    They start a step that matters from doing nothing, where the likelihood of some has no slope.
+    If an effect has another form for this model, that form is added. Parameters start one characteristic step from
+    zero: at zero the likelihood of some effects has no slope.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such effect, or if the model has it already or cannot have it.
     """
     for name in names:
         effect = scale_priors(_effect_for(model, name), size_of(model))
-        model = model + replace(effect, parameters=tuple(_begun(p) for p in effect.parameters))
+        model = model + replace(effect, parameters=tuple(_off_zero(p) for p in effect.parameters))
     return model
 
 
-def _begun(p: Parameter) -> Parameter:
+def _off_zero(p: Parameter) -> Parameter:
+    """Return a free parameter moved from zero by its characteristic step."""
     return p.at(min(p.step, p.bounds[1])) if p.free and p.value == 0.0 else p
 
 
 def _effect_for(model: Model, name: str) -> Effect:
+    """Return the effect with this name, in the form that fits the model."""
     known = {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
     if name not in known:
-        raise SeatrialError(f"--effect {name}: model {model.name} knows no such effect; it can have {can}")
-    size = known[name].parameters[0].name  # which another form of the effect has too
+        raise SeatrialError(f"--effect {name}: there is no such effect; model {model.name} can have {can}")
+    size = known[name].parameters[0].name  # all forms of an effect share their first parameter
     if size in model.values:
         raise SeatrialError(f"--effect {name}: model {model.name} has it already")
     fitting = [e for e in possible.values() if name == e.name or size == e.parameters[0].name]
@@ -90,22 +111,42 @@ def _effect_for(model: Model, name: str) -> Effect:
 
 
 def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, float]) -> tuple[Model, list[str]]:
-    """Parameters that are known: from the bench with their standard uncertainty (statistics and calibration), and fixed
-    ones from the command line; and a line for what the bench did not measure. Raises SeatrialError where there is no
-    such parameter, or the bench's logs did not tell it."""
+    """Return the model with known parameters: thrust from a bench test, and fixed values from the command line.
+
+    Parameters from the bench have their standard uncertainty (statistics and calibration) as a prior.
+
+    Parameters
+    ----------
+    model
+        The model.
+    thruster
+        Model file of a thruster.
+    given
+        Fixed values by parameter.
+
+    Returns
+    -------
+    tuple
+        The model, and a note about a coefficient that the bench did not measure.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such parameter, or if the bench test does not determine a thrust coefficient.
+    """
     known: dict[str, Parameter] = {}
     notes = []
     if thruster is not None:
         bench = load_model(thruster)
         for name in ("c1", "c2"):
             if name in model.values and name not in given:
-                p = _of_bench(bench, name, thruster)
+                p = _bench_parameter(bench, name, thruster)
                 origin = ParameterOrigin.MEASURED if p.free else p.origin
                 known[name] = model.parameter(name).known(p.value, bench.uncertainty(name) if p.free else 0.0, origin)
                 if name == "c2" and not p.free:
                     notes.append(
-                        f"{thruster} does not tell c2 from c1, since the shaft turned one way: the thrust "
-                        f"astern is taken for as large as ahead (c2 = {p.value:g} N)"
+                        f"{thruster} cannot separate c2 from c1, since the shaft turned in one direction only: the "
+                        f"reverse thrust is assumed to equal the forward thrust (c2 = {p.value:g} N)"
                     )
     for name, value in given.items():
         if name not in model.values:
@@ -116,21 +157,27 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     return model.replace_parameters(*known.values()), notes
 
 
-def _of_bench(bench: SavedModel, name: str, path: Path) -> Parameter:
-    """A thrust coefficient as the bench told it."""
+def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
+    """Return a coefficient of a thruster model. Raise SeatrialError if the bench test does not determine it."""
     if name not in bench.model.values:
         raise SeatrialError(f"{path}: has no {name}: a model with a load cell's force is needed")
     p = bench.model.parameter(name)
     if p.free and not bench.uncertainty(name) > 0.0:
         raise SeatrialError(
-            f"{path}: {name} = {p.value:.4g} N has no standard error: its logs did not tell it; add steps ahead and "
-            f"astern on the bench, or give --fix {name}=..."
+            f"{path}: {name} = {p.value:.4g} N has no standard error: its logs do not determine it; add forward and "
+            f"reverse steps on the bench, or give --fix {name}=..."
         )
     return p
 
 
 def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
-    """The model with means and standard deviations that are known before; the estimate starts from the means."""
+    """Return the model with priors given as (mean, standard deviation). Estimates start at the means.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such parameter, or if a prior is not valid for it.
+    """
     given = []
     for name, (mean, sd) in prior.items():
         if name not in model.values:
@@ -142,8 +189,9 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
     return model.replace_parameters(*given)
 
 
-def set_initial_values(model: Model, begin: Mapping[str, float]) -> Model:
-    unknown = set(begin) - set(model.values)
+def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
+    """Return the model with other initial values. Raise SeatrialError if there is no such parameter."""
+    unknown = set(initial) - set(model.values)
     if unknown:
         raise SeatrialError(f"--initial {sorted(unknown)[0]}: model {model.name} has {', '.join(model.values)}")
-    return model.with_values(begin)
+    return model.with_values(initial)

@@ -1,10 +1,13 @@
-"""Profile likelihood: the log-likelihood over one parameter, all others refitted, and the 95 % interval by its drop.
+"""Profile likelihood: the log-likelihood over one parameter with all others fitted again, and its 95 % interval.
 
 From the estimate the parameter is moved outwards until the log-likelihood has dropped by 1.92, half of the 95 %
-quantile of chi-squared (Pawitan 2001, section 3.4). Neither half of that can be taken on trust. A refit from a bad
-place ends in another valley, or at a bound: each begins at the best of several places, and a drop that jumps is tried
-from more. The distance of the first point is a guess from the curvature: what lies too far out, or where the likelihood
-is not finite, only closes a bracket, which is then narrowed until the crossing is known to a hundredth of its distance.
+quantile of chi-squared (Pawitan 2001, section 3.4). Two difficulties are handled:
+
+- A refit from a bad place ends at another local maximum or at a bound. Each refit therefore starts at the best of
+  several places. If the drop jumps, the refit is tried from more places.
+- The distance of the first point is a guess from the curvature. A point that lies too far out, or at which the
+  likelihood is not finite, only closes a bracket. The bracket is then narrowed until the distance of the crossing is
+  known to one per cent.
 """
 
 from __future__ import annotations
@@ -29,27 +32,40 @@ from seatrial.ident.estimation.standard_errors import (
 from seatrial.ident.model import segment_name
 from seatrial.ident.numerics import Array
 
-TARGET_DROPS = (0.15, 0.6, 1.3, 2.4)  # of the log-likelihood that points aim at, either way; the interval ends at 1.92
-MAX_OUTWARD_POINTS = 12  # either way, before that side of the interval is left open
-MAX_BRACKET_POINTS = 14  # between the last point inside and the first outside
-MAX_GROWTH = 3.0  # of the distance from point to point, where the drop lags behind its target
-MAX_LOG_STEP = 1.5  # of a logarithm from point to point: a factor 4.5
-MIN_DROP = 1e-3  # of the log-likelihood: less is within the tolerance of a refit
-CROSSING_TOLERANCE = 0.01  # of its distance: how well the end of the interval is known
-JUMP_RATIO = 4.0  # of a drop to that of a parabola through the last point: a bad refit, or a cliff
-MIN_GAIN = 0.01  # of the log-likelihood: another optimum, and no rounding
-N_RESTARTS = 4  # of the profile from better optima
+TARGET_DROPS = (0.15, 0.6, 1.3, 2.4)  # drops of the log-likelihood at which points are placed, on each side
+MAX_OUTWARD_POINTS = 12  # points on a side before that end of the interval is left open
+MAX_BRACKET_POINTS = 14  # points between the last one inside the interval and the first one outside
+MAX_GROWTH = 3.0  # largest ratio of the distances of successive points
+MAX_LOG_STEP = 1.5  # largest change of a logarithm between successive points: a factor 4.5
+MIN_DROP = 1e-3  # smaller drops of the log-likelihood are within the tolerance of a refit
+CROSSING_TOLERANCE = 0.01  # accuracy of the end of the interval, relative to its distance from the estimate
+JUMP_RATIO = 4.0  # a drop this many times that of the parabola through the last point may come from a bad refit
+MIN_GAIN = 0.01  # a log-likelihood higher by this is another optimum; less is rounding
+N_RESTARTS = 4  # times that the profile may be traced again from a better optimum
 
 
 @dataclass(frozen=True)
 class Profile:
-    """A parameter's profile in its own unit; ``name`` as in ``Fit.names`` (``V_x@0``: of record 0).
+    """Profile likelihood of one parameter, in the parameter's own unit.
 
-    value: the estimate (where noise was restricted, that of the likelihood's own maximum), or that of a better fit met
-    on the way, which a note then tells; grid (n,) increasing, drop
-    (n,) of the log-likelihood there (zero at ``value``); low, high: the 95 % interval, to about a hundredth, NaN where
-    a side is open; wald_low, wald_high: the fit's value +- 1.96 standard errors (of the logarithm for a parameter that
-    is estimated as one), NaN where there is none; notes: what to know.
+    Attributes
+    ----------
+    name
+        As in ``Fit.names`` (``V_x@0``: the value of record 0).
+    value
+        The maximum of the likelihood: the fit's estimate, or after REML the maximum of the likelihood itself. If a
+        better fit was found during the search, its value; ``notes`` then contain a line about it.
+    grid : Array (n,)
+        Values of the parameter, increasing.
+    drop : Array (n,)
+        Drop of the log-likelihood at these values; zero at ``value``.
+    low, high
+        Ends of the 95 % interval, accurate to about one per cent of their distance; NaN for an open side.
+    wald_low, wald_high
+        The fit's value +- 1.96 standard errors (of the logarithm if the fit estimates the logarithm); NaN if the
+        parameter has no standard error.
+    notes
+        Remarks for the reader.
     """
 
     name: str
@@ -65,10 +81,21 @@ class Profile:
 
 
 def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2) -> Profile:
-    """The profile of one estimated parameter, on a grid that finds its own range.
+    """Return the profile likelihood of one estimated parameter, on a grid that finds its own range.
 
-    ``records``: those of the fit. A parameter that every record has for itself is named ``NAME@K``; ``NAME`` will do
-    where there is one record. Raises ValueError where the fit did not estimate it.
+    Parameters
+    ----------
+    fit, records
+        A fit and its records.
+    name
+        ``NAME@K`` for the value of record K of a per-record parameter. ``NAME`` is enough if the fit has one record.
+    threads
+        Number of records that are evaluated at once.
+
+    Raises
+    ------
+    ValueError
+        If the fit did not estimate the parameter, or if the records are not those of the fit.
     """
     full = segment_name(name, 0) if name not in fit.names and len(fit.records) == 1 else name
     if full not in fit.names:
@@ -80,7 +107,7 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
         np.array([p.to_free(v) for p, v in zip(problem.parameters, fit.values, strict=True)])
     )
     line = ConstrainedObjective(problem, fit.names.index(full), estimate)
-    if fit.options.reml:  # its noise is not that of the maximum, and the profile is of the likelihood
+    if fit.options.reml:  # REML moved the noise away from the maximum of the likelihood, which is profiled here
         line.release(estimate)
         line.restart()
     before, sides = line.top, _sides(line)
@@ -91,8 +118,8 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
     notes = [f"{word} side: {side.note}" for word, side in zip(("lower", "upper"), sides, strict=True) if side.note]
     if line.found[0] > before + MIN_GAIN:
         notes.append(
-            f"a better fit was found on the way, by {line.found[0] - before:.2g}, and the profile is of that: "
-            "fit again from there"
+            f"a better fit was found during the search, by {line.found[0] - before:.2g} in log-likelihood; the profile "
+            "is of that fit: fit again from there"
         )
     error = fit.errors[line.k] / np.abs(line.parameter.slope(fit.values[line.k]))
     return _gathered(line, full, sides, [estimate[line.k] + sign * Z_95 * error for sign in (-1, 1)], notes)
@@ -103,7 +130,7 @@ def _sides(line: ConstrainedObjective) -> list[ProfileBranch]:
 
 
 def _problem(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
-    """The fit's objective; raises ValueError where it cannot be of these records."""
+    """Return the fit's objective for the records. Raise ValueError if the records are not those of the fit."""
     likelihood = Likelihood(fit.model, process_noise=fit.options.process_noise)
     free = tuple(dict.fromkeys(p.name for p in fit.parameters))
     problem = Problem(likelihood, [r.for_model(fit.model) for r in records], free, threads)
@@ -118,6 +145,10 @@ def _problem(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
 def _gathered(
     line: ConstrainedObjective, name: str, sides: Sequence[ProfileBranch], wald: Sequence[float], notes: Sequence[str]
 ) -> Profile:
+    """Return the profile in the parameter's own unit.
+
+    ``sides`` are its two branches. ``wald`` are the ends of the Wald interval, in the estimator's coordinate.
+    """
     p, centre = line.parameter, float(line.z[line.k])
 
     def own(z: float) -> float:
@@ -141,8 +172,18 @@ def _gathered(
 
 
 def trace_profile(line: ConstrainedObjective, sign: int) -> ProfileBranch:
-    """One side (``sign`` is -1 or 1), until the crossing is known, a bound is reached or the patience is at an end. It
-    breaks off where the line is better than its centre."""
+    """Trace one side of the profile.
+
+    The trace ends when the crossing is known, a bound is reached or the allowed number of points is used. It also ends
+    if it meets a better optimum than its centre; the caller then starts again from there.
+
+    Parameters
+    ----------
+    line
+        The objective with the parameter held.
+    sign
+        -1 for the lower side, 1 for the upper.
+    """
     z_k, side = line.z[line.k], ProfileBranch([ProfilePoint(0.0, 0.0, line.z)])
     room = float(line.bounds.high[line.k] - z_k if sign > 0 else z_k - line.bounds.low[line.k])
     if room <= 0:
@@ -163,18 +204,19 @@ def trace_profile(line: ConstrainedObjective, sign: int) -> ProfileBranch:
             outwards += 1
         point, before = line.best(s, sign, side), side.inner
         if point.s > before.s and point.drop < before.drop - MIN_DROP:
-            line.release(point.z)  # behind a ridge, with a summit of its own
+            line.release(point.z)  # the likelihood rises again: search for another maximum from here
         side.add(point)
     _end(line, sign, side, room)
     return side
 
 
 def _end(line: ConstrainedObjective, sign: int, side: ProfileBranch, room: float) -> None:
+    """Set the limit and the note of a finished branch. ``room`` is the distance to the parameter's bound."""
     reached = line.parameter.from_free(float(line.z[line.k]) + sign * side.inner.s)
     if side.outer is None:
         bound = side.inner.s >= room
         side.limit = room if bound else float("nan")
-        side.note = "reaches its bound" if bound else f"the data set no limit as far as was looked, to {reached:.4g}"
+        side.note = "reaches its bound" if bound else f"the data set no limit; the search ended at {reached:.4g}"
     elif np.isfinite(side.outer.drop):
         side.limit = side.crossing()[0]
     else:
@@ -182,12 +224,16 @@ def _end(line: ConstrainedObjective, sign: int, side: ProfileBranch, room: float
 
 
 def _outwards(line: ConstrainedObjective, side: ProfileBranch, sign: int, target: float) -> float:
-    """Where the drop should reach the target: from the curvature at first, then from the points so far."""
+    """Return the distance at which the drop should reach ``target``.
+
+    The first distance comes from the curvature, or from the characteristic step if the curvature is unknown. Later ones
+    extrapolate the points found so far.
+    """
     last, logarithmic = side.inner, bool(line.bounds.logarithmic[line.k])
     if last.s > 0.0:
         s = last.s * float(np.clip((target / max(last.drop, MIN_DROP)) ** (1.0 / side.power), 1.25, MAX_GROWTH))
     elif line.curvature > 0.0:
-        # g s + c s^2 / 2 = target; g is zero but for a parameter that is pushed against its bound
+        # solves g s + c s^2 / 2 = target; g is zero except for a parameter that is pushed against its bound
         g, c = max(-sign * line.gradient, 0.0), line.curvature
         s = 2.0 * target / (g + np.sqrt(g * g + 2.0 * c * target))
     else:
@@ -198,8 +244,17 @@ def _outwards(line: ConstrainedObjective, side: ProfileBranch, sign: int, target
 
 @dataclass(frozen=True)
 class ProfilePoint:
-    """At the distance ``s`` from the estimate the likelihood is lower by ``drop`` (infinite: it is not a number), with
-    all coordinates at ``z`` (n,)."""
+    """Point of a profile branch.
+
+    Attributes
+    ----------
+    s
+        Distance from the estimate, in the estimator's coordinate.
+    drop
+        Drop of the log-likelihood from its maximum; infinite if the likelihood is not finite.
+    z : Array (n,)
+        All coordinates, with the others at their best.
+    """
 
     s: float
     drop: float
@@ -208,53 +263,71 @@ class ProfilePoint:
 
 @dataclass
 class ProfileBranch:
-    """Points on one side, by distance from the estimate, and how it ended: ``limit``, the distance of the end of the 95
-    % interval (NaN: open), and a ``note``."""
+    """Points on one side of the estimate, in order of distance, and how that side ended.
+
+    Attributes
+    ----------
+    points
+        All points so far.
+    limit
+        Distance of the end of the 95 % interval; NaN if the side is open.
+    note
+        Remark about this end.
+    narrowed
+        Widths of the bracket so far.
+    """
 
     points: list[ProfilePoint]
     limit: float = float("nan")
     note: str = ""
-    narrowed: list[float] = field(default_factory=list)  # widths of the bracket
+    narrowed: list[float] = field(default_factory=list)
 
     @property
     def inside(self) -> list[ProfilePoint]:
-        """The points before the first that is too far."""
+        """The points before the first one outside the 95 % interval."""
         n = next((i for i, p in enumerate(self.points) if p.drop >= DROP_95), len(self.points))
         return self.points[:n]
 
     @property
     def inner(self) -> ProfilePoint:
+        """The last point inside the 95 % interval."""
         return self.inside[-1]
 
     @property
     def outer(self) -> ProfilePoint | None:
-        """The first point that is too far."""
+        """The first point outside the 95 % interval; None if there is none yet."""
         return next((p for p in self.points if p.drop >= DROP_95), None)
 
     @property
     def shown(self) -> list[ProfilePoint]:
-        """All but those further out, which only closed the bracket."""
+        """The points to be plotted: those inside, and the first one outside. Others only closed the bracket."""
         return [*self.inside[1:], *[p for p in [self.outer] if p is not None and np.isfinite(p.drop)]]
 
     def add(self, point: ProfilePoint) -> None:
+        """Insert a point in order of distance."""
         self.points = sorted([*self.points, point], key=lambda p: p.s)
 
     @property
     def power(self) -> float:
-        """With which the drop grows at the end of the points inside: 2 for a parabola, less where it flattens out."""
+        """The exponent with which the drop grows at the last point inside.
+
+        It is 2 for a parabola, and less if the drop flattens out.
+        """
         before, last = self.inside[-2:]
         if before.drop < MIN_DROP or before.s == 0.0:
             return 2.0
         return float(np.clip(np.log(max(last.drop / before.drop, 1.0)) / np.log(last.s / before.s), 0.25, 2.0))
 
     def expected(self, s: float) -> float:
-        """The drop at ``s`` above which something is odd: that of a parabola through the last point, many times."""
+        """Return the drop at ``s`` above which a refit is doubtful: several times that of a parabola."""
         last = self.inner
         return JUMP_RATIO * (max(last.drop, TARGET_DROPS[0]) * (s / last.s) ** 2 if last.s > 0 else DROP_95)
 
     def crossing(self) -> tuple[float, bool]:
-        """The distance at which the drop is 1.92, and whether that is exact enough; the root of the drop is nearly a
-        straight line in the distance."""
+        """Return the distance at which the drop is 1.92, and whether it is accurate enough.
+
+        The root of the drop is nearly a straight line in the distance, so that it is interpolated.
+        """
         inner, outer = self.inner, self.outer
         assert outer is not None
         if outer.s - inner.s < CROSSING_TOLERANCE * outer.s or not np.isfinite(outer.drop):
@@ -269,8 +342,11 @@ class ProfileBranch:
         return at, bool(smooth and (close or abs(at - chord) < CROSSING_TOLERANCE * at))
 
     def between(self) -> float:
-        """The next distance within the bracket: where the root of the drop, as a straight line, crosses; but the middle
-        (by ratio, where it spans more than that) where the line is a bad guess."""
+        """Return the next distance inside the bracket.
+
+        It is where a straight line through the root of the drop crosses. If that line is a poor guess, the middle of
+        the bracket is taken (the geometric middle if the bracket spans more than a factor of four).
+        """
         inner, outer = self.inner, self.outer
         assert outer is not None
         low, high = inner.s, outer.s
@@ -287,9 +363,22 @@ class ProfileBranch:
 
 
 class ConstrainedObjective:
-    """The objective with coordinate ``k`` held, the others at their best.
+    """The objective with coordinate ``k`` held and the others at their best.
 
-    ``found``: the best of all that was met on the way, as (objective, coordinates).
+    Attributes
+    ----------
+    z : Array (n,)
+        The optimum from which the profile starts.
+    top
+        Objective there.
+    found
+        The best point of all that were evaluated, as (objective, coordinates).
+    gradient, curvature
+        Of the profile at the optimum, by coordinate ``k``; a curvature of zero is unknown.
+    slope : Array (n - 1,)
+        Derivatives of the other coordinates' best values by coordinate ``k``.
+    flat : Array (n,)
+        Information of flat coordinates from their intervals (`flat_coordinates`); zero for others.
     """
 
     def __init__(self, problem: Problem, k: int, z: Array) -> None:
@@ -301,6 +390,7 @@ class ConstrainedObjective:
         self._centre(z)
 
     def _centre(self, z: Array) -> None:
+        """Let the profile start from the optimum z (n,)."""
         problem = self.problem
         self.z, at = z, problem.evaluate(z)
         flat = flat_coordinates(problem.value, z, problem.parameters, at.information, self.bounds)
@@ -311,8 +401,10 @@ class ConstrainedObjective:
         self.curvature, self.slope = self._curvature(with_interval_information(at, flat))
 
     def _curvature(self, at: Evaluation) -> tuple[float, Array]:
-        """Of the profile at the top (zero: not known), and how the other coordinates follow (n - 1,); those at a bound
-        do not."""
+        """Return the curvature of the profile at the optimum and the slopes of the other coordinates (n - 1,).
+
+        A curvature of zero means unknown. Coordinates at a bound have no slope.
+        """
         H = at.hessian
         held = self.bounds.held(self.z, at.gradient)[self.others]
         moving = self.others[~held]
@@ -327,7 +419,7 @@ class ConstrainedObjective:
         return (curvature if curvature > NULL_SPACE_TOLERANCE * H[self.k, self.k] else 0.0), follow
 
     def restart(self) -> bool:
-        """Whether a better optimum was met on the way; the line then goes through that."""
+        """Start the profile from a better optimum if one was found. Return whether it was."""
         if self.found[0] < self.top + MIN_GAIN:
             return False
         self.release(self.found[1])
@@ -335,13 +427,16 @@ class ConstrainedObjective:
         return True
 
     def release(self, z: Array) -> None:
-        """Climb from there with all coordinates free."""
+        """Search for the maximum from z (n,) with all coordinates free, and keep it in ``found`` if it is better."""
         top = maximise(self._flattened, z, self.bounds, max_iterations=40, tolerance=TOLERANCE)
-        self.found = max(self.found, (top.at.value, top.z), key=lambda one: one[0])
+        self.found = max(self.found, (top.at.value, top.z), key=lambda candidate: candidate[0])
 
     def best(self, s: float, sign: int, side: ProfileBranch) -> ProfilePoint:
-        """The best at one distance: from the nearest good point, as it is or as the others followed at the top; where
-        the drop jumps, also from the optimum and from the nearest point beyond."""
+        """Return the best point at distance ``s``.
+
+        The refit starts from the nearest point inside, as it is or moved along the slopes at the optimum. If the drop
+        jumps, the refit is repeated from the optimum and from the nearest point further out.
+        """
         near, z_k = side.inner, float(self.z[self.k]) + sign * s
         carried = near.z.copy()
         carried[self.others] += sign * (s - near.s) * self.slope
@@ -352,7 +447,7 @@ class ConstrainedObjective:
         return point
 
     def _refitted(self, s: float, z_k: float, starts: Iterable[Array]) -> ProfilePoint:
-        """From the best of the starts."""
+        """Return the point at distance ``s`` (coordinate ``z_k``), refitted from the best of the ``starts``."""
 
         def whole(rest: Array) -> Array:
             return np.insert(rest, self.k, z_k)
@@ -368,15 +463,18 @@ class ConstrainedObjective:
         ]
         if not tried:
             return ProfilePoint(s, np.inf, self.z)
-        value, rest = max(tried, key=lambda one: one[0])
+        value, rest = max(tried, key=lambda candidate: candidate[0])
         if rest.size:
             found: Optimum = maximise(evaluate, rest, self.rest, max_iterations=40, tolerance=TOLERANCE * 100)
             value, rest = found.at.value, found.z
-        self.found = max(self.found, (value, whole(rest)), key=lambda one: one[0])
+        self.found = max(self.found, (value, whole(rest)), key=lambda candidate: candidate[0])
         return ProfilePoint(s, self.top - value, whole(rest))
 
     def _flattened(self, z: Array) -> Evaluation:
-        """A coordinate on a plateau has no less information than that gives it: with none it would be flung away."""
+        """Return the evaluation with at least the intervals' information for flat coordinates.
+
+        Without information a flat coordinate would take a very long step.
+        """
         at = self.problem.evaluate(z)
         return Evaluation(
             at.value, at.gradient, at.information, np.maximum(at.curvature, self.flat - np.diag(at.information))

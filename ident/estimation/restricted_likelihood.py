@@ -1,14 +1,15 @@
 """Restricted maximum likelihood (REML): noise estimates corrected for the degrees of freedom of the dynamic parameters.
 
-Maximum likelihood divides the squares of the innovations by their number, not by what is left of it when the dynamics
-have been fitted to them, so that noise comes out too small: with a mass and two dampings from five minutes of one
-position, by a third of its standard error. Integrated over the dynamics (Laplace's approximation), the likelihood is
+Maximum likelihood divides the sum of squared innovations by their number. The fitted dynamics have reduced that sum, so
+that the noise comes out too small: by a third of its standard error, for a mass and two dampings from five minutes of
+one position. Integrated over the dynamics (Laplace's approximation), the likelihood is
 
     ln L_R(phi) = max over theta of ln L(theta, phi) - 1/2 ln det I_theta,theta(phi)
 
-with the information of the dynamics theta at each noise phi (Cox and Reid 1987, whose orthogonality holds here: noise
-does not move what is predicted; for linear models it is the REML of Patterson and Thompson 1971). The determinant
-changes slowly: from the maximum of ln L it takes one Newton step, whose gradient by phi is taken by differences.
+with the information of the dynamics theta at each noise phi (Cox and Reid 1987). Their orthogonality condition holds:
+the noise does not change the mean of the predictions. For linear models this is the REML of Patterson and Thompson
+(1971). The determinant changes slowly, so that one Newton step from the maximum of ln L is enough. Its gradient by phi
+is computed by finite differences.
 """
 
 from __future__ import annotations
@@ -22,26 +23,38 @@ from seatrial.ident.estimation.fisher_scoring import Evaluation, Optimum, Proble
 from seatrial.ident.estimation.standard_errors import DROP_95
 from seatrial.ident.numerics import Array, scaled_eigen, unit_diagonal
 
-STEP = 0.05  # of a logarithm, for differences; the log-determinant is nearly linear in it
-MIN_LOG_INFORMATION = 1.0  # on a logarithm: with less not even its order of magnitude is known
-PRIOR_ONLY = 0.5  # part of a parameter's information that is its prior's, from which its value is the prior's
-NULL_SPACE_TOLERANCE = 1e-9  # eigenvalue of the information scaled to unit diagonal: less is no information
-LEAST_DIAGONAL = 1e-300  # of an information matrix, in place of a zero
+STEP = 0.05  # step of a logarithm in finite differences; the log-determinant is nearly linear over it
+MIN_LOG_INFORMATION = 1.0  # with less information on its logarithm, a noise is not even known in order of magnitude
+PRIOR_ONLY = 0.5  # a parameter is known from its prior if the prior has a larger share of the information
+NULL_SPACE_TOLERANCE = 1e-9  # smaller eigenvalues of the information scaled to unit diagonal contain no information
+LEAST_DIAGONAL = 1e-300  # replaces a zero on the diagonal of an information matrix
 
 
 def apply_reml(problem: Problem, top: Optimum) -> Optimum:
-    """From the maximum of the likelihood to that of the restricted one: other noise, and dynamics that go with it.
+    """Move from the maximum of the likelihood to that of the restricted likelihood, in noise and dynamics.
 
-    Noise that is not estimated by its logarithm, that stands at a bound or that the data do not inform stays as it is.
-    ``at`` of what is returned has the gradient of the restricted likelihood, but the value of the likelihood at its
-    maximum. Where there is no noise to be estimated, or the step leads nowhere (``_errors``), ``top`` is returned.
+    A noise parameter keeps its value if it is not estimated as a logarithm, is at a bound, or is not informed by the
+    data.
+
+    Parameters
+    ----------
+    problem
+        The problem of the fit.
+    top
+        The maximum of the likelihood.
+
+    Returns
+    -------
+    Optimum
+        ``at`` contains the gradient of the restricted likelihood, but the value of the likelihood at its maximum. The
+        result is ``top`` if there is no noise or no dynamics to estimate, or if the step is not reliable (`_errors`).
     """
     names = problem.model.noise_parameters
     inside = ~np.logical_or(*problem.bounds.reached(top.z)) & (np.diag(top.at.information) > 0)
     is_noise = np.array([p.name in names for p in problem.parameters])
-    told = problem.bounds.logarithmic & (np.diag(top.at.information) > MIN_LOG_INFORMATION)
-    noise = np.flatnonzero(is_noise & inside & told)
-    # what is known by its prior alone, such as a thrust, takes no degree of freedom from the data, and stays
+    informed = problem.bounds.logarithmic & (np.diag(top.at.information) > MIN_LOG_INFORMATION)
+    noise = np.flatnonzero(is_noise & inside & informed)
+    # A parameter that is known from its prior, such as a thrust, takes no degree of freedom from the data. It stays.
     weight = problem.prior[1] * np.nan_to_num(_errors(top.at.hessian)) ** 2
     shared = np.array([p.segment is None for p in problem.parameters])
     prior_only = ~is_noise & shared & (weight > PRIOR_ONLY)
@@ -70,15 +83,22 @@ def apply_reml(problem: Problem, top: Optimum) -> Optimum:
 
 
 def _errors(H: Array) -> Array:
-    """Standard errors (n,), of what the data see. One step leads to a maximum that lies well within them; where it is
-    longer, a combination is hardly seen, and the step is no Newton step but leads anywhere."""
+    """Return standard errors (n,), without combinations of parameters that the data do not identify.
+
+    A reliable step ends within these errors. If a step is longer, it follows a combination that the data hardly
+    identify, and is no Newton step.
+    """
     w, V, scale = scaled_eigen(H, LEAST_DIAGONAL)
-    seen = w > NULL_SPACE_TOLERANCE
-    return np.asarray(np.sqrt((V[:, seen] ** 2 / w[seen]).sum(axis=1)) / scale)
+    identified = w > NULL_SPACE_TOLERANCE
+    return np.asarray(np.sqrt((V[:, identified] ** 2 / w[identified]).sum(axis=1)) / scale)
 
 
 def _log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:
-    """Of the information of the coordinates ``which``, without combinations that the data do not see."""
+    """Return the log-determinant of the information of the coordinates ``which``.
+
+    Combinations that the data do not identify count with ``NULL_SPACE_TOLERANCE``. NaN if the information is not
+    finite.
+    """
     part = problem.information(z, which)
     if not np.isfinite(part).all():
         return float("nan")

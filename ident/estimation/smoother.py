@@ -3,8 +3,9 @@
     G_k = P_k|k Phi_k' P_k+1|k^-1,   x_k|N = x_k|k + G_k (x_k+1|N - x_k+1|k),
     P_k|N = P_k|k + G_k (P_k+1|N - P_k+1|k) G_k'
 
-(Rauch, Tung and Striebel 1965; Sarkka 2013, section 9.1.) All gains at once, in units of each state's standard
-deviation; the covariance as a sum of two positive parts, so that it stays one.
+(Rauch, Tung and Striebel 1965; Sarkka 2013, section 9.1.) All gains of a piece are computed at once, in units of each
+state's standard deviation. The covariance is computed as a sum of two positive semidefinite parts, so that rounding
+cannot make it indefinite.
 """
 
 from __future__ import annotations
@@ -18,13 +19,24 @@ import numpy as np
 from seatrial.ident.estimation.likelihood import FilterResult
 from seatrial.ident.numerics import Array
 
-NULL_SPACE_TOLERANCE = 1e-13  # eigenvalue of a correlation matrix, for each of its rows: below it is rounding
+NULL_SPACE_TOLERANCE = 1e-13  # smaller eigenvalues of a correlation matrix, per row of it, are rounding
 
 
 @dataclass(frozen=True)
 class SmootherResult:
-    """Smoothed states: t (n_rows,) [s]; means x (n_rows, n_states) and covariances P (n_rows, n_states, n_states) given
-    all data; lag_one (n_rows - 1, n_states, n_states): cross-covariance of row k + 1 with row k."""
+    """Smoothed states of a record, given all data.
+
+    Attributes
+    ----------
+    t : Array (n_rows,)
+        Time [s].
+    x : Array (n_rows, n_states)
+        Means.
+    P : Array (n_rows, n_states, n_states)
+        Covariances.
+    lag_one : Array (n_rows - 1, n_states, n_states)
+        Cross-covariance of row k + 1 with row k.
+    """
 
     t: Array
     x: Array
@@ -45,14 +57,17 @@ class SmoothedStates(NamedTuple):
 
 
 def smooth(run: FilterResult) -> SmootherResult:
-    """Smooth a filter's run. States without variance keep their values."""
+    """Smooth the states of a filter run. States without variance keep their values."""
     parts = list(_backwards(run))[::-1]
     x, P, lag_one = (np.concatenate(part) for part in zip(*[part[1:] for part in parts], strict=True))
     return SmootherResult(run.t, x, P, lag_one)
 
 
 def smoothed_states(run: FilterResult) -> SmoothedStates:
-    """Means and standard deviations of ``smooth``; of a long record no more is kept."""
+    """Return means and standard deviations of the smoothed states.
+
+    It needs less memory than `smooth` for a long record.
+    """
     x, sd = np.empty((2, *run.x_filt.shape))
     for rows, mean, P, _ in _backwards(run):
         x[rows], sd[rows] = mean, np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
@@ -60,8 +75,11 @@ def smoothed_states(run: FilterResult) -> SmoothedStates:
 
 
 def _backwards(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]:
-    """Piece by piece from the last: its rows, their smoothed means and covariances, and those with the row after."""
-    after: tuple[Array, Array, Array] | None = None  # of the row after the piece: x, P, and the predicted P
+    """Yield smoothed pieces of the record, the last piece first.
+
+    Each piece consists of its rows, their means and covariances, and the cross-covariances with the following row.
+    """
+    after: tuple[Array, Array, Array] | None = None  # x, P and predicted P of the row that follows the piece
     for rows in reversed(run.pieces):
         P_pred, P_filt, Phi = run.covariances(rows)
         x, P, x_pred = run.x_filt[rows].copy(), P_filt.copy(), run.x_pred[rows]
@@ -82,7 +100,7 @@ def _backwards(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]
 
 
 def smoothed_mean(run: FilterResult) -> Array:
-    """The means of ``smooth`` alone (n_rows, n_states), in a third of the time."""
+    """Return the means of the smoothed states (n_rows, n_states), in a third of the time of `smooth`."""
     x = run.x_filt.copy()
     back, P_after = x[-1], run.covariances(slice(x.shape[0] - 1, None)).P_pred
     for rows in reversed(run.pieces):
@@ -98,25 +116,25 @@ def smoothed_mean(run: FilterResult) -> Array:
 
 
 def _own_part(G: Array, Phi: Array, P_filt: Array, P_next: Array) -> Array:
-    """``P - G P_next G'``, the covariance that later rows cannot reduce, in Joseph's form."""
+    """Return ``P - G P_next G'``, the covariance that later rows cannot reduce, in Joseph's form."""
     Q = P_next - Phi @ P_filt @ Phi.swapaxes(1, 2)
     rest = np.eye(Phi.shape[1]) - G @ Phi
     return np.asarray(rest @ P_filt @ rest.swapaxes(1, 2) + G @ Q @ G.swapaxes(1, 2))
 
 
 def _gains(Phi: Array, P_filt: Array, P_next: Array) -> Array:
-    """(n_rows - 1, n_states, n_states)."""
+    """Return the smoother gains (n_rows - 1, n_states, n_states)."""
     sd = np.sqrt(np.maximum(np.diagonal(P_next, axis1=1, axis2=2), 0.0))
     scale = np.divide(1.0, sd, out=np.zeros_like(sd), where=sd > 0)
     correlation = P_next * scale[:, :, None] * scale[:, None, :]
-    still = np.arange(sd.shape[1])
-    correlation[:, still, still] = 1.0  # also where there is no variance: such a state takes no part
+    diagonal = np.arange(sd.shape[1])
+    correlation[:, diagonal, diagonal] = 1.0  # for a state without variance, too: its gain is zero
     right = Phi @ P_filt * scale[:, :, None]
     return np.asarray((_solve(correlation, right) * scale[:, :, None]).swapaxes(1, 2))
 
 
 def _solve(correlation: Array, right: Array) -> Array:
-    """By Cholesky; rows whose matrix is singular by the pseudo-inverse."""
+    """Return ``correlation^-1 right`` for each row. If any matrix is singular, use the pseudo-inverse for all."""
     solved = np.empty_like(right)
     try:
         np.linalg.cholesky(correlation)

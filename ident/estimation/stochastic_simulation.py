@@ -1,7 +1,7 @@
 """Simulation of a model with its process noise, in plain numpy and independent of the filter's kernels.
 
-Stochastic Heun steps, of weak order two for noise that does not depend on the state (Kloeden and Platen 1992, 14.1),
-many to a row; all replicates at once.
+It uses stochastic Heun steps, of weak order two for noise that does not depend on the state (Kloeden and Platen 1992,
+14.1). Each interval between rows has several steps. All replicates are simulated at once.
 """
 
 from __future__ import annotations
@@ -15,12 +15,20 @@ import numpy as np
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 
-SUBSTEP = 0.0125  # s
+SUBSTEP = 0.0125  # [s] largest step of the integration
 
 
 @dataclass(frozen=True)
 class SampledInputs:
-    """t (n_rows,) s; u, u_next (n_rows, n_inputs): inputs at each row and at the end of the interval that follows."""
+    """Inputs of a simulation.
+
+    Attributes
+    ----------
+    t : Array (n_rows,)
+        Time [s].
+    u, u_next : Array (n_rows, n_inputs)
+        Inputs at each row, and at the end of the interval that follows it.
+    """
 
     t: Array
     u: Array
@@ -28,12 +36,12 @@ class SampledInputs:
 
     @classmethod
     def held(cls, t: Array, u: Array) -> SampledInputs:
-        """Constant until the next row."""
+        """Return inputs that are constant until the next row."""
         return cls(t, u, u)
 
     @classmethod
     def linear(cls, t: Array, u: Array) -> SampledInputs:
-        """Straight lines between the rows."""
+        """Return inputs that are linear between rows."""
         return cls(t, u, np.vstack([u[1:], u[-1:]]))
 
 
@@ -46,14 +54,32 @@ def simulate_stochastic(
     x0: Array | None = None,
     substep: float = SUBSTEP,
 ) -> tuple[Array, Array]:
-    """States (n_replicates, n_rows, n_states) and measurements with noise (n_replicates, n_rows, n_outputs).
+    """Simulate a model with process noise and measurement noise.
 
-    values (n_replicates, n_parameters): each replicate's parameters, in the model's order; rngs: a generator for
-    each, so that a replicate does not depend on its neighbours. x0 (n_replicates, n_states): where they start; by
-    default drawn from the model's own initial distribution (states that start from a measurement: at their x0).
+    Parameters
+    ----------
+    model, inputs
+        The model and its inputs.
+    values : Array (n_replicates, n_parameters)
+        Parameters of each replicate, over ``model.parameters`` in order.
+    rngs
+        A generator for each replicate, so that a replicate does not depend on the others.
+    x0 : Array (n_replicates, n_states), optional
+        Initial states. By default they are drawn from the model's initial distribution; a state that starts from a
+        measurement has its ``x0``.
+    substep
+        Largest step of the integration [s].
+
+    Returns
+    -------
+    states : Array (n_replicates, n_rows, n_states)
+        Simulated states.
+    outputs : Array (n_replicates, n_rows, n_outputs)
+        Measurements with noise.
     """
     step = np.diff(inputs.t)
-    # Numbers where all replicates have the same: of a delay known to be one most copies of a command have no weight.
+    # A value that all replicates share is passed as a number: with a single delay, the model can skip most of the
+    # delayed copies of a command, whose weight is zero.
     p: list[Any] = [float(own[0]) if (own == own[0]).all() else own for own in np.asarray(values).T]
     n_sub = np.maximum(np.ceil(step / substep - 1e-9), 1).astype(int)
     x = np.array([_start(model, v, r) for v, r in zip(values, rngs, strict=True)]) if x0 is None else np.array(x0)
@@ -78,7 +104,19 @@ def simulate_stochastic(
 
 
 def _heun(model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Any], step: float, noise: Array) -> Array:
-    """Over one interval in as many substeps as there are ``noise`` (n, n_states, n_replicates); ends: its inputs."""
+    """Integrate the states over one interval and return them.
+
+    Parameters
+    ----------
+    z : Array (n_states, n_replicates)
+        States at the start of the interval.
+    ends
+        Inputs at its two ends (n_inputs,).
+    step
+        Its length [s].
+    noise : Array (n, n_states, n_replicates)
+        Noise of each of the n steps.
+    """
     n, (begin, end) = len(noise), ends
     h = step / n
     for i in range(n):
@@ -89,6 +127,7 @@ def _heun(model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Any], s
 
 
 def _rates(model: Model, x: Array, u: Array, p: Sequence[Any]) -> Array:
+    """Return the derivatives of the states by time, as an array of the shape of ``x``."""
     rate = model.signals(x, u, p).rate
     out = np.empty_like(x)
     for i, state in enumerate(model.states):
@@ -97,6 +136,7 @@ def _rates(model: Model, x: Array, u: Array, p: Sequence[Any]) -> Array:
 
 
 def _start(model: Model, values: Array, rng: np.random.Generator) -> Array:
+    """Return an initial state (n_states,), drawn from the model's initial distribution."""
     named = dict(zip([p.name for p in model.parameters], values, strict=True))
     seen = {o.name for o in model.outputs}
     out = np.empty(len(model.states))
@@ -107,7 +147,7 @@ def _start(model: Model, values: Array, rng: np.random.Generator) -> Array:
 
 
 def _named(model: Model, values: Array, noise: float | str) -> Array:
-    """A number or a parameter's values (n_replicates,)."""
+    """Return the noise of each replicate (n_replicates,), from a number or the name of a parameter."""
     if not isinstance(noise, str):
         return np.full(len(values), float(noise))
     return np.asarray(values[:, [p.name for p in model.parameters].index(noise)])

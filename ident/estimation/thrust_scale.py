@@ -1,10 +1,10 @@
-"""The scale of forces: where it comes from, and estimates relative to it where nobody gave it.
+"""Scale of forces: its provenance, and estimates relative to the thrust if the thrust was not given.
 
-Motion alone tells ratios. With ``f = s (c1 n|n| + c2 n^2)`` all masses, inertia and damping are proportional to
-``s``, and all of the yaw equation but its Munk moment ``(m_u - m_v) u v`` also to the arm of the thrusters. So
-kilograms are as good as the thrust behind them. Where that is a built-in default, estimates are reported over the
-full-ahead thrust of one thruster ``T = c1 + c2`` (and those of the yaw equation over ``T y_arm``), with errors by the
-delta method:
+The motion of a boat determines only ratios. With ``f = s (c1 n|n| + c2 n^2)`` all masses, inertia and damping are
+proportional to ``s``. In the yaw equation all terms except the Munk moment ``(m_u - m_v) u v`` are also proportional to
+the arm of the thrusters. Kilograms are therefore as accurate as the thrust. If the thrust is a built-in default,
+estimates are reported over the thrust of one thruster at full forward command, ``T = c1 + c2`` (in the yaw equation
+over ``T y_arm``). Their standard errors follow from the delta method:
 
     g = theta / (T^a y^b),     cov g = J cov(theta) J',     J_ij = (delta_ij - a g_i dT/T - b g_i dy/y) / (T^a y^b)
 """
@@ -22,17 +22,26 @@ from seatrial.ident.models import SIDES, force_power, is_moment, is_own_model, s
 from seatrial.ident.numerics import Array
 
 BUILT_IN, ESTIMATED = ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED
-ASYMMETRY = 0.1  # prior standard deviation of c2 / c1 where nobody gave c2: astern 0.67 to 1.5 of ahead at two of them
-PRIOR_WIDTHS = 3.0  # standard deviations between the data and a prior: beyond, they contradict each other
-LEAST_DATA = 0.02  # part of a parameter's information that the data gave: with less they cannot contradict anything
-LEAST_GYRATION = 0.15  # radius of gyration in yaw over the hull's length: hulls have 0.2 to 0.3
+# Prior standard deviation of c2 / c1 if c2 was not given. At two standard deviations the reverse thrust is 0.67 or 1.5
+# times the forward thrust.
+ASYMMETRY = 0.1
+PRIOR_WIDTHS = 3.0  # data and prior contradict each other if they differ by more standard deviations
+LEAST_DATA = 0.02  # lower limit of the data's share of a parameter's information, in the test against the prior
+LEAST_GYRATION = 0.15  # least radius of gyration in yaw over the hull's length; real hulls have 0.2 to 0.3
 
 
 @dataclass(frozen=True)
 class ThrustScale:
-    """Provenance of the thrust (``c1``) and of the thrusters' arms; None: the model has none, or needs none.
+    """Provenance of a model's force scale.
 
-    ``statistical``: the thrust is taken as exact, so that no error of what stands on it has its uncertainty.
+    Attributes
+    ----------
+    thrust
+        Provenance of the thrust (``c1``); None if the model has no thrust or needs none.
+    arm
+        Provenance of the thrusters' arms; None if the model has no arms or needs none.
+    statistical
+        Whether the thrust is taken as exact. Standard errors then do not include its uncertainty.
     """
 
     thrust: ParameterOrigin | None = None
@@ -41,49 +50,51 @@ class ThrustScale:
 
     @property
     def relative(self) -> bool:
-        """Whether masses, damping and forces are known as ratios to the thrust only."""
+        """Whether masses, damping and forces are known only as ratios to the thrust."""
         return self.thrust is BUILT_IN
 
     @property
     def relative_yaw(self) -> bool:
-        """Whether those of the yaw equation are known as ratios to the arm only."""
+        """Whether inertia and damping in yaw are known only as ratios to the arm."""
         return self.arm in (BUILT_IN, ESTIMATED)
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """Lines to read before numbers of the model that stand in kg and N all the same, as other programs need them;
-        none where they are right."""
+        """Warnings about numbers in kg and N whose scale is unknown; empty if the scale is known.
+
+        Other programs need numbers in these units.
+        """
         thrust = (
-            "Nobody gave the thrust: masses, damping and forces are right as ratios to c1 + c2 only, not in",
+            "The thrust was not given: masses, damping and forces are right as ratios to c1 + c2 only, not in",
             "kg and N; the motion that they predict is right.",
         )
-        arms = ("Nobody gave the arms: inertia and damping in yaw are right as ratios to them only.",)
+        arms = ("The arms were not given: inertia and damping in yaw are right as ratios to the arms only.",)
         return (*(thrust if self.relative else ()), *(arms if self.relative_yaw else ()))
 
     def powers(self, unit: str) -> tuple[int, int]:
-        """Powers of the thrust and of the arm by which what has this unit is divided."""
+        """Return the powers of thrust and arm by which a number with this unit is divided."""
         power = force_power(unit)
         return power * self.relative, power * (self.relative_yaw and is_moment(unit))
 
     def unit(self, unit: str) -> str:
-        """The unit of that ratio: ``kg/N``, ``kg m2/(N m)``."""
+        """Return the unit of the ratio that is reported for a number with this unit: ``kg/N``, ``kg m2/(N m)``."""
         powers = self.powers(unit)
         if not any(powers):
             return unit
         above, _, below = unit.partition("/")
         top, bottom = [w for w in above.split() if w != "1"], below.split()
         for word, power in zip(("N", "m"), powers, strict=True):
-            ours, other = (top, bottom) if power > 0 else (bottom, top)
+            divided, divisor = (top, bottom) if power > 0 else (bottom, top)
             for _ in range(abs(power)):
-                if word in ours:
-                    ours.remove(word)
+                if word in divided:
+                    divided.remove(word)
                 else:
-                    other.append(word)
+                    divisor.append(word)
         joined = bottom[0] if len(bottom) == 1 else f"({' '.join(bottom)})"
         return f"{' '.join(top) or '1'}/{joined}" if bottom else " ".join(top)
 
     def name(self, name: str, unit: str) -> str:
-        """``m_u/T``, ``m_r/(T y_arm)``; what is no ratio keeps its name."""
+        """Return the name of the ratio: ``m_u/T``, ``m_r/(T y_arm)``. A number that is no ratio keeps its name."""
         thrust, arm = self.powers(unit)
         parts = ["T"] * (thrust > 0) + ["y_arm"] * (arm > 0)
         over = f"{name}/{parts[0]}" if len(parts) == 1 else f"{name}/({' '.join(parts)})" if parts else name
@@ -92,7 +103,10 @@ class ThrustScale:
 
 
 def scale_of(model: Model) -> ThrustScale:
-    """Of a vehicle's model: by its thrust curve, and by its arms where it has a yaw equation."""
+    """Return the provenance of the force scale of a vehicle's model.
+
+    It is that of the thrust curve, and of the arms if the model has a yaw equation.
+    """
     values, thrust, arm = model.values, None, None
     if "c1" in values and "m_u" in values:
         thrust = model.parameter("c1").provenance
@@ -101,23 +115,26 @@ def scale_of(model: Model) -> ThrustScale:
     elif "m_r" in values and "y_left" in values:
         arm = model.parameter("y_left").provenance
     exact = thrust is not None and thrust is not BUILT_IN and model.parameter("c1").exact
-    if any(i.unit.startswith("N") for i in model.inputs):  # forces as given, but for a calibration
+    if any(i.unit.startswith("N") for i in model.inputs):  # the inputs are forces; at most their calibration is unknown
         exact = "k_thrust" not in values or model.parameter("k_thrust").exact
     return ThrustScale(thrust, arm, exact)
 
 
 def pose_scale(model: Model) -> Model:
-    """The model with what nobody gave of thrust and arms left to the data, as far as they can tell.
+    """Return the model with the scale of forces free as far as the data can determine it.
 
-    The asymmetry c2 gets a wide prior; arms become one arm that the Munk moment tells; c1 is estimated where a mass is
-    given in its stead, else it stays at its built-in value, and the estimates are ratios to it.
+    - If c2 was not given, it gets a wide prior around zero.
+    - If no arm was given, the two arms become one symmetric arm, which the Munk moment determines. If one was given,
+      the other mirrors it.
+    - If c1 was not given but a mass was, c1 is estimated. If neither was given, c1 keeps its built-in value, and the
+      estimates are ratios to it.
     """
     values = model.values
     if "c1" not in values or "m_u" not in values:
         return _with_arms(model)
     c1, c2 = model.parameter("c1"), model.parameter("c2")
-    weighed = [p.name for p in model.parameters if p.name in ("m_u", "m_v") and p.provenance is not ESTIMATED]
-    if c1.provenance is BUILT_IN and weighed:
+    given_masses = [p.name for p in model.parameters if p.name in ("m_u", "m_v") and p.provenance is not ESTIMATED]
+    if c1.provenance is BUILT_IN and given_masses:
         c1 = c1.freed()
     if c2.provenance is BUILT_IN:
         c2 = replace(c2.at(0.0), prior=(0.0, ASYMMETRY * c1.value), free=True)
@@ -125,6 +142,10 @@ def pose_scale(model: Model) -> Model:
 
 
 def _with_arms(model: Model) -> Model:
+    """Return the model with arms for both thrusters.
+
+    If no arm was given, it gets one symmetric arm. If one arm was given, the other mirrors it.
+    """
     if not {"m_r", "y_left", "y_right"} <= set(model.values) or ".py:" in model.source:
         return model
     arms = [model.parameter(f"y_{side}") for side in SIDES]
@@ -140,20 +161,28 @@ def _with_arms(model: Model) -> Model:
 
 @dataclass(frozen=True)
 class ReportedUnits:
-    """The units that numbers of a model are reported in; ``thrust`` [N] and ``arm`` [m]: what ratios are to."""
+    """Units in which the numbers of a model are reported.
+
+    Attributes
+    ----------
+    scale
+        Provenance of the force scale.
+    thrust, arm
+        Thrust [N] and arm [m] that ratios refer to; 1 if not needed.
+    """
 
     scale: ThrustScale
     thrust: float = 1.0
     arm: float = 1.0
 
     def factor(self, unit: str) -> float:
-        """By which a number in ``unit`` is multiplied."""
+        """Return the factor from a number in ``unit`` to the reported number."""
         thrust, arm = self.scale.powers(unit)
         return float(self.thrust**-thrust * self.arm**-arm) if thrust or arm else 1.0
 
 
 def reported_units(model: Model) -> ReportedUnits:
-    """Of a model with its values."""
+    """Return the units in which the values of a model are reported."""
     scale, p = scale_of(model), model.values
     thrust = p["c1"] + p["c2"] if scale.relative else 1.0
     if not scale.relative_yaw:
@@ -163,24 +192,26 @@ def reported_units(model: Model) -> ReportedUnits:
 
 @dataclass(frozen=True)
 class ReportedEstimates:
-    """The estimates of a fit as they can be reported: in units of the thrust where its scale is unknown."""
+    """Estimates of a fit as they are reported: as ratios to the thrust if the scale of forces is unknown."""
 
     fit: Fit
 
     @cached_property
     def units(self) -> ReportedUnits:
+        """Units of the reported numbers."""
         return reported_units(self.fit.model)
 
     @property
     def scale(self) -> ThrustScale:
+        """Provenance of the force scale."""
         return self.units.scale
 
     def factor(self, unit: str) -> float:
-        """By which a number in ``unit`` is multiplied."""
+        """Return the factor from a number in ``unit`` to the reported number."""
         return self.units.factor(unit)
 
     def estimate(self, p: Parameter, record: int = 0) -> tuple[float, float]:
-        """Value and standard error (NaN: none) of a parameter in a record."""
+        """Return the reported value and standard error of a parameter in a record; NaN for no standard error."""
         value, error = self.fit.estimate(p.name, record)
         powers = self.scale.powers(p.unit)
         if not any(powers):
@@ -194,24 +225,26 @@ class ReportedEstimates:
 
     @cached_property
     def correlation(self) -> Array:
-        """Of the estimates as reported (n, n)."""
+        """Correlation of the reported estimates (n, n)."""
         if not (self.scale.relative or self.scale.relative_yaw):
             return self.fit.correlation
         root = np.sqrt(np.diag(self._covariance))
         return np.asarray(self._covariance / np.outer(root, root))
 
     def _log_gradient(self, thrust: int, arm: int) -> Array:
-        """Of ``T^a y^b`` by the estimates, over itself (n,)."""
-        of_thrust, of_arm = thrust / self.units.thrust, arm / self.units.arm
-        by = {"c1": of_thrust, "c2": of_thrust, "y_arm": of_arm}
-        return np.array([by.get(p.name, 0.0) for p in self.fit.parameters])
+        """Return the relative derivative of ``T^a y^b`` by each estimate (n,), for the powers a and b."""
+        by_thrust, by_arm = thrust / self.units.thrust, arm / self.units.arm
+        derivatives = {"c1": by_thrust, "c2": by_thrust, "y_arm": by_arm}
+        return np.array([derivatives.get(p.name, 0.0) for p in self.fit.parameters])
 
     @cached_property
     def _known_covariance(self) -> Array:
+        """Covariance of the estimates (n, n), zero instead of NaN."""
         return np.nan_to_num(self.fit.covariance, nan=0.0)
 
     @cached_property
     def _covariance(self) -> Array:
+        """Covariance of the reported estimates (n, n), NaN for parameters without a standard error."""
         parameters = self.fit.parameters
         powers = [self.scale.powers(p.unit) for p in parameters]
         J = np.array(
@@ -227,21 +260,29 @@ class ReportedEstimates:
 
 
 def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
-    """Parameters whose data contradict the prior that was given for this boat, the estimate and the distance in
-    standard deviations.
+    """Return parameters whose data contradict the prior that was given for this boat.
 
-    An estimate is the mean of what the data say and of the prior, weighted by their informations; with the prior's part
-    w of them, the two differ by ``(estimate - mean) / (sd sqrt(1 - w))`` of their common standard deviation.
+    Returns
+    -------
+    list of (parameter, estimate, distance)
+        The distance between data and prior is in standard deviations.
+
+    Notes
+    -----
+    An estimate is the mean of what the data determine and of the prior, weighted by their informations. With the
+    prior's share w of the information, the two differ by ``(estimate - mean) / (sd sqrt(1 - w))`` of their common
+    standard deviation.
     """
     found = []
-    by_somebody = {ParameterOrigin.MEASURED, ParameterOrigin.PRIOR}
+    given_origins = {ParameterOrigin.MEASURED, ParameterOrigin.PRIOR}
     if is_own_model(fit.model.source):
-        by_somebody.add(ParameterOrigin.GIVEN)
-    supposed = {p.name for e in fit.model.effects for p in e.parameters}  # how large an effect usually is
+        given_origins.add(ParameterOrigin.GIVEN)
+    # The priors of effects in the catalogue describe how large an effect usually is, not this boat.
+    of_effects = {p.name for e in fit.model.effects for p in e.parameters}
     for p, value, weight in zip(fit.parameters, fit.values.tolist(), fit.prior_weight.tolist(), strict=True):
         prior = p.free_prior()
-        said = p.origin in by_somebody and not (p.name in supposed and p.origin is ParameterOrigin.GIVEN)
-        if prior is None or not said or (p.transform == "log" and value <= 0.0):
+        for_this_boat = p.origin in given_origins and not (p.name in of_effects and p.origin is ParameterOrigin.GIVEN)
+        if prior is None or not for_this_boat or (p.transform == "log" and value <= 0.0):
             continue
         widths = (p.to_free(value) - prior[0]) / (prior[1] * np.sqrt(max(1.0 - weight, LEAST_DATA)))
         if abs(widths) > PRIOR_WIDTHS:
@@ -250,9 +291,16 @@ def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
 
 
 def least_inertia(fit: Fit, length: float | None = None) -> float | None:
-    """The least moment of inertia in yaw [kg m2] that a rigid body with this mass can have: of a bar that reaches from
-    thruster to thruster, or of a hull whose radius of gyration is ``LEAST_GYRATION`` of its length [m]. None where the
-    arms or masses are not known."""
+    """Return the least moment of inertia in yaw [kg m2] that a rigid body with the estimated mass can have.
+
+    It is the larger of two values: a bar that reaches from thruster to thruster, and a hull whose radius of gyration is
+    ``LEAST_GYRATION`` times its ``length`` [m].
+
+    Returns
+    -------
+    float or None
+        None if the arms or masses are unknown.
+    """
     scale, values = scale_of(fit.model), fit.model.values
     if not {"m_u", "m_r"} <= set(values) or scale.relative or scale.relative_yaw or scale.arm is None:
         return None

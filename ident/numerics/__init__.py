@@ -1,4 +1,4 @@
-"""Generic numerics without domain: signal processing, autocorrelation, linear algebra, pattern search."""
+"""Numerical methods for any field: signal processing, autocorrelation, linear algebra, pattern search."""
 
 import lazy_loader
 

@@ -1,8 +1,9 @@
-"""Symmetric matrices whose entries have different units: information and covariance, scaled to unit diagonal first.
+"""Linear algebra of symmetric matrices whose entries have different units: information and covariance matrices.
 
-Eigenvalues of the scaled matrix do not depend on units, so that one cut-off holds for every model.
+The matrices are scaled to unit diagonal first. The eigenvalues of the scaled matrix do not depend on units, so that one
+tolerance is valid for all models.
 
-The array type of ident: float64, time along the first axis.
+``Array`` is the array type of ident: float64, with time along the first axis.
 """
 
 from __future__ import annotations
@@ -16,7 +17,17 @@ Array = NDArray[np.float64]
 
 
 class ScaledEigen(NamedTuple):
-    """``A = diag(scale) V diag(w) V' diag(scale)``: w (n,) ascending, V (n, n) in columns, scale (n,)."""
+    """Eigenvalues and eigenvectors of a scaled matrix: ``A = diag(scale) V diag(w) V' diag(scale)``.
+
+    Attributes
+    ----------
+    w : Array (n,)
+        Eigenvalues, ascending.
+    V : Array (n, n)
+        Eigenvectors in columns.
+    scale : Array (n,)
+        Square roots of the diagonal of A.
+    """
 
     w: Array
     V: Array
@@ -26,35 +37,54 @@ class ScaledEigen(NamedTuple):
 def unit_diagonal(A: Array, floor: float = 0.0) -> tuple[Array, Array]:
     """Scale a symmetric matrix to ones on its diagonal: ``A = scaled * outer(scale, scale)``.
 
-    Parameters: A (n, n); floor: of the diagonal, where rounding may have made it zero or negative.
-    Returns: scaled (n, n), scale (n,).
+    Parameters
+    ----------
+    A : Array (n, n)
+        Symmetric matrix.
+    floor
+        Replaces smaller values on the diagonal, which rounding may have made zero or negative.
+
+    Returns
+    -------
+    scaled : Array (n, n)
+        Scaled matrix.
+    scale : Array (n,)
+        Square roots of the diagonal.
     """
     scale = np.sqrt(np.maximum(np.diag(A), floor))
     return A / np.outer(scale, scale), scale
 
 
 def scaled_eigen(A: Array, floor: float = 0.0) -> ScaledEigen:
-    """Eigenvalues and eigenvectors of A (n, n) scaled to unit diagonal; ``floor`` as in `unit_diagonal`."""
+    """Return eigenvalues and eigenvectors of A (n, n) scaled to unit diagonal. See `unit_diagonal` for ``floor``."""
     scaled, scale = unit_diagonal(A, floor)
     w, V = np.linalg.eigh(scaled)
     return ScaledEigen(w, V, scale)
 
 
 def scaled_inverse(A: Array) -> Array:
-    """Inverse of A (n, n), positive definite, by way of unit diagonal. Raises LinAlgError where it is singular."""
+    """Return the inverse of a positive definite A (n, n), computed with unit diagonal.
+
+    Raises
+    ------
+    LinAlgError
+        If A is singular.
+    """
     scaled, scale = unit_diagonal(A)
     return np.asarray(np.linalg.inv(scaled) / np.outer(scale, scale))
 
 
 def scaled_pseudo_inverse(A: Array) -> Array:
-    """Pseudo-inverse (Moore and Penrose) of A (n, n), positive semidefinite, by way of unit diagonal."""
+    """Return the Moore-Penrose pseudo-inverse of a positive semidefinite A (n, n), computed with unit diagonal."""
     scaled, scale = unit_diagonal(A)
     return np.asarray(np.linalg.pinv(scaled, hermitian=True) / np.outer(scale, scale))
 
 
 def covariance_root(P: Array, tolerance: float) -> Array:
-    """Directions of one standard deviation L (n, k) of a covariance P (n, n): ``L L' = P``, without those whose scaled
-    eigenvalue is below ``tolerance`` times the largest."""
+    """Return directions of one standard deviation L (n, k) of a covariance P (n, n), such that ``L L' = P``.
+
+    Directions whose scaled eigenvalue is below ``tolerance`` times the largest are left out.
+    """
     w, V, scale = scaled_eigen(P)
     kept = w > tolerance * w.max(initial=0.0)
     return np.asarray(scale[:, None] * V[:, kept] * np.sqrt(w[kept]))

@@ -1,10 +1,15 @@
 """Pattern search without derivatives, in batches (Hooke and Jeeves 1961; Audet and Dennis 2002).
 
-Poll: single coordinates up and down by the mesh size, in random order, a batch at a time; a batch that gains moves at
-once. Search: moves of several coordinates, the last gain once and three times more (the pattern of Hooke and Jeeves),
-and the sum of all moves that gained in a batch, which is often better still. When a whole poll has gained nothing the
-mesh is halved. What breaks a constraint loses to what breaks it less, and everything that breaks one to what breaks
-none (Deb 2000).
+Each batch contains points of three kinds:
+
+- Poll: single coordinates moved up and down by the mesh size, in random order.
+- Search: several coordinates moved at random.
+- Points ahead: the last improvement continued once and three times more (the pattern of Hooke and Jeeves), and the sum
+  of the moves in the last batch that improved the merit.
+
+The search moves to the best point of a batch if it is an improvement. If several batches bring none, the mesh is
+halved. A point that violates a constraint is worse than any point that does not; of two such points, the larger
+violation is worse (Deb 2000).
 """
 
 from __future__ import annotations
@@ -19,26 +24,45 @@ from seatrial.ident.numerics.linear_algebra import Array
 
 Evaluate = Callable[[Array], tuple[Array, Array]]
 EvaluateAbove = Callable[[Array, float], tuple[Array, Array]]
-VIOLATION_PENALTY = 1e12  # of the merit, by any violation of a constraint
-FIRST_MESH, LAST_MESH = 0.25, 1e-3  # of the range of a coordinate: mesh size at the start and at the end
-BATCH = 64  # points that are evaluated together
-PATIENCE = 6  # batches without gain before the mesh is halved, where a poll is a single batch
+VIOLATION_PENALTY = 1e12  # a point that violates a constraint has a merit of minus this, or less
+FIRST_MESH, LAST_MESH = 0.25, 1e-3  # mesh size at the start and at the end, relative to the range of a coordinate
+BATCH = 64  # number of points that are evaluated together
+PATIENCE = 6  # least number of batches without improvement before the mesh is halved; one poll may need more
 
 
 def penalised_objective(value: Array, violation: Array) -> Array:
-    """One number to compare by: the value where no constraint is broken."""
+    """Return the merit by which points are compared: the value, or a large penalty if a constraint is violated."""
     return np.where(violation > 0, -VIOLATION_PENALTY * (1.0 + violation), value)
 
 
 def breaks_a_constraint(merit: float) -> bool:
-    """Whether a `penalised_objective` is that of a point that breaks a constraint."""
+    """Return whether a merit of `penalised_objective` is that of a point that violates a constraint."""
     return merit <= -VIOLATION_PENALTY
 
 
 @dataclass
 class SearchState:
-    """One running search: where it is, what that is worth, and its mesh. order: coordinates still to be polled; idle:
-    batches since the last gain."""
+    """State of one running search.
+
+    Attributes
+    ----------
+    z : Array (size,)
+        Best point so far.
+    merit
+        Its merit.
+    mesh
+        Mesh size, relative to the range of a coordinate.
+    evaluations
+        Number of evaluations so far.
+    history
+        Evaluations and merit after each batch.
+    order
+        Coordinates that are still to be polled.
+    idle
+        Batches since the last improvement.
+    ahead
+        Points (size,) that continue the last improvement.
+    """
 
     z: Array
     merit: float
@@ -51,26 +75,54 @@ class SearchState:
 
     @property
     def done(self) -> bool:
+        """Whether the mesh is fine enough."""
         return self.mesh < LAST_MESH
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """z (n,); value; violation (0: none); evaluations spent; history: evaluations and merit of the best search."""
+    """Result of a pattern search.
+
+    Attributes
+    ----------
+    z : Array (size,)
+        Best point.
+    value
+        Objective there.
+    violation
+        Violation of the constraints there; 0 for none.
+    evaluations
+        Number of evaluations.
+    history
+        Evaluations and merit of the best search after each batch.
+    merits
+        Final merit of the search from each start.
+    """
 
     z: Array
     value: float
     violation: float
     evaluations: int
     history: tuple[tuple[int, float], ...]
-    merits: tuple[float, ...]  # of the restarts
+    merits: tuple[float, ...]
 
 
 class PatternSearch:
-    """``evaluate(z (n, size)) -> value (n,), violation (n,)`` within low, high (size,).
+    """Maximisation of a function inside bounds by pattern search.
 
-    ``above(z, least)``, where it is given, evaluates what is compared with a merit ``least``: of points that are not
-    better it may return any value and violation that are not better, which may cost less. The search is the same.
+    Parameters
+    ----------
+    evaluate
+        ``evaluate(z (n, size)) -> value (n,), violation (n,)``.
+    low, high : Array (size,)
+        Bounds.
+    seed
+        Seed of the random order and moves.
+    groups : Array (size,) of int, optional
+        Labels of coordinates that move together in a search; by default each coordinate moves alone.
+    above
+        ``above(z, least)``: a cheaper evaluation. For points whose merit does not exceed ``least`` it may return any
+        value and violation with a merit that does not exceed it. The result of the search is the same.
     """
 
     def __init__(
@@ -85,12 +137,22 @@ class PatternSearch:
         self.evaluate, self.low, self.high = evaluate, low, high
         self.above: EvaluateAbove = above or (lambda z, least: evaluate(z))
         self.rng = np.random.default_rng([seed, 7])
-        self.groups = np.arange(low.size) if groups is None else groups  # coordinates that move together in a search
+        self.groups = np.arange(low.size) if groups is None else groups
 
     def run(
         self, starts: Array, evaluations: int, progress: Callable[[int, float], None] | None = None
     ) -> SearchResult:
-        """From each of ``starts`` (m, size) with half of the evaluations, then from the best with the rest."""
+        """Search from several starts, and continue from the best of them.
+
+        Parameters
+        ----------
+        starts : Array (m, size)
+            The starts. Each gets an equal part of half of the evaluations; the best gets the rest.
+        evaluations
+            Total number of evaluations.
+        progress
+            Called with evaluations and merit after each batch.
+        """
         value, violation = self.evaluate(starts)
         searches = [
             SearchState(z.copy(), m)
@@ -109,6 +171,7 @@ class PatternSearch:
         return SearchResult(best.z, float(value[0]), float(violation[0]), spent, tuple(best.history), merits)
 
     def _advance(self, search: SearchState, until: int, progress: Callable[[int, float], None] | None) -> None:
+        """Continue a search until it has used ``until`` evaluations or its mesh is fine enough."""
         while search.evaluations < until and not search.done:
             self._batch(search)
             search.history.append((search.evaluations, search.merit))
@@ -116,6 +179,7 @@ class PatternSearch:
                 progress(search.evaluations, search.merit)
 
     def _batch(self, search: SearchState) -> None:
+        """Evaluate one batch and move to its best point if that is an improvement."""
         if not search.order:
             if search.idle >= max(PATIENCE, -(-self.low.size // (BATCH // 4))):
                 search.mesh, search.idle = search.mesh / 2.0, 0
@@ -130,7 +194,7 @@ class PatternSearch:
         if better.size:
             moves = trials[better] - search.z
             away = moves[np.argsort(-merit[better])[:12]]
-            first = np.argmax(np.abs(away) > 0, axis=0)  # the best move decides on each coordinate
+            first = np.argmax(np.abs(away) > 0, axis=0)  # for each coordinate, the best of the moves that change it
             search.ahead = [
                 search.z + away[first, np.arange(self.low.size)],
                 trials[at] + moves[better == at][0],
@@ -139,6 +203,7 @@ class PatternSearch:
             search.z, search.merit, search.idle = trials[at].copy(), float(merit[at]), 0
 
     def _poll(self, search: SearchState, chosen: list[int]) -> Array:
+        """Return points with each of the ``chosen`` coordinates moved up and down by the mesh size."""
         step = search.mesh * (self.high - self.low)[chosen]
         trials = np.repeat(search.z[None], 2 * len(chosen), axis=0)
         trials[np.arange(len(chosen)), chosen] += step
@@ -146,7 +211,7 @@ class PatternSearch:
         return trials
 
     def _moves(self, search: SearchState, n: int) -> Array:
-        """One to three groups of coordinates moved by the mesh size at random, or one of them drawn anew."""
+        """Return n random points, each with one to three groups of coordinates moved or one group drawn anew."""
         trials, labels = np.repeat(search.z[None], n, axis=0), np.unique(self.groups)
         for k in range(n):
             some = np.isin(self.groups, self.rng.choice(labels, int(self.rng.integers(1, 4))))

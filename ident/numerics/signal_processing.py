@@ -1,4 +1,4 @@
-"""Signal processing without domain: angles, first-order lags and their fit, steady segments, noise from differences."""
+"""Signal processing for any field: angles, first-order lags and their fit, steady segments, noise from differences."""
 
 from __future__ import annotations
 
@@ -12,19 +12,33 @@ from seatrial.ident.numerics.linear_algebra import Array
 
 Hold = Literal["forward", "backward"]
 Start = Literal["zero", "steady"]
-NORMAL_MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
-SECOND_DIFFERENCE = np.sqrt(6.0)  # standard deviation of y[k] - 2 y[k+1] + y[k+2] over that of white y: 1 + 4 + 1
+NORMAL_MAD = 1.4826  # ratio of standard deviation to median absolute deviation of a normal variable
+SECOND_DIFFERENCE = np.sqrt(6.0)  # ratio of the standard deviation of y[k] - 2 y[k+1] + y[k+2] to that of white y
 
 
 def first_order_lag(f: Array, tau: float, dt: float, *, hold: Hold = "forward", start: Start = "zero") -> Array:
-    """First-order low-pass x' = (f - x) / tau, exact for inputs that are held over each step.
+    """Apply the first-order low-pass filter x' = (f - x) / tau, exactly for inputs that are held over each step.
 
-    Parameters: f (n, ...) input, time along the first axis; tau [s] time constant, zero or more; dt [s] step; hold:
-    ``forward``, f[k] is held from row k to the next, so that x[k] depends on f up to row k - 1, or ``backward``, f[k]
-    is held over the step that ends in row k; start: at rest at ``zero``, or ``steady``, with x[0] = f[0].
-    Returns: x (n, ...).
+    Parameters
+    ----------
+    f : Array (n, ...)
+        Input, time along the first axis.
+    tau
+        Time constant [s], zero or more.
+    dt
+        Step [s].
+    hold
+        ``forward``: f[k] is held from row k to the next, so that x[k] depends on f up to row k - 1. ``backward``: f[k]
+        is held over the step that ends in row k.
+    start
+        ``zero``: the filter starts at zero. ``steady``: x[0] = f[0].
+
+    Returns
+    -------
+    Array (n, ...)
+        Output x.
     """
-    from scipy.signal import lfilter  # a second of import, which an estimate can do without
+    from scipy.signal import lfilter  # imported here: it takes a second, and an estimate does not need it
 
     keep = np.exp(-dt / tau) if tau > 0.0 else 0.0
     b = [0.0, 1.0 - keep] if hold == "forward" else [1.0 - keep]
@@ -35,9 +49,14 @@ def first_order_lag(f: Array, tau: float, dt: float, *, hold: Hold = "forward", 
 
 
 class LagData(NamedTuple):
-    """What one recording says of a delay and a lag.
+    """One recording in the fit of a delay and a lag.
 
-    f (n,): input, evenly sampled; misfit: of the lagged input (n,) and the delay [s] at which it is to be sampled.
+    Attributes
+    ----------
+    f : Array (n,)
+        Input, evenly sampled.
+    misfit
+        Function of the lagged input (n,) and a delay [s]; returns the misfit of the recording.
     """
 
     f: Array
@@ -45,7 +64,7 @@ class LagData(NamedTuple):
 
 
 class LagFit(NamedTuple):
-    """delay [s], time_constant [s], and the misfit there, of all recordings together."""
+    """Fitted delay [s] and time constant [s], and the misfit of all recordings together."""
 
     delay: float
     time_constant: float
@@ -61,12 +80,25 @@ def fit_first_order_lag(
     hold: Hold = "forward",
     start: Start = "zero",
 ) -> LagFit:
-    """Delay and time constant of a first-order response, by grid search: a search from one start stops at a slow lag
-    where the delay is long.
+    """Fit delay and time constant of a first-order response by grid search.
 
-    Parameters: data: recordings whose misfits add up; delays, time_constants [s]: the grid; dt [s]: step of the inputs;
-    hold, start: as in `first_order_lag`.
-    Returns: the least misfit; of equal ones the first time constant, then the first delay.
+    A search from a single start may end at a slow lag although the delay is long.
+
+    Parameters
+    ----------
+    data
+        Recordings whose misfits are added.
+    delays, time_constants
+        The grid [s].
+    dt
+        Step of the inputs [s].
+    hold, start
+        See `first_order_lag`.
+
+    Returns
+    -------
+    LagFit
+        The point with the least misfit; of equal ones, the first time constant, then the first delay.
     """
     best = LagFit(float("nan"), float("nan"), np.inf)
     for tau in time_constants:
@@ -79,7 +111,7 @@ def fit_first_order_lag(
 
 
 class SteadySegment(NamedTuple):
-    """A signal is ``level`` from ``start`` to ``end`` [s]."""
+    """A segment from ``start`` to ``end`` [s] over which a signal is constant at ``level``."""
 
     start: float
     end: float
@@ -87,14 +119,21 @@ class SteadySegment(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """[s]"""
+        """Length of the segment [s]."""
         return self.end - self.start
 
 
 def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
-    """The segments over which a signal that is held between its samples does not change.
+    """Return the segments over which a signal that is held between its samples does not change.
 
-    Parameters: t (n,) [s], value (n,): the samples; end [s]: until when the last one is held.
+    Parameters
+    ----------
+    t : Array (n,)
+        Times of the samples [s].
+    value : Array (n,)
+        The samples.
+    end
+        Time until which the last sample is held [s].
     """
     first = np.flatnonzero(np.diff(value, prepend=np.nan) != 0)
     limits = [*t[first].tolist(), end]
@@ -102,24 +141,29 @@ def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
 
 
 def noise_from_differences(second_differences: Array) -> float:
-    """Standard deviation of white noise from the second differences (n,) of a smooth signal, robust against outliers:
-    their median absolute value as it is of a normal variable; zero where there are none."""
+    """Return the standard deviation of white noise from second differences (n,) of a smooth signal.
+
+    It comes from their median absolute value and is robust against outliers. It is zero if there are no differences.
+    """
     if not second_differences.size:
         return 0.0
     return float(NORMAL_MAD * float(np.median(np.abs(second_differences))) / SECOND_DIFFERENCE)
 
 
-GRID_FEWEST, GRID_NEAR = 12, 0.05  # steps that tell a grid, and how near to whole ones each is, relative to one
+# Values are on a grid if there are at least so many differences, and each is a multiple of the step within this share.
+GRID_FEWEST, GRID_NEAR = 12, 0.05
 
 
 def rounding_step(value: Array) -> float:
-    """Step of the grid that all values (n,) but zero are on, as a message of integers has them; zero where there is
-    none. (What was cut towards zero is told as the middle of its step, and zero as it is.)
+    """Return the step of the grid on which all values (n,) except zero lie; zero if there is no grid.
 
-    Values on no grid pass by chance with a probability of ``(2 GRID_NEAR)^GRID_FEWEST``.
+    A message that transmits integers gives such values. A decoder may place values that were truncated towards zero in
+    the middle of their step, but zero at zero; zeros are therefore ignored.
+
+    Values without a grid pass by chance with a probability of ``(2 GRID_NEAR)^GRID_FEWEST``.
     """
     steps = np.diff(np.unique(value[np.isfinite(value) & (value != 0.0)]))
-    steps = steps[steps > 1e-6 * steps.sum()]  # what is the same but for the last digits
+    steps = steps[steps > 1e-6 * steps.sum()]  # values that differ only by rounding are equal
     if steps.size < GRID_FEWEST:
         return 0.0
     whole = np.round(steps / steps.min())
@@ -128,5 +172,5 @@ def rounding_step(value: Array) -> float:
 
 
 def wrap(e: Array, angle: bool) -> Array:
-    """Differences e (...) of an ``angle`` [rad] within -pi and pi; other differences as they are."""
+    """Return differences e (...) wrapped to -pi to pi if they are an ``angle`` [rad]; others unchanged."""
     return np.mod(e + np.pi, 2 * np.pi) - np.pi if angle else e

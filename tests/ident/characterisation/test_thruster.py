@@ -81,12 +81,12 @@ def test_a_thrust_that_nobody_measured_has_no_number(tmp_path: Path) -> None:
     assert (c1.prior or (0, 0))[1] == pytest.approx(saved["c1"]["se"])
     assert (c2.value, c2.free, str(c2.provenance)) == (0.0, False, "given")
     (note,) = notes
-    assert "does not tell c2 from c1" in note
+    assert "cannot separate c2 from c1" in note
     # A model.toml of before, where both were free and had no error.
     text = (tmp_path / "t/model.toml").read_text()
     bad = "\n".join(line for line in text.splitlines() if not line.startswith("se = "))
     (tmp_path / "bad.toml").write_text(bad)
-    with pytest.raises(SeatrialError, match=r"bad\.toml: c1 = 41\S* N has no standard error: .* add steps"):
+    with pytest.raises(SeatrialError, match=r"bad\.toml: c1 = 41\S* N has no standard error: .* add forward"):
         fix_parameters(horizontal_model(), tmp_path / "bad.toml", {})
     fixed, _ = fix_parameters(horizontal_model(), tmp_path / "bad.toml", {"c1": 40.0})
     assert fixed.parameter("c1").value == 40.0

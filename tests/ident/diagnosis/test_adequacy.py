@@ -303,7 +303,7 @@ HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s
         (6.0, 0.13, (), None),
         (-6.0, 0.13, (), None),
         (6.0, 1.0, (("w", AT_BOUND),), "its parameter w (its width) is at its bound, 1 m/s"),
-        (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of what is known of it is its prior")), None),
+        (6.0, 0.13, (("d_u", AT_BOUND), ("w", "half of its information comes from its prior")), None),
         (-3.1, 0.37, (), "the data do not determine its size: A = -3.1 ± 1 N"),
     ],
 )

@@ -66,7 +66,7 @@ def test_a_refit_for_another_size_that_loses_its_way_begins_where_the_first_fit_
         if len(asked) == 1 or (len(asked) == 3 and lost != "never converges"):
             return fit_and_evaluate(model, *given)
         if lost == "fails":
-            raise ValueError("the likelihood cannot be evaluated at the starting values")
+            raise ValueError("the likelihood cannot be evaluated at the initial values")
         return fit_and_evaluate(model, *given, SearchSettings(max_iterations=1))
 
     monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)

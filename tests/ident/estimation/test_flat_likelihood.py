@@ -24,7 +24,7 @@ def test_an_end_between_two_levels_has_an_error_that_reaches_both(dead_zone: flo
     assert d + 1.96 * error == pytest.approx(0.12, abs=0.005)
     assert found.robust_errors[found.names.index("d")] == error
     (remark,) = [text for name, text in found.flags if name == "d"]
-    assert remark.startswith("flat here: the likelihood falls at 0.06")
+    assert remark.startswith("the likelihood is flat here and falls at 0.06")
     for name, truth in {"tau": 0.12, "a": 3.0, "c1": 40.0}.items():
         value, s = found.estimate(name)
         assert abs(value - truth) < 4 * s, name

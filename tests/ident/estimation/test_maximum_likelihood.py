@@ -177,7 +177,7 @@ def test_what_the_data_do_not_tell_is_named() -> None:
     assert result.converged
     said = dict(result.flags)
     assert "do not depend" in said["nothing"]
-    combination = "not identified: the data do not see a change of +1 ln m +1 ln d +1 ln gain"
+    combination = "not identified: the data do not depend on the joint change +1 ln m +1 ln d +1 ln gain"
     assert said["m"] == said["d"] == said["gain"] == combination
     for name in ("m", "d", "gain", "nothing"):
         assert math.isnan(result.estimate(name)[1])

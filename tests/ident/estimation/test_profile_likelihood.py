@@ -127,7 +127,7 @@ def test_what_the_data_do_not_limit_is_open() -> None:
     assert math.isnan(one.low)
     assert one.high > one.value
     (note,) = one.notes
-    assert note.startswith("lower side: the data set no limit as far as was looked, to ")
+    assert note.startswith("lower side: the data set no limit; the search ended at ")
     assert float(note.rpartition(" ")[2]) == pytest.approx(one.grid[0], rel=1e-3)
 
 
@@ -210,7 +210,8 @@ def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: floa
     assert one.drop.min() == 0.0
     gain = other.log_likelihood - found.log_likelihood
     assert one.notes == (
-        f"a better fit was found on the way, by {gain:.2g}, and the profile is of that: fit again from there",
+        f"a better fit was found during the search, by {gain:.2g} in log-likelihood; the profile is of that fit: "
+        "fit again from there",
     )
     assert same.notes == ()
 

@@ -25,7 +25,10 @@ def test_a_bound_that_is_just_reached_widens_as_if_it_were_not_there() -> None:
     assert found.errors[0] == pytest.approx(1.0)
     assert np.isnan(found.errors[1])
     assert found.limits[1] == pytest.approx(1.96, abs=1e-3)
-    assert found.flags == (("b", "at its bound"), ("a", "its error allows for b off its bound: 3.2 times that at it"))
+    assert found.flags == (
+        ("b", "at its bound"),
+        ("a", "its error is 3.2 times as large because b may leave its bound"),
+    )
 
 
 def test_a_step_that_ends_on_a_bound_but_for_its_rounding_is_at_it() -> None:
@@ -104,7 +107,7 @@ def test_each_combination_that_is_not_seen_is_named_by_itself(
         np.zeros(6),
     )
     combinations = {
-        name: set(text.rpartition(" of ")[2].split()[1::2])
+        name: set(text.rpartition(" the joint change ")[2].split()[1::2])
         for name, text in found.flags
         if text.startswith("not identified")
     }
@@ -112,7 +115,7 @@ def test_each_combination_that_is_not_seen_is_named_by_itself(
     lost = {name for name, _ in found.flags}
     assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]
     if "d" in said:
-        assert dict(found.flags)["d"].endswith("a change of +0.5 c +1 d")
+        assert dict(found.flags)["d"].endswith("the joint change +0.5 c +1 d")
 
 
 def test_the_share_of_a_prior_is_that_of_what_the_data_tell() -> None:

@@ -217,8 +217,8 @@ def test_a_sideslip_that_is_left_out_is_noise_of_both_axes() -> None:
 def test_what_is_right_as_a_ratio_only_is_said_to_be(target: str) -> None:
     model = horizontal_model()
     text = export(saved(model), target)
-    assert "Nobody gave the thrust: masses, damping and forces are right as ratios to c1 + c2 only" in text
-    assert "Nobody gave the arms" in text
+    assert "The thrust was not given: masses, damping and forces are right as ratios to c1 + c2 only" in text
+    assert "The arms were not given" in text
     assert "[N] built-in, thrust" in text
     given = (
         model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN)

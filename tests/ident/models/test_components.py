@@ -169,7 +169,7 @@ def test_errors_of_an_older_form_are_named(tmp_path: Path) -> None:
     rows = path.read_text(encoding="utf-8").split("[[parameter]]")
     assert any('name = "A_axy"' in row for row in rows)
     path.write_text("[[parameter]]".join(r for r in rows if 'name = "A_axy"' not in r), encoding="utf-8")
-    with pytest.raises(SeatrialError, match="errors of an estimator are of an older form: fit the model again"):
+    with pytest.raises(SeatrialError, match="errors of an estimator are in an older format: fit the model again"):
         load_model(path)
 
 

@@ -117,8 +117,8 @@ def rig_with(arm: tuple[float, float, float]) -> SimpleNamespace:
         (
             "surge:shaft",
             [],
-            "the rig's antenna (0.5 m ahead, -0.3 m to starboard, -0.8 m down) is not in model surge, "
-            "which takes x as that of the origin",
+            "model surge cannot include the lever arm of the rig's antenna (0.5 m ahead, -0.3 m to starboard, "
+            "-0.8 m down): it takes x as measured at the origin",
         ),
         ("yaw:both", [], ""),  # sees no GNSS
     ],
@@ -136,7 +136,7 @@ def test_of_two_antennas_it_is_said_which_is_taken() -> None:
     model, lines = apply_rig_geometry(horizontal_model(), rig)
     assert model.values["antenna_x"] == 0.5
     assert lines == [
-        "the rig places 2 antennas; model horizontal takes the first of them (0.5 m ahead, -0.3 m to "
+        "the rig has 2 antennas; model horizontal uses the first of them (0.5 m ahead, -0.3 m to "
         "starboard, -0.8 m down) for all GNSS"
     ]
 
@@ -152,7 +152,7 @@ def test_of_two_antennas_it_is_said_which_is_taken() -> None:
         (
             "horizontal:shaft",
             "sail",
-            "--effect sail: model horizontal knows no such effect; it can have accelerometer-scale",
+            "--effect sail: there is no such effect; model horizontal can have accelerometer-scale",
         ),
         ("surge", "mount", "--effect mount: model surge cannot take it into account; it can have none"),
         (

@@ -276,7 +276,7 @@ def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
 
 
 def test_a_flag_wraps_and_the_numbers_do_not() -> None:
-    flag = "not identified: the data do not see a change of -1 c1 +1 c2 and of five more that go with them"
+    flag = "not identified: the data do not depend on the joint change -1 c1 +1 c2 and of five more that go with them"
     result = shortened(KINDS["thruster"]())
     row = {"name": "c1", "meaning": "", "value": 0.45, "se": 0.031, "unit": "m", "free": True, "flag": flag}
     result["fit"]["parameters"] = [row]

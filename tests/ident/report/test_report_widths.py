@@ -9,10 +9,10 @@ from tests.ident.pages import KINDS, printed
 def test_a_long_warning_leaves_the_numbers_their_room() -> None:
     result = KINDS["thruster"]()
     rows = result["fit"]["parameters"]
-    rows[0]["flag"] = "its error allows for the other one off its bound: 2.3 times that at it"
+    rows[0]["flag"] = "its error is 2.3 times as large because the other may leave its bound"
     text = printed(result)
     assert "2.794 ± 0.021" in text
-    assert "⚠ its error allows for the other one" in text
+    assert "⚠ its error is 2.3 times as large" in text
     assert max(map(len, text.splitlines())) <= 80
 
 

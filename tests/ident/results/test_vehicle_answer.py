@@ -329,7 +329,11 @@ def test_both_tests_together_are_at_one_per_cent(p: float, white: bool) -> None:
 def test_a_fit_that_stopped_short_has_no_other_answer() -> None:
     found = fit(turning().with_free(("m", "d")), [turning_record(n_rows=300)], start={"m": 15.0})
     assert not_converged(found) is None
-    short = replace(found, converged=False, message="stopped after 60 iterations with 667 left to gain")
+    short = replace(
+        found, converged=False, message="stopped after 60 iterations; its log-posterior can still rise by 667"
+    )
     said = not_converged(short)
     assert said is not None
-    assert said.startswith("The fit did not converge: it stopped after 60 iterations with 667 left to gain. Do not use")
+    assert said.startswith(
+        "The fit did not converge: it stopped after 60 iterations; its log-posterior can still rise by 667. Do not"
+    )
