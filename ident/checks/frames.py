@@ -105,7 +105,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
             "position-and-velocity-axes",
             "frame",
             "x, y and vx, vy",
-            f"positions and velocities have different axes: of vx, vy {axes}",
+            f"positions and velocities have different axes; vx, vy against x, y: {axes}",
             "x and vx are north, y and vy are east: correct column and sign in the import's map",
         )
         return
