@@ -112,7 +112,7 @@ def test_what_cannot_be_kept_is_one_line() -> None:
         design(boat_task(30.0, 6, limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
     with pytest.raises(SeatrialError, match="do not fit"):
         StepInput(100, 2, 60.0, 1.0, GRID)
-    with pytest.raises(SeatrialError, match="'q' cannot be learned"):
+    with pytest.raises(SeatrialError, match="'q' cannot be estimated"):
         design(boat_task(chosen=("q",)), evaluations=600)
     with pytest.raises(SeatrialError, match="--area does not apply"):
         design(
@@ -187,7 +187,7 @@ def test_many_commands_are_judged_a_few_at_a_time(monkeypatch: pytest.MonkeyPatc
     task = DesignProblem(gain_and_offset(), StepInput(4, 1, 10.0, 1.0, GRID), robust=2)
     command = task.commands(task.steps.random(7, np.random.default_rng(2)))
     at_once = task.judge(command)
-    monkeypatch.setattr("seatrial.ident.experiment_design.task.HELD", 8 * task.t.size * 2 * 3)
+    monkeypatch.setattr("seatrial.ident.experiment_design.task.MAX_INPUT_BYTES", 8 * task.t.size * 2 * 3)
     np.testing.assert_allclose(task.judge(command), at_once)
 
 
