@@ -215,7 +215,11 @@ def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
         (("horizontal", "--discriminate", "delay,lag", "--average-over", "4"), 2, "is not averaged over samples"),
         (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current does not apply"),
         (("catamaran",), 1, "no model 'catamaran'"),
-        (("kinematic:shaft",), 1, "thrusters do not produce its input phi, theta, psi, p, q, r; choose a model without"),
+        (
+            ("kinematic:shaft",),
+            1,
+            "thrusters do not produce its input phi, theta, psi, p, q, r; choose a model without",
+        ),
         (("thruster",), 1, "no mission can be designed for model thruster: it describes a thruster on its bench"),
         (("none.toml",), 1, "none.toml: No such file"),
         (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),

@@ -234,7 +234,7 @@ def test_a_robust_criterion_is_a_mean_of_numbers_and_so_is_that_of_the_baselines
     value, violation = task.judge(command)
     np.testing.assert_allclose(value, alone[0])
     np.testing.assert_allclose(violation, 0.5)
-    with pytest.raises(SeatrialError, match=r"in all of the 2 parameter samples \(in 50 % none\)"):
+    with pytest.raises(SeatrialError, match=r"in all of the 2 parameter samples \(singular in 50 %\)"):
         design(task, evaluations=500)
 
 
