@@ -1,4 +1,4 @@
-"""Checks of a log before any fit: sensors against each other, shafts, motion against thrust."""
+"""Checks of a log before any fit: sensors against each other, shafts against commands, motion against thrust."""
 
 import lazy_loader
 

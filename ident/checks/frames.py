@@ -1,14 +1,22 @@
-"""Frames of reference: positions, velocities, heading and yaw rate in one and the same right-handed frame, or not.
+"""Checks of frames of reference: are positions, velocities, heading and yaw rate in the same right-handed frame?
 
-Tracks are complex numbers, north + i east. Over a window a boat moves about as it is headed, D = exp(i psi) s with s
-real: of D exp(-i psi) little is across. A heading that counts the other way, or a track with mirrored axes, obeys
-D = exp(-i psi) s; an offset of the heading turns the principal axis of D exp(-+i psi). A constant current is left free.
-Each hypothesis is judged by its squared misfit as a part of the whole; another one is preferred to what the log says
-only where it is better by ``LEAST_GAIN`` of the whole, leaves at most ``MOST_LEFT`` of the misfit, and its gain per
-block of time has a t statistic above ``SIGNIFICANT_T`` (blocks are nearly independent where neighbouring windows are
-not). Of mock boats the across part is 0.01 to 0.15, of their mirrors 0.35 to 0.5.
+Theory of operation. Displacements D over windows of time are complex numbers, north + i east. A boat moves about in the
+direction of its heading: D = s exp(i psi) with a real s. The imaginary part of D exp(-i psi), the displacement across
+the heading, is then small. A heading that counts anticlockwise, or a track with mirrored axes, gives
+D = s exp(-i psi). An offset of the heading turns the principal axis of D exp(-i psi) or D exp(i psi). A constant
+current is estimated beside each hypothesis.
 
-A mirror is one sign between two signals; which of them is wrong follows from all signs together (``culprit``).
+The misfit of a hypothesis is its squared error over the sum of squares of the signal. A hypothesis replaces that of a
+correct log if three conditions hold:
+
+1. Its misfit is smaller by at least ``LEAST_GAIN``.
+2. Its misfit is at most ``MOST_LEFT`` of that of the correct log.
+3. The t statistic of the gain per block of time is above ``SIGNIFICANT_T``. Blocks are nearly independent, but
+   neighbouring windows are not.
+
+For mock boats the share across the heading is 0.01 to 0.15; for their mirror images it is 0.35 to 0.5.
+
+A mirror is a sign between two signals. All signs together show which signal is wrong (`culprit`).
 """
 
 from __future__ import annotations
@@ -24,17 +32,17 @@ from seatrial.ident.checks.sensors import Channels, Match, cumulative, grid
 from seatrial.ident.numerics import Array
 
 Complex = NDArray[np.complex128]
-BLOCK = 10.0  # s, at least
+BLOCK_S = 10.0  # least duration of a block
 FEWEST_BLOCKS, SIGNIFICANT_T = 6, 2.5
-LEAST_GAIN, MOST_LEFT = 0.2, 0.6  # of the whole squared signal; of the misfit of what the log says
-LEAST_OFFSET, SAME_OFFSET = np.radians(45.0), np.radians(25.0)  # of a heading: less may be declination
-GOOD, BAD = 0.3, 0.8  # misfit of one axis, and of the other one that is no axis at all
-STILL = 0.02  # mean square of the displacement along an axis, by what is headed along it, against the other axis
-SENSE_R2 = 0.3  # of heading and yaw rate, from which one has the sign of the other
-REVERSED_T = 6.0  # t statistic of the one sign of two that is reversed
-MIN_ACCELERATION_R2 = 0.3  # in a calm run there is nothing to compare
-LEAST_SPEED = 0.1  # m/s (rms), below which nothing is said
-# What may have been made of north + i east (or of ahead + i to starboard), and how to say it.
+LEAST_GAIN, MOST_LEFT = 0.2, 0.6  # of the sum of squares; of the misfit of the correct log
+LEAST_OFFSET, SAME_OFFSET = np.radians(45.0), np.radians(25.0)  # of a heading: a smaller one may be declination
+GOOD, BAD = 0.3, 0.8  # misfit of an axis that agrees, and of an axis that is another signal
+STILL = 0.02  # mean square displacement along an axis over that along the other one, each per share of the headings
+SENSE_R2 = 0.3  # of heading and yaw rate; with less their relative sign is unknown
+REVERSED_T = 6.0  # t statistic of a single sign that is reversed
+MIN_ACCELERATION_R2 = 0.3  # a calm run has less, and its scale is not compared
+LEAST_SPEED = 0.1  # m/s (rms); slower tracks are not judged
+# Errors of a pair of axes, as maps of north + i east (or forward + i starboard), with their texts for findings.
 AXES: Mapping[str, Callable[[Complex], Complex]] = {
     "both signs are reversed": lambda z: -z,
     "the second sign is reversed": lambda z: np.conj(z),
@@ -46,32 +54,37 @@ AXES: Mapping[str, Callable[[Complex], Complex]] = {
 }
 MIRRORS = ("the second sign is reversed", "the first sign is reversed", "the two are exchanged",
            "the two are exchanged and both signs reversed")  # fmt: skip
-TOGETHER = (("gyro", "heading"), ("position", "velocity"))  # of one device, mirrored together
+TOGETHER = (("gyro", "heading"), ("position", "velocity"))  # signals of one device may be mirrored together
 Relation = tuple[str, str]
 
 
 class Course(NamedTuple):
-    """A track against the heading: ``parity`` +1 or -1 (0: not known), and the angle ``offset`` [rad] at which it runs
-    to the heading, up to half a turn; 0 where none is sure."""
+    """Relation of a track to the heading."""
 
-    parity: int
-    offset: float
+    parity: int  # +1, -1 for a mirror image, 0 if unknown
+    offset: float  # rad, angle of the track to the heading, modulo pi; 0 if it is not significant
 
 
 class Fit(NamedTuple):
-    """A hypothesis: ``scale`` of its regressor, squared misfit as a part of the whole, and per block."""
+    """Fit of one hypothesis."""
 
-    scale: float
-    misfit: float
-    blocks: Array
+    scale: float  # of its regressor
+    misfit: float  # squared error over the sum of squares of the signal
+    blocks: Array  # (n_blocks,), parts of the misfit by block of time
 
 
 def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int]) -> Iterator[Finding]:
-    """Whether heading, yaw rate, positions and velocities are in one frame.
+    """Yield a fault if heading, yaw rate, positions and velocities are not in the same frame.
 
-    Parameters: c: the channels; heading: how it follows the yaw rate (``sensors.heading_match``); turning: whether the
-    ``gyro``, the ``heading`` and the course of the ``position`` turn as the thrusters push: +1, -1, 0 where it is not
-    known.
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    heading
+        Relation of heading and yaw rate (`seatrial.ident.checks.sensors.heading_match`).
+    turning
+        Sign with which the ``gyro``, the ``heading`` and the course of the ``position`` follow the turning moment of
+        the thrusters: +1, -1, or 0 if unknown.
     """
     tracks = {n: w for n, pair in (("position", ("x", "y")), ("velocity", ("vx", "vy"))) if (w := windows(c, *pair))}
     courses = {n: course(c, w) for n, w in tracks.items() if "psi" in c}
@@ -83,7 +96,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
     if len(tracks) == 2:
         signs["position", "velocity"] = -1 if axes in MIRRORS else 1
     wrong = culprit(signs)
-    if wrong is not None and wrong != ("thrusters",):  # those are asked one by one (motion)
+    if wrong is not None and wrong != ("thrusters",):  # `seatrial.ident.checks.motion` checks each thruster
         yield _mirrored(wrong, courses)
         return
     if axes is not None:
@@ -92,16 +105,16 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
             "position-and-velocity-axes",
             "frame",
             "x, y and vx, vy",
-            f"positions and velocities have different axes: {axes} (of vx, vy)",
-            "x and vx are north, y and vy east: column and sign in the import's map",
+            f"positions and velocities have different axes; vx, vy against x, y: {axes}",
+            "x and vx are north, y and vy are east: correct column and sign in the import's map",
         )
         return
     for name, w in tracks.items():
         still = _still(c, w) if "psi" in c else None
         if still is not None:
             where = "x, y" if name == "position" else "vx, vy"
-            text = f"the boat's track hardly goes {still}, whatever its heading"
-            advice = "another column for that axis, in the import's map"
+            text = f"the track hardly moves {still}, although the heading varies"
+            advice = "use another column for that axis in the import's map"
             yield Finding("fault", f"{name}-axes", "frame", where, text, advice)
             return
     offsets = [found.offset for found in courses.values() if found is not None]
@@ -111,30 +124,43 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
             "heading-offset",
             "frame",
             "psi",
-            f"the boat moves at {np.degrees(offsets[0]):.0f} deg to its heading (or half a turn more): the heading "
-            "counts from another axis, or north and east are exchanged",
-            "heading from north, clockwise: offset in the import's map, or the columns of x and y",
+            f"the boat moves at {np.degrees(offsets[0]):.0f} deg (or 180 deg more) to its heading: the heading "
+            "is not counted from north, or north and east are exchanged",
+            "heading is from north, clockwise: correct its offset, or the columns of x and y, in the import's map",
         )
         return
     yield from _body_velocity(c, tracks)
 
 
 class Windows(NamedTuple):
-    """Displacements ``d`` (n,) [m], north + i east, over windows of ``width`` [s] centred at ``t`` (n,) [s]."""
+    """Displacements of a track over windows of time."""
 
-    t: Array
-    width: float
-    d: Complex
+    t: Array  # (n,) [s], centres of the windows
+    width: float  # s
+    d: Complex  # (n,) [m], north + i east
 
 
 def windows(c: Channels, north: str, east: str) -> Windows | None:
-    """Displacements by positions, or by velocities integrated; None where they are not there or too few."""
+    """Return displacements by positions or by integrated velocities.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    north, east
+        Names of the channels: ``x``, ``y`` or ``vx``, ``vy``.
+
+    Returns
+    -------
+    Windows or None
+        None if a channel is missing or the log is too short.
+    """
     if not {north, east} <= set(c):
         return None
     a, b = c[north], c[east]
     width = max(2.0, 4.0 * float(np.median(np.diff(a.t))))
     begin, end = max(a.t[0], b.t[0]), min(a.t[-1], b.t[-1])
-    if end - begin < FEWEST_BLOCKS * max(BLOCK, 4.0 * width):
+    if end - begin < FEWEST_BLOCKS * max(BLOCK_S, 4.0 * width):
         return None
     edges = np.arange(begin, end, width)
     if north == "x":
@@ -146,7 +172,7 @@ def windows(c: Channels, north: str, east: str) -> Windows | None:
 
 
 def course(c: Channels, w: Windows) -> Course | None:
-    """A track against the heading; None where the boat hardly moves or the times do not overlap."""
+    """Return the relation of a track to the heading; None if the boat hardly moves or the times do not overlap."""
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
     d, at = w.d[inside], w.t[inside]
@@ -170,30 +196,37 @@ def course(c: Channels, w: Windows) -> Course | None:
 
 
 def culprit(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
-    """Which signals are mirrored against the others.
+    """Return the signals that are mirrored.
 
-    Parameters: signs: by pair of signals, +1 where they agree in sense, -1 where one is the mirror of the other, 0
-    where it is not known.
-    Returns: the one signal, or the two of one device, whose mirror explains every sign; where several explain them,
-    all of these; None where nothing is mirrored.
+    Parameters
+    ----------
+    signs
+        For each pair of signals: +1 if they agree, -1 if one is the mirror image of the other, 0 if unknown.
+
+    Returns
+    -------
+    tuple or None
+        The signal, or the two signals of one device, whose mirroring explains all signs. If there are several
+        explanations, all their signals. None if no signal is mirrored.
     """
     known = {pair: sign for pair, sign in signs.items() if sign}
     if all(sign > 0 for sign in known.values()):
         return None
-    there = sorted({name for pair in known for name in pair})
+    related = sorted({name for pair in known for name in pair})
 
     def explains(mirrored: tuple[str, ...]) -> bool:
         return all((sign < 0) == (len(set(pair) & set(mirrored)) == 1) for pair, sign in known.items())
 
-    together = [names for names in TOGETHER if set(names) <= set(there)]
-    found = [names for names in (*((n,) for n in there), *together) if explains(names)]
+    together = [names for names in TOGETHER if set(names) <= set(related)]
+    found = [names for names in (*((n,) for n in related), *together) if explains(names)]
     if ("thrusters",) in found:
-        return ("thrusters",)  # what happens most, where nothing tells
-    return found[0] if len(found) == 1 else tuple(sorted({n for names in found for n in names} or there))
+        return ("thrusters",)  # the most frequent cause if the signs leave a choice
+    return found[0] if len(found) == 1 else tuple(sorted({n for names in found for n in names} or related))
 
 
-SAID = {
-    "heading": ("heading-sense", "psi", "the heading counts the other way round",
+# Code, signals, text and advice of the finding for each signal that is mirrored.
+MIRRORED = {
+    "heading": ("heading-sense", "psi", "the heading counts anticlockwise",
                 "clockwise from north: sign = -1 of psi in the import's map"),
     "gyro": ("gyro-sign-reversed", "r", "the yaw rate has the opposite sign",
              "positive clockwise, seen from above: sign = -1 of r in the import's map, or the mounting"),
@@ -201,7 +234,7 @@ SAID = {
                  "x is north, y east: column and sign in the import's map"),
     "velocity": ("velocity-axes", "vx, vy", "the velocities are mirrored",
                  "vx is north, vy east: column and sign in the import's map"),
-    "gyro heading": ("heading-sense", "psi and r", "heading and yaw rate count the other way round than all else",
+    "gyro heading": ("heading-sense", "psi and r", "heading and yaw rate count anticlockwise",
                      "clockwise from north, seen from above: sign = -1 of both in the import's map"),
     "position velocity": ("position-axes", "x, y, vx, vy", "positions and velocities are mirrored",
                           "x and vx are north, y and vy east: column and sign in the import's map"),
@@ -209,16 +242,17 @@ SAID = {
 
 
 def _mirrored(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> Finding:
+    """Return the fault for mirrored signals, by their names."""
     offset = next((f.offset for f in courses.values() if f is not None and f.parity < 0), None)
-    quarter = offset is not None and abs(abs(np.degrees(offset)) - 90.0) < 45.0
-    known = SAID.get(" ".join(names))
-    if known is None:
-        where = ", ".join(SAID[n][1] if n in SAID else n for n in names)
-        text = "mirror images of each other, and nothing in the log tells which is right"
+    quarter = offset is not None and abs(abs(np.degrees(offset)) - 90.0) < 45.0  # a mirror that exchanges the axes
+    entry = MIRRORED.get(" ".join(names))
+    if entry is None:
+        where = ", ".join(MIRRORED[n][1] if n in MIRRORED else n for n in names)
+        text = "some of these signals are mirror images of the others; the log does not show which are wrong"
         text += "; north and east may be exchanged" if quarter else ""
-        advice = "north, east, clockwise: sign and columns in the import's map"
+        advice = "axes are north and east, angles clockwise: correct sign and columns in the import's map"
         return Finding("fault", "frames-mirrored", "frame", where, text, advice)
-    code, where, text, advice = known
+    code, where, text, advice = entry
     if "heading" in names and quarter:
         text += ", from east"
         advice += ", and offset = -90 of psi (deg)"
@@ -228,7 +262,7 @@ def _mirrored(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> F
 
 
 def _still(c: Channels, w: Windows) -> str | None:
-    """The axis, north or east, along which a track does not go although the heading does; None without one."""
+    """Return the axis, north or east, along which a track does not move although the heading does; else None."""
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
     heading, d = np.interp(w.t[inside], psi.t, np.unwrap(psi.value)), w.d[inside]
@@ -242,13 +276,13 @@ def _still(c: Channels, w: Windows) -> str | None:
 
 
 def half_turn(text: str) -> Finding:
-    """A heading, or both axes of a track, with the opposite sign."""
-    advice = "offset = 180 of psi (deg), or sign = -1 of both axes of track, u and v, or ax and ay, in the import's map"
+    """Return the fault for a heading, or both axes of a track, with the opposite sign; ``text``: what shows it."""
+    advice = "in the import's map: offset = 180 of psi (deg), or sign = -1 of both axes of the track, u, v or ax, ay"
     return Finding("fault", "heading-half-turn", "frame", "psi", text, advice)
 
 
 def _axes(tracks: Mapping[str, Windows]) -> str | None:
-    """What would make the positions' track of the velocities', where it is not what they are."""
+    """Return the error of the axes that makes the velocities agree with the positions; None if they agree already."""
     p, v = tracks["position"], tracks["velocity"]
     inside = (p.t > v.t[0]) & (p.t < v.t[-1])
     if inside.sum() < 3 * FEWEST_BLOCKS:
@@ -263,30 +297,30 @@ def _axes(tracks: Mapping[str, Windows]) -> str | None:
     if best is None:
         alone = [regress(f(p.d[inside]) + 0j, f(moved) + 0j, block, ()).misfit for f in (np.real, np.imag)]
         power = [float(np.sum(f(moved) ** 2)) for f in (np.real, np.imag)]
-        for one, other, name in ((0, 1, "y"), (1, 0, "x")):
-            if alone[one] < GOOD < BAD < alone[other] and power[other] > LEAST_GAIN * power[one]:
+        for good, bad, name in ((0, 1, "y"), (1, 0, "x")):
+            if alone[good] < GOOD < BAD < alone[bad] and power[bad] > LEAST_GAIN * power[good]:
                 return f"{name} or v{name} is another column"
     return best
 
 
 def _body_velocity(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Finding]:
-    """Whether u and v are ahead and to starboard: displacements by u, v and heading against the track's."""
-    there = tracks.get("velocity") or tracks.get("position")
-    if not {"u", "v", "psi"} <= set(c) or there is None:
+    """Yield a fault if u and v are not forward and to starboard, by comparison with track and heading."""
+    track = tracks.get("velocity") or tracks.get("position")
+    if not {"u", "v", "psi"} <= set(c) or track is None:
         return
-    if np.sqrt(np.mean(np.abs(there.d) ** 2)) < LEAST_SPEED * there.width:
+    if np.sqrt(np.mean(np.abs(track.d) ** 2)) < LEAST_SPEED * track.width:
         return
-    turned = _turned(c, "u", "v", there)
+    turned = _turned(c, "u", "v", track)
     if turned is None:
         return
     d, block, moved, turn, w = turned
     candidates = {"": moved(turn * w), "earth": moved(w), "earth, exchanged": moved(1j * np.conj(w))}
     candidates |= {name: moved(turn * of(w)) for name, of in AXES.items()}
-    still = np.full(d.size, there.width + 0j)
-    best = preferred({name: regress(d, z, block, (still, 1j * still)) for name, z in candidates.items()})
+    current = np.full(d.size, track.width + 0j)  # displacement by a current of 1 m/s north
+    best = preferred({name: regress(d, z, block, (current, 1j * current)) for name, z in candidates.items()})
     if best is None:
-        ahead, aside = moved(turn * w.real), moved(1j * turn * w.imag)
-        best = _reversed(d, block, (ahead, aside, still, 1j * still))
+        forward, starboard = moved(turn * w.real), moved(1j * turn * w.imag)
+        best = _reversed(d, block, (forward, starboard, current, 1j * current))
     if best is None:
         return
     if best.startswith("earth"):
@@ -296,12 +330,12 @@ def _body_velocity(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Findi
             "velocity-earth-fixed",
             "frame",
             "u, v",
-            f"{text}: they agree with the track without the heading",
+            f"{text}: they agree with the track without being turned by the heading",
             "name them vx (north) and vy (east) in the import's map",
         )
         return
     if best == "both signs are reversed":
-        yield half_turn("u, v and the track are half a turn apart")
+        yield half_turn("u and v point opposite to the track")
         return
     yield Finding(
         "fault",
@@ -309,13 +343,22 @@ def _body_velocity(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Findi
         "frame",
         "u, v",
         f"u and v do not agree with track and heading: {best}",
-        "u is ahead, v to starboard: column and sign in the import's map",
+        "u is forward, v is to starboard: correct column and sign in the import's map",
     )
 
 
 def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
-    """Whether ax and ay are ahead and to starboard, in m/s2: specific force turned by the heading against the change of
-    the velocity over ground; ``found``: how that follows (``sensors.velocity_match``)."""
+    """Yield a fault if ax and ay are not forward and to starboard in m/s2.
+
+    The specific force, turned by the heading, is compared with the change of the velocity over ground.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    found
+        Relation of velocity and specific force (`seatrial.ident.checks.sensors.velocity_match`).
+    """
     velocity = windows(c, "vx", "vy")
     if found is None or velocity is None:
         return
@@ -331,7 +374,7 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
     fits[""] = regress(d, moved(turn * w), block, bias)
     best = preferred(fits) or _reversed(d, block, (moved(turn * w.real), moved(1j * turn * w.imag), *bias))
     if best == "both signs are reversed":
-        yield half_turn("ax and ay are half a turn from the change of velocity")
+        yield half_turn("ax and ay point opposite to the change of velocity")
     elif best is not None:
         yield Finding(
             "fault",
@@ -339,7 +382,7 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
             "frame",
             "ax, ay",
             f"ax and ay do not agree with the change of velocity: {best}",
-            "ax is ahead, ay to starboard: column and sign in the import's map, or the mounting",
+            "ax is forward, ay is to starboard: correct column and sign in the import's map, or the mounting",
         )
     elif found.r2 > MIN_ACCELERATION_R2 and not 0.6 < found.scale < 1.6:
         unit = "in g?" if abs(found.scale / 9.81 - 1.0) < 0.25 else "another unit, or the axes?"
@@ -348,43 +391,48 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
             "velocity-and-acceleration-scale",
             "units",
             "ax, ay",
-            f"velocity changes {found.scale:.2f} times as much as the accelerometer says: {unit}",
-            'unit = "g" in the import\'s map; knots or km/h for m/s',
+            f"velocity changes {found.scale:.2f} times as much as by the accelerometer: {unit}",
+            'unit = "g" in the import\'s map; or the velocity is in knots or km/h',
         )
 
 
 Turned = tuple[Complex, NDArray[np.intp], Callable[[Complex], Complex], Complex, Complex]
 
 
-def _turned(c: Channels, ahead: str, starboard: str, there: Windows) -> Turned | None:
-    """What relates two channels of the body to a track: the track's windows inside them (n,), their blocks, the
-    integral over each window of a signal on the fine clock, exp(i psi) and the channels on that clock."""
-    t = grid(c[ahead], c[starboard], c["psi"])
+def _turned(c: Channels, forward: str, starboard: str, track: Windows) -> Turned | None:
+    """Prepare the comparison of two channels of the body frame with a track; None if they overlap too little.
+
+    Returns: the displacements in the windows that the channels cover (n,); the block of each window (n,); a function
+    that integrates a signal of the fine grid over each window; exp(i psi) and forward + i starboard on that grid.
+    """
+    t = grid(c[forward], c[starboard], c["psi"])
     if t.size < 400:
         return None
-    inside = (there.t - there.width / 2 > t[0]) & (there.t + there.width / 2 < t[-1])
-    at = there.t[inside]
+    inside = (track.t - track.width / 2 > t[0]) & (track.t + track.width / 2 < t[-1])
+    at = track.t[inside]
     if at.size < 3 * FEWEST_BLOCKS:
         return None
 
     def moved(rate: Complex) -> Complex:
-        way = cumulative(t, rate)
-        ends = [np.interp(at + s * there.width / 2, t, way) for s in (1, -1)]
+        integral = cumulative(t, rate)
+        ends = [np.interp(at + s * track.width / 2, t, integral) for s in (1, -1)]
         return np.asarray(ends[0] - ends[1])
 
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
-    w = np.interp(t, c[ahead].t, c[ahead].value) + 1j * np.interp(t, c[starboard].t, c[starboard].value)
-    return there.d[inside], _blocks(at, there.width), moved, np.exp(1j * psi), w
+    w = np.interp(t, c[forward].t, c[forward].value) + 1j * np.interp(t, c[starboard].t, c[starboard].value)
+    return track.d[inside], _blocks(at, track.width), moved, np.exp(1j * psi), w
 
 
 def _reversed(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, ...]) -> str | None:
-    """Whether the first or the second of the columns explains the target with the opposite sign, by itself: surely, and
-    at about its size."""
+    """Return which of the first two columns has the wrong sign in the target; None if neither has.
+
+    The factor of that column must be clearly negative and of about the right size.
+    """
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
     with np.errstate(over="ignore", invalid="ignore"):
         squares = X.T @ X
-    if not np.isfinite(squares).all():  # of infinite ones LAPACK seeks the singular values for ever
+    if not np.isfinite(squares).all():  # with infinite entries the singular value decomposition may never end
         return None
     inverse = np.linalg.pinv(squares)
     beta = inverse @ X.T @ y
@@ -398,7 +446,19 @@ def _reversed(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, 
 
 
 def regress(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[Complex, ...]) -> Fit:
-    """The target (n,) as a positive multiple of z (n,) beside any real multiples of ``others`` (n,) each."""
+    """Fit a target by a hypothesis.
+
+    Parameters
+    ----------
+    target
+        Displacements or changes of velocity (n,).
+    z
+        The same by the hypothesis (n,). Its factor is real and not negative.
+    block
+        Block of each sample (n,).
+    others
+        Further regressors (n,) with any real factors.
+    """
     Y, Z = (np.concatenate([s.real, s.imag]) for s in (target, z))
     if others:
         X = np.column_stack([np.concatenate([o.real, o.imag]) for o in others])
@@ -410,13 +470,13 @@ def regress(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[
 
 
 def preferred(found: Mapping[str, Fit]) -> str | None:
-    """The hypothesis that is surely better than "", what the log says; None where none is."""
+    """Return the hypothesis that fits significantly better than a correct log (the entry ""); None if none does."""
     best = min(found, key=lambda name: found[name].misfit)
     return best if best and _prefers(found[""].blocks, found[best].blocks) else None
 
 
 def _prefers(old: Array, new: Array) -> bool:
-    """Whether misfits per block (n_blocks,), parts of the whole, say that the new hypothesis is better."""
+    """Return whether the new hypothesis is significantly better, by the misfits per block (n_blocks,) of both."""
     gain = old - new
     total = float(gain.sum())
     if gain.size < FEWEST_BLOCKS or total < LEAST_GAIN or new.sum() > MOST_LEFT * old.sum():
@@ -425,7 +485,8 @@ def _prefers(old: Array, new: Array) -> bool:
 
 
 def _blocks(t: Array, width: float) -> NDArray[np.intp]:
-    return np.asarray((t - t[0]) // max(BLOCK, 4.0 * width), np.intp)
+    """Return the block (n,) of each window at t (n,) [s]; a block has at least four windows of this width [s]."""
+    return np.asarray((t - t[0]) // max(BLOCK_S, 4.0 * width), np.intp)
 
 
 def _per_block(values: Array, block: NDArray[np.intp]) -> Array:
@@ -433,5 +494,5 @@ def _per_block(values: Array, block: NDArray[np.intp]) -> Array:
 
 
 def _without(columns: Array, values: NDArray[Any]) -> NDArray[Any]:
-    """Values (n,) without what the columns (n, k) explain of them."""
+    """Return the residuals (n,) of the regression of values (n,) on columns (n, k)."""
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])

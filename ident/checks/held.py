@@ -1,4 +1,7 @@
-"""Held signals: a slow sensor's value in each row of a faster table, each of which a fit takes for a measurement."""
+"""Checks of held signals: each row of a table repeats the value of a slower sensor.
+
+A fit would take each repeated value for a new measurement.
+"""
 
 from __future__ import annotations
 
@@ -9,14 +12,20 @@ import numpy as np
 from seatrial.daq.checks import WARNING, Finding, held_signals, held_together, is_measured
 from seatrial.ident.checks.sensors import Channels
 
-LEAST_LATE_S = 0.1  # s, by which an input that is held comes late on average: less is worth no word
+LEAST_LATE_S = 0.1  # average delay of a held input; a smaller one gives no warning
 SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi", "theta", "p", "q", "force")
 
 
 def check_held_inputs(c: Channels) -> Iterator[Finding]:
-    """Warn of inputs of thrusters that a table holds from one measurement to the next, as a slow shaft speed.
+    """Yield a warning for each thruster input that a table holds from one measurement to the next.
 
-    A fit takes each value for one of its row, and so for late by half of the time between the measurements.
+    A fit uses the value of each row at the time of the row. A held input is therefore late by half its sample interval
+    on average.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
     """
     for name in sorted(n for n in c if n.startswith(("n_", "f_")) and c[n].hold in ("zero", "linear")):
         held = held_signals(c[name].t, {name: c[name].value}).get(name)
@@ -24,17 +33,24 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
         if held is None or interval < 2.0 * LEAST_LATE_S or not is_measured(c[name].value[held.new], interval):
             continue
         text = f"held between measurements {interval:.3g} s apart: it comes {interval / 2.0:.2g} s late on average"
-        advice = 'hold = "linear" (a measured shaft speed) or "sampled" (a command) in the import\'s map, and no '
+        advice = 'hold = "linear" (a measured shaft speed) or "sampled" (a command) in the import\'s map, without '
         yield Finding(WARNING, "input-held", "repeats", name, text, f'{advice}`repeats = "keep"`')
 
 
 def check_held(c: Channels) -> Iterator[Finding]:
-    """Warn of sensors whose values are held from one measurement to the next.
+    """Yield a warning for sensors whose values are held from one measurement to the next.
 
-    The import of a map leaves repeats out by itself. Here they are of a device that repeats its last value, or of a map
-    with ``repeats = "keep"``.
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+
+    Notes
+    -----
+    The import with a map leaves repeated values out. They remain if a device repeats its last value, or if the map has
+    ``repeats = "keep"``.
     """
-    tables: list[list[str]] = []  # signals that share their times
+    tables: list[list[str]] = []  # names of signals with the same times
     for name in (n for n in SENSED if n in c):
         same = next((table for table in tables if np.array_equal(c[table[0]].t, c[name].t)), None)
         if same is None:
@@ -50,5 +66,5 @@ def check_held(c: Channels) -> Iterator[Finding]:
                 f"held between measurements {interval:.3g} s apart: {n_again} of {t.size} values repeat the one "
                 "before, and a fit takes each for a measurement"
             )
-            advice = "the device's output rate; in the import's map no `repeats = \"keep\"`"
+            advice = 'raise the output rate of the device; remove `repeats = "keep"` from the import\'s map'
             yield Finding(WARNING, "values-held", "repeats", names, text, advice)

@@ -1,5 +1,6 @@
-"""Inputs that cannot be what drove the boat: constant ones, shaft speeds that are stuck, and telemetry of two thrusters
-that is exchanged.
+"""Checks of inputs that cannot have driven the boat.
+
+Such inputs are constant, are a shaft speed that is stuck, or are the telemetry of another thruster.
 """
 
 from __future__ import annotations
@@ -16,20 +17,28 @@ from seatrial.ident.data import Channel, sample_and_hold
 from seatrial.ident.numerics import Array
 
 INPUTS = ("n_", "f_")  # prefixes of a thruster's inputs; X and N are forces of all thrusters together
-CONSTANT_PART = 0.005  # of the largest value, or of full speed: a smaller range is a pulse width that flickers by 1 us
-SMOOTHED_S, EVERY_S = 2.0, 0.5  # s, over which motion is averaged, and between two values
-SPEED_RISE, TURN_RISE = 0.5, 0.15  # m/s, rad/s: a rise of speed, or a change of the yaw rate, that no coasting boat has
-MOST_RISES = 2  # with a constant thrust: the boat gathers speed, and turns in
-STUCK_S, STUCK_SAMPLES = 5.0, 10  # a shaft speed that stays the same for longer than both
-TURNING = 0.05  # of full speed, from which a shaft turns
-AGAINST, AGAINST_S = 0.5, 5.0  # command over speed, below which a shaft has to slow down, and s: later than any delay
-COMMAND_CHANGE = 0.3  # of full command, that a measured force must show
-FOLLOWS, FOLLOWS_OTHER = 0.8, 0.9  # R2 below which a shaft hardly follows its command, and above which another's
-BETTER = 0.2  # of the error by its own command: what the other thruster's command leaves
+CONSTANT_PART = 0.005  # of the largest value, or of full speed: a pulse width that flickers by 1 us is still constant
+SMOOTHED_S, EVERY_S = 2.0, 0.5  # window of the moving average of the motion, and interval between its values
+SPEED_RISE, TURN_RISE = 0.5, 0.15  # m/s, rad/s: larger rises of speed or yaw rate need a changing thrust
+MAX_RISES = 2  # with a constant thrust: the boat gathers speed, and begins to turn
+STUCK_S, STUCK_SAMPLES = 5.0, 10  # a shaft speed is stuck if it stays the same for longer than both
+TURNING = 0.05  # of full speed; a shaft turns at larger speeds
+AGAINST = 0.5  # command over speed; at smaller commands the shaft has to slow down
+AGAINST_S = 5.0  # longer than any delay of a shaft
+COMMAND_CHANGE = 0.3  # of full command; a load cell must show a change of this size
+FOLLOWS = 0.8  # R2 of a shaft speed by its own command; below it the shaft hardly follows
+FOLLOWS_OTHER = 0.9  # R2 by the command of the other thruster, above which the telemetry may be exchanged
+BETTER = 0.2  # largest error by the other thruster's command over the error by its own command
 
 
 def check_inputs(c: Channels) -> Iterator[Finding]:
-    """Inputs that never change while the boat moves, and shaft speeds that stay the same against their commands."""
+    """Yield findings on constant inputs of a moving boat, and on shaft speeds that do not follow their commands.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     names = sorted(n for n in c if n.startswith(INPUTS) or n in ("X", "N"))
     if not names:
         return
@@ -39,30 +48,31 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     for name in (n for n in names if n.startswith("n_") and not n.startswith("n_cmd_")):
         command = c.get(f"n_cmd_{name.removeprefix('n_')}")
         held = _against_command(c[name], command) if command is not None and command.t is not c[name].t else None
-        advice = "its telemetry hangs: its cable, bus and firmware; else fit by the command"
+        advice = "its telemetry is frozen: check cable, bus and firmware; else fit by the command"
         if held is not None:
             value, begin, end = held
-            text = f"{value:.3g} for {end - begin:.1f} s, from {begin - c[name].t[0]:.1f} s on, against its command"
+            since = f"from {begin - c[name].t[0]:.1f} s on"
+            text = f"stays at {value:.3g} for {end - begin:.1f} s, {since}, against its command"
             yield Finding(FAULT, "shaft-speed-stuck", "stuck", name, text, advice)
         elif command is None and c[name].hold == "linear" and _is_constant(name, c[name]):
             value = float(np.median(c[name].value))
-            if abs(value) > TURNING and _n_rises(c) > MOST_RISES:
-                text = f"{value:.3g} all the time, and the boat moves"
+            if abs(value) > TURNING and _n_rises(c) > MAX_RISES:
+                text = f"is {value:.3g} in the whole log, but the boat changes its speed or yaw rate"
                 yield Finding(FAULT, "shaft-speed-stuck", "stuck", name, text, advice)
 
 
 def _all_constant(c: Channels, names: list[str]) -> Iterator[Finding]:
-    """Findings on a log of which no input ever changes."""
+    """Yield a finding on a log in which every input is constant."""
     n_rises = _n_rises(c)
     values = ", ".join(dict.fromkeys(f"{np.median(c[n].value):.3g}" for n in names))
-    stands = all(abs(float(np.median(c[n].value))) < TURNING for n in names)
-    advice = "another column or topic of the map; an output that the autopilot did not drive; a cable"
-    if n_rises > (0 if stands else MOST_RISES):
-        text = f"{values} all the time, and the boat speeds up and turns: they are not what drove it"
+    stopped = all(abs(float(np.median(c[n].value))) < TURNING for n in names)
+    advice = "use another column or topic in the map; an output that the autopilot did not drive? a cable?"
+    if n_rises > (0 if stopped else MAX_RISES):
+        text = f"constant in the whole log ({values}), but the boat speeds up and turns: other signals drove it"
         yield Finding(FAULT, "inputs-constant", "stuck", ", ".join(names), text, advice)
-    elif n_rises and not stands:
-        text = f"{values} all the time: a fit cannot tell the thrust from the damping"
-        yield Finding(WARNING, "inputs-never-change", "stuck", ", ".join(names), text, "commands that change: steps")
+    elif n_rises and not stopped:
+        text = f"constant in the whole log ({values}): a fit cannot separate thrust and damping"
+        yield Finding(WARNING, "inputs-never-change", "stuck", ", ".join(names), text, "record a run with steps")
 
 
 def _is_constant(name: str, channel: Channel) -> bool:
@@ -73,11 +83,11 @@ def _is_constant(name: str, channel: Channel) -> bool:
 
 
 def _n_rises(c: Channels) -> int:
-    """How often the boat gathers speed, or changes how it turns, as only a thrust makes it; waves are averaged out."""
+    """Count the rises of speed and of yaw rate that only a changing thrust can cause. Waves are averaged out."""
     curves: list[tuple[Array, float]] = []
     if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c):
-        ahead, across = (c["vx"], c["vy"]) if "vx" in c else (c["u"], c["v"])
-        speed = Channel(ahead.t, np.hypot(ahead.value, np.interp(ahead.t, across.t, across.value)))
+        first, second = (c["vx"], c["vy"]) if "vx" in c else (c["u"], c["v"])
+        speed = Channel(first.t, np.hypot(first.value, np.interp(first.t, second.t, second.value)))
         curves.append((_smoothed(speed), SPEED_RISE))
     elif {"x", "y"} <= set(c):
         t = np.arange(c["x"].t[0], c["x"].t[-1], SMOOTHED_S)
@@ -96,7 +106,7 @@ def _n_rises(c: Channels) -> int:
 
 
 def _smoothed(channel: Channel) -> Array:
-    """Moving average (n,) of a signal over `SMOOTHED_S`, every `EVERY_S`."""
+    """Return the moving average (n,) of a signal over `SMOOTHED_S`, one value every `EVERY_S`."""
     if channel.t.size < 2:
         return np.empty(0)
     t = np.arange(channel.t[0], channel.t[-1], STEP)
@@ -108,7 +118,7 @@ def _smoothed(channel: Channel) -> Array:
 
 
 def _rises(curve: Array, least: float) -> int:
-    """Number of rises by at least ``least`` of a curve (n,), each from the lowest value since the last rise ended."""
+    """Count the rises of a curve (n,) by at least ``least``, each from the lowest value since the last rise ended."""
     n, low, high, rising = 0, np.inf, -np.inf, False
     for value in curve.tolist():
         if rising:
@@ -123,8 +133,11 @@ def _rises(curve: Array, least: float) -> int:
 
 
 def _against_command(shaft: Channel, command: Channel) -> tuple[float, float, float] | None:
-    """Value, begin and end [s] of the longest time for which a shaft speed stays exactly the same while its command
-    would slow the shaft down; None if there is none."""
+    """Return value, begin and end [s] of the longest time in which a shaft speed is stuck.
+
+    The shaft speed stays exactly the same in this time, although its command would slow the shaft down. None if the
+    shaft speed is never stuck.
+    """
     first = np.flatnonzero(np.diff(shaft.value, prepend=np.nan) != 0)
     last = np.append(first[1:], shaft.value.size) - 1
     found = None
@@ -140,13 +153,19 @@ def _against_command(shaft: Channel, command: Channel) -> tuple[float, float, fl
 
 
 def _longest_run(mask: Array) -> int:
-    """The largest number of true values of a mask (n,) in a row."""
+    """Return the largest number of consecutive true values of a mask (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return int(np.max(edges[1::2] - edges[::2], initial=0))
 
 
 def check_frozen_force(c: Channels) -> Iterator[Finding]:
-    """A measured force that stays exactly the same while a thruster is told to change."""
+    """Yield a fault if a measured force stays exactly the same while the command of a thruster changes.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     commands = [c[n] for n in sorted(c) if n.startswith("n_")]
     if "force" not in c or not commands:
         return
@@ -158,33 +177,39 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     if last[k] - first[k] < STUCK_SAMPLES or end - begin < STUCK_S:
         return
     grid = np.arange(begin, end, STEP)
-    # A push of less than this moves no coarse scale.
+    # A load cell of coarse resolution may not show the thrust of a smaller change.
     if max(float(np.ptp(sample_and_hold(command, grid))) for command in commands) > COMMAND_CHANGE:
         since = f"{end - begin:.1f} s, from {begin - force.t[0]:.1f} s on"
-        text = f"{force.value[first[k]]:.4g} N for {since}, and its command"
-        advice = "the load cell or its amplifier hangs, or this is another column"
-        yield Finding(FAULT, "channel-frozen", "stuck", "force", f"{text} changes", advice)
+        text = f"stays at {force.value[first[k]]:.4g} N for {since}, although the command changes"
+        advice = "the load cell or its amplifier is frozen, or the map names another column"
+        yield Finding(FAULT, "channel-frozen", "stuck", "force", text, advice)
 
 
 def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
-    """Two thrusters whose shaft speeds follow each the command of the other one, and not their own."""
+    """Yield a fault for two thrusters whose shaft speeds each follow the command of the other thruster.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     names = sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_"))
     names = [n for n in names if f"n_{n}" in c and c[f"n_{n}"].t is not c[f"n_cmd_{n}"].t]
     if len(names) < 2:
         return
     own = {n: _r2(c, n, n) for n in names}
-    lost = [n for n in names if own[n] < FOLLOWS]
-    cross = {(a, b): _r2(c, a, b) for a, b in permutations(lost, 2)}
+    unexplained = [n for n in names if own[n] < FOLLOWS]
+    cross = {(a, b): _r2(c, a, b) for a, b in permutations(unexplained, 2)}
     for a, b in cross:
         both = ((a, b), (b, a))
         clear = all(cross[p] > FOLLOWS_OTHER and 1.0 - cross[p] < BETTER * (1.0 - own[p[1]]) for p in both)
         if a < b and clear:
             text = f"their telemetry is exchanged: the speed of {a} follows the command of {b}, and that of {b} of {a}"
-            advice = "exchange their nodes or columns of telemetry, in the rig or in the import's map"
+            advice = "exchange the nodes of their telemetry in the rig, or its columns in the import's map"
             yield Finding(FAULT, "telemetry-exchanged", "thrusters", f"{a} and {b}", text, advice)
 
 
 def _r2(c: Channels, command: str, shaft: str) -> float:
-    """Share of a shaft's speed that the command of a thruster explains, with its sign; 0 if that is not known."""
+    """Return R2 of a shaft speed explained by the command of a thruster; 0 if it is unknown or the sign is reversed."""
     found = response(c[f"n_cmd_{command}"], c[f"n_{shaft}"])
     return found.r2 if isinstance(found, Response) and found.scale > 0.0 else 0.0

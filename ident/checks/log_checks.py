@@ -1,7 +1,7 @@
-"""Checks of a log before any fit, by the motion in it: part of `seatrial check`, and what every fit of a boat begins
-with.
+"""All checks of the signals of one log, in the order in which they build on each other.
 
-Evidence of a check, as curves for its page: sample intervals, signals, shafts, and motion against thrust.
+`seatrial check LOG` and every fit of a boat run these checks. The module also returns the evidence as curves for the
+report of a check: sample intervals, signals, shaft speeds, and motion against thrust.
 """
 
 from __future__ import annotations
@@ -57,83 +57,81 @@ from seatrial.ident.checks.signals import (
 from seatrial.ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
 from seatrial.ident.numerics import Array
 
-POSITION_WINDOW = 5.0  # s, over which positions are differenced, as the check does
-# Signals of a log in the order of showing; whatever else an imported one holds comes after them.
+POSITION_WINDOW_S = 5.0  # over which positions are differenced, as in `sensors.position_match`
+# Signals shown on the page of a check, in this order. Other imported signals follow.
 SHOWN = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "force")
-MOST_SIGNALS = 12
-ELSEWHERE = ("phi", "theta", "p", "q", "speed")  # said by others; thrusters have a plot of their own
+MAX_SIGNALS_SHOWN = 12
+NOT_SHOWN = ("phi", "theta", "p", "q", "speed")  # add little to the signals above; thrusters have their own plot
 
 
 @dataclass(frozen=True)
 class SampleIntervals:
-    """Seconds between neighbouring samples of a device: ``interval`` (n,) at the times ``t`` (n,) of the later ones;
-    ``expected``: by the rig's rate, None without one."""
+    """Sample intervals of one device."""
 
     source: str
-    t: Array
-    interval: Array
-    expected: float | None
+    t: Array  # (n,) [s], time of the later of two neighbouring samples
+    interval: Array  # (n,) [s]
+    expected: float | None  # [s], by `rate_hz` of the rig; None if the rig gives no rate
 
     def between(self, begin: float, end: float) -> SampleIntervals:
-        """The intervals that end in a part of the log [s]; that from before the part is none of its own."""
+        """Return the intervals that lie in the part of the log from `begin` to `end` [s]."""
         own = (self.t > begin) & (self.t <= end) & (self.t - self.interval >= begin)
         return replace(self, t=self.t[own], interval=self.interval[own])
 
 
 @dataclass(frozen=True)
 class ShaftResponse:
-    """Shaft speed ``n`` (n,) at times ``t``, and its command ``n_command`` (m,) at ``t_command``, each held until the
-    next one; both are parts of full speed. ``end`` [s]: of the shaft's samples."""
+    """Shaft speed of one thruster and its command, both over full speed."""
 
     name: str
-    t: Array
-    n: Array
-    t_command: Array
-    n_command: Array
-    end: float
+    t: Array  # (n,) [s]
+    n: Array  # (n,) [-], measured
+    t_command: Array  # (m,) [s]
+    n_command: Array  # (m,) [-], each held until the next one
+    end: float  # [s], time of the last sample of the shaft speed
 
 
 @dataclass(frozen=True)
 class PushResponseCurve:
-    """A motion as it was ``measured`` and as the thrusters' push would have it, ``expected``: (n,) at times ``t``."""
+    """Measured motion and the motion that the thrust is expected to cause."""
 
     title: str
     unit: str
-    t: Array
-    measured: Array
-    expected: Array
+    t: Array  # (n,) [s]
+    measured: Array  # (n,)
+    expected: Array  # (n,), thrust through a first-order lag
 
 
 @dataclass(frozen=True)
 class SensorPair:
-    """One motion by two sensors, ``one`` and ``other`` (n,) at times ``t`` (n,); ``names``: of both, for people."""
+    """The same motion measured by two sensors."""
 
     title: str
     unit: str
-    names: tuple[str, str]
-    t: Array
-    one: Array
-    other: Array
+    names: tuple[str, str]  # of both sensors, for the legend
+    t: Array  # (n,) [s]
+    one: Array  # (n,), by the first sensor
+    other: Array  # (n,), by the second sensor
 
 
 @dataclass(frozen=True)
 class SignalCurve:
-    """The ``value`` (n,) of a channel at times ``t`` (n,), as it came; ``angle``: it is one, and may jump by a turn."""
+    """Samples of one channel as logged."""
 
     channel: str
     unit: str
-    t: Array
-    value: Array
-    angle: bool
+    t: Array  # (n,) [s]
+    value: Array  # (n,)
+    angle: bool  # whether the value may jump by a whole turn
 
 
 @dataclass(frozen=True)
 class CheckEvidence:
-    """Curves of one log; all times [s] count from its start. ``rig``: the name of the rig in it, None without one."""
+    """Curves of one log. All times [s] count from the start of the log."""
 
     name: str
-    duration: float
-    rig: str | None
+    duration: float  # [s]
+    rig: str | None  # name of the rig in the log; None if the log has no rig
     intervals: tuple[SampleIntervals, ...] = ()
     shafts: tuple[ShaftResponse, ...] = ()
     push: tuple[PushResponseCurve, ...] = ()
@@ -142,8 +140,25 @@ class CheckEvidence:
 
 
 def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
-    """Curves of one log, of each part between its gaps; ``name``: for people, else the file's. Raises SeatrialError
-    where it is no log at all."""
+    """Return the curves of one log, for each part between its gaps.
+
+    Parameters
+    ----------
+    path
+        File or folder of the log.
+    name
+        Name to show. Without it the name of the file is shown.
+
+    Returns
+    -------
+    list
+        One entry for each part; one entry if the log has no gap.
+
+    Raises
+    ------
+    SeatrialError
+        If the file is not a log.
+    """
     with open_log(path) as log:
         signals = channels(log)
         rig = log.rig
@@ -162,6 +177,7 @@ def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
 
 
 def _intervals(log: Log) -> list[SampleIntervals]:
+    """Return the sample intervals of each sensor and of each speed controller."""
     rig = log.rig
     expected = {d.name: 1.0 / d.rate_hz for d in rig.devices} if rig else {}
     found: list[SampleIntervals] = []
@@ -181,57 +197,74 @@ def _interval(source: str, t: Array, start: float, expected: float | None) -> Sa
 
 
 def _shafts(c: Channels) -> list[ShaftResponse]:
-    """Each thruster that has both a command and a speed."""
+    """Return command and shaft speed of each thruster that has both."""
     names = [n.removeprefix("n_cmd_") for n in sorted(c) if n.startswith("n_cmd_")]
     both = [(n, c[f"n_cmd_{n}"], c[f"n_{n}"]) for n in names if f"n_{n}" in c]
     return [
-        ShaftResponse(n, shaft.t, shaft.value, told.t, told.value, float(shaft.t[-1]))
-        for n, told, shaft in both
-        if shaft.t is not told.t
+        ShaftResponse(n, shaft.t, shaft.value, command.t, command.value, float(shaft.t[-1]))
+        for n, command, shaft in both
+        if shaft.t is not command.t  # the same clock: a copy of the command, not a measurement
     ]
 
 
 def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
-    """Yaw rate and speed ahead, measured and as the thrusters' push would have them; ``sides``: m to starboard."""
-    given = thruster_forces(c, sides)
-    if given is None:
+    """Return yaw rate and surge speed as measured and as expected from the thrust.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    sides
+        Position of each thruster to starboard [m].
+
+    Returns
+    -------
+    list
+        Empty if the log has no thrust or is too short.
+    """
+    forces = thruster_forces(c, sides)
+    if forces is None:
         return []
     found: list[PushResponseCurve] = []
-    if given.side.any():
-        r = best_turn_rate(c, given.edges)
+    if forces.side.any():
+        r = best_turn_rate(c, forces.edges)
         if r is not None:
-            found.append(_pushed("yaw rate", "rad/s", given, r, given.f @ given.side, YAW_LAGS))
-    if (u := ahead(c, given.t)) is not None:
-        found.append(_pushed("speed ahead over ground", "m/s", given, u, given.f.sum(axis=1), SURGE_LAGS))
+            found.append(_response_curve("yaw rate", "rad/s", forces, r, forces.f @ forces.side, YAW_LAGS))
+    if (u := ahead(c, forces.t)) is not None:
+        found.append(_response_curve("speed ahead over ground", "m/s", forces, u, forces.f.sum(axis=1), SURGE_LAGS))
     return [row for row in found if np.isfinite(row.expected).any()]
 
 
-def _pushed(
-    title: str, unit: str, given: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
+def _response_curve(
+    title: str, unit: str, forces: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
 ) -> PushResponseCurve:
-    there = np.isfinite(y)  # not where the boat is too slow for a course
-    filled = fill_gaps(given.t, y)
+    """Return the motion y (n,) beside the response to f (n,) by the best of the lags [s]."""
+    measured = np.isfinite(y)  # a course is NaN while the boat is too slow
+    filled = fill_gaps(forces.t, y)
     expected = delayed_forces(filled, f, lags) if np.ptp(f) > 0.0 else np.full(y.size, np.nan)
-    return PushResponseCurve(title, unit, given.t[there], y[there], expected[there])
+    return PushResponseCurve(title, unit, forces.t[measured], y[measured], expected[measured])
 
 
 def sensors(c: Channels) -> list[SensorPair]:
-    """What two sensors say of one motion: turning by heading and gyro, velocity by positions and by itself."""
+    """Return each motion that two sensors measure: yaw rate by heading and gyro, velocity by positions and receiver."""
     found = []
     if {"psi", "r"} <= set(c):
-        in_radians = np.abs(c["psi"].value).max() < 7.0
+        in_radians = np.abs(c["psi"].value).max() < 7.0  # a little more than a turn
         heading = np.unwrap(c["psi"].value, period=2.0 * np.pi if in_radians else 360.0)
-        names = ("of the heading over 1 s", "of the gyro")
+        names = ("change of heading over 1 s", "gyro")
         found.append(_pair("yaw rate", "rad/s", names, (Channel(c["psi"].t, heading), c["r"]), WINDOW))
-    for where, way, speed in (("north", "x", "vx"), ("east", "y", "vy")):
-        if {way, speed} <= set(c):
-            names = ("of the positions over 5 s", "as the receiver says")
-            found.append(_pair(f"velocity {where}", "m/s", names, (c[way], c[speed]), POSITION_WINDOW))
+    for axis, position, velocity in (("north", "x", "vx"), ("east", "y", "vy")):
+        if {position, velocity} <= set(c):
+            names = ("change of position over 5 s", "reported by the receiver")
+            found.append(_pair(f"velocity {axis}", "m/s", names, (c[position], c[velocity]), POSITION_WINDOW_S))
     return [row for row in found if row.t.size > 1]
 
 
 def _pair(title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Channel], window: float) -> SensorPair:
-    """The change of one signal over a window against the mean of its rate in that window, at the window's middle."""
+    """Return the change of a signal over a window [s], and the mean in the window of its measured rate.
+
+    Both are rates at the middle of the window. ``both``: the signal and its measured rate.
+    """
     whole, rate = both
     start, end = max(whole.t[0], rate.t[0]), min(whole.t[-1], rate.t[-1])
     t = np.arange(start, end - window, 2.0 * STEP)
@@ -244,15 +277,15 @@ def _pair(title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Ch
 
 
 def _signals(c: Channels) -> list[SignalCurve]:
-    """Every sensor's values as they came."""
-    others = [n for n in c if n not in SHOWN and n not in ELSEWHERE and not n.startswith(("n_", "f_"))]
-    names = [*(n for n in SHOWN if n in c), *others][:MOST_SIGNALS]
+    """Return the samples of the sensors as logged."""
+    others = [n for n in c if n not in SHOWN and n not in NOT_SHOWN and not n.startswith(("n_", "f_"))]
+    names = [*(n for n in SHOWN if n in c), *others][:MAX_SIGNALS_SHOWN]
     return [SignalCurve(n, c[n].unit, c[n].t, c[n].value, n == "psi") for n in names]
 
 
-# Starboard positions (m) of an imported log's thrusters, of which only the side is known.
+# Positions to starboard [m] of the thrusters of an imported log. Only their signs count: the map names the sides only.
 IMPORTED = {"left": -1.0, "right": 1.0}
-# Faults after which a fit means nothing: frames, signs, units, sides, time, and signals that measure nothing.
+# Faults that make the result of a fit meaningless: frames, signs, units, sides, time, and signals that do not measure.
 SPOILING = frozenset({
     "time-scale", "times-not-increasing", "lost-zeros", "clock-jumps", "clock-ran-back",
     "angle-in-degrees", "n-out-of-range", "positions-in-degrees", "velocity-unit", "velocity-and-acceleration-scale",
@@ -263,36 +296,38 @@ SPOILING = frozenset({
     "log-copied", "rows-left-out", "position-jumps", "shaft-speed-wrapped", "shaft-speed-one-sided", "two-sensors",
     "inputs-constant", "shaft-speed-stuck", "telemetry-exchanged", "gyro-wrapped", "times-jump",
 })  # fmt: skip
-OF_INPUTS = ("input-missing", "rpm-max-missing")  # warnings on devices that each fit repeats
-COPIED, FEWEST_TRIPLES = 0.5, 50  # part of a log's triples of neighbouring values that another log has, too
+INPUT_WARNINGS = ("input-missing", "rpm-max-missing")  # warnings of the device checks that every fit repeats
+# A log is a copy if this share of its triples of neighbouring values also occurs in another log. A signal with fewer
+# triples is not compared.
+COPIED_SHARE, MIN_TRIPLES = 0.5, 50
 
 
 def spoils_a_fit(finding: Finding) -> bool:
-    """Whether a fit to a log with this finding means nothing."""
+    """Return whether the result of a fit to a log with this finding is meaningless."""
     return finding.level == FAULT and finding.code in SPOILING
 
 
 def check_log(path: Path | str) -> list[Finding]:
-    """Findings of one log; that its signals cannot be read is one, too."""
+    """Return the findings of one log. A log whose signals cannot be read gives a warning, not an error."""
     try:
         with open_log(path) as log:
             found = channels(log)
-            return [*_mute(log), *_check_parts(found, sides_of(log), log.start)]
+            return [*_silent_controllers(log), *_check_parts(found, sides_of(log), log.start)]
     except SeatrialError as error:
         return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
 
 
 def _check_parts(c: Channels, sides: Mapping[str, float], start: float) -> list[Finding]:
-    """Check each part of a log between its gaps, as a fit uses them, and return the worst answer to each question.
+    """Return the worst finding of each check over the parts of a log between its gaps, as a fit uses them.
 
-    start: of the log [s], from which the times in the answers count.
+    ``start``: start of the log [s], from which the times in the findings count.
     """
     gaps = silent_times(c)
     if not gaps:
         return list(check_signals(c, sides))
     worst: dict[tuple[str, str], Finding] = {}
     parts = [part for part in parts_between(c, gaps) if part and _duration(part) >= SHORTEST_PIECE_S]
-    for part in sorted(parts, key=_duration, reverse=True):  # of equal answers, that of the longest part
+    for part in sorted(parts, key=_duration, reverse=True):  # of equal findings, keep that of the longest part
         begin, end = (seconds(t - start) for t in _span(part))
         for finding in check_signals(part, sides):
             key = finding.check, finding.where
@@ -304,6 +339,7 @@ def _check_parts(c: Channels, sides: Mapping[str, float], start: float) -> list[
 
 
 def _span(c: Channels) -> tuple[float, float]:
+    """Return the times of the first and the last sample [s]."""
     return min(float(x.t[0]) for x in c.values()), max(float(x.t[-1]) for x in c.values())
 
 
@@ -313,9 +349,23 @@ def _duration(c: Channels) -> float:
 
 
 def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
-    """Findings of channels (seatrial.ident.data.loading); ``sides``: thruster -> position to starboard [m].
+    """Yield the findings of all checks of the signals.
 
-    What needs another signal to be right is not asked where that one is wrong: time, units, frames, thrusters.
+    Parameters
+    ----------
+    c
+        Channels of a log (`seatrial.ident.data.channels`).
+    sides
+        Position of each thruster to starboard [m].
+
+    Yields
+    ------
+    Finding
+        In the order of the checks: time, outliers, ranges, sensors, shafts, frames, motion, delays.
+
+    Notes
+    -----
+    A check is skipped if a signal that it relies on has a fault. Its finding would name the wrong cause.
     """
     found = list(check_intervals(c))
     yield from found
@@ -324,10 +374,10 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     of_outliers = list(check_outliers(c))
     yield from of_outliers
     if any(f.code == "position-jumps" for f in of_outliers):
-        # Such positions would be taken for another unit, axis or clock.
+        # The checks below would explain the jumps by another unit, axis or clock.
         c = {name: channel for name, channel in c.items() if name not in ("x", "y")}
     of_wraps = list(check_wrapped(c))
-    # A wrapped speed is out of range, too; its unit is right.
+    # A wrapped speed is also out of range. The check of ranges would report a wrong unit, but the unit is right.
     wraps = {f.where for f in of_wraps}
     if "r" in wraps:
         c = {name: channel for name, channel in c.items() if name != "r"}
@@ -351,14 +401,14 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     ]
     yield from of_sensors
     unwrapped = {n: x for n, x in c.items() if n not in wraps}
-    # Neither a direction, nor a shaft, nor a side can be judged by the telemetry of another thruster.
+    # The telemetry of another thruster cannot show the sign, the response or the side of this one.
     exchanged = list(check_exchanged_telemetry(unwrapped))
     yield from exchanged
     if exchanged:
         return
     one_sided = one_sided_shafts(unwrapped)
     yield from one_sided.values()
-    # Half of the directions would be taken for a dead band.
+    # Zero speed in one direction would look like a dead band.
     wrong = {*one_sided, *(n.removeprefix("n_") for n in wraps)}
     wrong |= {f.where.removeprefix("n_") for f in of_inputs if f.code == "shaft-speed-stuck"}
     of_shafts = list(check_shafts({n: x for n, x in c.items() if n.removeprefix("n_cmd_") not in wrong}))
@@ -377,32 +427,58 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
 
 
 def device_faults(log: Log) -> list[Finding]:
-    """Faults of a log's devices, thrusters of which nothing was heard, and warnings on the inputs of a fit."""
-    return [f for f in (*check_devices(log), *_mute(log)) if f.level == FAULT or f.code in OF_INPUTS]
+    """Return the findings on devices that concern a fit.
+
+    Parameters
+    ----------
+    log
+        An open log.
+
+    Returns
+    -------
+    list
+        Faults of devices, commanded thrusters without telemetry, and warnings on missing inputs.
+    """
+    return [f for f in (*check_devices(log), *_silent_controllers(log)) if f.level == FAULT or f.code in INPUT_WARNINGS]
 
 
 def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
-    """Logs (name, channels) that are copies, or parts, of one before them: measured noise never repeats."""
-    known: list[tuple[str, dict[str, NDArray[np.uint64]]]] = []
+    """Return a finding for each log that is a copy, or a part, of a log before it.
+
+    Parameters
+    ----------
+    logs
+        Name and channels of each log.
+
+    Notes
+    -----
+    Measurement noise never repeats. Equal sequences of samples therefore come from the same run.
+    """
+    earlier: list[tuple[str, dict[str, NDArray[np.uint64]]]] = []
     found = []
     for name, c in logs:
         own = {n: _triples(c[n].value) for n in ("r", "psi", "x", "y", "vx", "ax", "u", "force") if n in c}
-        own = {n: triples for n, triples in own.items() if triples.size > FEWEST_TRIPLES}
-        for other, its in known:
-            same = {n: np.intersect1d(own[n], its[n], assume_unique=True).size for n in own if n in its}
-            shares = [size / min(own[n].size, its[n].size) for n, size in same.items()]
-            if shares and np.median(shares) > COPIED:
-                text = f"the same measurements as in {other}: a copy proves nothing"
+        own = {n: triples for n, triples in own.items() if triples.size > MIN_TRIPLES}
+        for earlier_name, earlier_triples in earlier:
+            same = {
+                n: np.intersect1d(own[n], earlier_triples[n], assume_unique=True).size
+                for n in own
+                if n in earlier_triples
+            }
+            shares = [size / min(own[n].size, earlier_triples[n].size) for n, size in same.items()]
+            if shares and np.median(shares) > COPIED_SHARE:
+                text = f"has the same measurements as {earlier_name}: a copy gives no new information"
                 found.append(Finding(FAULT, "log-copied", "log", name, text, "give a log of another run"))
                 break
-        known.append((name, own))
+        earlier.append((name, own))
     return found
 
 
 def _triples(value: Array) -> NDArray[np.uint64]:
-    """Hashes, each once, of three neighbouring values (n,) each, where they differ."""
+    """Return the distinct hashes of all triples of neighbouring values that differ from each other."""
     bits = np.ascontiguousarray(value, dtype=np.float64).view(np.uint64)
-    mixed = (bits ^ bits >> np.uint64(31)) * np.uint64(0x9E3779B97F4A7C15)  # of rounded values the low bits are zero
+    # Multiply by the golden ratio in 64 bits: the low bits of rounded values are zero and must be filled.
+    mixed = (bits ^ bits >> np.uint64(31)) * np.uint64(0x9E3779B97F4A7C15)
     mixed ^= mixed >> np.uint64(29)
     moving = value[1:] != value[:-1]
     hashes = (mixed[:-2] * np.uint64(3) + mixed[1:-1]) * np.uint64(5) + mixed[2:]
@@ -410,18 +486,20 @@ def _triples(value: Array) -> NDArray[np.uint64]:
 
 
 def sides_of(log: Log) -> dict[str, float]:
-    """Thruster -> position to starboard [m] by the log's rig; of an imported log only the side is known."""
+    """Return the position of each thruster to starboard [m] by the rig of the log.
+
+    An imported log has no rig; its thrusters are called left and right, and only the side is known (`IMPORTED`).
+    """
     rig = log.rig
     return {t.name: t.position_m[1] for t in rig.thrusters} if rig else IMPORTED
 
 
-def _mute(log: Log) -> Iterator[Finding]:
-    """Thrusters that were commanded and whose controllers never said a word."""
+def _silent_controllers(log: Log) -> Iterator[Finding]:
+    """Yield a fault for each commanded thruster whose speed controller sent no telemetry."""
     rig = log.rig
     for thruster in rig.thrusters if rig else ():
         device, node = thruster.device, thruster.node
         if thruster.output is None and node in log.nodes(Command, device) and node not in log.nodes(Esc, device):
-            text = "commanded, and its controller has never said a word"
-            yield Finding(
-                "fault", "controller-never-heard", "dead", thruster.name, text, "its node on the bus, power and cable"
-            )
+            text = "it is commanded, but its controller sends no telemetry"
+            advice = "check its node on the bus, its power and its cable"
+            yield Finding("fault", "controller-never-heard", "dead", thruster.name, text, advice)

@@ -1,11 +1,11 @@
-"""Signs and sides of thrusters from the boat's motion, before any fit: regressions, no model but first-order lags.
+"""Signs and sides of thrusters from the motion of the boat, by regressions with first-order lags.
 
-Yaw rate and forward speed are regressed on each thruster's thrust behind a first-order lag, whose time constant is
-searched. A boat that an autopilot steers oscillates: a free delay would let a thrust explain the turn before it. The
-turning moment is regressed beside the sum of thrusts, which turns a boat that is not quite even. Without a gyro the
-yaw rate is that of the heading, else of the course over ground. Errors are robust to correlated residuals (sums over
-blocks of time), and an effect that explains too little of the motion (``SURE``) has no sign. Found are thrusters that
-are swapped, reversed or dead.
+Theory of operation. Yaw rate and surge speed are regressed on the thrust of each thruster behind a first-order lag. The
+time constant of the lag is searched. There is no free delay: a boat that an autopilot steers oscillates, and with a
+free delay a thrust could explain the turn before it. The turning moment is regressed beside the sum of the thrusts,
+since the sum also turns an asymmetric boat. Without a gyro the yaw rate is taken from the heading, else from the course
+over ground. Standard errors are robust to correlated residuals (sums over blocks of time). An effect that explains too
+little of the motion (``SIGN_LIMITS``) has no sign. The checks find thrusters that are swapped, reversed or dead.
 """
 
 from __future__ import annotations
@@ -23,59 +23,65 @@ from seatrial.ident.data import Channel, block_mean
 from seatrial.ident.numerics import Array, first_order_lag
 
 RATE = 10.0  # Hz, of the regressions
-YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s, time constants that are tried
+YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s, time constants of the search
 MIN_DURATION = 15.0  # s, of a log
-BLOCK, FEWEST_BLOCKS = 5.0, 6  # s, at least, of residuals that are taken together; and their number
-# t statistic, and share of the motion's variance, from which an effect has a sign. In straight runs of 90 mock boats
-# the thrust difference that is left has a share of at most 0.26 with the wrong sign, at t = 3.
+BLOCK_S, FEWEST_BLOCKS = 5.0, 6  # least duration and number of the blocks of residuals
+# An effect has a sign if its t statistic and its share of the variance of the motion are above one of these pairs. In
+# straight runs of 90 mock boats the remaining thrust difference has a wrong sign with a share up to 0.26 at t = 3.
 SIGNIFICANT_T = 4.5
-SURE = ((SIGNIFICANT_T, 0.05), (3.0, 0.3))
-LEANING_T = 2.0  # from which an effect has a sign beside another that is sure
-FELT_T = 3.0  # from which a push ahead is felt: in a minute's log a thruster may turn the boat too little to be seen
-COURSE_HALF = 1.0  # s either way, over which positions are differenced for a course
-SLOWEST = 0.3  # m/s, over ground: a slower boat's course says nothing of its turning
-DEAD_RATIO = 0.4  # of the strongest thruster's effect: one that is surely less, and has no sign, is none
-MIN_OWN_VARIATION = 0.1  # share of a thruster's variation that the others lack, from which it has an effect of its own
+SIGN_LIMITS = ((SIGNIFICANT_T, 0.05), (3.0, 0.3))
+LEANING_T = 2.0  # enough for the sign of an effect that another, significant effect supports
+SURGE_T = 3.0  # t statistic of the surge effect of a working thruster; in a short log it may hardly turn the boat
+COURSE_HALF = 1.0  # s before and after, over which positions are differenced for a course
+SLOWEST = 0.3  # m/s over ground; the course of a slower boat does not show how it turns
+DEAD_RATIO = 0.4  # of the strongest thruster's effect; a thruster without a sign whose upper bound is less is dead
+MIN_OWN_VARIATION = 0.1  # share of a thruster's variation that other thrusters lack; with less it is not separable
 
 
 class RegressionEffect(NamedTuple):
-    """Effect of each thruster's push on one motion, its t statistic (0 where it cannot be told apart) and the share of
-    the motion's variance that it alone explains."""
+    """Effects of the thrusters on one motion."""
 
-    size: Array
-    t: Array
-    share: Array
+    size: Array  # (n_thrusters,), regression factors
+    t: Array  # (n_thrusters,), t statistics; 0 if the effect is not separable
+    share: Array  # (n_thrusters,), share of the variance of the motion that this thruster alone explains
 
     @property
     def sign(self) -> Array:
-        """+1 or -1 where it is sure, else 0."""
-        sure = np.any([(np.abs(self.t) > t) & (self.share > share) for t, share in SURE], axis=0)
-        return np.where(sure, np.sign(self.size), 0.0)
+        """Sign of each effect (n_thrusters,): +1 or -1 if it is significant, else 0."""
+        significant = np.any([(np.abs(self.t) > t) & (self.share > share) for t, share in SIGN_LIMITS], axis=0)
+        return np.where(significant, np.sign(self.size), 0.0)
 
 
 class PushResponse(NamedTuple):
-    """Effects on yaw rate and on speed ahead, and the sign of the effect of the turning moment on yaw."""
+    """Effects of the thrusters on yaw rate and surge speed."""
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # of the thrusters
     yaw: RegressionEffect
     surge: RegressionEffect
-    moment: int
+    moment: int  # sign of the effect of the turning moment on the yaw rate: +1, -1, or 0 if unknown
 
 
 class ThrusterForces(NamedTuple):
-    """Each thruster's push f (n, n_thrusters) on common times t (n,) [s] between ``edges`` (n + 1,), and its side."""
+    """Thrust of each thruster on a common grid of times."""
 
-    names: tuple[str, ...]
-    t: Array
-    edges: Array
-    f: Array
-    side: Array
+    names: tuple[str, ...]  # of the thrusters
+    t: Array  # (n,) [s]
+    edges: Array  # (n + 1,) [s], of the intervals around t
+    f: Array  # (n, n_thrusters), thrust in any unit
+    side: Array  # (n_thrusters,), +1 to port, -1 to starboard, 0 in the middle
 
 
 def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) -> Iterator[Finding]:
-    """Whether the boat moves as its thrusters push; ``sides``: thruster -> position to starboard [m].
+    """Yield findings on thrusters that are swapped, reversed or without effect.
 
-    Nothing more is said of thrusters that are known to be ``dead``.
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    sides
+        Position of each thruster to starboard [m].
+    dead
+        Thrusters that other checks have reported as dead. They get no further finding.
     """
     found = thrust_responses(c, sides)
     if found is None:
@@ -84,14 +90,16 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     faults = [f for f in _verdict(found, yaw, surge) if f.where not in dead]
     yield from faults
     if not faults and not dead and ((yaw > 0).any() or found.moment > 0):
-        yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), "the boat turns as they push")
+        text = "the boat turns with the thrust difference"
+        yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), text)
 
 
 def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
+    """Yield the faults. ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected, 0 unknown."""
     if found.moment > 0 and (surge < 0).any() and not (surge > 0).any() and not (yaw < 0).any():
-        yield half_turn("the boat turns as its thrusters push, and moves astern of its heading when they push ahead")
+        yield half_turn("the boat turns as expected, but moves opposite to its heading when the thrust is forward")
         return
-    # One that pushes ahead as it should and turns the boat the wrong way is on the other side.
+    # A thruster that drives the boat forward as expected, but turns it the wrong way, is on the other side.
     ahead_too = found.surge.t > LEANING_T
     against = found.moment < 0 or bool(found.moment == 0 and ((yaw < 0) & ahead_too).any())
     if against and not (yaw > 0).any() and not (surge < 0).any():
@@ -102,7 +110,7 @@ def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]
             " and ".join(found.names),
             "left and right are swapped: the boat turns against its thrust difference",
             "exchange the plugs, the nodes in the rig, the columns in the import's map, or y_left and y_right (--fix); "
-            "else the signs of both thrusters, or of heading and yaw rate (east, north, up)",
+            "else the signs of both thrusters, or of heading and yaw rate (frame east, north, up), are wrong",
         )
         return
     most = np.minimum(_most(found.yaw), _most(found.surge))
@@ -113,22 +121,22 @@ def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]
                 "thruster-sign-reversed",
                 "sign",
                 name,
-                "it pushes astern when it is told ahead",
-                "`reversed` of the rig, two of the motor's phases, or a propeller of the other hand",
+                "its thrust is in reverse when it is commanded forward",
+                "correct `reversed` of the rig, exchange two of the motor's phases, or change the propeller",
             )
-        elif most[k] < DEAD_RATIO and not (yaw[k] > 0 or surge[k] > 0 or found.surge.t[k] > FELT_T):
+        elif most[k] < DEAD_RATIO and not (yaw[k] > 0 or surge[k] > 0 or found.surge.t[k] > SURGE_T):
             yield Finding(
                 "fault",
                 "thruster-without-effect",
                 "dead",
                 name,
-                "the boat does not feel it: no thrust in yaw or surge",
-                "propeller lost or fouled, or the shaft does not turn",
+                "it has no effect on the boat: neither yaw rate nor surge speed responds to its command",
+                "is the propeller lost or fouled, or does the shaft not turn?",
             )
 
 
 def _most(effect: RegressionEffect) -> Array:
-    """Upper bound (two standard errors) of each effect as a part of the largest; 1 where nothing can be said."""
+    """Return the upper bound (two standard errors) of each effect over the largest effect; 1 if it is unknown."""
     clear = np.abs(effect.t) > 1.5 * SIGNIFICANT_T
     if not clear.any():
         return np.ones(effect.size.size)
@@ -138,45 +146,84 @@ def _most(effect: RegressionEffect) -> Array:
 
 
 def thrust_responses(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
-    """Regressions of yaw rate and speed ahead on each thruster's push; None as for `thruster_forces`, and where nothing
-    tells how the boat turns."""
-    given = thruster_forces(c, sides)
-    if given is None:
+    """Regress yaw rate and surge speed on the thrust of each thruster.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    sides
+        Position of each thruster to starboard [m].
+
+    Returns
+    -------
+    PushResponse or None
+        None if the log is too short, or has no thrust or no sensor of the yaw rate.
+    """
+    forces = thruster_forces(c, sides)
+    if forces is None:
         return None
-    rate = best_turn_rate(c, given.edges)
+    rate = best_turn_rate(c, forces.edges)
     if rate is None:
         return None
-    yaw = _effect(rate, given.f, [], YAW_LAGS)
-    return PushResponse(given.names, yaw, _surge(c, given.t, given.edges, given.f), _moment(given, rate))
+    yaw = _effect(rate, forces.f, [], YAW_LAGS)
+    return PushResponse(forces.names, yaw, _surge(c, forces.t, forces.edges, forces.f), _moment(forces, rate))
 
 
 def best_turn_rate(c: Channels, edges: Array) -> Array | None:
-    """``turn_rate`` of the best sensor that tells it: gyro, else heading, else course; None where none does."""
+    """Return `turn_rate` of the best available sensor: gyro, else heading, else course; None without a sensor."""
     rates = (turn_rate(c, edges, name) for name in ("gyro", "heading", "course"))
     return next((rate for rate in rates if rate is not None and np.isfinite(rate).any()), None)
 
 
 def turning(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
-    """Whether the boat turns as its thrusters push, by ``gyro`` and ``heading``, and by the course of its ``position``
-    where there is no heading: +1, -1 where it turns against them, 0 where that is not sure."""
-    given = thruster_forces(c, sides)
-    if given is None:
+    """Return the sign with which the boat turns with the moment of its thrusters, by each sensor.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    sides
+        Position of each thruster to starboard [m].
+
+    Returns
+    -------
+    dict
+        By ``gyro`` and ``heading``, without a heading also by the course of the ``position``: +1 as expected, -1 if the
+        boat turns against the moment, 0 if it is not significant. Empty if the log has no thrust or is too short.
+    """
+    forces = thruster_forces(c, sides)
+    if forces is None:
         return {}
     names = {"gyro": "gyro"} | ({"heading": "heading"} if "psi" in c else {"position": "course"})
-    rates = {name: turn_rate(c, given.edges, by) for name, by in names.items()}
-    return {name: _moment(given, rate) for name, rate in rates.items() if rate is not None}
+    rates = {name: turn_rate(c, forces.edges, by) for name, by in names.items()}
+    return {name: _moment(forces, rate) for name, rate in rates.items() if rate is not None}
 
 
-def _moment(given: ThrusterForces, rate: Array) -> int:
-    """Sign of the effect of the turning moment; nothing where the sum of thrusts does as well."""
-    if not given.side.any():
+def _moment(forces: ThrusterForces, rate: Array) -> int:
+    """Return the sign of the effect of the turning moment on a yaw rate, beside the sum of thrusts; 0 if unknown."""
+    if not forces.side.any():
         return 0
-    return int(_effect(rate, np.column_stack([given.f @ given.side, given.f.sum(axis=1)]), [], YAW_LAGS).sign[0])
+    return int(_effect(rate, np.column_stack([forces.f @ forces.side, forces.f.sum(axis=1)]), [], YAW_LAGS).sign[0])
 
 
 def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
-    """Yaw rate (n,) [rad/s] between edges (n + 1,), by the ``gyro``, the ``heading`` or the ``course`` over ground;
-    None without that sensor; NaN where the boat is too slow for a course."""
+    """Return the yaw rate in each interval by one sensor.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    edges
+        Edges of the intervals (n + 1,) [s].
+    name
+        ``gyro``, ``heading`` or ``course`` (over ground, by positions).
+
+    Returns
+    -------
+    Array (n,) or None
+        Yaw rate [rad/s], NaN while the boat is too slow for a course; None without this sensor.
+    """
     t = (edges[1:] + edges[:-1]) / 2
     if name == "gyro":
         return fill_gaps(t, block_mean(c["r"], edges)[0]) if "r" in c else None
@@ -191,14 +238,29 @@ def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
 
 
 def _difference(t: Array, value: Array, at: Array, half: float = 0.5) -> Array:
-    """Rate of change (n,) at times ``at`` (n,) of a signal (k,) at times t (k,), over ``half`` seconds either way, or
-    two samples."""
+    """Return the rate of change (n,) of a signal (k,) with times t (k,), at times ``at`` (n,) [s].
+
+    The difference is taken from ``half`` seconds before to ``half`` seconds after, or over two samples if that is more.
+    """
     half = max(half, float(np.median(np.diff(t))))
     return np.asarray((np.interp(at + half, t, value) - np.interp(at - half, t, value)) / (2.0 * half))
 
 
 def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces | None:
-    """The thrusters' pushes on common times; None without push or turning, or where the log is too short."""
+    """Return the thrust of each thruster on a common grid of times.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name. Thrust is a measured force, else ``n|n|`` of the shaft speed, else of the command.
+    sides
+        Position of each thruster to starboard [m].
+
+    Returns
+    -------
+    ThrusterForces or None
+        None if the log is too short, or has no thrust or no sensor of heading, yaw rate or position.
+    """
     found = {n: s for n in sides if (s := _push(c, n)) is not None}
     turns = next((c[n] for n in ("r", "psi", "x") if n in c), None)
     if not found or turns is None:
@@ -214,49 +276,51 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
 
 
 def _push(c: Channels, name: str) -> Channel | None:
+    """Return the thrust of a thruster by measured force, shaft speed or command; None without any of them."""
     if f"f_{name}" in c:
         return c[f"f_{name}"]
-    shaft, told = c.get(f"n_{name}"), c.get(f"n_cmd_{name}")
-    if shaft is None or (told is not None and shaft.t[-1] < told.t[-1] - 3.0):
-        shaft = told  # without telemetry, or with one that ended
+    shaft, command = c.get(f"n_{name}"), c.get(f"n_cmd_{name}")
+    if shaft is None or (command is not None and shaft.t[-1] < command.t[-1] - 3.0):
+        shaft = command  # there is no telemetry, or it ended before the commands
     if shaft is None:
         return None
     return Channel(shaft.t, shaft.value * np.abs(shaft.value))
 
 
 def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
-    """+1 for a thruster on the left, whose push turns the bow to starboard, -1 on the right, 0 in the middle."""
+    """Return the side of each thruster: +1 left (forward thrust turns the bow to starboard), -1 right, 0 middle."""
     return np.array([-np.sign(sides[n]) if abs(sides[n]) > 0.02 else 0.0 for n in names])
 
 
 def _surge(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
-    """On speed ahead over ground, or on the accelerometer where that says more."""
+    """Return the effects on the surge speed over ground, or on the accelerometer if they are more significant there."""
     found = RegressionEffect(*np.zeros((3, f.shape[1])))
     drift = []
-    if "psi" in c:  # a current shows in the speed over ground, ahead on one heading and astern on the other
+    if "psi" in c:  # a current adds to the speed over ground on one heading and subtracts on the opposite one
         psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
         drift = [np.cos(psi), np.sin(psi)]
     if (u := ahead(c, t)) is not None:
         found = _effect(u, f, drift, SURGE_LAGS)
     if "ax" in c and np.abs(found.t).max() < 2 * SIGNIFICANT_T:
         ax = fill_gaps(t, block_mean(c["ax"], edges)[0])
-        other = _effect(ax, f, [], SURGE_LAGS, washed=True)
-        if np.abs(other.t).sum() > np.abs(found.t).sum():
-            return other
+        by_acceleration = _effect(ax, f, [], SURGE_LAGS, washed=True)
+        if np.abs(by_acceleration.t).sum() > np.abs(found.t).sum():
+            return by_acceleration
     return found
 
 
 def _effect(
     y: Array, f: Array, others: Sequence[Array], lags: Sequence[float], *, washed: bool = False
 ) -> RegressionEffect:
-    """Factors of the lagged columns of f in y (with ``washed`` of what the lag leaves over), at the lag that fits best;
-    rows where y is NaN do not count.
+    """Regress a motion y (n,) on the columns of f (n, n_thrusters) behind the first-order lag that fits best.
 
-    Neighbouring samples are not independent: one in two time constants counts, and no more than sums of scores over
-    blocks of time say (Newey and West's idea, with blocks).
+    With ``washed`` the regressors are the differences of f and its lagged columns (high-pass). ``others``: further
+    regressors (n,). Rows in which y is NaN are left out. Neighbouring samples are correlated. The variance therefore
+    counts one sample in two time constants, and is at least that of the scores summed over blocks of time (the idea of
+    Newey and West, with blocks).
     """
-    there = np.isfinite(y)
-    y, free = y[there], _own_part(f[there])
+    valid = np.isfinite(y)
+    y, free = y[valid], _own_part(f[valid])
     columns = np.flatnonzero(free > MIN_OWN_VARIATION)
     size, t, share = np.zeros((3, f.shape[1]))
     if not columns.size or y.size < MIN_DURATION * RATE or np.ptp(y) == 0.0:
@@ -264,7 +328,7 @@ def _effect(
     best = np.inf
     for lag in lags:
         past = first_order_lag(f, lag, 1.0 / RATE)
-        X = np.column_stack([f - past if washed else past, *others, np.ones(there.size)])[there]
+        X = np.column_stack([f - past if washed else past, *others, np.ones(valid.size)])[valid]
         beta, *_ = np.linalg.lstsq(X, y, rcond=None)
         e = y - X @ beta
         error = float(e @ e) / y.size
@@ -279,8 +343,8 @@ def _effect(
 
 
 def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Array:
-    """Variances (k,) of the factors of X (n, k) from sums of their scores over blocks; infinite for few blocks."""
-    rows = round(max(BLOCK, 4.0 * lag) * RATE)
+    """Return the variances (k,) of the factors of X (n, k) from sums of their scores over at least `FEWEST_BLOCKS`."""
+    rows = round(max(BLOCK_S, 4.0 * lag) * RATE)
     count = e.size // rows
     if count < FEWEST_BLOCKS:
         rows, count = max(e.size // FEWEST_BLOCKS, 1), FEWEST_BLOCKS
@@ -289,7 +353,7 @@ def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Ar
 
 
 def _own_part(f: Array) -> Array:
-    """Part of each column's spread that the others do not share; 0 for one that does not vary."""
+    """Return the share (k,) of the variation of each column of f (n, k) that other columns lack; 0 for a constant."""
     centred = f - f.mean(axis=0)
     spread = centred.std(axis=0)
     found = np.zeros(f.shape[1])
@@ -302,9 +366,21 @@ def _own_part(f: Array) -> Array:
 
 
 def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
-    """What a push (n,) does to y (n,) through the first-order lag that fits best, with the sign that it should have.
+    """Return the expected response of a motion to a thrust through the first-order lag that fits best.
 
-    Where y goes the other way the two are mirror images: that is what swapped sides look like.
+    Parameters
+    ----------
+    y
+        Measured motion (n,).
+    push
+        Thrust or moment (n,) on the grid of `thruster_forces`.
+    lags
+        Time constants of the search [s].
+
+    Returns
+    -------
+    Array (n,)
+        Response with the mean of y and the expected, positive sign. For swapped sides it is the mirror image of y.
     """
     found, best = np.full(y.size, np.nan), np.inf
     for lag in lags:
@@ -318,7 +394,7 @@ def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
 
 
 def ahead(c: Channels, t: Array) -> Array | None:
-    """Speed ahead [m/s] at the times t, over ground."""
+    """Return the surge speed over ground (n,) [m/s] at times t (n,) [s]; None if no sensor measures it."""
     if "u" in c:
         return np.interp(t, c["u"].t, c["u"].value)
     if "psi" not in c or not ({"vx", "vy"} <= set(c) or {"x", "y"} <= set(c)):
@@ -332,6 +408,6 @@ def ahead(c: Channels, t: Array) -> Array | None:
 
 
 def fill_gaps(t: Array, values: Array) -> Array:
-    """Values (n,) at t (n,) with NaN filled in between the others."""
+    """Return values (n,) at times t (n,) with each NaN interpolated between its neighbours."""
     good = np.isfinite(values)
     return np.interp(t, t[good], values[good])

@@ -1,4 +1,4 @@
-"""Findings about values that cannot be: point outliers that were left out, and jumps of the position that remain."""
+"""Checks of impossible values: point outliers that were left out, and jumps of the position that remain."""
 
 from __future__ import annotations
 
@@ -11,31 +11,38 @@ from seatrial.daq.errors import counted
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import position_jumps
 
-SHOWN = 3  # outliers that a line names one by one
-MANY = 0.05  # part of a signal's samples: more outliers are a fault of the sensor
+SHOWN = 3  # outliers that a finding lists with value and time
+MANY = 0.05  # of a signal's samples; more outliers are a fault of the sensor
 
 
 def check_outliers(c: Channels) -> Iterator[Finding]:
-    """Name what was left out of each signal, with time and value, and the jumps of the position that remain."""
+    """Yield findings on the outliers that were left out of each signal, and on jumps of the position.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     for name, channel in c.items():
         left_out = channel.left_out
         if left_out is None:
             continue
         n, total = left_out.t.size, left_out.t.size + channel.t.size
         rows = list(zip(left_out.t.tolist(), left_out.value.tolist(), strict=True))
-        named = ", ".join(f"{value:.4g} at {t:.2f} s" for t, value in rows[:SHOWN])
+        listed = ", ".join(f"{value:.4g} at {t:.2f} s" for t, value in rows[:SHOWN])
         more = f" and {n - SHOWN} more" if n > SHOWN else ""
-        text = f"{counted(n, 'outlier')} of {total} samples left out: {named}{more}"
+        text = f"{counted(n, 'outlier')} of {total} samples left out: {listed}{more}"
         level, code = (FAULT, "many-outliers") if n > MANY * total else (WARNING, "outliers-left-out")
-        yield Finding(level, code, "outlier", name, text, "its sensor, cable or decoder; see the signal at these times")
+        advice = "look at the signal at these times; check sensor, cable and decoder"
+        yield Finding(level, code, "outlier", name, text, advice)
     if {"x", "y"} <= set(c) and np.array_equal(c["x"].t, c["y"].t):
         t, x, y = c["x"].t, c["x"].value, c["y"].value
         jumps = position_jumps(t, x, y)
-        # Many jumps are another unit or another column, which other checks name.
+        # Many jumps come from a wrong unit or column, which other checks find.
         if 0 < jumps.size <= 0.02 * t.size + 2:
             k = int(jumps[0])
             far = float(np.hypot(x[k] - x[k - 1], y[k] - y[k - 1]))
             more = f" ({jumps.size - 1} more)" if jumps.size > 1 else ""
             text = f"jumps by {far:.0f} m in {t[k] - t[k - 1]:.2f} s, {t[k] - t[0]:.1f} s from its start{more}"
-            advice = "two receivers or a change of fix? cut the log there: [[log]] t_from, t_to in the import's map"
+            advice = "two receivers, or a change of fix? cut the log there: [[log]] t_from, t_to in the import's map"
             yield Finding(FAULT, "position-jumps", "outlier", "x, y", text, advice)

@@ -1,7 +1,7 @@
-"""Consistency of sensors: delay, unit and sign of each against the motion that the others measured.
+"""Consistency of sensors: delay, unit and sign of each sensor against the motion that other sensors measure.
 
-Everything here compares increments over windows, so that offsets drop out and noise is averaged: a sensor's rate is
-never differentiated sample by sample.
+All comparisons use increments over windows. Offsets cancel in increments, and the window averages the noise. No signal
+is differentiated sample by sample.
 """
 
 from __future__ import annotations
@@ -20,40 +20,42 @@ from seatrial.ident.numerics import Array
 Channels = Mapping[str, Channel]
 STEP = 0.05  # s, of the common grid
 WINDOW = 1.0  # s, over which signals are differenced
-LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s, that are tried
-DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s: worth a word; not to be fitted
-KNOWN_LATE = 0.2  # s, lower end of a delay's interval from which it is a fault: it biases masses and damping
-MIN_ERROR_REDUCTION = 0.3  # of the error, from which a lag is no chance
+LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s, values of the search
+DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s; delays from these values on give a warning, a fault
+KNOWN_LATE = 0.2  # s; a delay whose whole 95 % interval is above this value biases masses and damping: a fault
+MIN_ERROR_REDUCTION = 0.3  # of the squared error; a lag that removes less may be chance
 MIN_R2 = 0.6  # R2 below which two sensors have too little in common to compare their times
 BLOCKS, STUDENT = 10, 2.26  # blocks of time of a jackknife, and the 97.5 % quantile of Student's t with 9 d.o.f.
-UNKNOWN_DELAY = 0.3  # s, half a 95 % interval from which a delay is not known
-SAME_SCALE = 0.15  # by which scales that one clock explains may differ
+UNKNOWN_DELAY = 0.3  # s; a delay with a wider half 95 % interval is unknown
+SAME_SCALE = 0.15  # largest relative difference of scales that one wrong clock explains
 MIN_YAW_RATE_SD = 0.02  # rad/s, standard deviation below which the boat has hardly turned
 MIN_VELOCITY_SD = 0.1  # m/s, standard deviation below which the boat has hardly moved
 
 
 class LagEstimate(NamedTuple):
-    """A lag [s] with its standard error [s], and the R2 of the regression at that lag."""
+    """Estimated lag between two signals."""
 
-    lag: float
-    se: float
-    r2: float
+    lag: float  # s
+    se: float  # s, standard error by the jackknife over blocks of time
+    r2: float  # of the regression at this lag
 
     @property
     def half(self) -> float:
-        """Half the width of the 95 % interval [s], by Student's t of the blocks."""
+        """Half width of the 95 % interval [s], by Student's t for the number of blocks."""
         return STUDENT * self.se
 
 
 class LagErrors:
-    """Errors of a regression at each lag, by blocks of time, for the best lag and its jackknife.
+    """Errors of a regression at each lag, kept by blocks of time.
+
+    They give the best lag and its standard error by the jackknife over the blocks.
 
     Parameters
     ----------
     lags
-        That are tried (n_lags,) [s], evenly spaced.
+        Lags of the search (n_lags,) [s], evenly spaced.
     n_rows
-        Rows of one regression, in the order of time.
+        Number of rows of one output in a regression, in the order of time.
     """
 
     def __init__(self, lags: Array, n_rows: int) -> None:
@@ -63,8 +65,15 @@ class LagErrors:
         self._without: list[list[float]] = []
 
     def add(self, X: Array, y: Array) -> None:
-        """Add the regression of y (n_rows,) on X (n_rows, k) at the next lag. With several outputs the rows of one
-        output come after those of the other."""
+        """Add the regression at the next lag.
+
+        Parameters
+        ----------
+        X
+            Regressors (n_outputs * n_rows, k). The rows of the second output follow those of the first.
+        y
+            Outputs (n_outputs * n_rows,), in the same order.
+        """
         n_rows = int(self._edges[-1])
         scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-300)  # so that the normal matrix is well conditioned
         k = X.shape[1]
@@ -84,14 +93,14 @@ class LagErrors:
         self._without.append(errors[1:].tolist())
 
     def estimate(self) -> LagEstimate:
-        """The lag with the least error."""
+        """Return the lag with the least error, and its standard error."""
         each = np.array([self._least(error) for error in np.array(self._without).T])
         se = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((each - each.mean()) ** 2)))
         whole = np.array(self._whole)
         return LagEstimate(self._least(whole), se, 1.0 - float(whole.min()))
 
     def _least(self, error: Array) -> float:
-        """The lag of the least error, by a parabola through it and its neighbours."""
+        """Return the lag of the least error [s], by a parabola through this error and its neighbours."""
         k = int(np.argmin(error))
         if not 0 < k < error.size - 1:
             return float(self._lags[k])
@@ -101,42 +110,53 @@ class LagErrors:
 
 
 def _unexplained(A: Array, b: Array, s: Array) -> Array:
-    """The shares (m,) of the sums of squares s (m,) that regressions do not explain, whose normal equations are
-    A beta = b, (m, k, k) and (m, k)."""
+    """Return the unexplained shares (m,) of the sums of squares s (m,) for m regressions.
+
+    The normal equations of each regression are A beta = b, with A (m, k, k) and b (m, k).
+    """
     beta = np.einsum("mij,mj->mi", np.linalg.pinv(A, rcond=1e-10, hermitian=True), b)
     return np.asarray(np.maximum(s - np.sum(b * beta, axis=1), 0.0) / np.maximum(s, 1e-300))
 
 
 class Match(NamedTuple):
-    """How one signal follows another: it is ``scale`` times as large and comes ``lag`` s later.
-
-    r2 at that lag; gain: part of the error without a lag that the lag explains; half: half the width of the 95 %
-    interval of the lag [s].
-    """
+    """Relation of two signals: the first is ``scale`` times the second, delayed by ``lag``."""
 
     scale: float
-    lag: float
-    r2: float
-    gain: float = 0.0
-    half: float = 0.0
+    lag: float  # s
+    r2: float  # at this lag
+    gain: float = 0.0  # part of the squared error without a lag that the lag removes
+    half: float = 0.0  # s, half width of the 95 % interval of the lag
 
 
 class Matches(NamedTuple):
-    """How integrals follow what they should be: heading the yaw rate, positions the velocity over ground, velocity over
-    ground the specific force; None where one is missing or the boat hardly moves."""
+    """Relations of measured signals to the integrals of their rates.
 
-    heading: Match | None
-    position: Match | None
-    velocity: Match | None
+    A relation is None if a signal is missing or the boat hardly moves.
+    """
+
+    heading: Match | None  # heading and yaw rate
+    position: Match | None  # position and velocity over ground
+    velocity: Match | None  # velocity over ground and specific force
 
 
 def sensor_matches(c: Channels) -> Matches:
-    """All of them, each regression once."""
+    """Compare each pair of sensors, one of which measures the rate of the other."""
     return Matches(heading_match(c), position_match(c), velocity_match(c))
 
 
 def check_time_scale(found: Matches) -> Finding | None:
-    """One factor between every integral and what it should be: time counts in another unit."""
+    """Return a fault if all integrals are wrong by the same factor: then the time is in another unit.
+
+    Parameters
+    ----------
+    found
+        Relations of the sensors of one log.
+
+    Returns
+    -------
+    Finding or None
+        None if fewer than two relations are known, or if their factors differ or are near one.
+    """
     scales = [abs(m.scale) for m in found if m is not None and m.r2 > MIN_R2]
     common = float(np.median(scales)) if scales else 1.0
     if len(scales) < 2 or 0.75 < common < 1.33 or any(abs(s / common - 1.0) > SAME_SCALE for s in scales):
@@ -145,17 +165,27 @@ def check_time_scale(found: Matches) -> Finding | None:
         "fault",
         "time-scale",
         "time",
-        "all of it",
-        f"everything moves {common:.3g} times as fast as {len(scales)} sensors of rates say: the clock, not a sensor",
-        "[time] format, column or rate_hz in the import's map",
+        "all signals",
+        f"{len(scales)} pairs of sensors differ by the same factor {common:.3g}: the time has a wrong unit or rate",
+        "correct [time] format, column or rate_hz in the import's map",
     )
 
 
 def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
-    """The heading turns as much as the yaw rate says, and at the same time; its sense is a matter of frames."""
+    """Yield findings on scale and delay between heading and yaw rate.
+
+    The sign is the task of `seatrial.ident.checks.frames`.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    found
+        Relation of heading and yaw rate (`heading_match`).
+    """
     if found is None:
         return
-    where = _who(c["r"], "r")
+    where = _source(c["r"], "r")
     size = abs(found.scale)
     if found.r2 < MIN_R2:
         yield Finding(
@@ -163,41 +193,42 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
             "heading-and-gyro-disagree",
             "gyro",
             where,
-            f"heading and yaw rate agree only to R2 {found.r2:.2f}",
-            "is one of them of another sensor, stuck, or disturbed by iron?",
+            f"heading and yaw rate hardly agree (R2 {found.r2:.2f})",
+            "is one of them stuck, from another sensor, or disturbed by iron?",
         )
         return
     if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
         radians = np.abs(c["psi"].value).max() < 7.0
-        what = "yaw rate in deg/s" if radians else "both in degrees"
+        cause = "yaw rate in deg/s" if radians else "both in degrees"
         if size > 1.0:
-            what = "a yaw rate in rad/s that was declared deg/s" + ("" if radians else ", or a heading in degrees")
+            cause = "a yaw rate in rad/s that was declared deg/s" + ("" if radians else ", or a heading in degrees")
         yield Finding(
             "fault",
             "angle-in-degrees",
             "units",
             where,
-            f"yaw rate is {1.0 / size:.3g} times the change of heading: {what}?",
-            "the unit in the sensor's settings or in the import's map",
+            f"yaw rate is {1.0 / size:.3g} times the change of heading: {cause}?",
+            "correct the unit in the sensor's settings or in the import's map",
         )
     elif not 0.7 < size < 1.4:
         yield Finding(
-            "fault" if not 0.6 < size < 1.67 else "warning",  # a compass that motors draw aside lags or leads in turns
+            # Only a warning near one: the field of the motors makes a compass lag or lead in turns.
+            "fault" if not 0.6 < size < 1.67 else "warning",
             "gyro-scale",
             "gyro",
             where,
             f"yaw rate is {1.0 / size:.3g} times the change of heading",
-            "range or scale of the gyro; a heading that lags in turns; or the log's clock runs at another rate",
+            "check range and scale of the gyro; or the heading lags in turns, or the log's clock runs at another rate",
         )
     elif found.scale > 0.0:
         yield Finding(
             "ok", "gyro-as-expected", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading"
         )
-    yield from sensor_delay("heading", _who(c["psi"], "psi"), "yaw rate", where, found)
+    yield from sensor_delay("heading", _source(c["psi"], "psi"), "yaw rate", where, found)
 
 
 def heading_match(c: Channels) -> Match | None:
-    """Increments of heading on those of the integrated yaw rate; None where the boat has hardly turned."""
+    """Regress increments of the heading on those of the integrated yaw rate; None if the boat has hardly turned."""
     if not {"psi", "r"} <= set(c):
         return None
     psi, r = c["psi"], c["r"]
@@ -206,18 +237,30 @@ def heading_match(c: Channels) -> Match | None:
         return None
     turned = np.interp(t, psi.t, np.unwrap(psi.value, period=_turn(psi.value)))
     integral = cumulative(t, np.interp(t, r.t, r.value))
-    ahead = round(WINDOW / STEP)
-    moved = [float(np.std(s[ahead:] - s[:-ahead])) for s in (turned, integral)]
+    width = round(WINDOW / STEP)
+    moved = [float(np.std(s[width:] - s[:-width])) for s in (turned, integral)]
     if max(moved) < MIN_YAW_RATE_SD * WINDOW or min(moved) < 1e-9:
         return None
     return _best([turned], [[integral], [t]])
 
 
 def velocity_match(c: Channels) -> Match | None:
-    """Increments of the velocity over ground on the specific force turned by the heading; None for a calm run.
+    """Regress increments of the velocity over ground on the integrated specific force, turned by the heading.
 
-    An antenna away from the accelerometers has a velocity of its own in every turn, which a lag of either sign explains
-    in part: where yaw rate is measured, that of an arm ahead and one to starboard is regressed on, too.
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+
+    Returns
+    -------
+    Match or None
+        None if a signal is missing or the boat hardly moves.
+
+    Notes
+    -----
+    An antenna with a lever arm has an additional velocity in turns, which a lag of either sign explains in part. If the
+    yaw rate is measured, the velocities of a lever arm forward and to starboard are regressors too.
     """
     names = ("psi", "ax", "ay", "vx", "vy")
     if not set(names) <= set(c) or c["vx"].t.size < 50:
@@ -238,98 +281,135 @@ def velocity_match(c: Channels) -> Match | None:
 
 
 def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Finding]:
-    """GNSS velocity changes when the accelerometer says so; whether by as much is a matter of frames."""
+    """Yield a finding on the delay between GNSS velocity and accelerometer.
+
+    The scale is the task of `seatrial.ident.checks.frames.check_accelerometer`.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    found
+        Relation of velocity and specific force (`velocity_match`).
+    """
     if found is None or found.r2 < 0.3:
         return
-    gnss, ahrs = _who(c["vx"], "GNSS"), _who(c["ax"], "ax")
+    gnss, ahrs = _source(c["vx"], "GNSS"), _source(c["ax"], "ax")
     yield from sensor_delay("velocity", gnss, "acceleration", ahrs, found, confounded=True)
 
 
 def position_match(c: Channels) -> Match | None:
-    """Increments of the positions on the integrated velocity over ground; None for a boat at rest."""
+    """Regress increments of the position on the integrated velocity over ground; None for a boat at rest."""
     if not {"x", "y", "vx", "vy"} <= set(c):
         return None
     t = grid(*(c[n] for n in ("x", "y", "vx", "vy")))
-    way, velocity = ([np.interp(t, c[n].t, c[n].value) for n in names] for names in (("x", "y"), ("vx", "vy")))
+    position, velocity = ([np.interp(t, c[n].t, c[n].value) for n in names] for names in (("x", "y"), ("vx", "vy")))
     if t.size < 400 or np.median(np.hypot(*velocity)) < 0.1:
         return None
-    return _best(way, [[cumulative(t, v) for v in velocity]], 5.0)
+    return _best(position, [[cumulative(t, v) for v in velocity]], 5.0)
 
 
 def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]:
-    """Positions change as the velocity over ground says."""
+    """Yield findings on scale and delay between position and velocity over ground.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    found
+        Relation of position and velocity (`position_match`).
+    """
     if found is None:
         return
-    where = _who(c["vx"], "vx")
+    where = _source(c["vx"], "vx")
     if found.r2 < MIN_R2:
         yield Finding(
             "warning",
             "position-and-velocity-disagree",
             "gnss",
             where,
-            f"position and velocity agree only to R2 {found.r2:.2f}",
-            "outliers, multipath, or another column",
+            f"position and velocity hardly agree (R2 {found.r2:.2f})",
+            "look for outliers, multipath, or another column",
         )
         return
     if not 0.75 < found.scale < 1.33:
-        known = {0.514: "knots", 0.278: "km/h", 3.6: "km/h", 1.944: "knots"}
-        unit = next((u for k, u in known.items() if abs(found.scale / k - 1.0) < 0.1), "another unit")
+        units = {0.514: "knots", 0.278: "km/h", 3.6: "km/h", 1.944: "knots"}
+        unit = next((u for k, u in units.items() if abs(found.scale / k - 1.0) < 0.1), "another unit")
         yield Finding(
             "fault",
             "velocity-unit",
             "units",
             where,
-            f"positions change {found.scale:.3g} times as fast as the velocity says: {unit}?",
-            "the unit of the velocity or the positions in the import's map; or the log's clock runs at another rate",
+            f"positions change {found.scale:.3g} times as fast as the measured velocity: is it in {unit}?",
+            "correct the unit of velocity or positions in the import's map; or the log's clock runs at another rate",
         )
-    yield from sensor_delay("position", _who(c["x"], "x"), "velocity", where, found)
+    yield from sensor_delay("position", _source(c["x"], "x"), "velocity", where, found)
 
 
 def delay_level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
-    """Return the level of a delay ``lag`` [s] whose 95 % interval has half the width ``half`` [s]."""
+    """Return the level of the finding on a delay.
+
+    Parameters
+    ----------
+    lag, half
+        Delay and half width of its 95 % interval [s].
+    fault_from
+        Delay [s] from which it is a fault, however wide its interval is.
+    """
     return FAULT if lag >= fault_from or lag - half > KNOWN_LATE else WARNING
 
 
 def delay_interval(lag: float, half: float) -> str:
-    """Return a 95 % interval [s] in words, without a negative zero."""
-    low, high = (round(end, 2) + 0.0 for end in (lag - half, lag + half))
+    """Return the text of the 95 % interval of a delay ``lag`` with the half width ``half``, both in s."""
+    low, high = (round(end, 2) + 0.0 for end in (lag - half, lag + half))  # + 0.0: no "-0.00"
     return f"95 %: {low:.2f} to {high:.2f} s"
 
 
 def sensor_delay(
-    one: str, where: str, other: str, there: str, found: Match, *, confounded: bool = False
+    first: str, first_source: str, second: str, second_source: str, found: Match, *, confounded: bool = False
 ) -> Iterator[Finding]:
-    """What a lag of ``one`` behind ``other`` means, where it explains something.
+    """Yield a finding on the delay between two sensors.
 
-    ``confounded``: something else than a delay, such as a lever arm, explains a part of it: a small one is no fault.
+    Parameters
+    ----------
+    first, first_source
+        Quantity and source of the signal that is late if the lag is positive.
+    second, second_source
+        Quantity and source of the other signal.
+    found
+        Relation of both signals.
+    confounded
+        Whether another cause, for example a lever arm, may explain a part of the lag. A small lag is then no fault.
     """
-    late, behind, at = (one, other, where) if found.lag > 0 else (other, one, there)
+    late, early, late_source = (first, second, first_source) if found.lag > 0 else (second, first, second_source)
     interval = delay_interval(abs(found.lag), found.half)
     if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - STEP / 2:
         level = delay_level(abs(found.lag), np.inf if confounded else found.half)
-        text = f"{late} comes {abs(found.lag):.2f} s after {behind} ({interval})"
-        yield Finding(level, "sensor-late", "late", at, text, "its filters, output rate or time stamps")
+        text = f"{late} comes {abs(found.lag):.2f} s after {early} ({interval})"
+        advice = "check its filters, output rate and time stamps"
+        yield Finding(level, "sensor-late", "late", late_source, text, advice)
     elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - STEP / 2:
-        text = f"the time between {one} and {other} is not known ({interval})"
-        yield Finding("ok", "delay-unknown", "late", where, text)
+        text = f"the delay between {first} and {second} is not known ({interval})"
+        yield Finding("ok", "delay-unknown", "late", first_source, text)
     else:
-        text = f"{one} and {other} are {abs(found.lag):.2f} s apart ({interval})"
-        yield Finding("ok", "sensors-in-time", "late", where, text)
+        text = f"{first} and {second} are {abs(found.lag):.2f} s apart ({interval})"
+        yield Finding("ok", "sensors-in-time", "late", first_source, text)
 
 
 def _best(columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
-    """The lag at which increments of the columns are best explained, and the factor of the first regressor there.
+    """Find the lag at which the regressors explain increments of the columns best.
 
-    A regressor has as many columns as there are to be explained; all share its factor.
+    The scale of the result is the factor of the first regressor at this lag. Each regressor has one array for each
+    column, and one factor for all of them.
     """
-    ahead, most = round(window / STEP), round(float(LAGS[-1]) / STEP)
-    at = np.arange(most, columns[0].size - most - ahead, max(1, ahead // 2))
-    y = np.concatenate([column[at + ahead] - column[at] for column in columns])
+    width, most = round(window / STEP), round(float(LAGS[-1]) / STEP)
+    at = np.arange(most, columns[0].size - most - width, max(1, width // 2))
+    y = np.concatenate([column[at + width] - column[at] for column in columns])
     best, unmoved = Match(np.nan, np.nan, -np.inf), -np.inf
     errors = LagErrors(LAGS, at.size)
     for lag in LAGS:
         late = at - round(float(lag) / STEP)
-        X = np.column_stack([np.concatenate([s[late + ahead] - s[late] for s in one]) for one in regressors])
+        X = np.column_stack([np.concatenate([s[late + width] - s[late] for s in arrays]) for arrays in regressors])
         beta, *_ = np.linalg.lstsq(X, y, rcond=None)
         e = y - X @ beta
         errors.add(X, y)
@@ -344,21 +424,22 @@ def _best(columns: list[Array], regressors: list[list[Array]], window: float = W
 
 
 def cumulative(t: Array, rate: NDArray[Any]) -> NDArray[Any]:
-    """Integral (n,) of a rate (n,) at times t (n,) [s], from zero, by trapezoids."""
+    """Return the integral (n,) of a rate (n,) over times t (n,) [s], from zero, by the trapezoidal rule."""
     return np.append(np.zeros(1, rate.dtype), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
 
 
 def grid(*channels: Channel) -> Array:
+    """Return times (n,) [s] at steps of `STEP` in the span that all channels cover."""
     start, end = max(c.t[0] for c in channels), min(c.t[-1] for c in channels)
     return np.arange(start, end, STEP)
 
 
 def _turn(psi: Array) -> float:
-    """A whole turn of a heading by the range of its values: in radians, in degrees, or converted twice."""
+    """Return a whole turn in the unit of a heading: radians, degrees, or radians converted from degrees by mistake."""
     if np.abs(psi).max() > 7.0:
         return 360.0
     return 2.0 * np.pi if np.ptp(psi) > np.radians(2.0 * np.pi) else np.radians(2.0 * np.pi)
 
 
-def _who(channel: Channel, name: str) -> str:
+def _source(channel: Channel, name: str) -> str:
     return channel.source or name

@@ -1,4 +1,4 @@
-"""Each signal of a log by itself: sample interval, range and unit, frozen segments, smoothing."""
+"""Checks of single signals: sample interval, range and unit, frozen segments, resolution, smoothing."""
 
 from __future__ import annotations
 
@@ -13,51 +13,61 @@ from seatrial.ident.data import Channel
 from seatrial.ident.numerics import NORMAL_MAD, Array
 
 MOTION = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v")
-# Those that one sensor gives: none of them proves that another one moves.
+# Signals of one sensor. If one of a group is frozen, the others of the group cannot prove that the boat moves.
 GROUPS = (("psi",), ("r",), ("ax", "ay"), ("x", "y"), ("vx", "vy"), ("u", "v"))
 PLACES = (("x", "y"), ("vx", "vy"))
-BODY = (("ax", "ay"), ("u", "v"))  # one axis of which may be zero all the time
+BODY = (("ax", "ay"), ("u", "v"))  # one axis of these may be zero in the whole log
 LONGEST_INTERVAL, SHORTEST_INTERVAL = 10.0, 2e-4  # s between samples of a boat's sensors
 DAY, YEAR = 86400.0, 365.25 * 86400.0  # s
-LONGEST_PAUSE = DAY  # of a log that is one run
-MOST_N = 1.5  # of full speed: more is another unit
-MOST_YAW_RATE = 5.0  # rad/s
-TWICE = np.radians(2.0 * np.pi)  # rad, a turn of a heading in radians that was taken for degrees
-MOST_TRACK = 0.1  # degrees, of a track that is in degrees
-FROZEN_S, FROZEN_SAMPLES = 5.0, 10  # a value that stays exactly the same for longer than both,
-FROZEN_TIMES = 10.0  # and for so many times what it usually does (99 %), while the boat moves:
-TURNS, DRIVEN = 0.15, 0.1  # standard deviation of the heading [rad]; command as a part of the largest
-SETTLED_S = 1.0  # that a receiver is late at most, after a change that ends a steady motion
-# By what a motion is not steady: a velocity over ground (m/s) off one of constant acceleration in the boat's frame,
-# positions (m) off a straight line at constant speed; or so many times their noise
+LONGEST_PAUSE = DAY  # s, in the log of one run
+MAX_N = 1.5  # of full speed; larger values have another unit
+MAX_YAW_RATE = 5.0  # rad/s
+TWICE = np.radians(2.0 * np.pi)  # rad, a turn of a heading in radians that was converted as if it were degrees
+MAX_TRACK_DEG = 0.1  # largest extent of a track that is in degrees
+# A signal is frozen if a value stays exactly the same for longer than the first two, and for `FROZEN_TIMES` times as
+# long as its values usually stay (99 % quantile), while the boat moves.
+FROZEN_S, FROZEN_SAMPLES, FROZEN_TIMES = 5.0, 10, 10.0
+# The boat moves: standard deviation of the heading [rad]; mean command over the largest command.
+TURNS, DRIVEN = 0.15, 0.1
+SETTLED_S = 1.0  # largest delay of a receiver; the ends of a frozen time are not compared with other sensors
+# A motion is not steady if the residuals are above these values or above `TIMES_NOISE` times the noise: velocity over
+# ground [m/s] of constant acceleration in the boat's frame; position [m] on a straight line at constant speed.
 UNSTEADY_VELOCITY, UNSTEADY_PLACE, TIMES_NOISE = 0.15, 0.5, 3.0
-# Standard deviations from sample to sample below which no sensor's noise is in a signal (rad, rad/s, m/s2, m, m/s).
+# White noise (standard deviation in rad, rad/s, m/s2, m, m/s) below which a signal has no noise of a sensor.
 NO_NOISE = {"psi": 1e-4, "r": 1e-4, "ax": 1e-3, "ay": 1e-3, "x": 2e-3, "y": 2e-3, "vx": 1e-3, "vy": 1e-3, "u": 1e-3,
             "v": 1e-3}  # fmt: skip
-ESTIMATED = 0.03  # m: white noise of a position that is less than this is no receiver's but an estimator's
+ESTIMATED = 0.03  # m; a position with less white noise is the output of an estimator, not of a receiver
 FEWEST = 200  # samples
-# Least and largest step of a coarse resolution (m, m/s), as 0.001 and 0.01 minutes or 1 km/h and 1 m/s; samples per
-# level that show it; how near to a whole number of steps each difference is; steps at both ends of a value that stays
-# the same for the sake of the resolution.
+# Least and largest step of a coarse resolution [m, m/s], for example 0.001 and 0.01 minutes, or 1 km/h and 1 m/s.
 COARSE = {"x": (0.3, 20.0), "y": (0.3, 20.0), "vx": (0.2, 1.1), "vy": (0.2, 1.1)}
-LEAST_PER_LEVEL, ON_GRID, MOST_STEPS = 3, 0.02, 2.5
-# Samples that are judged together, share of their differences that alternates between two sensors (of white noise it is
-# 0.05), and share of repeats from which values are held.
-ALTERNATE_BLOCK, ALTERNATES, FEW_REPEATS = 20, 0.7, 0.2
-FEWEST_STEADY, FINE_S = 4, 0.02  # samples of a velocity that bears an acceleration out; s, step of its integral
+LEAST_PER_LEVEL = 3  # samples per level from which a resolution can be seen
+ON_GRID = 0.02  # largest distance of a difference from a whole number of steps
+MAX_STEPS = 2.5  # steps before and after a value that stays the same only because of the resolution
+ALTERNATE_BLOCK = 20  # samples that are evaluated together
+ALTERNATES = 0.7  # share of the differences that alternates if two sensors share a signal; white noise has 0.05
+FEW_REPEATS = 0.2  # with a larger share of repeated values a signal is held and is not tested
+FEWEST_STEADY, FINE_S = 4, 0.02  # samples of velocity that confirm an acceleration; step of its integral
 
 
 def check_intervals(c: Channels) -> Iterator[Finding]:
-    """Whether time is in seconds, as far as the samples' distance shows it."""
+    """Yield a fault if the sample intervals show that the time is not in seconds, or jumps.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     for name in (n for n in MOTION if n in c):
         pause = np.diff(c[name].t)
         step = float(np.median(pause))
         if pause.max() > LONGEST_PAUSE:
-            # The grids of the other checks would fill the memory.
+            # The other checks would fill the memory with their grids.
             k = int(np.argmax(pause))
             far = f"{pause[k] / YEAR:.1f} years" if pause[k] > YEAR else f"{pause[k] / DAY:.1f} days"
-            text = f"its times jump by {far}, {c[name].t[k] - c[name].t[0]:.1f} s from its start"
-            advice = "a clock that was not set yet, or two runs: cut the log there, [[log]] t_from, t_to in the map"
+            text = f"its times jump by {far}, {c[name].t[k] - c[name].t[0]:.1f} s after its start"
+            advice = (
+                "the clock was not set yet, or these are two runs: cut the log there, [[log]] t_from, t_to in the map"
+            )
             yield Finding("fault", "times-jump", "time", name, text, advice)
             return
         if step > LONGEST_INTERVAL or step < SHORTEST_INTERVAL:
@@ -68,47 +78,54 @@ def check_intervals(c: Channels) -> Iterator[Finding]:
                 "time",
                 name,
                 f"one sample every {step:.3g} s: is its time in {unit}?",
-                "[time] format in the import's map: s, ms, us, ns",
+                "correct [time] format in the import's map: s, ms, us, ns",
             )
             return
 
 
 def check_ranges(c: Channels) -> Iterator[Finding]:
-    """Values that no boat has: shaft speeds and commands, yaw rate, positions in degrees."""
+    """Yield a fault for each signal whose values no boat can have, with the unit that would explain them.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name: shaft speeds and commands, yaw rate, heading, positions.
+    """
     for name in sorted(n for n in c if n.startswith("n_")):
         most = float(np.quantile(np.abs(c[name].value), 0.99))
-        if most > MOST_N:
+        if most > MAX_N:
             value = c[name].value
-            pulses = float(np.median(value)) > 700.0 and float(value.max()) < 2600.0
-            what = "a pulse width in us" if pulses else "percent" if most <= 110.0 else "rev/min, or a wrong offset"
-            how = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if most <= 110.0 else 1.0 / most:.3g}"
+            pulses = float(np.median(value)) > 700.0 and float(value.max()) < 2600.0  # microseconds of a servo output
+            unit = "a pulse width in us" if pulses else "percent" if most <= 110.0 else "rev/min, or a wrong offset"
+            fix = "scale = 0.0025, offset = -3.75" if pulses else f"scale = {0.01 if most <= 110.0 else 1.0 / most:.3g}"
             yield Finding(
                 "fault",
                 "n-out-of-range",
                 "units",
                 name,
-                f"goes from {value.min():.4g} to {value.max():.4g}, and 1 is full speed: {what}?",
-                f"{how} in the import's map (value = sign * (scale * cell + offset)); rpm_max of the rig",
+                f"goes from {value.min():.4g} to {value.max():.4g}, but 1 is full speed: is it {unit}?",
+                f"{fix} in the import's map (value = sign * (scale * cell + offset)); or correct rpm_max of the rig",
             )
-    if "r" in c and (most := float(np.quantile(np.abs(c["r"].value), 0.99))) > MOST_YAW_RATE:
-        text = f"{most:.3g} rad/s: in deg/s?"
+    if "r" in c and (most := float(np.quantile(np.abs(c["r"].value), 0.99))) > MAX_YAW_RATE:
+        text = f"reaches {most:.3g} rad/s: is it in deg/s?"
         yield Finding("fault", "angle-in-degrees", "units", "r", text, 'unit = "deg/s" in the import\'s map')
     if "psi" in c and np.abs(c["psi"].value).max() > 7.0:
         t = np.arange(c["psi"].t[0], c["psi"].t[-1], max(1.0, 2.0 * float(np.median(np.diff(c["psi"].t)))))
         rate = np.diff(np.interp(t, c["psi"].t, np.unwrap(c["psi"].value, period=360.0))) / np.diff(t)
-        if rate.size and float(np.quantile(np.abs(rate), 0.95)) > MOST_YAW_RATE:
-            text = f"from {c['psi'].value.min():.4g} to {c['psi'].value.max():.4g} rad: in degrees?"
+        if rate.size and float(np.quantile(np.abs(rate), 0.95)) > MAX_YAW_RATE:
+            text = f"goes from {c['psi'].value.min():.4g} to {c['psi'].value.max():.4g} rad: is it in degrees?"
             yield Finding("fault", "angle-in-degrees", "units", "psi", text, 'unit = "deg" in the import\'s map')
     psi = c["psi"].value if "psi" in c else np.zeros(2)
     if 0.9 * TWICE < np.ptp(psi) < 1.02 * TWICE and np.abs(np.diff(psi)).max() > 0.8 * TWICE:
-        text = f"jumps by {TWICE:.3f} rad, a turn in radians that was taken for degrees"
+        text = f"jumps by {TWICE:.3f} rad: radians were converted as if they were degrees"
         yield Finding("fault", "angle-in-degrees", "units", "psi", text, 'unit = "rad" in the import\'s map')
     if {"x", "y"} <= set(c):
         span = [float(np.ptp(c[n].value)) for n in ("x", "y")]
         away = [abs(float(np.median(c[n].value))) for n in ("x", "y")]
-        small = 0.0 < max(span) < MOST_TRACK and away[0] <= 90.0 and away[1] <= 180.0
+        small = 0.0 < max(span) < MAX_TRACK_DEG and away[0] <= 90.0 and away[1] <= 180.0
         if small and max(away) > 20.0 * max(span):
-            text = f"a track of {max(span):.2g} m, {away[0]:.4g} and {away[1]:.4g} m from its origin: degrees?"
+            distance = f"{away[0]:.4g} m north and {away[1]:.4g} m east"
+            text = f"the track spans {max(span):.2g} m, {distance} of its origin: are positions in degrees?"
             yield Finding(
                 "fault", "positions-in-degrees", "units", "x, y", text,
                 "x and y are metres north and east: scale = 111200 for latitude, 111200 cos(latitude) for longitude",
@@ -116,7 +133,13 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
 
 
 def check_frozen(c: Channels) -> Iterator[Finding]:
-    """Signals that stay exactly the same while the boat moves, for a while or all the time."""
+    """Yield a fault for each signal that stays exactly the same while the boat moves, for a time or in the whole log.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     for group in GROUPS:
         held = {name: _longest_hold(c[name]) for name in group if name in c}
         held = {name: (begin, end) for name, (begin, end) in held.items() if end - begin > FROZEN_S}
@@ -127,42 +150,56 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
                 continue
             noisy = group == ("ax", "ay") and not all(_noiseless(n, c[n]) for n in same)
             if not noisy and _steady(c, group, begin + SETTLED_S, end - SETTLED_S):
-                continue  # as in simulators, and of a coarse resolution: the same motion is the same value
+                continue  # noiseless signals, as of simulators, are constant in a steady motion
             if _within_resolution(c, name, begin, end):
                 continue
             start, duration = float(c[name].t[0]), float(np.ptp(c[name].t))
             value = float(c[name].value[np.searchsorted(c[name].t, begin)])
             if end - begin >= 0.99 * duration:
-                text, code = f"{value:g} all the time, and the boat moves", "channel-constant"
+                text, code = f"stays at {value:g} in the whole log, but the boat moves", "channel-constant"
             else:
                 code = "channel-frozen"
-                text = f"{value:.6g} for {end - begin:.1f} s, from {begin - start:.1f} s on, and the boat moves"
-            advice = "another column, or leave that time out: [[log]] t_from, t_to in the import's map"
+                since = f"for {end - begin:.1f} s, from {begin - start:.1f} s on"
+                text = f"stays at {value:.6g} {since}, but the boat moves"
+            advice = "use another column, or leave this time out: [[log]] t_from, t_to in the import's map"
             yield Finding("fault", code, "stuck", name, text, advice)
 
 
 def check_quantised(c: Channels) -> Iterator[Finding]:
-    """Positions and velocities that are known in coarse steps, as minutes with three decimals and whole knots are."""
+    """Yield a warning for positions and velocities in coarse steps, for example minutes with three decimals or knots.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     for group in PLACES:
         steps = {name: coarse_step(c, name) for name in group if name in c}
         if any(steps.values()):
             unit = "m" if group == ("x", "y") else "m/s"
-            text = f"known in steps of {max(steps.values()):.2g} {unit}: its rounding is a part of its noise"
-            advice = "more decimals of the receiver or of the export"
+            text = f"is rounded to steps of {max(steps.values()):.2g} {unit}: the rounding error adds to its noise"
+            advice = "set the receiver or the export to more decimals"
             where = ", ".join(name for name, step in steps.items() if step)
             yield Finding("warning", "channel-quantised", "resolution", where, text, advice)
 
 
 def coarse_step(c: Channels, name: str) -> float:
-    """Return the step of a position [m] or velocity [m/s] that is rounded to coarse steps, as a whole of its receiver;
-    0 if there is none. Of a velocity it may be the speed over ground that is rounded."""
+    """Return the step of a position [m] or velocity [m/s] that its receiver rounds coarsely; 0 if there is none.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    name
+        Name of the channel. For a velocity the speed over ground may be rounded instead of its components.
+    """
     if name not in COARSE:
         return 0.0
     return next((step for _, step in _coarse_values(c, name)), 0.0)
 
 
 def _coarse_values(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
-    """The values (n,) that are rounded to coarse steps, and the step: of the signal, or of the speed over ground."""
+    """Yield values (n,) in coarse steps, and their step: of the signal, or of the speed over ground."""
     candidates = [c[name].value]
     if name in ("vx", "vy") and {"vx", "vy"} <= set(c) and np.array_equal(c["vx"].t, c["vy"].t):
         candidates.append(np.hypot(c["vx"].value, c["vy"].value))
@@ -173,7 +210,7 @@ def _coarse_values(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
 
 
 def _grid_step(value: Array) -> float:
-    """Step of the grid that all values (n,) lie on; 0 if they lie on none, or are too few to show it."""
+    """Return the step of the grid that contains all values (n,); 0 if there is no grid or there are too few values."""
     levels = np.unique(value)
     steps = np.diff(levels)
     steps = steps[steps > 1e-6 * np.ptp(value)]
@@ -184,16 +221,16 @@ def _grid_step(value: Array) -> float:
 
 
 def _within_resolution(c: Channels, name: str, begin: float, end: float) -> bool:
-    """Whether a value that stays the same is one step of a coarse resolution: it came, and it goes, by single steps."""
+    """Return whether a value stays the same because of a coarse resolution: it begins and ends with single steps."""
     value, step = next(_coarse_values(c, name), (c[name].value, 0.0)) if name in COARSE else (c[name].value, 0.0)
     t = c[name].t
     a, b = int(np.searchsorted(t, begin)), int(np.searchsorted(t, end, side="right"))
     edges = [abs(float(value[k] - value[k - 1])) for k in (a, b) if 0 < k < t.size]
-    return bool(step and edges) and max(edges) < MOST_STEPS * step
+    return bool(step and edges) and max(edges) < MAX_STEPS * step
 
 
 def _longest_hold(channel: Channel) -> tuple[float, float]:
-    """When the longest time of one value begins and ends [s]; nothing where that is usual."""
+    """Return begin and end [s] of the longest time in which a value stays the same; (0, 0) if this time is usual."""
     first = np.flatnonzero(np.diff(channel.value, prepend=np.nan) != 0)
     last = np.append(first[1:], channel.value.size) - 1
     held = channel.t[last] - channel.t[first]
@@ -205,8 +242,10 @@ def _longest_hold(channel: Channel) -> tuple[float, float]:
 
 
 def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: float) -> bool:
-    """Whether the boat turns in that time, by another sensor or else by its thrusters; where the ``whole`` group
-    stays the same, also whether it is driven."""
+    """Return whether the boat moves from begin to end [s], by sensors outside the group or by its thrusters.
+
+    A turn counts in any case. If the ``whole`` group stays the same, thrust counts as well.
+    """
     turns = any(np.std(turn) > TURNS for turn in _turns(c, group, begin, end))
     kinds = ("n", "f", "n_cmd")
     inputs = {n: _part(c[n], begin, end) for n in c if n.rpartition("_")[0] in kinds}
@@ -214,7 +253,7 @@ def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: fl
     pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in kinds if {f"{k}_left", f"{k}_right"} <= set(inputs)]
     steps = np.linspace(begin, end, 50)
     sides = [(np.interp(steps, *a), np.interp(steps, *b)) for a, b in pairs if a[0].size and b[0].size]
-    if group in PLACES and sides:  # that it turns says nothing: on the spot its place may well stay the same
+    if group in PLACES and sides:  # turning alone is no proof: the position may stay the same in a turn on the spot
         return (turns or whole) and any(np.mean(np.abs(a + b)) / 2 > DRIVEN * most for a, b in sides)
     if turns:
         return True
@@ -224,13 +263,16 @@ def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: fl
 
 
 def _noiseless(name: str, channel: Channel) -> bool:
-    """Whether a signal has no noise, or none beyond its resolution."""
+    """Return whether a signal has no noise above its resolution."""
     return noise_floor(channel) < max(NO_NOISE[name], float(np.diff(np.unique(channel.value)).min(initial=np.inf)))
 
 
 def _steady(c: Channels, group: Sequence[str], begin: float, end: float) -> bool:
-    """Whether another sensor bears out what a group says that stays the same in that time: positions a velocity, and
-    velocities over ground an acceleration in the boat's frame. It is unknown of other groups."""
+    """Return whether another sensor confirms the constant value of a group from begin to end [s].
+
+    Positions confirm a velocity. Velocities over ground confirm an acceleration in the boat's frame. Other groups
+    cannot be confirmed.
+    """
     if group == ("vx", "vy") and {*group, "x", "y"} <= set(c):
         misfits = []
         for place, speed in zip(("x", "y"), group, strict=True):
@@ -247,21 +289,25 @@ def _steady(c: Channels, group: Sequence[str], begin: float, end: float) -> bool
     fine = np.arange(begin, end, FINE_S)
     psi = np.interp(fine, c["psi"].t, np.unwrap(c["psi"].value))
     C, S = (np.interp(t, fine, np.cumsum(f(psi)) * FINE_S) for f in (np.cos, np.sin))
-    one, none = np.ones(t.size), np.zeros(t.size)
-    rows = np.vstack([np.column_stack([C, -S, one, none]), np.column_stack([S, C, none, one])])
+    ones, zeros = np.ones(t.size), np.zeros(t.size)
+    # Velocity at constant acceleration in the boat's frame: the acceleration turned by the heading, and the start.
+    rows = np.vstack([np.column_stack([C, -S, ones, zeros]), np.column_stack([S, C, zeros, ones])])
     velocity = np.concatenate([north, east])
-    off = velocity - rows @ np.linalg.lstsq(rows, velocity, rcond=None)[0]
-    return float(np.std(off)) < max(UNSTEADY_VELOCITY, TIMES_NOISE * max(_noise(c["vx"]), _noise(c["vy"])))
+    residuals = velocity - rows @ np.linalg.lstsq(rows, velocity, rcond=None)[0]
+    return float(np.std(residuals)) < max(UNSTEADY_VELOCITY, TIMES_NOISE * max(_noise(c["vx"]), _noise(c["vy"])))
 
 
 def _noise(channel: Channel) -> float:
-    """Standard deviation of a signal's noise; zero where too few samples tell it."""
+    """Return the standard deviation of a signal's white noise; zero for too few samples."""
     floor = noise_floor(channel)
     return floor if np.isfinite(floor) else 0.0
 
 
 def _turns(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:
-    """Heading [rad] in that time by the sensors that are not of the group, less what a frozen yaw rate says."""
+    """Yield the heading [rad] from begin to end [s] by each sensor that is not in the group.
+
+    If the yaw rate is frozen, the turn at this constant rate is subtracted.
+    """
     if "psi" in c and "psi" not in group:
         t, psi = _part(Channel(c["psi"].t, np.unwrap(c["psi"].value)), begin, end)
         rate = float(np.interp(begin, c["r"].t, c["r"].value)) if group == ("r",) else 0.0
@@ -277,58 +323,83 @@ def _part(channel: Channel, begin: float, end: float) -> tuple[Array, Array]:
 
 
 def check_alternating(c: Channels) -> Iterator[Finding]:
-    """Signals of two sensors that alternate: each value lies off the line between its neighbours, to one side and to
-    the other in turn."""
+    """Yield a fault for signals in which the samples of two sensors alternate.
+
+    Each value of such a signal is off the line between its neighbours, to alternating sides.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     for group in GROUPS:
         shares = {name: _alternating(c[name]) for name in group if name in c}
         found = [name for name, share in shares.items() if share > ALTERNATES]
         if found:
-            text = "its values jump to and fro from sample to sample: two sensors, or two receivers, in one signal"
-            advice = "give each sensor a topic, column or port of its own, and import one of them"
+            text = "its values alternate from sample to sample: two sensors, or two receivers, are in one signal"
+            advice = "give each sensor its own topic, column or port, and import only one"
             yield Finding("fault", "two-sensors", "alike", ", ".join(found), text, advice)
 
 
 def _alternating(channel: Channel) -> float:
-    """Share of the differences from the line between the neighbours that alternates in sign; 0 for few samples, and for
-    values that repeat, which alternate when each stands in two rows."""
+    """Return the share of the differences from the line between the neighbours that alternates in sign.
+
+    0 for too few samples and for repeated values: values that stand in two rows each also alternate.
+    """
     value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
     if value.size < FEWEST or np.mean(np.diff(value) == 0.0) > FEW_REPEATS:
         return 0.0
     dt = np.maximum(np.diff(channel.t), 1e-9)
-    off = value[1:-1] - (value[:-2] * dt[1:] + value[2:] * dt[:-1]) / (dt[1:] + dt[:-1])
-    signs = np.where(np.arange(off.size) % 2 == 0, 1.0, -1.0)
-    n = off.size // ALTERNATE_BLOCK
-    blocks = (off * signs)[: n * ALTERNATE_BLOCK].reshape(n, ALTERNATE_BLOCK)
+    distance = value[1:-1] - (value[:-2] * dt[1:] + value[2:] * dt[:-1]) / (dt[1:] + dt[:-1])
+    signs = np.where(np.arange(distance.size) % 2 == 0, 1.0, -1.0)
+    n = distance.size // ALTERNATE_BLOCK
+    blocks = (distance * signs)[: n * ALTERNATE_BLOCK].reshape(n, ALTERNATE_BLOCK)
     whole = np.mean(blocks**2, axis=1)
     return float(np.median(np.mean(blocks, axis=1) ** 2 / np.maximum(whole, 1e-300)))
 
 
 def check_smoothing(c: Channels) -> Iterator[Finding]:
-    """Signals without any sensor's noise: what a filter made of sensors, with errors that last."""
+    """Yield a warning for signals without the white noise of a sensor. A filter has smoothed them.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     smooth = smoothed(c)
     if smooth:
-        text = "no sensor's noise is seen from sample to sample: smoothed by a filter, whose errors last for seconds"
-        yield Finding(
-            "warning", "channel-smoothed", "noise", ", ".join(smooth), text,
-            "give the noise of these channels (--fix e_psi=0.03, ...); else a usual sensor's is the least fitted",
-        )  # fmt: skip
+        text = "no white noise of a sensor: a filter has smoothed the signal, and its errors last for seconds"
+        advice = (
+            "give the noise of these signals (--fix e_psi=0.03, ...); else a fit assumes at least that of usual sensors"
+        )
+        yield Finding("warning", "channel-smoothed", "noise", ", ".join(smooth), text, advice)
 
 
 def smoothed(c: Channels) -> tuple[str, ...]:
-    """The signals of motion in which no white noise is seen."""
+    """Return the names of the motion signals that have no white noise."""
     return tuple(n for n in MOTION if n in c and noise_floor(c[n]) < NO_NOISE[n])
 
 
 def estimated(c: Channels) -> bool:
-    """Whether the position is an estimator's output, or a receiver's with errors of that kind (fixed ambiguities)."""
+    """Return whether the position has so little white noise that its errors are those of an estimator.
+
+    A receiver with fixed ambiguities (RTK) has errors of the same kind.
+    """
     return any(n in c and noise_floor(c[n]) < ESTIMATED for n in ("x", "y"))
 
 
 def noise_floor(channel: Channel) -> float:
-    """Upper bound of a signal's white noise (standard deviation) from differences of rising order; inf for few samples.
+    """Return an upper bound of the white noise of a signal (standard deviation); inf for too few samples.
 
-    White noise is the same in all orders; a smooth signal goes to zero with the order (von Neumann's ratio, extended).
-    Values that repeat the one before are no samples.
+    Parameters
+    ----------
+    channel
+        The signal. Values that repeat the value before are ignored.
+
+    Notes
+    -----
+    The bound is the least of the estimates from differences of orders 2, 4 and 6 (extension of von Neumann's ratio).
+    White noise gives the same estimate for all orders. For a smooth signal the estimate falls with the order.
     """
     new = np.append(True, np.diff(channel.value) != 0)
     value = channel.value[new]
@@ -339,4 +410,5 @@ def noise_floor(channel: Channel) -> float:
 
 
 def _scatter(differences: Array, order: int) -> float:
+    """Return the standard deviation of white noise by the median size of its differences of this order."""
     return float(NORMAL_MAD * np.median(np.abs(differences)) / np.sqrt(comb(2 * order, order)))

@@ -1,4 +1,4 @@
-"""Measured data: logs to records, every sensor at its own sample times, inputs with their hold."""
+"""Conversion of logs to records: measurements at their sample times, and inputs with their hold between samples."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Gaps of a log: times in which no sensor has a sample, and the parts of the log between them.
+"""Gaps of a log: times without a sample of any sensor, and the parts of the log between them.
 
-A filter would cross a gap step by step: a day costs minutes and gigabytes, and at its end the states are as uncertain
-as at the start of a log. A log is therefore cut there, and its parts are runs of their own.
+A filter would cross a gap step by step. A gap of a day would cost minutes and gigabytes, and after it the states would
+be as uncertain as at the start of a log. A log is therefore cut at its gaps, and its parts are used as separate runs.
 """
 
 from __future__ import annotations
@@ -14,20 +14,26 @@ import numpy as np
 from seatrial.ident.data.record import ON_CHANGE, Channel, LeftOut
 from seatrial.ident.numerics import Array
 
-LONGEST_GAP_S = 60.0  # s without a sample of any sensor; a longer time cuts the log
-USUAL_INTERVALS = 10.0  # a log of slow sensors is cut where the gap is longer than so many of its intervals
+LONGEST_GAP_S = 60.0  # without a sample of any sensor; the log is cut at longer gaps
+USUAL_INTERVALS = 10.0  # a gap must also be longer than so many median intervals, for logs of slow sensors
 SHORTEST_PIECE_S = 10.0  # s; a shorter part of a log gives too little information
-DRIVES = ("n_", "servo_", "voltage_")  # signals of the thrusters, which go on while the sensors are off
+DRIVES = ("n_", "servo_", "voltage_")  # signals of the thrusters, which may continue while the sensors are off
 COMMAND = "n_cmd_"
 
 
 def is_held(name: str, channel: Channel) -> bool:
-    """Whether a signal is an input that holds between its samples: a command, or an imported input that is no line."""
+    """Return whether a signal is an input that holds its value between samples.
+
+    Parameters
+    ----------
+    name, channel
+        Name and samples of the signal. Commands hold, and so do imported inputs with a hold other than ``linear``.
+    """
     return name.startswith(COMMAND) or channel.hold not in ("", "linear")
 
 
 def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
-    """Find the gaps of a log: times between two samples in which no sensor has one.
+    """Return the gaps of a log: long times without a sample of any sensor.
 
     Parameters
     ----------
@@ -37,12 +43,12 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
     Returns
     -------
     list
-        Begin and end [s] of each gap that is longer than `LONGEST_GAP_S` and `USUAL_INTERVALS` usual intervals.
+        Begin and end [s] of each gap that is longer than `LONGEST_GAP_S` and than `USUAL_INTERVALS` median intervals.
 
     Notes
     -----
-    Shaft speeds count only in a log without other sensors, as of a bench. Commands never count: an input without a
-    sensor gives nothing to estimate from.
+    Shaft speeds count only in a log without other sensors, for example of a bench. Commands never count, since inputs
+    without measurements give no information.
     """
     outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
     sensors = {name: c for name, c in outputs.items() if not name.startswith(DRIVES) and not c.hold}
@@ -72,8 +78,8 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
 
     Notes
     -----
-    A command that is written where it changes holds across the gap: its last value stands at the start of the part.
-    Any other signal is unknown until its first sample after the gap.
+    A command that is logged only when it changes holds across the gap. Its last value is the first sample of the next
+    part. Any other signal is unknown until its first sample after the gap.
     """
     edges = [-np.inf, *(t for gap in gaps for t in gap), np.inf]
     silent = sum(end - begin for begin, end in gaps)
@@ -81,7 +87,7 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         part: dict[str, Channel] = {}
         for name, c in channels.items():
-            # A sample inside a gap belongs to no part: the sensors that it would be used with are silent.
+            # A sample inside a gap belongs to no part, since no sensor has a sample near it.
             a, b = int(np.searchsorted(c.t, begin)), int(np.searchsorted(c.t, end, side="right"))
             cut = part_of(c, a, b)
             if a and is_held(name, c) and c.t[-1] - c.t[0] - silent > ON_CHANGE * c.t.size:
@@ -93,7 +99,15 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
 
 
 def part_of(channel: Channel, a: int, b: int) -> Channel:
-    """Return the samples a to b of a signal, and of those that were left out the ones between them."""
+    """Return a part of a signal, with the left-out samples of the same time.
+
+    Parameters
+    ----------
+    channel
+        The signal.
+    a, b
+        Index of the first sample, and of the first sample after the part.
+    """
     t, left_out = channel.t[a:b], channel.left_out
     if left_out is not None and t.size:
         times = left_out.t + channel.t[0]
@@ -103,21 +117,27 @@ def part_of(channel: Channel, a: int, b: int) -> Channel:
 
 
 def gap_line(gaps: Sequence[tuple[float, float]]) -> str:
-    """Return the sentence about where a log is cut."""
+    """Return the sentence that reports the gaps at which a log is cut.
+
+    Parameters
+    ----------
+    gaps
+        Begin and end [s] of each gap, at least one.
+    """
     begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
     where = f"no sensor has a sample from {seconds(begin)} to {seconds(end)} s"
     if len(gaps) == 1:
-        return f"{where}: the log is cut there, and its parts are runs of their own"
-    return f"the log is cut at {len(gaps)} gaps, and its parts are runs of their own; in the longest, {where}"
+        return f"{where}: the log is cut there, and its parts are used as separate runs"
+    return f"the log is cut at {len(gaps)} gaps, and its parts are used as separate runs; in the longest gap {where}"
 
 
 def seconds(t: float) -> str:
-    """Write a time of a log with tenths of a second, which tell the parts of ten years apart."""
+    """Return the text of a time [s] with tenths of a second, which keep names of parts unique in logs of years."""
     return f"{round(t, 1) + 0.0:.1f}".removesuffix(".0")  # no "-0"
 
 
 def clock_of(t: Array, step: float, before: float = 0.0) -> Array:
-    """Return a fine clock over the samples of a signal, with nothing in its gaps.
+    """Return a fine grid of times over the samples of a signal, without its gaps.
 
     Parameters
     ----------
@@ -126,7 +146,7 @@ def clock_of(t: Array, step: float, before: float = 0.0) -> Array:
     step
         Interval of the clock [s].
     before
-        How long before the first sample, and before the first one after a gap, the clock begins [s].
+        Time [s] by which the clock begins before the first sample, and before the first sample after each gap.
 
     Returns
     -------

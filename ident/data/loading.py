@@ -1,21 +1,22 @@
-"""Logs read into memory: their signals, their rig and mission, and the provenance that goes into results.
+"""Reader of logs into memory: signals, rig, mission, and the provenance for results.
 
-A log's signals by the names that models use.
+The signals have the names that models use.
 
-| name | from |
+| name | source |
 |---|---|
-| psi, phi, theta | AHRS: yaw, roll and pitch (unwrapped by whoever averages them) |
+| psi, phi, theta | AHRS: yaw, roll and pitch, not unwrapped |
 | p, q, r, ax, ay | AHRS: body rates, specific force |
 | x, y, vx, vy | GNSS: metres north and east of the first fix (`share_frame`), velocity over ground |
-| n_left, n_right | shaft speed over the rig's rpm_max, positive ahead |
-| n_cmd_left, n_cmd_right | commands; where an autopilot is between, its output instead |
-| servo_1, servo_2, ... | pulses of an autopilot's outputs (us), where no rig names thrusters |
-| force | load cell, with whatever offset it has |
-| speed | along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
-| any other | imported signals, by their own names |
+| n_left, n_right | shaft speed over rpm_max of the rig, positive forward |
+| n_cmd_left, n_cmd_right | commands; behind an autopilot its outputs |
+| servo_1, servo_2, ... | pulse widths of an autopilot's outputs [us], if the log has no rig |
+| force | load cell, with its offset |
+| speed | speed along the track, from velocity over ground (imported speed_x and speed_y, or vx and vy) |
+| other names | imported signals |
 
-Where a controller reports the magnitude of the shaft speed only, as an autopilot's ESC telemetry does, `shaft_speed`
-gives it the sign of the delayed and lagged command. `propulsion_input` says which of the signals a model is driven by.
+Some controllers report only the magnitude of the shaft speed, for example the ESC telemetry of an autopilot.
+`shaft_speed` then takes the sign from the delayed and lagged command. `propulsion_input` chooses the signals that drive
+a model.
 """
 
 from __future__ import annotations
@@ -45,26 +46,27 @@ from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
-TRACK_WINDOW = 20.0  # s either way, over which the direction of travel is averaged
-GRID_STEP = 0.01  # s, on which the command of a shaft of unknown sign is filtered
-DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, that are tried for it
-TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, that are tried, from 0.67 to 0.026
+TRACK_WINDOW = 20.0  # s before and after, over which the direction of travel is averaged
+GRID_STEP = 0.01  # s, of the grid on which the command of a shaft of unknown sign is filtered
+DELAYS = tuple(np.arange(0.0, 1.01, 0.05).tolist())  # s, values of the coarse search
+TIME_CONSTANTS = tuple(1.0 / (1.5 * 1.5**k) for k in range(9))  # s, of the coarse search, from 0.67 to 0.026
 TIMES = re.compile(r"\[[\d.e+]+:[\d.e+inf]+\]\Z")  # at the end of the name of a part
-MARGIN_S = 60.0  # read before and after a part of a log: what an input was told last, the sample behind the end
-NEAR_DELAYS = np.arange(-0.05, 0.051, 0.01)  # s, and factors on the time constant: about the best of these
+MARGIN_S = 60.0  # read before and after a part of a log: the last value of each input, and the sample after the end
+# Fine search around the best values: differences of the delay [s], and factors on the time constant.
+NEAR_DELAYS = np.arange(-0.05, 0.051, 0.01)
 NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
 
 
 class PropulsionInput(StrEnum):
-    """What a log says of its thrusters; the first is the best."""
+    """Kind of thruster signals in a log, best first."""
 
-    MEASURED = "measured"  # shaft speeds with their sign, when they were
-    TELEMETRY = "telemetry"  # shaft speeds relayed by an autopilot: late by an unknown time, and without a sign
-    COMMAND = "command"  # commands only: of the shafts nothing is known, or too seldom
+    MEASURED = "measured"  # shaft speeds with their sign and the time of measurement
+    TELEMETRY = "telemetry"  # shaft speeds relayed by an autopilot, with an unknown delay and without a sign
+    COMMAND = "command"  # commands only: shaft speeds are missing or too rare
 
 
 class TimeWindow(NamedTuple):
-    """A part of a log, ``t_from <= t < t_to`` [s from its first sample]."""
+    """Part of a log, ``t_from <= t < t_to`` [s from the first sample of the log]."""
 
     t_from: float = 0.0
     t_to: float = inf
@@ -73,16 +75,32 @@ class TimeWindow(NamedTuple):
 WHOLE = TimeWindow()
 DeviceChecks = Callable[[Log], Sequence[Finding]]
 SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
-ORIGIN = "origin"  # of a segment's `meta`: the `FrameOrigin` of its x and y, where that is known
-SHARED_WITHIN = 10_000.0  # m between first fixes: farther apart, the logs are of two places on a round earth
-SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; from slower ones no change of the thrust can be timed
+ORIGIN = "origin"  # key in `meta` of a segment: the `FrameOrigin` of its x and y, if known
+SHARED_WITHIN = 10_000.0  # m between first fixes; beyond that distance a common local tangent plane is wrong
+SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; slower ones do not show when the thrust changes
 
 
 def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str, str]) -> PropulsionInput | None:
-    """What drives a model of the boat, by where its signals come from, their hold and their rate; None: no such signal.
+    """Choose the signals that drive a model of the boat, by their sources, holds and rates.
 
-    A shaft speed that is held from one sample to the next, or is an output that was sampled, is a command: no shaft
-    jumps.
+    Parameters
+    ----------
+    log
+        An open log.
+    found
+        Its signals by name.
+    holds
+        Hold of each signal by name.
+
+    Returns
+    -------
+    PropulsionInput or None
+        None if the log has neither shaft speeds nor commands of both thrusters.
+
+    Notes
+    -----
+    A shaft speed that is held between its samples, or is a sampled output of an autopilot, is treated as a command,
+    since a real shaft speed cannot jump.
     """
     if not all(n in found for n in SHAFTS):
         return PropulsionInput.COMMAND if all(n in found for n in COMMANDS) else None
@@ -95,7 +113,18 @@ def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str,
 
 
 def channels(log: Log) -> dict[str, Channel]:
-    """Every signal of a log, times in seconds from the log's own start of time (since 1970)."""
+    """Return all signals of a log by the names in the table above, without outliers.
+
+    Parameters
+    ----------
+    log
+        An open log.
+
+    Returns
+    -------
+    dict
+        The signals with at least two samples. Times are in s since 1970.
+    """
     found: dict[str, Channel] = {}
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
@@ -137,7 +166,15 @@ def channels(log: Log) -> dict[str, Channel]:
 
 
 def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
-    """Every axis of an AHRS that it reported."""
+    """Return all axes that an AHRS reported.
+
+    Parameters
+    ----------
+    table
+        Samples of the AHRS (n,).
+    source
+        Name of the device.
+    """
     names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
     rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
     found = {names.get(c, c): _channel(table, c, unit, source) for unit, columns in rows for c in columns}
@@ -158,6 +195,7 @@ def _origin_row(table: Table) -> int:
 
 
 def _gnss(table: Table, source: str) -> dict[str, Channel]:
+    """Return position [m] from the first fix, and velocity or speed over ground [m/s], of a GNSS receiver."""
     table = _fixes(table)
     if not len(table):
         return {}
@@ -175,13 +213,14 @@ def _gnss(table: Table, source: str) -> dict[str, Channel]:
 
 
 def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
+    """Add shaft speed, voltage and command of a thruster to the signals ``found``."""
     device, node = thruster.device, thruster.node
     shaft = None
     if node in log.nodes(Esc, device):
         state = log.table(Esc, device, node=node)
         shaft = _channel(state, "rpm", "", device)
         if node in log.nodes(Servo, device) and follows_command(state["rpm"], state["duty"]):
-            # Telemetry has no sign, and the shaft follows its output late.
+            # The telemetry has the sign of the present command, but a real shaft follows its command late.
             output = _channel(log.table(Servo, device, node=node), "n", "", device)
             t, rpm = shaft_speed(shaft.t, shaft.value, output.t, output.value)
             shaft = Channel(t, rpm, "", device, "average")
@@ -189,7 +228,7 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
         found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
     if node in log.nodes(Servo, device):
-        # What the autopilot put out is what the thruster was told: between it and our command are its own delays.
+        # The output of the autopilot is the command of the thruster. Our command reaches the output with a delay.
         output = _channel(log.table(Servo, device, node=node), "n", "", device)
         found[f"n_cmd_{thruster.name}"] = _sampled(output)
     elif node in log.nodes(Command, device):
@@ -197,8 +236,11 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
 
 
 def _sampled(output: Channel) -> Channel:
-    """An output that was sampled at a rate: a change came at some time since the sample before, of which the straight
-    line is the mean."""
+    """Resample an output to a fine clock by linear interpolation.
+
+    A sampled output changed at an unknown time since the sample before. The straight line is the mean of all such
+    changes.
+    """
     clock = clock_of(output.t, GRID_STEP)
     mean = np.interp(clock + GRID_STEP / 2, output.t, output.value) if output.t.size else output.value
     interval = float(np.median(np.diff(output.t))) if output.t.size > 1 else 0.0
@@ -206,22 +248,38 @@ def _sampled(output: Channel) -> Channel:
 
 
 def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
+    """Return a column of a table as a channel, without NaN."""
     good = np.isfinite(table[column])
     t, value = table["t"][good], table[column][good]
     return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
 
 
 def _good(table: Table) -> Table:
+    """Return the samples of a load cell without error flags."""
     good: Table = table[table["flags"] == 0]
     return good
 
 
 def along_track(t: Array, vx: Array, vy: Array) -> Array:
-    """Speed [m/s] along the direction of travel (n,), negative astern.
+    """Return the speed along the direction of travel.
 
-    The direction is that of the velocity within ``TRACK_WINDOW`` seconds either way, weighted by speed: a boat that
-    drifts at rest before a run has the run's direction. The magnitude alone would turn drift and noise into forward
-    speed.
+    Parameters
+    ----------
+    t
+        Times (n,) [s].
+    vx, vy
+        Velocity over ground (n,) [m/s].
+
+    Returns
+    -------
+    Array (n,)
+        Speed [m/s], negative for motion astern.
+
+    Notes
+    -----
+    The direction is the mean of the velocities from ``TRACK_WINDOW`` seconds before to ``TRACK_WINDOW`` seconds after,
+    weighted by speed. A boat that drifts at rest before a run gets the direction of the run. The magnitude of the
+    velocity would turn drift and noise into forward speed.
     """
     speed = np.hypot(vx, vy)
     a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
@@ -232,23 +290,49 @@ def along_track(t: Array, vx: Array, vy: Array) -> Array:
 
 
 def follows_command(rpm: Array, n: Array) -> bool:
-    """Whether a shaft's speeds (k,) have at each moment the sign of the command ``n`` (k,): no shaft is so quick."""
+    """Return whether shaft speeds always have the sign of the present command, which no real shaft does.
+
+    Parameters
+    ----------
+    rpm
+        Reported shaft speeds (k,).
+    n
+        Commands at the same times (k,).
+    """
     both = (rpm != 0) & (n != 0) & np.isfinite(rpm) & np.isfinite(n)
     signs = np.sign(n[both])
     return bool(np.any(np.diff(signs)) and np.all(np.sign(rpm[both]) == signs))
 
 
-def shaft_speed(t: Array, speed: Array, t_told: Array, told: Array) -> tuple[Array, Array]:
-    """The speed of a shaft with its sign, from its magnitude ``speed`` (k,) at times ``t`` (k,) s and what it was told,
-    ``told`` (m,) from ``t_told`` (m,) s on, each held until the next.
+def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tuple[Array, Array]:
+    """Restore the sign of a shaft speed from its command.
 
-    What the command explains, by the delay and the first-order lag that fit best, and the rest, which is small and
-    smooth, interpolated: a straight line from one sample of slow telemetry to the next would round off every step.
-    Returns: times (n,) s, ``GRID_STEP`` apart, and speeds (n,), each held until the next.
+    Parameters
+    ----------
+    t
+        Times of the telemetry (k,) [s].
+    speed
+        Magnitude of the shaft speed (k,).
+    t_command
+        Times of the commands (m,) [s].
+    command
+        Commands (m,), each held until the next one.
+
+    Returns
+    -------
+    t : Array (n,)
+        Times [s], ``GRID_STEP`` apart.
+    speed : Array (n,)
+        Shaft speed with its sign, each value held until the next one.
+
+    Notes
+    -----
+    The result is the response of the command through the delay and first-order lag that fit best, plus the
+    interpolated residuals, which are small and smooth. Interpolation of slow telemetry alone would smooth each step.
     """
     speed = np.abs(speed)
     clock = clock_of(t, GRID_STEP, before=DELAYS[-1])
-    held = told[np.maximum(np.searchsorted(t_told, clock, side="right") - 1, 0)]
+    held = command[np.maximum(np.searchsorted(t_command, clock, side="right") - 1, 0)]
 
     def scale(size: Array) -> float:
         return float(size @ speed) / max(float(size @ size), 1e-12)
@@ -258,7 +342,7 @@ def shaft_speed(t: Array, speed: Array, t_told: Array, told: Array) -> tuple[Arr
         return float(np.sum((speed - scale(size) * size) ** 2))
 
     delays, time_constants = np.array(DELAYS), np.array(TIME_CONSTANTS)
-    for near in (1.0, 0.2, 0.0):  # each time closer about the best
+    for near in (1.0, 0.2, 0.0):  # width of the next search around the best values
         best = fit_first_order_lag(
             [LagData(held, misfit)], delays.tolist(), time_constants.tolist(), GRID_STEP, hold="backward"
         )
@@ -266,23 +350,27 @@ def shaft_speed(t: Array, speed: Array, t_told: Array, told: Array) -> tuple[Arr
     delay, lagged = 0.0, held
     if np.isfinite(best.misfit):
         delay, lagged = best.delay, first_order_lag(held, best.time_constant, GRID_STEP, hold="backward")
-    then = np.interp(t - delay, clock, lagged)
-    gain = scale(np.abs(then))
-    rest = np.convolve(np.pad(np.copysign(speed, then) - gain * then, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
+    response = np.interp(t - delay, clock, lagged)
+    gain = scale(np.abs(response))
+    residuals = np.copysign(speed, response) - gain * response
+    smooth = np.convolve(np.pad(residuals, 1, mode="edge"), np.full(3, 1 / 3), mode="valid")
     own = clock[clock >= t[0]]
-    return own - GRID_STEP / 2, gain * np.interp(own - delay, clock, lagged) + np.interp(own, t, rest)
+    return own - GRID_STEP / 2, gain * np.interp(own - delay, clock, lagged) + np.interp(own, t, smooth)
 
 
 @dataclass(frozen=True)
 class FrameOrigin:
-    """Where x = y = 0 is: latitude and longitude (deg), and the log whose first fix that is."""
+    """Origin of the NED frame, where x = y = 0."""
 
-    latitude: float
-    longitude: float
-    log: str = ""
+    latitude: float  # deg
+    longitude: float  # deg
+    log: str = ""  # name of the log whose first fix is the origin
 
     def offset(self, other: FrameOrigin) -> tuple[float, float]:
-        """Metres that ``other`` lies north and east of here, by the ellipsoid's radii half way between."""
+        """Return the distance north and east [m] from this origin to another one.
+
+        The radii of the ellipsoid are those half way between both origins.
+        """
         east = (other.longitude - self.longitude + 180.0) % 360.0 - 180.0
         middle = (0.5 * (self.latitude + other.latitude), self.longitude + 0.5 * east)
         lat, lon = zip(middle, *((o.latitude, o.longitude) for o in (self, other)), strict=True)
@@ -292,72 +380,84 @@ class FrameOrigin:
 
 @dataclass(frozen=True)
 class LoadedLog:
-    """A log in memory: its signals, and what the report says of it.
-
-    Attributes:
-        propulsion: what it says of its thrusters.
-        origin: of x and y; None: the log has none, or gives x and y without latitude and longitude.
-        shift: by which x and y were moved there from the log's own first fix (m north, m east).
-    """
+    """A log in memory: its signals, and its description for reports."""
 
     run: LogSegment
-    about: dict[str, Any]
-    holds: Mapping[str, str]
+    about: dict[str, Any]  # description for results: path, hash, role, name, duration, rig, mission, warnings
+    holds: Mapping[str, str]  # hold of each signal by name
     rig: Rig | None
-    propulsion: PropulsionInput | None = None
-    segments: tuple[tuple[float, str], ...] = ()  # steps of its mission: when each began [s of the log], and its name
-    vehicle: Mapping[str, float] = field(default_factory=dict)  # what rig or map know of the boat, parameters by name
-    device_faults: tuple[Finding, ...] | None = None  # None: nobody looked for them
-    origin: FrameOrigin | None = None
-    shift: tuple[float, float] = (0.0, 0.0)
-    unknown: tuple[tuple[float, float], ...] = ()  # from when to when [s of the log] an input has no value
+    propulsion: PropulsionInput | None = None  # kind of the thruster signals
+    segments: tuple[tuple[float, str], ...] = ()  # start [s of the log] and name of each step of the mission
+    vehicle: Mapping[str, float] = field(default_factory=dict)  # parameters of the boat by name, from rig or map
+    device_faults: tuple[Finding, ...] | None = None  # None if the devices were not checked
+    origin: FrameOrigin | None = None  # of x and y; None without latitude and longitude
+    shift: tuple[float, float] = (0.0, 0.0)  # m north, m east: origin to the log's own first fix
+    unknown: tuple[
+        tuple[float, float], ...
+    ] = ()  # begin and end [s of the log] of times in which an input has no value
 
     @property
     def own_channels(self) -> Mapping[str, Channel]:
-        """The signals with x and y from the log's own first fix."""
+        """The signals, with x and y relative to the log's own first fix."""
         return _moved(self.run.channels, -self.shift[0], -self.shift[1])
 
     @property
     def unplaced(self) -> bool:
-        """Whether it has positions, and nobody knows from where they count."""
+        """Return whether the log has positions with an unknown origin."""
         return self.origin is None and "x" in self.run.channels
 
 
 def _moved(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
+    """Return the signals with x and y moved by these distances [m]."""
     if not (north or east):
         return found
     return {**found, **{n: replace(found[n], value=found[n].value + by) for n, by in (("x", north), ("y", east))}}
 
 
 def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> list[LoadedLog]:
-    """The logs with x and y from one origin: ``reference``, else the first fix of the first log that has latitude and
-    longitude. What is at one place for all logs, such as a mooring, is at one place in x and y then.
+    """Move x and y of all logs to one origin.
 
-    Each log keeps the metres of its own first fix and is moved as a whole: its motion is the same to rounding. A log
-    that begins farther than ``SHARED_WITHIN`` from the reference keeps its own origin, and so does one that gives x and
-    y alone, of which nobody knows from where they count.
+    A fixed object, for example a mooring, then has the same x and y in all logs.
+
+    Parameters
+    ----------
+    logs
+        The logs.
+    reference
+        The origin. By default it is the first fix of the first log that has latitude and longitude.
+
+    Returns
+    -------
+    list
+        The logs in the same order. A log keeps its own origin if it begins farther than ``SHARED_WITHIN`` from the
+        reference, or if the origin of its x and y is unknown.
+
+    Notes
+    -----
+    Each log is moved as a whole, so that its motion is unchanged except for rounding.
     """
-    reference = reference or next((one.origin for one in logs if one.origin is not None), None)
-    return [one if one.origin is None or reference is None else _placed(one, reference) for one in logs]
+    reference = reference or next((log.origin for log in logs if log.origin is not None), None)
+    return [log if log.origin is None or reference is None else _placed(log, reference) for log in logs]
 
 
-def _placed(one: LoadedLog, reference: FrameOrigin) -> LoadedLog:
-    assert one.origin is not None
-    north, east = reference.offset(one.origin)
+def _placed(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
+    """Return the log with x and y from the reference, or unchanged if it begins too far away."""
+    assert log.origin is not None
+    north, east = reference.offset(log.origin)
     if np.hypot(north, east) > SHARED_WITHIN:
-        return one
-    run = replace(one.run, channels=_moved(one.run.channels, north, east))
-    return _at(replace(one, run=run, shift=(one.shift[0] + north, one.shift[1] + east)), reference)
+        return log
+    run = replace(log.run, channels=_moved(log.run.channels, north, east))
+    return _at(replace(log, run=run, shift=(log.shift[0] + north, log.shift[1] + east)), reference)
 
 
-def _at(one: LoadedLog, origin: FrameOrigin) -> LoadedLog:
-    """With this origin of x and y, also where results and records look for it."""
-    run = replace(one.run, meta={**one.run.meta, ORIGIN: origin})
-    return replace(one, origin=origin, run=run, about=one.about | {ORIGIN: asdict(origin)})
+def _at(log: LoadedLog, origin: FrameOrigin) -> LoadedLog:
+    """Return the log with this origin of x and y, noted also in ``meta`` and ``about`` for records and results."""
+    run = replace(log.run, meta={**log.run.meta, ORIGIN: origin})
+    return replace(log, origin=origin, run=run, about=log.about | {ORIGIN: asdict(origin)})
 
 
 def far_apart(origins: Sequence[object]) -> bool:
-    """Whether the logs have different origins (`FrameOrigin`). An origin that is None is unknown and is ignored."""
+    """Return whether origins (`FrameOrigin`) differ. An unknown origin (None) is ignored."""
     return len({o for o in origins if o is not None}) > 1
 
 
@@ -367,103 +467,134 @@ def load_all(
     window: TimeWindow = WHOLE,
     device_faults: DeviceChecks | None = None,
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """The logs to fit, of each this window, and those to judge by, with x and y from one origin (``share_frame``); the
-    same log in both is an error."""
-    same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
-    if same:
-        raise SeatrialError(f"{sorted(same)[0].name}: the same log to fit and to validate proves nothing; give another")
-    own = [(p, one) for p in logs for one in known_pieces(load_run(p, "estimation", window, device_faults))]
-    others = [(p, one) for p in validate for one in known_pieces(load_run(p, "validation", WHOLE, device_faults))]
-    files = [p for p, _ in (*own, *others)]
-    named = share_frame(told_apart([one for _, one in (*own, *others)], files))
-    return named[: len(own)], named[len(own) :]
-
-
-def known_pieces(one: LoadedLog) -> list[LoadedLog]:
-    """Cut a log where no sensor has a sample and where an input is unknown.
+    """Load estimation and validation data, with x and y from one origin (`share_frame`).
 
     Parameters
     ----------
-    one
+    logs
+        Logs of the estimation data.
+    validate
+        Logs of the validation data.
+    window
+        Part of each estimation log to use. Validation logs are used as a whole.
+    device_faults
+        Function that returns the findings on the devices of an open log.
+
+    Returns
+    -------
+    estimation, validation : list
+        The logs, each as its parts between gaps (`known_pieces`), with unique names.
+
+    Raises
+    ------
+    SeatrialError
+        If a log is in both lists, or cannot be used.
+    """
+    same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
+    if same:
+        name = sorted(same)[0].name
+        raise SeatrialError(f"{name}: the same log to fit and to validate proves nothing; give another")
+    estimation = [(p, part) for p in logs for part in known_pieces(load_run(p, "estimation", window, device_faults))]
+    validation = [(p, part) for p in validate for part in known_pieces(load_run(p, "validation", WHOLE, device_faults))]
+    files = [p for p, _ in (*estimation, *validation)]
+    named = share_frame(told_apart([part for _, part in (*estimation, *validation)], files))
+    return named[: len(estimation)], named[len(estimation) :]
+
+
+def known_pieces(log: LoadedLog) -> list[LoadedLog]:
+    """Cut a log at times without a sample of any sensor, and at times in which an input is unknown.
+
+    Parameters
+    ----------
+    log
         The log.
 
     Returns
     -------
     list
-        Its parts in order of time, each as a log of its own. A log without such gaps is returned as it is. Parts
+        The parts in order of time, each as a separate log. A log without such times is returned unchanged. Parts
         shorter than `SHORTEST_PIECE_S` are left out.
 
     Raises
     ------
     SeatrialError
-        All parts are too short.
+        If all parts are too short.
 
     Notes
     -----
-    One warning says where the log was cut for the sensors. With the last value before a gap of the inputs, a fit would
-    use a thrust that nobody knows.
+    A warning lists the times without sensors. Times of unknown inputs must be cut out: a fit that held the last value
+    would use a wrong thrust.
     """
-    return [piece for part in parts_with_sensors(one) for piece in _parts_with_inputs(part)]
+    return [piece for part in parts_with_sensors(log) for piece in _parts_with_inputs(part)]
 
 
-def parts_with_sensors(one: LoadedLog) -> list[LoadedLog]:
-    """Cut a log where no sensor has a sample, as `known_pieces` does."""
-    gaps = silent_times(one.run.channels)
+def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
+    """Cut a log only at times without a sample of any sensor, as `known_pieces` does.
+
+    Raises
+    ------
+    SeatrialError
+        If all parts are too short.
+    """
+    gaps = silent_times(log.run.channels)
     if not gaps:
-        return [one]
+        return [log]
     edges = [-inf, *(t for gap in gaps for t in gap), inf]
     found, n_short = list[LoadedLog](), 0
-    for begin, end, signals in zip(edges[::2], edges[1::2], parts_between(one.run.channels, gaps), strict=True):
-        a = max(begin, one.run.t_from or 0.0, min((float(c.t[0]) for c in signals.values()), default=0.0))
+    for begin, end, signals in zip(edges[::2], edges[1::2], parts_between(log.run.channels, gaps), strict=True):
+        a = max(begin, log.run.t_from or 0.0, min((float(c.t[0]) for c in signals.values()), default=0.0))
         last = max((float(c.t[-1]) for c in signals.values()), default=-inf)
-        b = min(end, inf if one.run.t_to is None else one.run.t_to, last)
+        b = min(end, inf if log.run.t_to is None else log.run.t_to, last)
         if b - a < SHORTEST_PIECE_S:
             n_short += 1
             continue
-        # Without limits of its own a record begins where all signals are known.
-        t_from = one.run.t_from if one.run.t_from is not None and one.run.t_from > begin else None
-        t_to = one.run.t_to if one.run.t_to is not None and one.run.t_to < end else None
-        unknown = tuple((max(x, a), min(y, b)) for x, y in one.unknown if x < b and y > a)
-        found.append(_as_part(one, replace(one.run, channels=signals, t_from=t_from, t_to=t_to), (a, b), unknown))
-    path, short = one.about["path"], counted(n_short, "part") + f" shorter than {SHORTEST_PIECE_S:g} s"
+        # Without these limits a record begins and ends where all signals are known.
+        t_from = log.run.t_from if log.run.t_from is not None and log.run.t_from > begin else None
+        t_to = log.run.t_to if log.run.t_to is not None and log.run.t_to < end else None
+        unknown = tuple((max(x, a), min(y, b)) for x, y in log.unknown if x < b and y > a)
+        found.append(_as_part(log, replace(log.run, channels=signals, t_from=t_from, t_to=t_to), (a, b), unknown))
+    path, short = log.about["path"], counted(n_short, "part") + f" shorter than {SHORTEST_PIECE_S:g} s"
     if not found:
-        raise SeatrialError(f"{path}: has no {SHORTEST_PIECE_S:g} s on end with samples; {gap_line(gaps)}")
-    rest = f"; {short} {'is' if n_short == 1 else 'are'} left out" if n_short else ""
-    warnings.warn(f"{path}: {gap_line(gaps)}{rest}", SeatrialWarning, stacklevel=2)
-    return [replace(part, device_faults=one.device_faults if k == 0 else ()) for k, part in enumerate(found)]
+        raise SeatrialError(f"{path}: no part with samples is as long as {SHORTEST_PIECE_S:g} s; {gap_line(gaps)}")
+    omitted = f"; {short} {'is' if n_short == 1 else 'are'} left out" if n_short else ""
+    warnings.warn(f"{path}: {gap_line(gaps)}{omitted}", SeatrialWarning, stacklevel=2)
+    # The findings on the devices belong to the whole log. They are reported once, with the first part.
+    return [replace(part, device_faults=log.device_faults if k == 0 else ()) for k, part in enumerate(found)]
 
 
-def _parts_with_inputs(one: LoadedLog) -> list[LoadedLog]:
-    """Cut a log where an input is unknown."""
-    if not one.unknown:
-        return [one]
-    first = min(float(c.t[0]) for c in one.run.channels.values()) if one.run.t_from is None else one.run.t_from
-    last = max(float(c.t[-1]) for c in one.run.channels.values()) if one.run.t_to is None else one.run.t_to
-    edges = [first, *(t for gap in one.unknown for t in gap), last]
+def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
+    """Cut a log at times in which an input is unknown."""
+    if not log.unknown:
+        return [log]
+    first = min(float(c.t[0]) for c in log.run.channels.values()) if log.run.t_from is None else log.run.t_from
+    last = max(float(c.t[-1]) for c in log.run.channels.values()) if log.run.t_to is None else log.run.t_to
+    edges = [first, *(t for gap in log.unknown for t in gap), last]
     spans = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= SHORTEST_PIECE_S]
     if not spans:
-        raise SeatrialError(f"{one.about['path']}: its inputs are known for less than {SHORTEST_PIECE_S:g} s on end")
+        raise SeatrialError(
+            f"{log.about['path']}: no part in which the inputs are known is as long as {SHORTEST_PIECE_S:g} s"
+        )
     found = []
     for k, (a, b) in enumerate(spans):
-        parts = {name: part for name, c in one.run.channels.items() if (part := _piece(c, a, b)).t.size > 1}
-        piece = _as_part(one, replace(one.run, channels=parts, t_from=a, t_to=b), (a, b), ())
-        found.append(replace(piece, device_faults=one.device_faults if k == 0 else ()))
+        parts = {name: part for name, c in log.run.channels.items() if (part := _piece(c, a, b)).t.size > 1}
+        piece = _as_part(log, replace(log.run, channels=parts, t_from=a, t_to=b), (a, b), ())
+        found.append(replace(piece, device_faults=log.device_faults if k == 0 else ()))
     return found
 
 
 def _as_part(
-    one: LoadedLog, run: LogSegment, span: tuple[float, float], unknown: tuple[tuple[float, float], ...]
+    log: LoadedLog, run: LogSegment, span: tuple[float, float], unknown: tuple[tuple[float, float], ...]
 ) -> LoadedLog:
-    """A part of a log, with its times [s] in its name."""
+    """Return a part of a log, with its times [s] in its name."""
     a, b = span
-    file, log = (TIMES.sub("", str(one.about[key])) for key in ("path", "name"))
+    file, name = (TIMES.sub("", str(log.about[key])) for key in ("path", "name"))
     times = f"[{seconds(a)}:{seconds(b)}]"
-    about = one.about | {"path": f"{file}{times}", "name": f"{log}{times}", "duration": b - a}
-    return replace(one, run=replace(run, name=f"{log}{times}"), about=about, unknown=unknown)
+    about = log.about | {"path": f"{file}{times}", "name": f"{name}{times}", "duration": b - a}
+    return replace(log, run=replace(run, name=f"{name}{times}"), about=about, unknown=unknown)
 
 
 def _piece(channel: Channel, begin: float, end: float) -> Channel:
-    """A signal from begin to end [s], with its last value before, which holds if it is a command."""
+    """Return a signal from begin to end [s], and its last sample before begin, which still holds for a command."""
     a = max(int(np.searchsorted(channel.t, begin, side="right")) - 1, 0)
     b = int(np.searchsorted(channel.t, end, side="right"))
     return part_of(channel, a, b)
@@ -478,49 +609,96 @@ def load_runs(
     *,
     cut: bool = True,
 ) -> list[LoadedLog]:
-    """Logs of one role (``load_run``), told apart, with x and y from one origin (``share_frame``); ``cut``: as the
-    parts between their gaps (``known_pieces``)."""
+    """Load several logs of one role, with unique names, and with x and y from one origin.
+
+    Parameters
+    ----------
+    logs, role, window, device_faults
+        As for `load_run`.
+    reference
+        Origin of x and y, as for `share_frame`.
+    cut
+        Whether to cut the logs at their gaps (`known_pieces`).
+    """
     whole = [(p, load_run(p, role, window, device_faults)) for p in logs]
-    loaded = [(p, part) for p, one in whole for part in (known_pieces(one) if cut else [one])]
-    return share_frame(told_apart([one for _, one in loaded], [p for p, _ in loaded]), reference)
+    loaded = [(p, part) for p, log in whole for part in (known_pieces(log) if cut else [log])]
+    return share_frame(told_apart([log for _, log in loaded], [p for p, _ in loaded]), reference)
 
 
 def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
-    """The logs of these files with a name each. Runs are compared, paired and shown by name, so that two of one name
-    would be taken for each other: they get the folder's name before their own (``mon/run``)."""
-    names = _unique([one.run.name for one in loaded], files)
-    paths = _unique([one.about["path"] for one in loaded], files)
+    """Give each log a unique name.
+
+    Parameters
+    ----------
+    loaded
+        The logs.
+    files
+        Their files, in the same order.
+
+    Returns
+    -------
+    list
+        The logs. Logs of the same name get the name of their folder before their own (``mon/run``).
+
+    Notes
+    -----
+    Runs are compared, paired and shown by name, so that two runs of the same name would be confused.
+    """
+    names = _unique([log.run.name for log in loaded], files)
+    paths = _unique([log.about["path"] for log in loaded], files)
     named = (
-        replace(one, run=replace(one.run, name=name), about=one.about | {"name": name, "path": path})
-        for one, name, path in zip(loaded, names, paths, strict=True)
+        replace(log, run=replace(log.run, name=name), about=log.about | {"name": name, "path": path})
+        for log, name, path in zip(loaded, names, paths, strict=True)
     )
     return [
-        one if one.origin is None or one.origin.log != was.run.name else _at(one, replace(one.origin, log=one.run.name))
-        for one, was in zip(named, loaded, strict=True)
+        log
+        if log.origin is None or log.origin.log != before.run.name
+        else _at(log, replace(log.origin, log=log.run.name))
+        for log, before in zip(named, loaded, strict=True)
     ]
 
 
 def _unique(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
-    """Labels of files; those that several have with the folder, and with a number where that is the same, too."""
+    """Return unique labels of files: repeated labels get the folder's name, and a number if they are still equal."""
     found: list[str] = []
     for label, file in zip(labels, files, strict=True):
         name = f"{file.resolve().parent.name}/{label}" if labels.count(label) > 1 else label
         numbered = (f"{name} ({k})" for k in count(2))
-        found.append(next(one for one in chain([name], numbered) if one not in found))
+        found.append(next(candidate for candidate in chain([name], numbered) if candidate not in found))
     return found
 
 
 def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: DeviceChecks | None = None) -> LoadedLog:
-    """A log, or a window of it: the rest is not read, and so it has no ``sha256``. Times count from the first sample of
-    the whole log. ``device_faults``: checks of the open log, which read what is read here. Raises SeatrialError where
-    nothing is there that can be identified."""
+    """Load a log, or a window of it.
+
+    Parameters
+    ----------
+    path
+        File or folder of the log.
+    role
+        ``estimation`` or ``validation``, for reports.
+    window
+        Part of the log to load. The other parts are not read, so that the result has no ``sha256``.
+    device_faults
+        Function that returns the findings on the devices of an open log. It uses the tables that are read here.
+
+    Returns
+    -------
+    LoadedLog
+        Times count from the first sample of the whole log [s].
+
+    Raises
+    ------
+    SeatrialError
+        If the log is no log, has no signal for an identification, or ends before the window.
+    """
     with open_log(path) as whole:
         log, start = whole, None
         if window != WHOLE:
             head = channels(whole.part(0.0, whole.start + MARGIN_S))
             start = min((c.t[0] for c in head.values()), default=whole.start)
             if start + window.t_from >= whole.end:
-                begin = f"nothing is left from {window.t_from:g} s on"
+                begin = f"no data are left from {window.t_from:g} s on"
                 raise SeatrialError(f"{path}: is {whole.end - start:.0f} s long, so {begin}")
             log = whole.part(start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
         with log.keeping_tables():
@@ -529,7 +707,9 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             unknown = _unknown_inputs(log)
             faults = tuple(device_faults(log)) if device_faults is not None and found else None
         if not found:
-            raise SeatrialError(f"{path}: no signal that ident knows; see what it holds with `seatrial info {path}`")
+            raise SeatrialError(
+                f"{path}: has no signal that an identification can use; list its signals with `seatrial info {path}`"
+            )
         start = min(c.t[0] for c in found.values()) if start is None else start
         moved = {n: replace(c, t=c.t - start) for n, c in found.items()}
         last = float(max(c.t[-1] for c in moved.values()))
@@ -549,12 +729,12 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
         t_to = min(window.t_to, last) if window.t_to < inf else None
         run = LogSegment(path.stem, moved, window.t_from or None, t_to)
         gaps = tuple((float(a - start), float(b - start)) for a, b in unknown)
-        one = LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults, unknown=gaps)
-        return one if origin is None else _at(one, origin)
+        loaded = LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults, unknown=gaps)
+        return loaded if origin is None else _at(loaded, origin)
 
 
 def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
-    """From when to when [s since 1970] any imported input of a thruster has no value, in order and without overlap."""
+    """Return begin and end [s since 1970] of the times in which an imported input has no value, without overlap."""
     found: list[tuple[float, float]] = []
     for source in log.sources(Scalar):
         if log.role(source) == "input":
@@ -570,7 +750,7 @@ def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
 
 
 def _first_fix(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
-    """The origin of x and y, where they are of a receiver's latitude and longitude; else None."""
+    """Return the origin of x and y if they come from latitude and longitude of a receiver; else None."""
     if "x" not in found or found["x"].source not in log.sources(Gnss):
         return None
     table = _fixes(log.table(Gnss, found["x"].source))
@@ -579,6 +759,7 @@ def _first_fix(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin
 
 
 def _hold(log: Log, name: str) -> str:
+    """Return the hold of a signal by the log; empty if it is unknown."""
     try:
         return str(log.hold(name))
     except (KeyError, SeatrialError):
@@ -586,10 +767,11 @@ def _hold(log: Log, name: str) -> str:
 
 
 def _mission_name(log: Log) -> str | None:
+    """Return the name of the mission in the log; None if the log has no readable mission."""
     text = log.attachments.get("mission.toml")
     if text is None:
         return None
-    try:  # what is before the first table: the samples of a long mission take seconds to read
+    try:  # parse only the lines before the first table: the samples of a long mission take seconds to parse
         return str(parse_toml(text.partition(b"\n[")[0].decode(), "mission.toml").values.get("name"))
     except (SeatrialError, UnicodeDecodeError):
         return None

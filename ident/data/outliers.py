@@ -1,4 +1,4 @@
-"""Point outliers of a signal: values that neither the samples before nor the samples after them allow.
+"""Point outliers of a signal: values that contradict the samples before and after them.
 
 A sample, or a short burst of samples, is an outlier if three things hold together:
 
@@ -7,13 +7,14 @@ A sample, or a short burst of samples, is an outlier if three things hold togeth
    differs from the next one. Waves, impacts and reversals of a propeller also change the neighbours.
 3. The difference is larger than what a small craft can do within the time of the burst (`LEAST`).
 
-Positions get a second test. A jump that no craft can make starts a section elsewhere; if the positions jump back, the
-section is left out, and so is a short section at the start of a log, before a receiver has settled. A jump without a
-return is kept and is a matter for the checks (`position_jumps`).
+Positions get a second test. A jump that no craft can make starts a section at another place. If the positions jump
+back, the section is left out. A short section at the start of a log, before the receiver has settled, is left out too.
+A jump without a return is kept, and a check reports it (`position_jumps`).
 
-Notes:
-    The first test is a Hampel filter (Hampel 1974) with the largest neighbouring step in place of the median absolute
-    deviation, since the deviation of a shaft speed is zero between its steps.
+Notes
+-----
+The first test is a Hampel filter (Hampel 1974) with the largest neighbouring step instead of the median absolute
+deviation, since the deviation of a shaft speed is zero between its steps.
 """
 
 from __future__ import annotations
@@ -28,12 +29,12 @@ from seatrial.ident.data.record import Channel, LeftOut
 from seatrial.ident.numerics import Array, wrap
 
 Mask = NDArray[np.bool_]
-LONGEST = 3  # samples of a burst that is searched at every sample; longer ones begin and end with a jump
-MOST_JUMPS = 0.02  # share of the samples that jump: more is noise, or another unit
+LONGEST = 3  # samples of a burst that is searched at every sample; longer bursts are searched between two jumps
+MAX_JUMPS = 0.02  # share of the samples that jump; more jumps are noise, or another unit
 NEIGHBOURS = 6  # samples on each side
-FEWEST_STEPS = 4  # between regular neighbours, from which their size is known
-TIMES_STEP = 5.0  # the difference of an outlier over the largest step of its neighbours
-TIMES_SIDES = 3.0  # the same over the difference between both sides
+FEWEST_STEPS = 4  # between regular neighbours, needed to know their size
+TIMES_STEP = 5.0  # least difference of an outlier over the largest step of its neighbours
+TIMES_SIDES = 3.0  # least difference of an outlier over the difference between both sides
 # Least difference of an outlier, in the units of the signal, and the longest time [s] from the sample before a burst to
 # the one after it. Beyond that time the craft itself may have moved there and back.
 LEAST: dict[str, tuple[float, float]] = {
@@ -41,30 +42,38 @@ LEAST: dict[str, tuple[float, float]] = {
     "speed": (3.0, 2.5), "psi": (0.6, 0.7), "phi": (0.6, 0.5), "theta": (0.6, 0.5), "p": (2.0, 0.5), "q": (2.0, 0.5),
     "r": (1.0, 0.5), "ax": (30.0, 0.3), "ay": (30.0, 0.3), "az": (30.0, 0.3),
 }  # fmt: skip
-HEADING_SPAN = 5.0  # s, of a burst of headings that a gyro contradicts
-SHAFT = (0.1, 0.35)  # of full speed, s
-# A force or another unnamed signal has no physical scale: so many times the range of its middle 98 %.
-TIMES_RANGE, OTHER_SPAN = 1.0, 0.35
-IMPOSSIBLE = 1e6  # SI units, a number that no sensor of a small craft reports in any of these signals
+HEADING_SPAN = 5.0  # s, longest burst of headings that a gyro contradicts
+SHAFT = (0.1, 0.35)  # the same two limits for shaft speeds: of full speed, s
+# Other signals, for example a force, have no physical scale. Their limit is a multiple of the range of the middle 98 %.
+TIMES_RANGE, OTHER_SPAN_S = 1.0, 0.35
+IMPOSSIBLE = 1e6  # SI units; no sensor of a small craft reports such a number in one of these signals
 ANGLES = ("psi", "phi", "theta")
-# A step whose neighbouring changes are smaller than this part of it is a command's; so many of them make a command.
+# A single step has neighbouring changes smaller than this part of the step. A signal with so many single steps is a
+# command.
 ALONE, FEWEST_COMMAND_STEPS = 0.05, 3
-COMMANDED = 1.0  # s before a burst in which a command may be its reason
-JUMP, FASTEST = 30.0, 40.0  # m, and m/s: a change of position beyond both is no motion
-AWAY, START = 60.0, 60.0  # s that a section elsewhere lasts at most, in the middle and at the start of a log
+COMMANDED_S = 1.0  # before a burst, in which a change of the command may have caused it
+JUMP, FASTEST = 30.0, 40.0  # m, m/s; a change of position beyond both is not a motion
+AWAY, START = 60.0, 60.0  # s, longest section at another place, in the middle and at the start of a log
 
 
 def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
-    """Leave point outliers out of the signals of a log, and note in each signal what was left out (`Channel.left_out`).
+    """Leave point outliers out of the signals of a log.
 
-    Commands are not tested: a command may be any value at any time. A pair of coordinates of one receiver loses whole
-    fixes.
+    Parameters
+    ----------
+    found
+        The signals by name.
 
-    Parameters:
-        found: the signals by name.
+    Returns
+    -------
+    dict
+        The signals without outliers, which are kept in `Channel.left_out`. A signal without an outlier is the same
+        object.
 
-    Returns:
-        The same signals. Those without an outlier are the same objects.
+    Notes
+    -----
+    Commands are not tested, since a command may have any value at any time. If x and y are of one receiver, an outlier
+    of one coordinate removes the whole fix.
     """
     masks = {name: outliers(name, c, found) for name, c in found.items() if c.hold != "zero"}
     pair = [found[n] for n in ("x", "y") if n in found]
@@ -76,6 +85,7 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
 
 
 def _without(c: Channel, bad: Mask) -> Channel:
+    """Return the signal without the bad samples (n,), which are noted as left out."""
     if bad.all():
         return c  # the checks of ranges and units name a signal that is wrong throughout
     left_out = LeftOut(c.t[bad] - c.t[0], c.value[bad])
@@ -83,19 +93,32 @@ def _without(c: Channel, bad: Mask) -> Channel:
 
 
 def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
-    """Return which samples (n,) of a signal are point outliers; none of a command's."""
+    """Return which samples of a signal are point outliers.
+
+    Parameters
+    ----------
+    name, c
+        Name and samples of the signal.
+    found
+        All signals by name. A gyro and the commands help to judge headings and shaft speeds.
+
+    Returns
+    -------
+    Array (n,)
+        True for an outlier. A command has no outliers.
+    """
     none = np.zeros(c.t.size, bool)
     least, span = _limits(name, c)
     if not np.isfinite(least) or c.t.size < 2 * NEIGHBOURS:
         return none
     impossible = ~(np.abs(c.value) < IMPOSSIBLE) if name in LEAST or name.startswith("n_") else none
     if impossible.mean() > 0.05:
-        impossible = none  # a wrong unit, and no single values
+        impossible = none  # so many large values are a wrong unit, not outliers
     kept = np.flatnonzero(~impossible)
     bad = impossible.copy()
     value = c.value
     if name == "psi" and "r" in found and found["r"].t.size > 1:
-        # Beside the gyro a burst may last: the craft cannot have turned there and back.
+        # The gyro excludes that the craft turned there and back, so that a longer burst can be detected.
         value, span = np.unwrap(value) - _turned(found["r"], c.t), HEADING_SPAN
     bad[kept] = _bursts(name, c.t[kept], value[kept], least, span)
     if name.startswith("n_") and f"n_cmd_{name[2:]}" in found:
@@ -106,10 +129,21 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
 
 
 def is_stepped(value: Array, least: float, n_bad: int) -> bool:
-    """Return whether a signal (n,) changes in single steps from level to level, as a command does.
+    """Return whether a signal changes in single steps from level to level, as a command does.
 
-    A joystick's short pulse in such a signal is real. A measured shaft speed follows with a lag, so that a large change
-    takes several samples.
+    Parameters
+    ----------
+    value
+        The signal (n,).
+    least
+        Smallest step that counts.
+    n_bad
+        Number of suspected outliers. At least half as many single steps are required.
+
+    Notes
+    -----
+    A short pulse of a joystick in such a signal is real. A measured shaft speed follows with a lag, so that a large
+    change takes several samples.
     """
     steps = np.abs(np.diff(value))
     inside = steps[1:-1]
@@ -127,11 +161,14 @@ def _limits(name: str, c: Channel) -> tuple[float, float]:
     if name in LEAST:
         return LEAST[name]
     low, high = np.quantile(c.value, [0.01, 0.99]) if c.value.size else (0.0, 0.0)
-    return (TIMES_RANGE * float(high - low) if high > low else np.inf), OTHER_SPAN
+    return (TIMES_RANGE * float(high - low) if high > low else np.inf), OTHER_SPAN_S
 
 
 def _bursts(name: str, t: Array, value: Array, least: float, span: float) -> Mask:
-    """Return the samples (n,) of bursts."""
+    """Return which samples (n,) belong to a burst of outliers.
+
+    ``least``, ``span``: least difference of an outlier and longest time [s] between the samples around a burst.
+    """
     bad = np.zeros(t.size, bool)
     candidates = [_candidates(name, t, value, length, least, span) for length in range(1, LONGEST + 1)]
     long_bursts = _long_bursts(name, t, value, least, span)
@@ -142,7 +179,7 @@ def _bursts(name: str, t: Array, value: Array, least: float, span: float) -> Mas
     for first, length, _ in long_bursts:
         suspect[first : first + length] = True
     if suspect.mean() > 0.2:
-        return bad  # noise and no single values
+        return bad  # so many suspects are noise, not outliers
     steps = np.abs(_difference(name, value[1:], value[:-1]))
     regular = ~(suspect[1:] | suspect[:-1])
     short = [
@@ -167,7 +204,7 @@ def _turned(rate: Channel, t: Array) -> Array:
 def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -> list[tuple[int, int, float]]:
     """First sample, length and least difference of bursts longer than `LONGEST`, from a jump to a jump back."""
     jumps = np.flatnonzero(np.abs(_difference(name, value[1:], value[:-1])) > least) + 1
-    if jumps.size > MOST_JUMPS * t.size + 2:
+    if jumps.size > MAX_JUMPS * t.size + 2:
         return []
     found, end = [], 0
     # Jumps beyond the span need no look: a long log has thousands. The slack leaves equality to the test below.
@@ -210,24 +247,52 @@ def _difference(name: str, a: Array, b: Array) -> Array:
 
 
 def _commanded(c: Channel, bad: Mask, command: Channel) -> Mask:
-    """Return the outliers (n,) of a shaft speed that its command explains by a change shortly before."""
+    """Return which outliers (n,) of a shaft speed are explained by a change of its command shortly before."""
     explained = np.zeros(bad.size, bool)
     typical = np.interp(c.t, c.t[~bad], c.value[~bad]) if not bad.all() else c.value
     for k in np.flatnonzero(bad).tolist():
-        inside = (command.t >= c.t[k] - COMMANDED) & (command.t <= c.t[k])
+        inside = (command.t >= c.t[k] - COMMANDED_S) & (command.t <= c.t[k])
         change = float(np.ptp(command.value[inside])) if inside.any() else 0.0
         explained[k] = change > 0.5 * abs(float(c.value[k] - typical[k]))
     return explained
 
 
 def position_jumps(t: Array, x: Array, y: Array) -> NDArray[np.intp]:
-    """Return the samples before which a position (n,) [m] changes as no craft can move."""
+    """Return the samples at which the position jumps.
+
+    Parameters
+    ----------
+    t
+        Times (n,) [s].
+    x, y
+        Position (n,) [m].
+
+    Returns
+    -------
+    Array (n_jumps,)
+        Index of the first sample after each jump: a change of position that no craft can make.
+    """
     moved = np.hypot(np.diff(x), np.diff(y))
     return np.flatnonzero((moved > JUMP) & (moved > FASTEST * np.diff(t))) + 1
 
 
 def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
-    """Return the fixes (n,) of short sections that lie elsewhere: between a jump and its return, or at the start."""
+    """Return which fixes belong to short sections at another place.
+
+    Parameters
+    ----------
+    t
+        Times (n,) [s].
+    x, y
+        Position (n,) [m].
+    regular
+        Fixes to consider (n,), without the outliers that are already known.
+
+    Returns
+    -------
+    Array (n,)
+        True for fixes between a jump and the jump back, and for fixes at the start before the receiver has settled.
+    """
     bad = np.zeros(t.size, bool)
     rows = np.flatnonzero(regular)
     t, x, y = t[rows], x[rows], y[rows]
@@ -244,7 +309,7 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
             continue
         k += 1
     left = [j for j in jumps if not bad[rows[j]] and not bad[rows[j - 1]]]
-    # A receiver that starts far away settles within the first part of the log.
+    # A receiver whose first fixes are far away settles within the first part of the log.
     start = [j for j in left if t[j] - t[0] <= min(START, 0.2 * (t[-1] - t[0]))]
     if start:
         bad[rows[: max(start)]] = True
@@ -252,5 +317,5 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
 
 
 def _near(t: Array, x: Array, y: Array, i: int, j: int) -> bool:
-    """Whether a craft can have moved from fix i to fix j in the time between them."""
+    """Return whether a craft can move from fix i to fix j in the time between them."""
     return bool(np.hypot(x[j] - x[i], y[j] - y[i]) < max(JUMP, 5.0 * (t[j] - t[i])))

@@ -1,4 +1,4 @@
-"""Optimal experiment design: Fisher information, criteria, input design, discrimination between models."""
+"""Optimal experiment design: Fisher information, optimality criteria, input design, and model discrimination."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Optimality criteria D, A, E and Ds of the Fisher information; larger is better in all of them.
+"""Optimality criteria D, A, E and Ds of the Fisher information. A larger value is better for all of them.
 
-Pukelsheim 2006; Goodwin and Payne 1977, chapter 6. Parameters are scaled by their characteristic steps (``scale``), so
-that A and E do not compare kilograms with radians; D depends on the scale only by a constant.
+Parameters are scaled by their characteristic steps (``scale``), so that A and E do not compare kilograms with radians.
+The scale changes D only by a constant. Sources: Pukelsheim 2006; Goodwin and Payne 1977, chapter 6.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ SINGULAR = -1e9  # criterion of an information matrix that is singular or not fi
 
 @dataclass(frozen=True)
 class Criterion:
-    """Criterion ``kind`` of the parameters at the indices ``chosen``; the others are nuisance parameters.
+    """Optimality criterion of chosen parameters. The other parameters are nuisance parameters.
 
-    D: log determinant of the information of the chosen parameters, nuisance parameters projected out; Ds is D of a
-    subset. A: minus the logarithm of the mean variance. E: logarithm of the smallest eigenvalue.
-
-    Attributes:
-        scale (q,): characteristic step of each parameter, in its unit.
+    D is the log determinant of the information about the chosen parameters, with nuisance parameters projected out. Ds
+    is D of a subset of the parameters. A is minus the logarithm of the mean variance. E is the logarithm of the
+    smallest eigenvalue of the information.
     """
 
     kind: Kind
-    chosen: tuple[int, ...]
-    scale: Array
+    chosen: tuple[int, ...]  # indices of the chosen parameters
+    scale: Array  # (q,), characteristic step of each parameter in its unit
 
     def __call__(self, information: Array) -> Array:
-        """Criterion (n,) of information matrices (n, q, q) in the units of the parameters."""
+        """Return the criterion (n,) of information matrices (n, q, q) in the units of the parameters.
+
+        It is ``SINGULAR`` for a matrix that is singular or not finite.
+        """
         F = information * np.outer(self.scale, self.scale)
         good = np.isfinite(F).all(axis=(1, 2)) & (np.diagonal(F, axis1=1, axis2=2) > 0).all(axis=1)
         found = np.full(len(F), SINGULAR)
@@ -43,9 +44,10 @@ class Criterion:
         return np.where(np.isfinite(found), found, SINGULAR)
 
     def _value(self, F: Array) -> Array:
-        """The determinant is computed with a unit diagonal: units differ by many powers of ten."""
+        """Return the criterion (n,) of finite scaled information matrices (n, q, q)."""
         if not len(F):
             return np.zeros(0)
+        # Determinant and inverse are computed with a unit diagonal, since units differ by many powers of ten.
         size = np.sqrt(np.diagonal(F, axis1=1, axis2=2))
         scaled = F / (size[:, :, None] * size[:, None, :])
         chosen = list(self.chosen)
@@ -68,6 +70,6 @@ class Criterion:
 
 
 def characteristic_steps(model: Model, names: tuple[str, ...]) -> Array:
-    """Characteristic steps (q,): the smallest change of each parameter that matters."""
+    """Return the characteristic steps (q,): the smallest change of each parameter that matters, in its unit."""
     parameters = [model.parameter(n) for n in names]
     return np.array([p.step or 0.01 * abs(p.value) or 1.0 for p in parameters])

@@ -1,14 +1,14 @@
 """Model discrimination: T-optimal design of the experiment that tells two models apart.
 
-Atkinson and Fedorov 1975; Uciński 2005. Two models of the same sensors, say the boat with a delay and the boat with a
-lag, both fitted to the same logs. If one is true, the other is fitted to its data and explains as much as its
-parameters can. With e the innovations of the wrong model's filter on the true model's data, de their sensitivities and
-S their covariance,
+Two models of the same sensors are given, for example the boat with a delay and the boat with a lag. Both are fitted to
+the same logs. If one model is true, the other is fitted to its data and explains as much as its parameters allow. Let e
+be the innovations of the filter of the wrong model for the data of the true model, de their sensitivities and S their
+covariance. To first order
 
     T = min over theta of sum e' S^-1 e = sum e' S^-1 e - g' F^-1 g,   g = sum de' S^-1 e,   F = sum de' S^-1 de + prior
 
-to first order. T is the expected value of twice the log-likelihood ratio against the wrong model. Either may be true,
-so the design maximises the smaller of the two T.
+T is the expected value of twice the log-likelihood ratio against the wrong model. Each model may be the true one, so
+that the design maximises the smaller of the two T. Sources: Atkinson and Fedorov 1975; Uciński 2005.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from seatrial.ident.experiment_design.task import DesignProblem
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, SearchResult
 
-CHUNK = 2  # groups of vector lanes in a call; delayed input taps make them large
+CHUNK = 2  # groups of vector lanes per call; few, since delayed input taps make them large
 REFITS = 6  # Gauss-Newton steps for the reported T
-RELIABLE_T = 30.0  # above it hardly any fit prefers the wrong model
+RELIABLE_T = 30.0  # with a larger T a fit hardly ever prefers the wrong model
 
 
 @dataclass(frozen=True)
@@ -53,20 +53,24 @@ class HypothesisPair:
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """Free parameters of the fitted model: shared dynamics and per-record nuisance parameters."""
+        """Names of the free parameters of the fitted model: shared dynamic and per-record nuisance parameters."""
         own = [p.name for p in self.fitted.parameters if p.free and p.per_record]
         return (*dynamic_parameters(self.fitted), *own)
 
     @cached_property
     def _prior(self) -> Array:
+        """Prior information (q, q) about the parameters ``free``."""
         return prior_information([self.fitted.parameter(n) for n in self.free])
 
     def __call__(self, command: Array, refits: int = 0) -> Array:
-        """T (n,) of commands (n_rows, n_channels, n): to first order, or after ``refits`` Gauss-Newton steps."""
+        """Return T (n,) of commands (n_rows, n_channels, n).
+
+        Without ``refits`` it is T to first order. With them it is the least T of so many Gauss-Newton steps.
+        """
         n = command.shape[2]
         values = np.tile([p.value for p in self.fitted.parameters], (n, 1))
         columns = [list(self.fitted.values).index(name) for name in self.free]
-        begin, bounds = values[:, columns].copy(), np.array([self.fitted.parameter(m).bounds for m in self.free]).T
+        initial, bounds = values[:, columns].copy(), np.array([self.fitted.parameter(m).bounds for m in self.free]).T
         u, u_true = (
             ThrusterResponse(m, self.task.t, self.task.steps.n_max, self.task.slew).inputs(command)
             for m in (self.fitted, self.truth)
@@ -74,20 +78,24 @@ class HypothesisPair:
         best = np.full(n, np.inf)
         for k in range(refits + 1):
             ee, g, F = self._run(u, u_true, values)
-            away = values[:, columns] - begin
-            here = ee + np.einsum("ni,ij,nj->n", away, self._prior, away)
-            slope = g - away @ self._prior
+            change = values[:, columns] - initial
+            current = ee + np.einsum("ni,ij,nj->n", change, self._prior, change)
+            slope = g - change @ self._prior
             step = _solve(F + self._prior, slope)
-            best = np.fmin(best, here)
+            best = np.fmin(best, current)
             if k == refits:
-                linear = here - np.einsum("ni,ni->n", slope, step)
+                linear = current - np.einsum("ni,ni->n", slope, step)
                 return np.asarray(np.maximum(linear if refits == 0 else best, 0.0))
             values[:, columns] = np.clip(values[:, columns] + step, *bounds)
         raise AssertionError("unreachable")
 
     def _run(self, u: Array, u_true: Array, values: Array) -> tuple[Array, Array, Array]:
-        """Sums ee (n,), g (n, q) and F (n, q, q) at parameters (n, n_parameters) of the fitted model."""
-        from seatrial.ident.engine import contest_for  # CasADi, for this alone
+        """Return the sums e' S^-1 e (n,), g (n, q) and F (n, q, q) of the equation above.
+
+        ``u``, ``u_true``: inputs (n_rows, n_inputs, n) of the fitted and of the true model. ``values``: parameters (n,
+        n_parameters) of the fitted model.
+        """
+        from seatrial.ident.engine import contest_for  # imported late, since it loads CasADi
 
         kernel = contest_for(self.fitted, self.free, self.truth, covariance=self.task.process_noise).unexplained
         width, n, t = kernel.plan.width, u.shape[2], self.task.t
@@ -101,7 +109,7 @@ class HypothesisPair:
             p = in_lanes(values[lanes].T[None], groups, width)[0]
             p_true = in_lanes(np.repeat(truth, lanes.stop - lanes.start, axis=0).T[None], groups, width)[0]
             s = start_in_lanes(self.fitted, p)
-            given = {
+            arguments = {
                 "s": with_covariance(self.fitted, s, p) if self.task.process_noise else s,
                 "p": p,
                 "p_true": p_true,
@@ -111,12 +119,12 @@ class HypothesisPair:
                 "high": np.full((groups, size, width), -np.inf),
             }
             for name, model, part in (("", self.fitted, u), ("_true", self.truth, u_true)):
-                given[f"u{name}"] = in_lanes(part[:, :, lanes], groups, width)
-                given[f"u_next{name}"] = interval_ends(model, given[f"u{name}"], -2)
-            done = kernel(t.size, mask, given, groups=groups)
+                arguments[f"u{name}"] = in_lanes(part[:, :, lanes], groups, width)
+                arguments[f"u_next{name}"] = interval_ends(model, arguments[f"u{name}"], -2)
+            results = kernel(t.size, mask, arguments, groups=groups)
             return tuple(
                 a.transpose(0, 2, 1).reshape(groups * width, -1)[: lanes.stop - lanes.start]
-                for a in (done["ee"], done["score"], done["fisher"])
+                for a in (results["ee"], results["score"], results["fisher"])
             )  # type: ignore[return-value]
 
         chunks = [slice(a, min(a + width * CHUNK, n)) for a in range(0, n, width * CHUNK)]
@@ -125,7 +133,10 @@ class HypothesisPair:
 
 
 def _solve(F: Array, g: Array) -> Array:
-    """F^-1 g for each row; directions without information are left unchanged, and so is what diverged."""
+    """Return F^-1 g (n, q) for each row; zero for rows that are not finite and directions without information.
+
+    F (n, q, q) is scaled to a unit diagonal and slightly regularised.
+    """
     good = np.asarray(np.isfinite(F).all(axis=(1, 2)) & np.isfinite(g).all(axis=1))
     F, g = F.copy(), g.copy()
     F[~good], g[~good] = np.eye(F.shape[1]), 0.0
@@ -137,38 +148,52 @@ def _solve(F: Array, g: Array) -> Array:
 
 @dataclass(frozen=True)
 class DiscriminationDesign:
-    """The experiment of a discrimination.
-
-    Attributes:
-        levels (n_steps, n_channels), durations (n_steps,) s: the steps.
-        apart: T if b is true and a is fitted, and the reverse, refitted.
-    """
+    """Experiment that discriminates two models a and b."""
 
     task: DesignProblem
-    levels: Array
-    durations: Array
-    apart: tuple[float, float]
+    levels: Array  # (n_steps, n_channels)
+    durations: Array  # (n_steps,) [s]
+    apart: tuple[float, float]  # T after refits: b is true and a is fitted; a is true and b is fitted
     found: SearchResult = field(repr=False)
 
     @property
     def command(self) -> Array:
+        """Command (n_rows, n_channels) on the rows of the design problem."""
         return self.task.actuation.limited(self.levels[:, :, None], self.durations[:, None])[:, :, 0]
 
     @property
     def clear(self) -> bool:
-        """Whether either model, if true, is expected to be identified."""
+        """Return whether a fit is expected to prefer the true model, whichever of the two it is."""
         return min(self.apart) > RELIABLE_T
 
 
 def _both(model_a: Model, model_b: Model, task: DesignProblem) -> tuple[HypothesisPair, HypothesisPair]:
+    """Return the pairs with a fitted and b true, and with b fitted and a true."""
     a, b = task.observed(model_a), task.observed(model_b)
     return HypothesisPair(a, b, task), HypothesisPair(b, a, task)
 
 
 def separation(model_a: Model, model_b: Model, task: DesignProblem, command: Array) -> tuple[float, float]:
-    """T of a command (n_rows, n_channels) if b is true and a is fitted, and the reverse.
+    """Return T of a command, for both models as the true one.
 
-    Raises SeatrialError where one of them is not finite.
+    Parameters
+    ----------
+    model_a, model_b
+        The models with fitted values.
+    task
+        Design problem with rows and sensors.
+    command
+        Command (n_rows, n_channels).
+
+    Returns
+    -------
+    tuple of float
+        T if b is true and a is fitted, and T if a is true and b is fitted.
+
+    Raises
+    ------
+    SeatrialError
+        If a simulation diverges.
     """
     first, second = (float(r(command[:, :, None], REFITS)[0]) for r in _both(model_a, model_b, task))
     if not np.isfinite([first, second]).all():
@@ -185,14 +210,26 @@ def discriminate(
     evaluations: int = 4000,
     progress: Callable[[int, float], None] | None = None,
 ) -> DiscriminationDesign:
-    """T-optimal step sequence within the limits of ``task`` for two models.
+    """Search the T-optimal step sequence for two models.
 
-    Both have fitted values, those of their effects included: with both effects at zero the models are equal.
-    ``task.model`` is used for the limits. Raises SeatrialError where the models cannot be compared.
+    Parameters
+    ----------
+    model_a, model_b
+        The models with fitted values, also of their effects. With both effects at zero the models would be equal.
+    task
+        Design problem with the limits. Its model is used for the limits only.
+    evaluations
+        Number of evaluations of T.
+    progress
+        Function of the number of evaluations and the best value, called during the search.
+
+    Raises
+    ------
+    SeatrialError
+        If the models cannot be compared, or if no sequence that was found keeps to the limits.
     """
-    for one, other in ((model_a, model_b), (model_b, model_a)):
-        if [s.name for s in one.sensors] != [s.name for s in other.sensors]:
-            raise SeatrialError(f"models {one.name} and {other.name} have different sensors: they cannot be compared")
+    if [s.name for s in model_a.sensors] != [s.name for s in model_b.sensors]:
+        raise SeatrialError(f"models {model_a.name} and {model_b.name} have different sensors: they cannot be compared")
     pairs = _both(model_a, model_b, task)
 
     def judge(z: Array) -> tuple[Array, Array]:
@@ -205,7 +242,9 @@ def discriminate(
 
     found = search_design(task.steps, judge, evaluations, task.seed, None, progress, n_start=128)
     if found.violation > 0:
-        raise SeatrialError("no sequence that keeps to the limits was found; give more room or time")
+        raise SeatrialError(
+            "no sequence that keeps to the limits was found; give a larger --area, weaker limits or a longer --duration"
+        )
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
     made = DiscriminationDesign(task, levels, durations, (0.0, 0.0), found)
     return replace(made, apart=separation(model_a, model_b, task, made.command))

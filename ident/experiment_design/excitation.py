@@ -1,8 +1,8 @@
 """Excitation signals (step sequences, PRBS, random Gaussian) and the thruster response to them.
 
-A command is -1..1 for each channel (thruster). On its way to the model it passes the mission's slew limit and the
-shaft's first-order lag (thesis section 4.2, ``n' = a (n_ref - n)``). Arrays are (n_rows, n_channels, n): time first,
-experiments last.
+A command is -1 to 1 for each channel (thruster). It passes the slew limit of the mission and the first-order lag of the
+shaft (thesis section 4.2, ``n' = a (n_ref - n)``) before it becomes an input of the model. Arrays have the shape
+(n_rows, n_channels, n): time first, experiments last.
 """
 
 from __future__ import annotations
@@ -22,64 +22,88 @@ SIDES = ("left", "right")
 SHAFT_POLE = 2.794  # 1/s, thesis Table 2
 THRUST = {"c1": 40.05, "c2": 1.11}  # N, thesis Table 2
 ARM = 0.15  # m, thesis section 4
-COMMANDED = {"n", "f", "X", "N"}  # what thrusters make: shaft speeds and commands, forces, their sums
-COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # the input of models that have only one
+COMMANDED = {"n", "f", "X", "N"}  # inputs that thrusters produce: shaft speeds and commands, forces and their sums
+COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # inputs of models of surge alone, and of yaw alone
 
 
 def not_commanded(model: Model) -> str:
-    """Why no mission can be designed for a model, as the end of a sentence: thrusters do not make all of its inputs.
-    Empty where they do."""
+    """Return the reason for which no mission can be designed for a model.
+
+    Parameters
+    ----------
+    model
+        The model.
+
+    Returns
+    -------
+    str
+        End of a sentence, empty if thrusters produce all inputs of the model.
+    """
     if model.kind is ModelKind.BENCH:
-        return "it is of a thruster on its bench, whose plans `seatrial bench` runs"
-    inputs = _commanded(model)
+        return "it describes a thruster on its bench, for which `seatrial bench` runs the plans"
+    inputs = _input_names(model)
     others = [n for n in inputs if n.partition("_")[0] not in COMMANDED]
     if others:
-        return f"thrusters do not make its input {', '.join(others)}; take a model without, such as horizontal:shaft"
-    return "" if inputs else "it has no input that thrusters make"
+        return (
+            f"thrusters do not produce its input {', '.join(others)}; "
+            "choose a model without this input, for example horizontal:shaft"
+        )
+    return "" if inputs else "it has no input that thrusters produce"
 
 
-def _commanded(model: Model) -> list[str]:
+def _input_names(model: Model) -> list[str]:
+    """Return the inputs of a model that are no delayed taps and do not follow from time or work."""
     return [i.name for i in model.inputs if not i.tap and i.name not in (TIME_INPUT, WORK_INPUT)]
 
 
 @dataclass(frozen=True)
 class ThrusterResponse:
-    """Response from commands to the inputs of a model: largest command, slew limit [1/s], shaft pole [1/s], thrust
-    curve [N]."""
+    """Response from commands to the inputs of a model."""
 
     model: Model
-    t: Array
-    n_max: float = 1.0
-    slew: float = np.inf
-    pole: float = SHAFT_POLE
-    curve: Mapping[str, float] = field(default_factory=lambda: THRUST)
+    t: Array  # (n_rows,) [s], evenly spaced
+    n_max: float = 1.0  # largest command
+    slew: float = np.inf  # 1/s, limit on the rate of change of a command
+    pole: float = SHAFT_POLE  # 1/s, of the shafts
+    curve: Mapping[str, float] = field(default_factory=lambda: THRUST)  # N, thrust coefficients c1 and c2
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The two thrusters, or the inputs of the model where it has other ones."""
-        names = _commanded(self.model)
+        """Names of the channels: the two thrusters, or the inputs of a model with other inputs."""
+        names = _input_names(self.model)
         two = len(names) == 2 and all(n in ("X", "N") or n.rpartition("_")[2] in SIDES for n in names)
         return SIDES if two else tuple(names)
 
     @property
     def full_thrust(self) -> float:
-        """Of one thruster, full ahead [N]; of models that take forces."""
+        """Forward thrust of one thruster at full command [N]."""
         return self.curve["c1"] + self.curve["c2"]
 
     @property
     def thrusters(self) -> tuple[str, ...]:
-        """Thrusters that a mission commands; surge or yaw alone takes both thrusters, too."""
+        """Thrusters that a mission commands. A model of surge or yaw alone also needs both thrusters."""
         return SIDES if self.channels in (*COMMON_MODE, *DIFFERENTIAL_MODE) else self.channels
 
     def for_thrusters(self, levels: Array) -> Array:
-        """Levels of the thrusters from those of the channels (n_rows, n_channels)."""
+        """Convert levels of the channels (n_rows, n_channels) to levels of the thrusters (n_rows, n_thrusters)."""
         if self.channels in COMMON_MODE:
             return np.hstack([levels, levels])
         return np.hstack([levels, -levels]) if self.channels in DIFFERENTIAL_MODE else levels
 
     def limited(self, levels: Array, durations: Array) -> Array:
-        """Commands (n_rows, n_channels, n) of step sequences: levels (n_steps, n_channels, n) held for durations
-        (n_steps, n) [s] with the slew limit on every change, from zero."""
+        """Return the commands of step sequences with the slew limit, starting from zero.
+
+        Parameters
+        ----------
+        levels
+            Level of each step (n_steps, n_channels, n).
+        durations
+            Duration of each step (n_steps, n) [s].
+
+        Returns
+        -------
+        Array (n_rows, n_channels, n)
+        """
         ends = np.cumsum(durations, axis=0)
         starts = ends - durations
         n_steps, n = durations.shape
@@ -87,30 +111,36 @@ class ThrusterResponse:
         at = np.searchsorted((ends + offset).T.ravel(), (self.t[:, None] + 1e-9 + offset).ravel(), side="right")
         index = np.minimum(at.reshape(self.t.size, n) - np.arange(n) * n_steps, n_steps - 1)
         lane = np.arange(n)
-        wanted = levels[index, :, lane].transpose(0, 2, 1)
+        target = levels[index, :, lane].transpose(0, 2, 1)
         if not np.isfinite(self.slew):
-            return np.ascontiguousarray(wanted)
+            return np.ascontiguousarray(target)
         begin = np.zeros_like(levels)
         for k in range(1, n_steps):
             reach = self.slew * durations[k - 1]
             begin[k] = begin[k - 1] + np.clip(levels[k - 1] - begin[k - 1], -reach, reach)
         since = (self.t[:, None] - starts[index, lane])[:, None, :] * self.slew
         first = begin[index, :, lane].transpose(0, 2, 1)
-        return np.asarray(first + np.clip(wanted - first, -since, since))
+        return np.asarray(first + np.clip(target - first, -since, since))
 
     @property
     def shafts_are_states(self) -> bool:
-        """The model takes commands and has the shafts' lag itself."""
+        """Return whether the model has commands as inputs and contains the lag of the shafts."""
         return any(i.name == "n_cmd_left" for i in self.model.inputs)
 
     def shaft(self, command: Array) -> Array:
-        """Shaft speeds: first-order response to held commands, exact at the equidistant rows."""
+        """Return the shaft speeds: the first-order response to held commands, exact at the evenly spaced rows.
+
+        Parameters
+        ----------
+        command
+            Commands (n_rows, n_channels, n).
+        """
         if not np.isfinite(self.pole):
             return command
         return first_order_lag(command, 1.0 / self.pole, float(self.t[1] - self.t[0]))
 
     def inputs(self, command: Array) -> Array:
-        """The model's inputs (n_rows, n_inputs, n) under commands (n_rows, n_channels, n)."""
+        """Return the inputs of the model (n_rows, n_inputs, n) for commands (n_rows, n_channels, n)."""
         n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
         if self.shafts_are_states:
             n = dict(zip([f"n_cmd_{c}" for c in self.channels], command.transpose(1, 0, 2), strict=True))
@@ -121,6 +151,7 @@ class ThrusterResponse:
         return np.ascontiguousarray(np.stack(columns, axis=1))
 
     def _column(self, name: str, n: Mapping[str, Array]) -> Array:
+        """Return one input (n_rows, n) by its name, from the shaft speeds (n_rows, n) of the channels."""
         if name == TIME_INPUT:
             return np.broadcast_to(self.t[:, None], next(iter(n.values())).shape)
         if name == WORK_INPUT:
@@ -140,78 +171,94 @@ class ThrusterResponse:
         return left + right if name == "X" else ARM * (left - right)
 
     def _force(self, n: Array) -> Array:
+        """Return the thrust [N] of shaft speeds n."""
         return np.asarray(self.curve["c1"] * n * np.abs(n) + self.curve["c2"] * n * n)
 
     def _earlier(self, value: Array, seconds: float) -> Array:
-        """The signal ``seconds`` earlier; before the start its initial value."""
+        """Return the signal delayed by ``seconds``; before the start it has its initial value."""
         at = np.maximum(self.t - seconds, self.t[0])
         row = np.clip(np.searchsorted(self.t, at + 1e-9, side="right") - 1, 0, self.t.size - 2)
         part = ((at - self.t[row]) / (self.t[row + 1] - self.t[row]))[:, None]
         return np.asarray(value[row] * (1 - part) + value[row + 1] * part)
 
     def energy(self, command: Array) -> Array:
-        """Mean of ``|n|^3`` over time and channels (n,): the share of full power."""
+        """Return the mean of ``|n|^3`` over time and channels (n,), which is the share of full power.
+
+        Parameters
+        ----------
+        command
+            Commands (n_rows, n_channels, n).
+        """
         return np.asarray((np.abs(command) ** 3).mean(axis=(0, 1)))
 
 
 @dataclass(frozen=True)
 class StepInput:
-    """Input class of the search (thesis chapter 5): ``n_steps`` steps of free levels and durations at a fixed total
-    duration. A search point z (n_steps (n_channels + 1),) has the levels, then the shares of time, each in 0..1."""
+    """Input class of the search: steps with free levels and durations in a fixed total time (thesis chapter 5).
+
+    A search point z (n_steps (n_channels + 1),) contains the levels and then the relative durations between 0 and 1.
+    """
 
     n_steps: int
     n_channels: int
-    duration: float
-    shortest: float
+    duration: float  # s, of all steps
+    shortest: float  # s, least duration of a step
     grid: float  # s; durations are whole multiples of it
-    n_max: float = 1.0
+    n_max: float = 1.0  # largest level
 
     def __post_init__(self) -> None:
         if self.n_steps * self.least > self.rows:
-            least = f"{self.least * self.grid:g} s" + (  # of whole rows
+            least = f"{self.least * self.grid:g} s" + (  # rounded up to whole rows
                 f" ({self.shortest:g} s in steps of {self.grid:g} s)"
                 if abs(self.least * self.grid - self.shortest) > 1e-6
                 else ""
             )
             raise SeatrialError(
-                f"{self.n_steps} steps of at least {least} do not fit into {self.duration:g} s; fewer steps, a shorter "
-                "--min-step or a longer --duration"
+                f"{self.n_steps} steps of at least {least} do not fit into {self.duration:g} s; give fewer steps, "
+                "a shorter --min-step or a longer --duration"
             )
 
     @property
     def rows(self) -> int:
-        """The duration in whole multiples of the grid."""
+        """Total duration in rows of the grid."""
         return round(self.duration / self.grid)
 
     @property
     def least(self) -> int:
-        """The shortest step in whole multiples of the grid, none below ``shortest``."""
+        """Least duration of a step in rows of the grid, rounded up."""
         return max(int(np.ceil(self.shortest / self.grid - 1e-9)), 1)
 
     @property
     def size(self) -> int:
+        """Number of coordinates of a search point."""
         return self.n_steps * (self.n_channels + 1)
 
     @property
     def low(self) -> Array:
+        """Lower bounds of a search point (size,)."""
         return np.append(np.full(self.n_steps * self.n_channels, -self.n_max), np.full(self.n_steps, 0.02))
 
     @property
     def high(self) -> Array:
+        """Upper bounds of a search point (size,)."""
         return np.append(np.full(self.n_steps * self.n_channels, self.n_max), np.ones(self.n_steps))
 
     def unpack(self, z: Array) -> tuple[Array, Array]:
-        """Levels (n_steps, n_channels, n) and durations (n_steps, n) [s] of points z (n, size)."""
+        """Return levels (n_steps, n_channels, n) and durations (n_steps, n) [s] of search points z (n, size)."""
         n_levels = self.n_steps * self.n_channels
         levels = z[:, :n_levels].reshape(-1, self.n_steps, self.n_channels).transpose(1, 2, 0)
         shares = z[:, n_levels:].T
-        spare = self.rows - self.n_steps * self.least  # rows; what is left is shared out, and none is shorter
+        spare = self.rows - self.n_steps * self.least  # rows beyond the least durations, divided by the shares
         shared = np.round(np.cumsum(shares / shares.sum(axis=0), axis=0) * spare)
         whole = shared + self.least * np.arange(1, self.n_steps + 1)[:, None]
         return levels, np.diff(whole, axis=0, prepend=0.0) * self.grid
 
     def random(self, n: int, rng: np.random.Generator) -> Array:
-        """Random search points (n, size) of four kinds: full and partial thrust, turning and straight."""
+        """Return random search points (n, size).
+
+        Each point has levels of one of four kinds: uniform, near full thrust, similar on all channels (straight with
+        small turns), or uniform with a reduced range.
+        """
         kind = rng.integers(4, size=(n, 1, 1))
         shape = (n, self.n_steps, self.n_channels)
         levels = rng.uniform(-1.0, 1.0, shape)
@@ -224,15 +271,51 @@ class StepInput:
 
 
 def prbs(t: Array, clock: float, n_channels: int, amplitude: float, rng: np.random.Generator) -> Array:
-    """Pseudo-random binary sequences (n_rows, n_channels): +-amplitude, drawn every ``clock`` [s] (Ljung 1999,
-    13.3)."""
+    """Return pseudo-random binary sequences (Ljung 1999, section 13.3).
+
+    Parameters
+    ----------
+    t
+        Times (n_rows,) [s].
+    clock
+        Interval [s] after which a new sign is drawn.
+    n_channels
+        Number of channels.
+    amplitude
+        Size of the signal.
+    rng
+        Random generator.
+
+    Returns
+    -------
+    Array (n_rows, n_channels)
+    """
     index = (t / clock + 1e-9).astype(int)
     return np.asarray(amplitude * rng.choice([-1.0, 1.0], (index[-1] + 1, n_channels))[index])
 
 
 def rgs(t: Array, corner: float, n_channels: int, sd: float, n_max: float, rng: np.random.Generator) -> Array:
-    """Random Gaussian sequences (n_rows, n_channels) of standard deviation ``sd`` behind a second-order low-pass filter
-    of corner frequency ``corner`` [Hz], clipped at n_max (Ljung 1999, 13.3)."""
+    """Return low-pass filtered random Gaussian sequences (Ljung 1999, section 13.3).
+
+    Parameters
+    ----------
+    t
+        Times (n_rows,) [s].
+    corner
+        Corner frequency of the second-order low-pass filter [Hz].
+    n_channels
+        Number of channels.
+    sd
+        Standard deviation after the filter, before clipping.
+    n_max
+        Largest size; larger values are clipped.
+    rng
+        Random generator.
+
+    Returns
+    -------
+    Array (n_rows, n_channels)
+    """
     step = t[1] - t[0]
     sos = signal.butter(2, min(corner * 2 * step, 0.99), output="sos")
     settle = round(min(3.0 / corner, 300.0) / step)

@@ -1,9 +1,10 @@
-"""Fisher information of the parameters, of a planned experiment or of a log.
+"""Fisher information about the parameters, in a planned experiment or in a log.
 
-Two forms. **Prediction error**: the information of the innovations of the filter, ``de' S^-1 de`` and, for noise
-parameters, ``1/2 tr(S^-1 dS S^-1 dS)`` (``seatrial.ident.estimation.likelihood``); with process noise the distant past
-carries no information. **Output error** (thesis chapter 5): no process noise, ``F = sum dz' R^-1 dz`` along a
-simulation. ``Experiments`` computes either for thousands of inputs or parameter values at a time.
+The information has two forms. That of **prediction error** is the information of the innovations of the filter,
+``de' S^-1 de``, and for noise parameters ``1/2 tr(S^-1 dS S^-1 dS)`` (`seatrial.ident.estimation.likelihood`). With
+process noise the distant past carries no information. That of **output error** (thesis chapter 5) is
+``F = sum dz' R^-1 dz`` along a simulation without process noise. `Experiments` computes both forms for thousands of
+inputs or parameter values at a time.
 """
 
 from __future__ import annotations
@@ -25,31 +26,41 @@ from seatrial.ident.numerics import Array, scaled_eigen
 
 Mask = NDArray[np.uint32]
 T = TypeVar("T")
-SINGULAR_EIGENVALUE = 1e-13  # of the information scaled to unit diagonal: up to it nothing is told
-NULL_PART = 0.1  # of a unit vector
-CHUNK = 4  # groups of vector lanes in a call; they fit into the cache of the processor
-MISSIONS = 4  # of one task of a thread
+SINGULAR_EIGENVALUE = 1e-13  # of the information scaled to a unit diagonal; smaller eigenvalues are rounding errors
+NULL_PART = 0.1  # largest part of a parameter's unit vector in the null space for a finite standard error
+CHUNK = 4  # groups of vector lanes per call; so many fit into the cache of the processor
+MISSIONS = 4  # missions per task of a thread
 
 
 @dataclass(frozen=True)
 class ExperimentResults:
-    """Results of n experiments.
+    """Results of n experiments."""
 
-    Attributes:
-        information (n, q, q): by the free parameters, in their units.
-        low, high (n, k): minimum and maximum of the states and of the squared speed, named by ``Experiments.extremes``.
-    """
-
-    information: Array
-    low: Array
-    high: Array
+    information: Array  # (n, q, q), about the free parameters in their units
+    low: Array  # (n, k), minimum of states and squared speed, with the names `Experiments.extremes`
+    high: Array  # (n, k), maximum of the same
 
 
 class Experiments:
-    """Experiments of one model on common times, simulated in batches on ``threads`` threads.
+    """Simulated experiments of one model on common times, computed in batches.
 
-    t (n_rows,) s; ``every``: a sensor's samples are this many rows apart (1 where it is not named). Inputs are arrays
-    (n_rows, n_inputs, n) with time first and the experiments last, or (n_rows, n_inputs): the same in all.
+    Inputs are arrays (n_rows, n_inputs, n) with time first and experiments last, or (n_rows, n_inputs) if all
+    experiments have the same inputs.
+
+    Parameters
+    ----------
+    model
+        The model.
+    free
+        Names of the parameters of the information.
+    t
+        Times (n_rows,) [s].
+    every
+        Number of rows between two samples of a sensor, by sensor; default 1.
+    process_noise
+        Whether the information is that of prediction error. Else it is that of output error.
+    threads
+        Number of threads.
     """
 
     def __init__(
@@ -73,43 +84,55 @@ class Experiments:
         self._index = {p.name: i for i, p in enumerate(model.parameters)}
 
     def __call__(self, u: Array, values: Array | None = None) -> ExperimentResults:
-        """values (n, n_parameters) or (n_parameters,): the model's own by default. An experiment that diverges has an
-        information of NaN."""
+        """Return information and extents of experiments. The information is NaN if an experiment diverges.
+
+        Parameters
+        ----------
+        u
+            Inputs (n_rows, n_inputs, n) or (n_rows, n_inputs).
+        values
+            Parameter values (n, n_parameters) or (n_parameters,). By default they are those of the model.
+        """
         n, chunks = self._chunks(u, values)
         kernel = self._batch.information[u.ndim == 3]
         q, k = len(self.free), len(self.extremes)
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
-            given = self._given(u, values, lanes)
+            arguments = self._arguments(u, values, lanes)
             if self._batch.covariance:
-                given["s"] = with_covariance(self.model, given["s"], given["p"])
-            given["X"] = self._slopes(given["p"])
-            done = self._run(kernel, given, k)
-            return _flat(done["fisher"]), _flat(done["low"]), _flat(done["high"])
+                arguments["s"] = with_covariance(self.model, arguments["s"], arguments["p"])
+            arguments["X"] = self._slopes(arguments["p"])
+            results = self._run(kernel, arguments, k)
+            return _flat(results["fisher"]), _flat(results["low"]), _flat(results["high"])
 
         parts = parallel(work, chunks, self.threads)
         triangle, low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
         return ExperimentResults(square(triangle, q), low, high)
 
     def extents(self, u: Array, values: Array | None = None) -> tuple[Array, Array]:
-        """Only ``low`` and ``high`` (n, k), several times as fast."""
+        """Return only ``low`` and ``high`` (n, k), several times faster; parameters as in the call."""
         n, chunks = self._chunks(u, values)
         kernel = self._batch.tracks[u.ndim == 3]
 
         def work(lanes: slice) -> tuple[Array, Array]:
-            done = self._run(kernel, self._given(u, values, lanes), len(self.extremes))
-            return _flat(done["low"]), _flat(done["high"])
+            results = self._run(kernel, self._arguments(u, values, lanes), len(self.extremes))
+            return _flat(results["low"]), _flat(results["high"])
 
         parts = parallel(work, chunks, self.threads)
         low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
         return low, high
 
     def extents_in_noise(self, u: Array, noise: Array, values: Array) -> tuple[Array, Array]:
-        """``low`` and ``high`` (n, n_values, k) of n missions, each with the same samples of the parameters and the
-        same noise.
+        """Return ``low`` and ``high`` (n, n_values, k) of missions with the same parameter samples and the same noise.
 
-        u (n_rows, n_common, n): the first inputs of the model; noise (n_rows, n_noisy, n_values): the inputs after
-        them; values (n_values, n_parameters).
+        Parameters
+        ----------
+        u
+            First inputs of the model (n_rows, n_common, n), one set for each mission.
+        noise
+            Remaining inputs of the model (n_rows, n_noisy, n_values), one set for each parameter sample.
+        values
+            Parameter samples (n_values, n_parameters).
         """
         n_values, k = len(values), len(self.extremes)
         kernel = self._batch.tracks_in_noise(u.shape[1])
@@ -118,17 +141,17 @@ class Experiments:
         p, w = in_lanes(values.T[None], groups, width)[0], in_lanes(noise, groups, width)
         linear = np.array([i.hold == "linear" for i in self.model.inputs])
         common, own = linear[: u.shape[1]], linear[u.shape[1] :]
-        given = {"w": w, "w_next": _interval_ends(own, w, -2), "p": p, "h": self.h}
+        arguments = {"w": w, "w_next": _interval_ends(own, w, -2), "p": p, "h": self.h}
         start = start_in_lanes(self.model, p)
 
         def work(missions: slice) -> list[tuple[Array, Array]]:
             found = []
             for j in range(missions.start, missions.stop):
                 shared = np.ascontiguousarray(u[:, :, j])
-                done = self._run(
-                    kernel, given | {"u": shared, "u_next": _interval_ends(common, shared), "s": start.copy()}, k
+                results = self._run(
+                    kernel, arguments | {"u": shared, "u_next": _interval_ends(common, shared), "s": start.copy()}, k
                 )
-                found.append((_flat(done["low"])[:n_values], _flat(done["high"])[:n_values]))
+                found.append((_flat(results["low"])[:n_values], _flat(results["high"])[:n_values]))
             return found
 
         n = u.shape[2]
@@ -137,14 +160,16 @@ class Experiments:
         return np.array(low), np.array(high)
 
     def _chunks(self, u: Array, values: Array | None) -> tuple[int, list[slice]]:
+        """Return the number of experiments and their division into calls of the kernel."""
         counts = {a.shape[axis] for a, axis, full in ((u, 2, 3), (values, 0, 2)) if a is not None and a.ndim == full}
         if len(counts) > 1:
-            raise ValueError(f"as many inputs as parameter values wanted, got {sorted(counts)}")
+            raise ValueError(f"inputs and parameter values must be equally many, got {sorted(counts)}")
         n = counts.pop() if counts else 1
         width = self._batch.tracks[0].plan.width * CHUNK
         return n, [slice(first, min(first + width, n)) for first in range(0, n, width)]
 
-    def _given(self, u: Array, values: Array | None, lanes: slice) -> dict[str, Array]:
+    def _arguments(self, u: Array, values: Array | None, lanes: slice) -> dict[str, Array]:
+        """Return the arguments of a kernel for some of the experiments, arranged in vector lanes."""
         width, n = self._batch.tracks[0].plan.width, lanes.stop - lanes.start
         groups = -(-n // width)
         values = self.values if values is None else values
@@ -160,12 +185,14 @@ class Experiments:
             "h": self.h,
         }
 
-    def _run(self, kernel: Kernel, given: dict[str, Array], k: int) -> dict[str, Array]:
-        groups, _, width = given["p"].shape
+    def _run(self, kernel: Kernel, arguments: dict[str, Array], k: int) -> dict[str, Array]:
+        """Run a kernel with empty extents of k quantities, and return its results."""
+        groups, _, width = arguments["p"].shape
         bounds = {"low": np.full((groups, k, width), np.inf), "high": np.full((groups, k, width), -np.inf)}
-        return kernel(self.t.size, self.mask, {**given, **bounds}, groups=groups)
+        return kernel(self.t.size, self.mask, {**arguments, **bounds}, groups=groups)
 
     def _slopes(self, p: Array) -> Array:
+        """Return the derivative of the initial state with respect to the free parameters, in lanes."""
         X = np.zeros((p.shape[0], len(self.free), len(self.model.states), p.shape[2]))
         for i, state in enumerate(self.model.states):
             if state.x0 in self.free:
@@ -174,7 +201,7 @@ class Experiments:
 
 
 def start_in_lanes(model: Model, p: Array) -> Array:
-    """Means of the initial state (groups, n_states, width) at parameters p (groups, n_parameters, width)."""
+    """Return the mean of the initial state (groups, n_states, width) at parameters p (groups, n_parameters, width)."""
     names = [q.name for q in model.parameters]
     s = np.zeros((p.shape[0], len(model.states), p.shape[2]))
     for i, state in enumerate(model.states):
@@ -183,7 +210,17 @@ def start_in_lanes(model: Model, p: Array) -> Array:
 
 
 def with_covariance(model: Model, mean: Array, p: Array) -> Array:
-    """Means followed by the upper triangle of the initial covariance."""
+    """Return the initial mean followed by the upper triangle of the initial covariance, by rows.
+
+    Parameters
+    ----------
+    model
+        The model.
+    mean
+        Mean of the initial state (groups, n_states, width).
+    p
+        Parameters (groups, n_parameters, width).
+    """
     n, names = len(model.states), [q.name for q in model.parameters]
     s = np.zeros((p.shape[0], n + n * (n + 1) // 2, p.shape[2]))
     s[:, :n] = mean
@@ -194,7 +231,22 @@ def with_covariance(model: Model, mean: Array, p: Array) -> Array:
 
 
 def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
-    """(n_rows,): a bit for each sensor that has a sample in the row."""
+    """Return a mask (n_rows,) with one bit for each sensor that has a sample in the row.
+
+    Parameters
+    ----------
+    model
+        The model.
+    n_rows
+        Number of rows.
+    every
+        Number of rows between two samples of a sensor, by sensor; default 1.
+
+    Raises
+    ------
+    ValueError
+        If the model has no such sensor.
+    """
     unknown = set(every) - {s.name for s in model.sensors}
     if unknown:
         raise ValueError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}")
@@ -205,7 +257,10 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
 
 
 def in_lanes(a: Array, groups: int, width: int) -> Array:
-    """(n_rows, k, n) as (n_rows, groups, k, width); an incomplete group is filled with its last column."""
+    """Arrange an array (n_rows, k, n) in vector lanes (n_rows, groups, k, width).
+
+    An incomplete group is filled with copies of its last column.
+    """
     missing = groups * width - a.shape[2]
     if missing:
         a = np.concatenate([a, np.repeat(a[:, :, -1:], missing, axis=2)], axis=2)
@@ -213,20 +268,34 @@ def in_lanes(a: Array, groups: int, width: int) -> Array:
 
 
 def interval_ends(model: Model, u: Array, axis: int = -1) -> Array:
-    """The inputs at the end of each interval, of ``u`` (n_rows, ...), which has those of a row along ``axis``: those of
-    the next row where they are linear in between, else the same."""
+    """Return the inputs at the end of each interval.
+
+    Parameters
+    ----------
+    model
+        The model, which defines the hold of each input.
+    u
+        Inputs at the rows (n_rows, ...).
+    axis
+        Axis of ``u`` along which the inputs lie.
+
+    Returns
+    -------
+    Array
+        Of the shape of ``u``: the value of the next row for linear inputs, else the same value.
+    """
     return _interval_ends(np.array([i.hold == "linear" for i in model.inputs]), u, axis)
 
 
 def _interval_ends(linear: NDArray[np.bool_], u: Array, axis: int = -1) -> Array:
-    """``interval_ends`` of inputs that are ``linear`` (n_inputs,) or not."""
+    """Return `interval_ends` by the mask of linear inputs (n_inputs,)."""
     shape = [1] * u.ndim
     shape[axis] = linear.size
     return np.where(linear.reshape(shape), np.concatenate([u[1:], u[-1:]]), u)
 
 
 def square(triangle: Array, q: int) -> Array:
-    """Upper triangles by rows (n, q (q + 1) / 2) as symmetric matrices (n, q, q)."""
+    """Convert upper triangles by rows (n, q (q + 1) / 2) to symmetric matrices (n, q, q)."""
     full = np.empty((len(triangle), q, q))
     i, j = np.triu_indices(q)
     full[:, i, j] = full[:, j, i] = triangle
@@ -234,7 +303,10 @@ def square(triangle: Array, q: int) -> Array:
 
 
 def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) -> list[T]:
-    """Results in order; the kernels release the global interpreter lock."""
+    """Return the results of ``work`` for each chunk, in order, computed on several threads.
+
+    Threads are useful here because the kernels release the global interpreter lock.
+    """
     if threads < 2 or len(chunks) < 2:
         return [work(c) for c in chunks]
     with ThreadPoolExecutor(min(threads, len(chunks))) as pool:
@@ -242,7 +314,7 @@ def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) 
 
 
 def _flat(a: Array) -> Array:
-    """(groups, k, width) as (groups width, k)."""
+    """Convert lanes (groups, k, width) to rows (groups width, k)."""
     return np.asarray(a.transpose(0, 2, 1).reshape(-1, a.shape[1]))
 
 
@@ -254,9 +326,22 @@ def planned_record(
     values: Array | None = None,
     name: str = "planned",
 ) -> Record:
-    """Record of a planned experiment without process noise and measurement noise.
+    """Return the simulated record of a planned experiment, without process noise and measurement noise.
 
-    t (n_rows,) s; u (n_rows, n_inputs).
+    Parameters
+    ----------
+    model
+        The model.
+    t
+        Times (n_rows,) [s].
+    u
+        Inputs (n_rows, n_inputs).
+    every
+        Number of rows between two samples of a sensor, by sensor; default 1.
+    values
+        Parameter values (n_parameters,), by default those of the model.
+    name
+        Name of the record.
     """
     end = interval_ends(model, u)
     columns = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
@@ -272,13 +357,29 @@ def planned_record(
 def prediction_information(
     model: Model, record: Record, values: Array | None = None, free: Sequence[str] | None = None
 ) -> Array:
-    """Prediction-error information (q, q) of a record by the parameters ``free`` (those free in the model)."""
+    """Return the prediction-error information of a record.
+
+    Parameters
+    ----------
+    model
+        The model.
+    record
+        The record.
+    values
+        Parameter values (n_parameters,), by default those of the model.
+    free
+        Names of the parameters of the information, by default the free parameters of the model.
+
+    Returns
+    -------
+    Array (q, q)
+    """
     values = np.array([p.value for p in model.parameters]) if values is None else values
     return Likelihood(model).scores(record, values, free).information
 
 
 def prior_information(parameters: Sequence[Parameter]) -> Array:
-    """Prior information (q, q) of the parameters, diagonal, in their units."""
+    """Return the diagonal matrix of the prior information (q, q) about the parameters, in their units."""
     found = np.zeros(len(parameters))
     for i, p in enumerate(parameters):
         prior = p.free_prior()
@@ -288,10 +389,19 @@ def prior_information(parameters: Sequence[Parameter]) -> Array:
 
 
 def errors_of(information: Array) -> Array:
-    """Cramér-Rao bounds (..., q): standard errors with all other parameters unknown.
+    """Return the Cramér-Rao bounds: standard errors with all other parameters unknown.
 
-    inf where there is no information, or none that tells a parameter from others: the part of its direction in the null
-    space is above ``NULL_PART``. The others have theirs, by the pseudo-inverse.
+    Parameters
+    ----------
+    information
+        Information matrices (..., q, q).
+
+    Returns
+    -------
+    Array (..., q)
+        Standard errors. They are inf for a parameter without information, and for a parameter that cannot be separated
+        from others: the part of its unit vector in the null space is above ``NULL_PART``. The errors of the other
+        parameters are computed with the pseudo-inverse.
     """
     size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
     found = np.full(size.shape, np.inf)
@@ -302,29 +412,25 @@ def errors_of(information: Array) -> Array:
             continue
         w, V, scale = scaled_eigen(part)
         null = w <= SINGULAR_EIGENVALUE
-        told = np.square(V[:, null]).sum(axis=1) < NULL_PART**2
+        separable = np.square(V[:, null]).sum(axis=1) < NULL_PART**2
         variance = np.square(V[:, ~null]) @ (1.0 / w[~null])
-        found[at][good[told]] = np.sqrt(variance[told]) / scale[told]
+        found[at][good[separable]] = np.sqrt(variance[separable]) / scale[separable]
     return found
 
 
 @dataclass(frozen=True)
 class InformationSegment:
-    """Information of one segment of a log.
+    """Information of one segment of a log about q parameters."""
 
-    Attributes:
-        weight (q,): factor by which each standard error would grow without the segment (1: none; inf: only this segment
-            informs the parameter).
-        alone, whole (q,): standard errors from this segment alone, and from all segments of all records.
-    """
-
-    record: str
-    t_from: float
-    t_to: float
-    information: Array
+    record: str  # name of the record
+    t_from: float  # s
+    t_to: float  # s
+    information: Array  # (q, q)
+    # (q,), factor by which each standard error would grow without the segment. 1: the segment has no information;
+    # inf: only this segment informs the parameter.
     weight: Array
-    alone: Array
-    whole: Array
+    alone: Array  # (q,), standard errors from this segment alone
+    whole: Array  # (q,), standard errors from all segments of all records
 
 
 def segment_information(
@@ -336,12 +442,29 @@ def segment_information(
     values: Sequence[Array] | None = None,
     inflation: Mapping[str, float] | None = None,
 ) -> list[InformationSegment]:
-    """Fisher information of each segment of the records about the parameters ``names`` (prediction error).
+    """Return the prediction-error information of each segment of the records.
 
-    seconds: length of a segment. values: the parameters in each record, over ``model.parameters``. The information of a
-    segment is what it adds to that of all before it in its record. Per-record nuisance parameters (current, biases) and
-    noise count as unknown. inflation: of the standard errors by correlated residuals; the data inform as much less, the
-    priors do not.
+    Parameters
+    ----------
+    model
+        The model.
+    records
+        The records.
+    names
+        Parameters of the result.
+    seconds
+        Length of a segment [s].
+    values
+        Values of ``model.parameters`` (n_parameters,) for each record, by default those of the model.
+    inflation
+        Inflation of the standard errors by correlated residuals, by parameter. It reduces the information of the data
+        but not that of the priors.
+
+    Returns
+    -------
+    list
+        The segments of all records. The information of a segment is what it adds to the segments before it in its
+        record. Per-record nuisance parameters (current, biases) and noise parameters are unknown.
     """
     nuisances = [p for p in model.parameters if p.free and p.name not in names]
     shared = [*names, *[p.name for p in nuisances if not p.per_record]]
@@ -361,7 +484,7 @@ def segment_information(
             parts[-1][-1][places] = F / np.outer(larger, larger)
     whole = np.sum([F for *_, F in parts], axis=0) + prior
     best = errors_of(whole)[:q]
-    with np.errstate(invalid="ignore"):  # what nothing tells has no weight
+    with np.errstate(invalid="ignore"):  # inf / inf: the weight of a parameter without information is NaN
         weights = [errors_of(whole - F)[:q] / best for *_, F in parts]
     return [
         InformationSegment(name, a, b, F[:q, :q], weight, errors_of(F + prior)[:q], best)
@@ -372,8 +495,8 @@ def segment_information(
 def _increments(
     model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float
 ) -> list[tuple[float, float, Array]]:
-    """Start and end [s] of each segment, and the information that it adds."""
-    starts = np.arange(0.0, max(record.duration - seconds / 2, seconds / 2), seconds)  # of a short record one
+    """Return start and end [s] of each segment of a record, and the information (q, q) that the segment adds."""
+    starts = np.arange(0.0, max(record.duration - seconds / 2, seconds / 2), seconds)  # one for a short record
     edges = np.append(starts, record.duration) + record.t[0]
     past = edges[-1] + 1.0  # the last row belongs to the last segment
     ends = [record.part(record.t[0], past if k == edges.size - 1 else float(edges[k])) for k in range(1, edges.size)]
@@ -383,4 +506,5 @@ def _increments(
 
 
 def _total(model: Model, ends: Sequence[Record], values: Array | None, free: Sequence[str], which: slice) -> Array:
+    """Return the information of the first of the selected records."""
     return prediction_information(model, ends[which.start], values, free)

@@ -1,13 +1,12 @@
-"""Optimal input design: the step sequence of largest information about the parameters, within limits.
+"""Optimal input design: the step sequence with the largest information about the parameters, within limits.
 
-Thesis chapter 5. The thesis takes the information of output error, since that of prediction error took too long to
-compute. Here both cost about the same, and prediction error is the default: without process noise a simulation of ten
-minutes is so sensitive to every parameter (the heading at the end to all that went before) that output error predicts
-standard errors of a twentieth to a hundredth of what a fit can reach, and designs for them.
+The thesis (chapter 5) uses the information of output error, since that of prediction error took too long to compute.
+Here both cost about the same, and prediction error is the default. Without process noise a simulation of ten minutes is
+extremely sensitive to every parameter: the heading at the end depends on the whole motion before. Output error
+therefore predicts standard errors of a twentieth to a hundredth of those of a fit, and optimises for them.
 
-Baseline input signals, PRBS and random Gaussian (RGS) of optimised bandwidth, and robustness to parameters.
-
-Thesis chapter 5; Ljung 1999, section 13.3.
+The module also computes baseline signals, PRBS and random Gaussian signals (RGS) of optimised bandwidth, and the
+robustness of a design to the parameters (Ljung 1999, section 13.3).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from seatrial.ident.experiment_design.information import (
 from seatrial.ident.experiment_design.task import N_TRACKS, DesignProblem
 from seatrial.ident.numerics import Array, Evaluate, EvaluateAbove, PatternSearch, SearchResult
 
-N_START, N_RESTARTS = 512, 4
+N_START, N_RESTARTS = 512, 4  # random sequences, and the best of them from which a search starts
 BLOCK = 100.0  # s, shortest block of a long experiment that is designed separately
 LEVEL_DIGITS = 3  # decimal digits of a level in mission.toml
 N_BAND = 64  # simulated boats for the band of the track
@@ -41,52 +40,64 @@ Progress = Callable[[int, float], None]
 
 @dataclass(frozen=True)
 class Design:
-    """The best design that was found.
-
-    Attributes:
-        levels (n_steps, n_channels), durations (n_steps,) s: the steps.
-        value: criterion, prior information included.
-        information (q, q): by ``task.free``, without the prior.
-    """
+    """Best design of a search."""
 
     task: DesignProblem
-    levels: Array
-    durations: Array
-    value: float
-    information: Array
+    levels: Array  # (n_steps, n_channels)
+    durations: Array  # (n_steps,) [s]
+    value: float  # criterion, with the prior information
+    information: Array  # (q, q), about the parameters `task.free`, without the prior information
     found: SearchResult
 
     def command_on(self, task: DesignProblem) -> Array:
-        """(n_rows, n_channels) on the rows of a task."""
+        """Return the command (n_rows, n_channels) on the rows of a task."""
         return task.actuation.limited(self.levels[:, :, None], self.durations[:, None])[:, :, 0]
 
     @property
     def command(self) -> Array:
+        """Command (n_rows, n_channels) on the rows of the design problem."""
         return self.command_on(self.task)
 
     @property
     def before(self) -> dict[str, float]:
-        """Standard errors before this experiment; inf: no information."""
+        """Standard errors before the experiment by parameter; inf if there is no information."""
         return self._by_name(self.task.prior)
 
     @property
     def errors(self) -> dict[str, float]:
-        """Standard errors after it, by the information of the design (noise known)."""
+        """Standard errors after the experiment by parameter, by the information of the design with known noise."""
         return self._by_name(self.information + self.task.prior)
 
     @cached_property
     def predicted(self) -> dict[str, float]:
-        """Standard errors after it, by prediction error with all sensors at their rates: what a fit may reach."""
+        """Standard errors that a fit can reach after the experiment, by parameter (`predicted_errors`)."""
         return predicted_errors(self.task, self.command_on(self.task.finer))
 
     def _by_name(self, information: Array) -> dict[str, float]:
+        """Return the standard errors of the parameters `task.learned` by an information matrix (q, q)."""
         q = len(self.task.learned)
         return dict(zip(self.task.learned, errors_of(information)[:q].tolist(), strict=True))
 
 
 def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
-    """Standard errors of ``task.learned`` after a command (n_rows, n_channels) on the rows of ``task.finer``, by
-    prediction error, with unknown noise parameters."""
+    """Return the standard errors that a fit can reach after an experiment.
+
+    Parameters
+    ----------
+    task
+        Design problem.
+    command
+        Command (n_rows, n_channels) on the rows of ``task.finer``.
+
+    Returns
+    -------
+    dict
+        Standard errors of the parameters ``task.learned`` by name.
+
+    Notes
+    -----
+    The information is that of prediction error with all sensors at their rates, and with unknown noise parameters.
+    """
     fine, q = task.finer, len(task.learned)
     model = fine.observed(task.model)
     u = fine.actuation.inputs(command[:, :, None])[:, :, 0]
@@ -101,28 +112,32 @@ def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Track:
-    """Predicted track, from the rest before the steps to the end of the coasting after them.
+    """Predicted track, from the rest before the steps to the end of the coasting after them."""
 
-    Attributes:
-        t (n,): s since the beginning of the mission.
-        x, y (n,): m, of the nominal boat from its start, heading north.
-        others (k, n, 2): m, of boats sampled from the prior, with process noise.
-        radius (n,): m, holds 95 % of them.
-        inside: share of them that stayed in the area; None without one.
-        corner (2,): m, south-west corner of the area relative to the start; None without one.
-    """
-
-    t: Array
-    x: Array
-    y: Array
-    radius: Array
-    others: Array
-    inside: float | None
-    corner: Array | None
+    t: Array  # (n,) [s], since the start of the mission
+    x: Array  # (n,) [m] north of the start, nominal boat that starts with heading north
+    y: Array  # (n,) [m] east of the start
+    radius: Array  # (n,) [m], of the circle about the nominal position that holds 95 % of the sampled boats
+    others: Array  # (k, n, 2) [m], positions of boats sampled from the prior, with process noise
+    inside: float | None  # share of the sampled boats that stay in the area; None without an area
+    corner: Array | None  # (2,) [m], south-west corner of the area relative to the start; None without an area
 
 
 def predicted_track(made: Design, points: int = 61) -> Track | None:
-    """Track by simulation; None where the model has no position."""
+    """Predict the track of a design by simulation.
+
+    Parameters
+    ----------
+    made
+        The design.
+    points
+        Number of points of the track.
+
+    Returns
+    -------
+    Track or None
+        None if the model has no position.
+    """
     task = made.task
     names = [s.name for s in task.model.states]
     if not {"x", "y"} <= set(names):
@@ -151,9 +166,29 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
 def design(
     task: DesignProblem, *, evaluations: int = 20_000, warm: Array | None = None, progress: Progress | None = None
 ) -> Design:
-    """Optimal step sequence by pattern search, from the best of many random sequences or from ``warm`` (n, size).
+    """Search the optimal step sequence.
 
-    The same seed gives the same design. Raises SeatrialError where no sequence keeps to the limits.
+    Parameters
+    ----------
+    task
+        Design problem.
+    evaluations
+        Number of evaluations of the criterion.
+    warm
+        Search points (n, size) to start from. By default the search starts from the best of many random sequences, or
+        from a block that is designed first.
+    progress
+        Function of the number of evaluations and the best value, called during the search.
+
+    Returns
+    -------
+    Design
+        The same seed gives the same design.
+
+    Raises
+    ------
+    SeatrialError
+        If no sequence that was found keeps to the limits, or informs all parameters.
     """
     if warm is None and task.process_noise:
         warm = _block(task, evaluations, progress)
@@ -174,10 +209,11 @@ def design(
 
 
 def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> Array | None:
-    """Initial point for a long experiment: a shorter block, designed separately and repeated.
+    """Return the start of the search for a long experiment: a shorter block, designed separately and repeated.
 
-    The information of a filter adds up over time, so a good block is good again; a block has fewer steps and is
-    simulated faster, so it is searched more thoroughly for half of the evaluations.
+    The information of a filter adds up over time, so that a good block remains good when it is repeated. A block has
+    fewer steps and is simulated faster, so that its search is more thorough. It takes half of the evaluations. None if
+    the experiment cannot be divided into equal blocks.
     """
     steps = task.steps
     parts = [
@@ -198,7 +234,7 @@ def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> 
 
 
 def _search(task: DesignProblem, evaluations: int, warm: Array | None, progress: Progress | None) -> SearchResult:
-    """Search the step sequence of the largest criterion within the limits."""
+    """Search the step sequence with the largest criterion within the limits."""
     return search_design(
         task.steps,
         lambda z: task.judge(task.commands(z)),
@@ -221,9 +257,26 @@ def search_design(
     n_start: int = N_START,
     above: EvaluateAbove | None = None,
 ) -> SearchResult:
-    """Pattern search over step sequences, from the best of n_start random ones or from ``warm`` (n, size).
+    """Search step sequences with a pattern search.
 
-    ``above``: as of `PatternSearch`.
+    Parameters
+    ----------
+    steps
+        Input class.
+    evaluate
+        Function of search points (n, size) that returns value (n,) and violation (n,).
+    evaluations
+        Number of evaluations.
+    seed
+        Seed of the search.
+    warm
+        Search points (n, size) to start from. By default they are the best of ``n_start`` random points.
+    progress
+        Function of the number of evaluations and the best value, called during the search.
+    n_start
+        Number of random points.
+    above
+        Faster evaluation against a merit, as in `PatternSearch`.
     """
     if warm is None:
         starts = steps.random(n_start, np.random.default_rng([seed, 13]))
@@ -235,24 +288,28 @@ def search_design(
 
 
 def _uninformative(task: DesignProblem, singular: float) -> str:
+    """Return the message for a design without information about some parameters; ``singular``: share of samples."""
     names = ", ".join(task.chosen or task.learned)
-    where = f" in all of the {task.robust} parameter samples (in {100 * singular:.0f} % none)" if task.robust else ""
+    where = (
+        f" in all of the {task.robust} parameter samples (singular in {100 * singular:.0f} %)" if task.robust else ""
+    )
     return (
-        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that tells all of {names}"
+        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that informs all of {names}"
         f"{where}: "
-        f"the sensors do not tell them from each other, or the simulation diverges on rows of {task.grid:g} s; give "
+        f"the sensors cannot separate them, or the simulation diverges on rows of {task.grid:g} s; give "
         "fewer --parameters, or other --steps"
     )
 
 
 def _too_tight(task: DesignProblem, violation: float) -> str:
+    """Return the message for limits that no sequence keeps; ``violation``: relative excess."""
     limits = task.limits
-    named = [f"--area {limits.area[0]:g}x{limits.area[1]:g}"] if limits.area else []
-    named += [f"--max-speed {limits.speed:g}"] if limits.speed else []
-    named += [f"--energy {limits.energy:g}"] if limits.energy else []
+    options = [f"--area {limits.area[0]:g}x{limits.area[1]:g}"] if limits.area else []
+    options += [f"--max-speed {limits.speed:g}"] if limits.speed else []
+    options += [f"--energy {limits.energy:g}"] if limits.energy else []
     return (
         f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that keeps to "
-        f"{', '.join(named)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
+        f"{', '.join(options)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
         "give more room, a shorter --duration, a smaller --prior-halfwidth, or a model.toml with smaller errors"
     )
 
@@ -264,26 +321,31 @@ AMPLITUDES = (0.35, 0.6, 1.0)  # of n_max: amplitude or standard deviation
 
 @dataclass(frozen=True)
 class BaselineSignal:
-    """The best signal of a kind.
-
-    Attributes:
-        command (n_rows, n_channels): behind the slew limit.
-        value: its criterion.
-        bandwidth: clock period [s] of a PRBS, corner frequency [Hz] of an RGS.
-        values (n_seeds,): criterion of each seed at its best bandwidth and amplitude.
-    """
+    """Best baseline signal of one kind."""
 
     kind: Literal["PRBS", "RGS"]
-    command: Array
-    value: float
-    bandwidth: float
-    values: Array
+    command: Array  # (n_rows, n_channels), after the slew limit
+    value: float  # criterion
+    bandwidth: float  # clock period [s] of a PRBS, corner frequency [Hz] of an RGS
+    values: Array  # (n_seeds,), criterion of each seed at its best bandwidth and amplitude
 
 
 def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[str, BaselineSignal]:
-    """The best of n sequences of each kind, each at its best bandwidth and amplitude.
+    """Return the best of n sequences of each kind, each at its best bandwidth and amplitude.
 
-    Limits on the track do not apply to them: a sequence that ignores limits can only be better.
+    Parameters
+    ----------
+    task
+        Design problem.
+    n
+        Number of sequences of each kind.
+    seed
+        Seed of the sequences.
+
+    Returns
+    -------
+    dict
+        Best signal of the kinds ``PRBS`` and ``RGS``. Limits of the track do not apply, which favours the baseline.
     """
     channels, n_max = len(task.actuation.channels), task.steps.n_max
     makers = {
@@ -308,11 +370,12 @@ def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[st
 
 
 def _gaussian(t: Array, corner: float, channels: int, size: float, n_max: float, rng: np.random.Generator) -> Array:
+    """Return `rgs` with the standard deviation as a share of the largest command."""
     return rgs(t, corner, channels, size * n_max, n_max, rng)
 
 
 def _slewed(command: Array, slew: float, step: float) -> Array:
-    """Commands with changes of at most ``slew`` [1/s], from zero."""
+    """Return commands (n_rows, n_channels, n) that change by at most ``slew`` [1/s], starting from zero."""
     if not np.isfinite(slew):
         return command
     out = np.empty_like(command)
@@ -324,26 +387,37 @@ def _slewed(command: Array, slew: float, step: float) -> Array:
 
 
 def _criterion(task: DesignProblem, command: Array) -> Array:
-    """As that of a design: averaged where it is robust, and singular where it is in any sample."""
+    """Return the criterion (n,) as for a design: a mean if robust, and ``SINGULAR`` if any sample is singular."""
     value, singular = task.criterion_of(command)
     return np.where(singular > 0.0, SINGULAR, value)
 
 
 @dataclass(frozen=True)
 class Robustness:
-    """Criterion (n,) of each input by name, over the same n parameter samples."""
+    """Criteria of several inputs over the same parameter samples."""
 
-    values: Mapping[str, Array]
+    values: Mapping[str, Array]  # criterion (n,) of each input by name
 
     def share_won(self, ours: str = "design") -> float:
-        """Share of the samples in which ``ours`` is better than every baseline."""
-        rest = [v for name, v in self.values.items() if name != ours]
-        return float(np.mean(self.values[ours] > np.max(rest, axis=0))) if rest else 1.0
+        """Return the share of the samples in which the input ``ours`` is better than all other inputs."""
+        others = [v for name, v in self.values.items() if name != ours]
+        return float(np.mean(self.values[ours] > np.max(others, axis=0))) if others else 1.0
 
 
 def monte_carlo(task: DesignProblem, commands: Mapping[str, Array], n: int = 1000, seed: int = 1) -> Robustness:
-    """Criterion of commands (n_rows, n_channels) at n parameter samples of what is believed: of a fitted model its
-    standard errors and their correlations, else a box about the nominal values."""
+    """Return the criteria of several commands at random parameters.
+
+    Parameters
+    ----------
+    task
+        Design problem. Its prior is the covariance of a fitted model, else a box about the nominal values.
+    commands
+        Commands (n_rows, n_channels) by name.
+    n
+        Number of parameter samples.
+    seed
+        Seed of the samples.
+    """
     values = task.belief_or_box.sample(task.experiments.model, n, np.random.default_rng([seed, 17]))
     inputs = {name: task.actuation.inputs(c[:, :, None])[:, :, 0] for name, c in commands.items()}
     return Robustness({name: task.values(u, values) for name, u in inputs.items()})

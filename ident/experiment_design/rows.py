@@ -1,8 +1,8 @@
-"""Row spacing: how far apart the rows of a simulated experiment may be.
+"""Row spacing: the largest interval between the rows of a simulated experiment.
 
 The engine takes one Runge-Kutta step (fourth order) from row to row. It is stable up to ``h |lambda|`` of 2.785 on the
-negative real axis, and reasonably exact up to half of that. Copies of an input that are delayed (``NAME~k``) are taken
-from the rows, so that rows further apart than the copies blur what tells a delay.
+negative real axis, and reasonably exact up to half of that. Delayed input taps (``NAME~k``) are interpolated between
+the rows. Rows must not be further apart than the taps, because the interpolation would smooth the delay.
 """
 
 from __future__ import annotations
@@ -17,15 +17,29 @@ from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array
 
 STABLE = 1.4  # largest row spacing times the fastest pole
-TRIED_S, HOLD_S, ROW_S, SUBSTEP = 4.0, 1.0, 0.1, 0.025  # s: random steps of full thrust, in which poles are looked at
+# Simulation of random steps of thrust for the fastest pole [s]: duration, duration of a step, row spacing, integration
+# step.
+TRIAL_S, HOLD_S, ROW_S, SUBSTEP = 4.0, 1.0, 0.1, 0.025
 SHORTEST = 0.005  # s
 
 
 def row_spacing(members: Sequence[tuple[Model, Array]], longest: float, n_max: float = 1.0) -> float:
-    """Row spacing [s] on which all of ``members`` can be simulated: ``longest`` over the least whole number that does.
+    """Return the largest row spacing with which all models can be simulated.
 
-    By the spacing of the delayed copies of their inputs, of which it is a whole part, and by the fastest pole that any
-    of the parameters (n, n_parameters) beside each model has while its thrusters take random steps up to ``n_max``.
+    Parameters
+    ----------
+    members
+        Models, each with parameter samples (n, n_parameters).
+    longest
+        Upper bound of the spacing [s].
+    n_max
+        Largest command of the random steps for which the fastest pole is computed.
+
+    Returns
+    -------
+    float
+        Spacing [s]: ``longest`` over a whole number. It divides the spacing of the delayed input taps, and is short
+        enough for the fastest pole.
     """
     copies = divided(longest, min(copy_spacing(model, longest) for model, _ in members))
     pole = max(fastest_pole(model, boats, n_max) for model, boats in members)
@@ -33,24 +47,38 @@ def row_spacing(members: Sequence[tuple[Model, Array]], longest: float, n_max: f
 
 
 def copy_spacing(model: Model, longest: float) -> float:
-    """The least delay [s] of the copies of a model's inputs, ``longest`` at most."""
+    """Return the smallest delay [s] of the delayed input taps of a model, at most ``longest`` [s]."""
     return min([longest, *(abs(i.delay) for i in model.inputs if i.tap)])
 
 
 def divided(spacing: float, most: float) -> float:
-    """A spacing over the least whole number that leaves at most ``most``."""
+    """Divide a spacing by the smallest whole number with which the result is at most ``most``."""
     return spacing / int(np.ceil(spacing / most - 1e-9))
 
 
 def fastest_pole(model: Model, boats: Array, n_max: float) -> float:
-    """Largest absolute eigenvalue [1/s] of the rates' Jacobian by the states, by central differences, of all ``boats``
-    (n, n_parameters); 0 of a model without states."""
+    """Return the fastest pole of a model along simulations with random steps.
+
+    Parameters
+    ----------
+    model
+        The model.
+    boats
+        Parameter samples (n, n_parameters).
+    n_max
+        Largest command of the random steps.
+
+    Returns
+    -------
+    float
+        Largest absolute eigenvalue [1/s] of the Jacobian of the rates; 0 for a model without states.
+    """
     n, k = len(boats), len(model.states)
     if not k:
         return 0.0
-    t = np.asarray(np.arange(round(TRIED_S / ROW_S) + 1) * ROW_S)
+    t = np.asarray(np.arange(round(TRIAL_S / ROW_S) + 1) * ROW_S)
     response = ThrusterResponse(model, t, n_max)
-    steps = np.random.default_rng(0).uniform(-n_max, n_max, (round(TRIED_S / HOLD_S) + 1, len(response.channels)))
+    steps = np.random.default_rng(0).uniform(-n_max, n_max, (round(TRIAL_S / HOLD_S) + 1, len(response.channels)))
     u = response.inputs(steps[(t / HOLD_S + 1e-9).astype(int)][:, :, None])[:, :, 0]
     rngs = [np.random.default_rng(i) for i in range(n)]
     x = simulate_stochastic(model, SampledInputs.linear(t, u), boats, rngs, x0=np.zeros((n, k)), substep=SUBSTEP)[0]
@@ -63,7 +91,10 @@ def fastest_pole(model: Model, boats: Array, n_max: float) -> float:
 
 
 def _jacobian(model: Model, x: Array, u: Array, boats: Array) -> Array:
-    """Of the rates (n, n_states, n_states) at states x (n, n_states) and inputs u (n_inputs,)."""
+    """Return the Jacobian of the rates by central differences (n, n_states, n_states).
+
+    It is taken at states x (n, n_states), inputs u (n_inputs,) and parameters ``boats`` (n, n_parameters).
+    """
     J, steps = np.empty((len(x), x.shape[1], x.shape[1])), 1e-5 * (1.0 + np.abs(x))
 
     def rates(at: Array) -> Array:

@@ -18,26 +18,32 @@ from seatrial.ident.model import Model, ParameterOrigin
 from seatrial.ident.numerics import Array, breaks_a_constraint
 
 GRID = 0.2  # s between rows of a search
-REST_S = 5.0  # s before the steps: noise of the sensors, and the boat comes to rest
-COAST_S = 10.0  # s after the last step, without thrust, until somebody takes the boat over
+REST_S = 5.0  # before the steps: the boat comes to rest, and the log shows the noise of the sensors
+COAST_S = 10.0  # after the last step without thrust, until the operator takes over
 RATE = 10.0  # Hz, default rate of a sensor
 PRIOR_HALFWIDTH = 0.25  # relative; default prior: uniform within 0.75 to 1.25 of the nominal values (thesis)
-HELD = 200e6  # bytes of inputs at once
+MAX_INPUT_BYTES = 200e6  # of inputs in memory at once
 N_TRACKS = 24  # parameter samples whose tracks must keep to the limits
-DIVERGED = 1e6  # violation
+DIVERGED = 1e6  # violation of the limits by a simulation that diverges
 ESTIMATED = ParameterOrigin.ESTIMATED
 
 
 @dataclass(frozen=True)
 class DesignLimits:
-    """Limits of a mission; None: no limit.
+    """Limits of a mission. None means no limit.
 
-    Attributes:
-        area: sides (north, east) [m] of a rectangle that holds the whole track, wherever in it the boat starts,
-            heading north: the rest before the steps (``REST_S``) and the coasting after them (``COAST_S``), too.
-        speed: through the water [m/s].
-        energy: mean of ``|n|^3``, the share of full power.
-        current: largest current [m/s], from any direction, that the track must allow for.
+    Attributes
+    ----------
+    area
+        Sides (north, east) [m] of a rectangle that holds the whole track, which starts with a heading of north. The
+        start may lie anywhere in it. The track includes the rest before the steps (``REST_S``) and the coasting after
+        them (``COAST_S``).
+    speed
+        Speed through the water [m/s].
+    energy
+        Mean of ``|n|^3``, the share of full power.
+    current
+        Largest current [m/s] from any direction for which the track must keep to the limits.
     """
 
     area: tuple[float, float] | None = None
@@ -47,26 +53,28 @@ class DesignLimits:
 
     @property
     def bind(self) -> bool:
-        """Whether there is any limit."""
+        """Return whether there is any limit."""
         return self.energy is not None or self.concern_the_track
 
     @property
     def concern_the_track(self) -> bool:
+        """Return whether there is a limit of area or speed."""
         return self.area is not None or self.speed is not None
 
 
 @dataclass(frozen=True)
 class ParameterPrior:
-    """Prior distribution of the parameters ``names``: uniform in a box about the values of the model (relative
-    half-width
-    ``box``), or normal with a covariance (k, k)."""
+    """Prior distribution of some parameters about their values in the model: uniform in a box, or normal."""
 
     names: tuple[str, ...]
-    box: float = PRIOR_HALFWIDTH
-    covariance: Array | None = None
+    box: float = PRIOR_HALFWIDTH  # half-width of the uniform distribution over the value
+    covariance: Array | None = None  # (k, k) of the normal distribution; None for the uniform distribution
 
     def sample(self, model: Model, n: int, rng: np.random.Generator) -> Array:
-        """Samples (n, n_parameters), within the bounds of the parameters; positive parameters stay positive."""
+        """Return samples (n, n_parameters) of all parameters of the model.
+
+        The samples are within the bounds of the parameters, and positive parameters stay positive.
+        """
         index = [p.name for p in model.parameters]
         values = np.tile([p.value for p in model.parameters], (n, 1))
         columns = [index.index(name) for name in self.names]
@@ -86,20 +94,43 @@ class ParameterPrior:
 class DesignProblem:
     """Model, input class, criterion, limits and prior knowledge of a design.
 
-    Attributes:
-        chosen: parameters to estimate, of those that the sensors observe (default: all).
-        rates: of the sensors [Hz], where they are given.
-        belief: prior of the parameters; None: the default box.
-        earlier: information (k, k) of earlier logs, by ``belief.names``.
-        inflation: by parameter, factor by which the residuals of the earlier logs, being correlated, made its standard
-            error larger than by the information; those of new logs will, too.
-        validity: by signal, what the data of the model covered.
-        fitted_rates: of the sensors [Hz], in the data of the model: of its rows, whose noise the model has.
-        robust: parameter samples over which the criterion is averaged (0: nominal only; with D this is ELD optimality,
-            Walter and Pronzato 1997, section 6.4).
-        process_noise: information of prediction error, else of output error.
-        grid: s between rows, no more than ``row_spacing`` allows; where a sensor's rate is another than its rows have,
-            its noise is larger or smaller by the root of the ratio.
+    Attributes
+    ----------
+    model
+        The model with nominal parameter values.
+    steps
+        Input class.
+    criterion
+        Optimality criterion.
+    chosen
+        Parameters to estimate. By default they are all that the sensors observe.
+    rates
+        Rates of sensors [Hz] that the user gives, by sensor.
+    limits
+        Limits of the mission.
+    slew
+        Largest rate of change of a command [1/s].
+    belief
+        Prior of the parameters. By default it is uniform within ``PRIOR_HALFWIDTH``.
+    earlier : Array (k, k)
+        Information of earlier logs about the parameters ``belief.names``.
+    inflation
+        Robust standard error over that by the information, by parameter, in earlier logs with correlated residuals.
+        New logs are expected to have the same ratio.
+    validity
+        Range of each signal in the data of the model.
+    fitted_rates
+        Rates of the sensors [Hz] to which the noise parameters of the model refer.
+    robust
+        Number of parameter samples over which the criterion is averaged; 0 for nominal values only. With the criterion
+        D the average is ELD optimality (Walter and Pronzato 1997, section 6.4).
+    process_noise
+        Whether the information is that of prediction error. Else it is that of output error.
+    seed
+        Seed of the search and of all samples.
+    grid
+        Interval between rows [s], at most that of ``row_spacing``. If a sensor cannot have its rate on the rows, its
+        noise is scaled by the square root of the ratio.
     """
 
     model: Model
@@ -121,38 +152,52 @@ class DesignProblem:
 
     @cached_property
     def t(self) -> Array:
+        """Times of the steps (n_rows,) [s]."""
         return np.asarray(np.arange(round(self.steps.duration / self.grid) + 1) * self.grid)
 
     @cached_property
     def t_whole(self) -> Array:
-        """Times [s] of the whole mission: the rest before the steps, these, and the coasting after them."""
+        """Times of the whole mission (n_rows,) [s]: rest, steps and coasting."""
         return np.asarray(np.arange(sum(self._around) + self.t.size) * self.grid)
 
     @property
     def _around(self) -> tuple[int, int]:
-        """Rows without thrust, before and after."""
+        """Number of rows without thrust before and after the steps."""
         return round(REST_S / self.grid), round(COAST_S / self.grid)
 
     def whole_inputs(self, command: Array) -> Array:
-        """The model's inputs (n_rows, n_inputs, n) at ``t_whole`` under commands (n_rows, n_channels, n) at ``t``."""
+        """Return the inputs of the model over the whole mission.
+
+        Parameters
+        ----------
+        command
+            Commands (n_rows, n_channels, n) at the times ``t``.
+
+        Returns
+        -------
+        Array (n_rows_whole, n_inputs, n)
+            Inputs at the times ``t_whole``.
+        """
         before, after = (np.zeros((n, *command.shape[1:])) for n in self._around)
         whole = np.concatenate([before, command[:-1], np.zeros((1, *command.shape[1:])), after])
         return replace(self.actuation, t=self.t_whole).inputs(whole)
 
     @cached_property
     def actuation(self) -> ThrusterResponse:
+        """Response of the thrusters to commands at the times ``t``."""
         return ThrusterResponse(self.model, self.t, self.steps.n_max, self.slew)
 
     @property
     def every(self) -> dict[str, int]:
-        """Rows between the samples of each sensor."""
+        """Number of rows between two samples of each sensor."""
         return {s.name: max(1, round(1.0 / (self.rate(s.name) * self.grid))) for s in self.model.sensors}
 
     def rate(self, sensor: str) -> float:
+        """Return the rate of a sensor [Hz]: given, else that of the data of the model, else ``RATE``."""
         return self.rates.get(sensor, self.fitted_rates.get(sensor, RATE))
 
     def observed(self, model: Model) -> Model:
-        """The model with the measurement noise that its sensors have on the rows of this problem."""
+        """Return the model with its measurement noise scaled for the sample rates on the rows of this problem."""
         noise: dict[str, float] = {}
         for s in model.sensors:
             factor = np.sqrt(1.0 / (self.rate(s.name) * self.every[s.name] * self.grid))
@@ -167,36 +212,39 @@ class DesignProblem:
 
     @cached_property
     def learned(self) -> tuple[str, ...]:
-        """Shared dynamic parameters that the sensors observe."""
+        """Names of the shared dynamic parameters that the sensors observe."""
         return self._visible(dynamic_parameters(self.model))
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """``learned`` and the observed per-record nuisance parameters."""
+        """Names of ``learned`` and of the per-record nuisance parameters that the sensors observe."""
         return (*self.learned, *self._visible([p.name for p in self.model.parameters if p.free and p.per_record]))
 
     def _visible(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Parameters with non-zero information: those that some output depends on."""
+        """Return the parameters with non-zero information, on which at least one output depends."""
         if not names:
             return ()
         u = self.actuation.inputs(self.commands(self.steps.random(4, np.random.default_rng(0))))
         information = Experiments(self.model, names, self.t, process_noise=False)(u).information
-        found = np.diagonal(information, axis1=1, axis2=2) != 0  # NaN of what diverged is not zero either
+        found = np.diagonal(information, axis1=1, axis2=2) != 0  # NaN, if a simulation diverges, also counts
         return tuple(n for k, n in enumerate(names) if found[:, k].any())
 
     @cached_property
     def prior(self) -> Array:
-        """Prior information (q, q) by ``free``: priors of nuisance parameters and of what the bench or the user knows,
-        or the information of earlier logs, which has these in it."""
+        """Prior information (q, q) about the parameters ``free``.
+
+        It has the priors of nuisance parameters, and the information of earlier logs. Without earlier logs it has the
+        priors of parameters that the bench or the user gives. The information of earlier logs includes these priors.
+        """
         q = len(self.learned)
         prior = np.zeros((len(self.free), len(self.free)))
         prior[q:, q:] = prior_information([self.model.parameter(n) for n in self.free[q:]])
         if self.earlier is not None and self.belief is not None:
-            known = [n for n in self.belief.names if n in self.learned]
-            here = [self.learned.index(n) for n in known]
-            there = [self.belief.names.index(n) for n in known]
-            prior[np.ix_(here, here)] += self.earlier[np.ix_(there, there)]
-        else:  # a thrust is known from the bench; no mission tells it
+            shared = [n for n in self.belief.names if n in self.learned]
+            rows = [self.learned.index(n) for n in shared]
+            earlier_rows = [self.belief.names.index(n) for n in shared]
+            prior[np.ix_(rows, rows)] += self.earlier[np.ix_(earlier_rows, earlier_rows)]
+        else:  # for example a thrust curve from the bench, which no mission can identify
             of_learned = [self.model.parameter(n) for n in self.learned]
             given = np.array([p.provenance is not ESTIMATED for p in of_learned], dtype=float)
             prior[:q, :q] = prior_information(of_learned) * given
@@ -204,73 +252,90 @@ class DesignProblem:
 
     @cached_property
     def measure(self) -> Criterion:
-        wanted = self.chosen or self.learned
-        lost = [n for n in wanted if n not in self.learned]
-        if lost:
+        """Criterion of the chosen parameters. Raises SeatrialError if one of them is not observed."""
+        chosen = self.chosen or self.learned
+        unobserved = [n for n in chosen if n not in self.learned]
+        if unobserved:
             raise SeatrialError(
-                f"{lost[0]!r} cannot be learned with model {self.model.name} from these sensors; "
-                f"there is {', '.join(self.learned)}"
+                f"{unobserved[0]!r} cannot be estimated with model {self.model.name} from these sensors; "
+                f"choose from {', '.join(self.learned)}"
             )
         return Criterion(
-            self.criterion, tuple(self.free.index(n) for n in wanted), characteristic_steps(self.model, self.free)
+            self.criterion, tuple(self.free.index(n) for n in chosen), characteristic_steps(self.model, self.free)
         )
 
     @cached_property
     def experiments(self) -> Experiments:
+        """Simulated experiments with the information about ``free``."""
         return Experiments(self.observed(self.model), self.free, self.t, self.every, process_noise=self.process_noise)
 
     @cached_property
     def _inflations(self) -> Array:
-        """By ``free``, those of the standard errors."""
+        """Inflation of the standard errors (q,) of the parameters ``free``."""
         return np.array([self.inflation.get(n, 1.0) for n in self.free])
 
     def information(self, u: Array, values: Array | None = None) -> Array:
-        """Information (n, q, q) by ``free`` that inputs give, as far as a fit may take it for such: divided by the
-        inflation of the errors."""
+        """Return the information of inputs about ``free``, reduced by the inflation of the standard errors.
+
+        Parameters
+        ----------
+        u
+            Inputs (n_rows, n_inputs, n) or (n_rows, n_inputs).
+        values
+            Parameter values (n, n_parameters), by default nominal.
+
+        Returns
+        -------
+        Array (n, q, q)
+        """
         found = self.experiments(u, values).information
         return np.asarray(found / np.outer(self._inflations, self._inflations))
 
     @cached_property
     def belief_or_box(self) -> ParameterPrior:
+        """Prior ``belief``; without it the default box of the observed parameters that are estimated."""
         known = self.model.parameter
         return self.belief or ParameterPrior(tuple(n for n in self.learned if known(n).provenance is ESTIMATED))
 
     def samples(self, n: int, purpose: int) -> Array:
-        """Parameters (n, n_parameters) drawn from what is believed."""
+        """Return parameters (n, n_parameters) drawn from the prior; ``purpose`` selects the random stream."""
         rng = np.random.default_rng([self.seed, 10 + purpose])
         return self.belief_or_box.sample(self.experiments.model, n, rng)
 
     @cached_property
     def _robust_samples(self) -> Array:
+        """Parameter samples (robust, n_parameters) over which the criterion is averaged."""
         return self.samples(self.robust, 1)
 
     def boats(self, n: int, purpose: int) -> Array:
-        """Parameter samples, each in a current of its own."""
+        """Return parameters (n, n_parameters) drawn from the prior, each with a different current."""
         rng = np.random.default_rng([self.seed, 40 + purpose])
         return in_current(self.experiments.model, self.samples(n, purpose), self.limits.current, rng)
 
     @cached_property
     def reach(self) -> TrackExtent:
-        """Extent of the track of the nominal boat and of sampled ones with process noise, all from the same start."""
+        """Track extent of the nominal boat and of sampled boats with process noise, all from the same start."""
         nominal = self.experiments.values
         return TrackExtent(self.model, self.t_whole, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
 
     def commands(self, z: Array) -> Array:
-        """Commands (n_rows, n_channels, n) of search points."""
+        """Return the commands (n_rows, n_channels, n) of search points z (n, size)."""
         return self.actuation.limited(*self.steps.unpack(z))
 
     def judge(self, command: Array) -> tuple[Array, Array]:
-        """Criterion (n,) and violation (n,) of commands (n_rows, n_channels, n)."""
+        """Return criterion (n,) and violation of the limits (n,) of commands (n_rows, n_channels, n)."""
         value, singular = self.criterion_of(command)
         return value, self.broken(command) + singular
 
     def judge_above(self, command: Array, least: float) -> tuple[Array, Array]:
-        """``judge`` for a search that compares with the merit ``least``: commands that cannot be better are judged by
-        the limits alone or by the criterion alone."""
+        """Return the same as `judge` for a search that only asks whether commands are better than the merit ``least``.
+
+        For commands that cannot be better, only the limits or only the criterion are evaluated.
+        """
         if not self.limits.concern_the_track:
             return self.judge(command)
         value = np.full(command.shape[2], SINGULAR)
-        if breaks_a_constraint(least):  # anything that keeps the limits is better, whatever its criterion
+        if breaks_a_constraint(least):  # every command within the limits is better
             violation = self.broken(command)
             kept = violation == 0.0
             if kept.any():
@@ -283,8 +348,15 @@ class DesignProblem:
         return value, violation
 
     def criterion_of(self, command: Array) -> tuple[Array, Array]:
-        """Criterion (n,) of commands (n_rows, n_channels, n), averaged over the samples of a robust design in which it
-        is finite, and the share (n,) of the samples in which it is not."""
+        """Return the criterion of commands (n_rows, n_channels, n).
+
+        Returns
+        -------
+        value : Array (n,)
+            Criterion, for a robust design the mean over the parameter samples with a regular information matrix.
+        singular : Array (n,)
+            Share of the samples with a singular information matrix.
+        """
         boats = self._robust_samples if self.robust else None
         parts = []
         for some in self._slices(command, self.t.size, len(boats) if boats is not None else 1):
@@ -294,26 +366,36 @@ class DesignProblem:
                 continue
             n, k = u.shape[2], len(boats)
             found = self.values(np.repeat(u, k, axis=2), np.tile(boats, (n, 1))).reshape(n, k)
-            told = found > SINGULAR
-            mean = np.where(told, found, 0.0).sum(axis=1) / np.maximum(told.sum(axis=1), 1)
-            parts.append((np.where(told.any(axis=1), mean, SINGULAR), 1.0 - told.mean(axis=1)))
+            regular = found > SINGULAR
+            mean = np.where(regular, found, 0.0).sum(axis=1) / np.maximum(regular.sum(axis=1), 1)
+            parts.append((np.where(regular.any(axis=1), mean, SINGULAR), 1.0 - regular.mean(axis=1)))
         value, singular = (np.concatenate(part) for part in zip(*parts, strict=True))
         return value, singular
 
     def _slices(self, command: Array, rows: int, boats: int) -> Iterator[Array]:
-        """Commands (n_rows, n_channels, n) a few at a time: their inputs, for so many boats, stay below ``HELD``."""
+        """Yield commands (n_rows, n_channels, n) in slices whose inputs for all boats fit `MAX_INPUT_BYTES`."""
         n_channels = max(len(self.model.inputs), command.shape[1])
-        width = max(1, int(HELD / (8 * rows * n_channels * boats)))
+        width = max(1, int(MAX_INPUT_BYTES / (8 * rows * n_channels * boats)))
         for first in range(0, command.shape[2], width):
             yield command[:, :, first : first + width]
 
     def values(self, u: Array, values: Array | None = None) -> Array:
-        """The criterion (n,) of inputs (n_rows, n_inputs, n) or (n_rows, n_inputs), at parameter values (n,
-        n_parameters) or the nominal ones."""
+        """Return the criterion (n,) of inputs, prior information included.
+
+        Parameters
+        ----------
+        u
+            Inputs (n_rows, n_inputs, n) or (n_rows, n_inputs).
+        values
+            Parameter values (n, n_parameters), by default nominal.
+        """
         return self.measure(self.information(u, values) + self.prior)
 
     def broken(self, command: Array) -> Array:
-        """Violation (n,) of the limits: sum of the relative excesses; 0: all limits are kept."""
+        """Return the violation of the limits by commands (n_rows, n_channels, n).
+
+        The violation (n,) is the sum of the relative excesses over all limits; 0 if all limits are kept.
+        """
         broken = np.zeros(command.shape[2])
         if self.limits.energy is not None:
             broken = np.maximum(self.actuation.energy(command) / self.limits.energy - 1.0, 0.0)
@@ -322,15 +404,19 @@ class DesignProblem:
         return broken + self._violation(*self.extents(command))
 
     def extents(self, command: Array) -> tuple[Array, Array]:
-        """Minimum and maximum (n, k) of ``experiments.extremes`` over all boats in the whole mission of commands
-        (n_rows, n_channels, n)."""
+        """Return minimum and maximum (n, k) of ``experiments.extremes`` over the whole mission and all boats.
+
+        ``command``: commands (n_rows, n_channels, n).
+        """
         parts = [self.reach(self.whole_inputs(some)) for some in self._slices(command, self.t_whole.size, 1)]
         low, high = (np.concatenate(side) for side in zip(*parts, strict=True))
         return low.min(axis=1), high.max(axis=1)
 
     def corner(self, command: Array) -> Array | None:
-        """South-west corner (2,) of the area relative to the start [m] that centres the extent of one command (n_rows,
-        n_channels); None without an area."""
+        """Return the south-west corner (2,) of the area relative to the start [m]; None without an area.
+
+        The area is centred on the extent of the track of one command (n_rows, n_channels).
+        """
         if self.limits.area is None:
             return None
         low, high = self.extents(command[:, :, None])
@@ -338,7 +424,7 @@ class DesignProblem:
         return np.asarray((low[0, at] + high[0, at] - np.array(self.limits.area)) / 2)
 
     def _violation(self, low: Array, high: Array) -> Array:
-        """Relative excess (n,) over the limits of area and speed."""
+        """Return the relative excess (n,) over the limits of area and speed, by minimum and maximum (n, k)."""
         total = np.zeros(len(low))
         names = self.experiments.extremes
         if self.limits.area is not None:
@@ -356,6 +442,6 @@ class DesignProblem:
 
 
 def believed(saved: SavedModel) -> ParameterPrior:
-    """Prior from a fitted model: its shared parameters with a standard error, with their correlation."""
-    known = saved.covariance(dynamic_parameters(saved.model))
-    return ParameterPrior(known.names, covariance=known.covariance)
+    """Return the prior from a fitted model: the covariance of its shared parameters with a standard error."""
+    fitted = saved.covariance(dynamic_parameters(saved.model))
+    return ParameterPrior(fitted.names, covariance=fitted.covariance)

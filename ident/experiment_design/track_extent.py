@@ -1,8 +1,8 @@
 """Monte Carlo extent of the mission track, over parameter uncertainty, process noise and current.
 
-Process noise enters as inputs on the rates of the states, drawn once for each sampled boat and linear between the rows:
-white up to the rate of the rows, far above the bandwidth of a boat. All missions get the same draws (common random
-numbers), so a search compares like with like.
+Process noise is an input on the rates of the states. It is drawn once for each sampled boat and is linear between the
+rows: white up to the rate of the rows, which is far above the bandwidth of a boat. All missions get the same noise
+(common random numbers), so that a search compares missions and not noise.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ CURRENT = ("V_x", "V_y")
 
 
 def with_noise_inputs(model: Model) -> tuple[Model, list[str]]:
-    """The model with an input ``w_STATE`` [unit/s] on the rate of each state with process noise, and these states."""
+    """Return the model with process noise as inputs, and the names of the states that have it.
+
+    The input ``w_STATE`` [unit of the state / s] is added to the rate of the state.
+    """
     noisy = [s for s in model.states if s.noise != 0.0]
 
     def add_noise(s: Signals) -> None:
@@ -34,9 +37,23 @@ def with_noise_inputs(model: Model) -> tuple[Model, list[str]]:
 
 
 def in_current(model: Model, values: Array, largest: float, rng: np.random.Generator) -> Array:
-    """Parameters (n, n_parameters) with a current drawn uniformly from the disc of radius ``largest`` [m/s].
+    """Return parameter samples with a random current, uniform in a disc.
 
-    Raises SeatrialError where the model has no current.
+    Parameters
+    ----------
+    model
+        The model.
+    values
+        Parameter samples (n, n_parameters).
+    largest
+        Radius of the disc [m/s].
+    rng
+        Random generator.
+
+    Raises
+    ------
+    SeatrialError
+        If the model has no current.
     """
     if largest == 0.0:
         return values
@@ -50,8 +67,10 @@ def in_current(model: Model, values: Array, largest: float, rng: np.random.Gener
 
 
 class TrackExtent:
-    """Track extents of sampled boats (n, n_parameters) on common times t (n_rows,) s; the first has no process
-    noise."""
+    """Track extents of sampled boats (n_boats, n_parameters) on common times t (n_rows,) [s].
+
+    The first boat has no process noise.
+    """
 
     def __init__(self, model: Model, t: Array, boats: Array, seed: Sequence[int]) -> None:
         self._model, self._t, self._boats, self._seed = model, t, boats, list(seed)
@@ -59,6 +78,7 @@ class TrackExtent:
 
     @cached_property
     def _experiments(self) -> Experiments:
+        """Simulated experiments of the model with noise inputs."""
         return Experiments(self._disturbed, (), self._t, process_noise=False)
 
     @property
@@ -68,7 +88,7 @@ class TrackExtent:
 
     @cached_property
     def noise(self) -> Array:
-        """White noise (n_rows, n_noisy, n_boats) [unit/s] that integrates to the diffusion of the model."""
+        """White noise (n_rows, n_noisy, n_boats) [unit/s] whose integral has the diffusion of the model."""
         h, states = np.diff(self._t), {s.name: s for s in self._model.states}
         names = [p.name for p in self._model.parameters]
         out = np.zeros((self._t.size, len(self._noisy), len(self._boats)))
@@ -81,5 +101,5 @@ class TrackExtent:
         return out
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
-        """Minimum and maximum (n, n_boats, k) of ``extremes`` under inputs u (n_rows, n_inputs, n)."""
+        """Return minimum and maximum (n, n_boats, k) of ``extremes`` for inputs u (n_rows, n_inputs, n)."""
         return self._experiments.extents_in_noise(u, self.noise, self._boats)

@@ -95,7 +95,7 @@ def test_inputs_that_are_hardly_ever_known_cannot_be_fitted(tmp_path: Path) -> N
     left = np.where(np.arange(T.size) % 90 < 60, 0.5, NAN)
     with pytest.warns(SeatrialWarning):
         log = log_of(tmp_path, ', nan = "drop"', left)
-    with pytest.raises(SeatrialError, match=r"run\.mcap: its inputs are known for less than 10 s on end"):
+    with pytest.raises(SeatrialError, match=r"run\.mcap: no part in which the inputs are known is as long as 10 s"):
         load_all([log], [])
 
 

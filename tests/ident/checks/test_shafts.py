@@ -72,7 +72,7 @@ def test_a_shaft_that_never_turns_is_dead_after_a_second_of_command(seconds: flo
 def test_a_command_of_half_a_second_does_not_tell() -> None:
     ((level, code, text),) = found(last_seconds(0.5, False, False))
     assert (level, code) == ("warning", "shaft-too-short")
-    assert text == "command and shaft speed overlap for too short a time to tell how the shaft follows"
+    assert text == "command and shaft speed overlap for too short a time to estimate the response of the shaft"
 
 
 def test_a_shaft_that_dies_in_the_first_seconds_is_dead() -> None:
@@ -103,4 +103,4 @@ def test_a_shaft_that_goes_through_nothing_to_the_other_side_has_not_lost_its_sp
 @pytest.mark.parametrize(("losses", "often"), [((35.0,), "once"), ((35.0, 40.0), "2 times")])
 def test_a_lost_speed_is_counted(losses: tuple[float, ...], often: str) -> None:
     (text,) = [text for _, code, text in found(told_astern_before(*losses)) if code == "shaft-speed-drops-out"]
-    assert text == f"its speed falls to nothing {often} while it is told to turn"
+    assert text == f"its speed falls to zero {often} while it is commanded to turn"

@@ -72,7 +72,9 @@ def test_a_short_gap_and_a_short_part_are_no_runs(tmp_path: Path) -> None:
     whole = load_run(log_with_gap(tmp_path / "short.mcap", 50.0), "judged")
     assert known_pieces(whole) == [whole]
     path = log_with_gap(tmp_path / "run.mcap", DAY, n_last=400)
-    with pytest.warns(SeatrialWarning, match="its parts are runs of their own; 1 part shorter than 10 s is left out"):
+    with pytest.warns(
+        SeatrialWarning, match="its parts are used as separate runs; 1 part shorter than 10 s is left out"
+    ):
         (one,) = load_runs([path], "judged")
     assert one.about["name"] == "run[0:30]"
     with pytest.warns(SeatrialWarning):
@@ -83,7 +85,9 @@ def test_a_short_gap_and_a_short_part_are_no_runs(tmp_path: Path) -> None:
 def test_a_log_of_nothing_but_gaps_is_refused(tmp_path: Path) -> None:
     boat = boat_with(None, 4)
     readings = [r._replace(t=r.t + 100.0 * int(r.t / 5.0)) for r in sail(boat, SECONDS, 3)[0].readings]
-    with pytest.raises(SeatrialError, match=r"run\.mcap: has no 10 s on end with samples; the log is cut at 6 gaps"):
+    with pytest.raises(
+        SeatrialError, match=r"run\.mcap: no part with samples is as long as 10 s; the log is cut at 6 gaps"
+    ):
         load_all([record(tmp_path / "run.mcap", rig_of("boat"), readings)], [])
 
 

@@ -206,7 +206,7 @@ def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
         # The track begins at the first fix that is read, the heading within half a turn of north.
         begin = np.nanmean(found - y) if name in ("x", "y", "psi") else 0.0
         np.testing.assert_allclose(found, y + begin, rtol=0.0, atol=1e-3 if begin else 0.0, err_msg=name)
-    with pytest.raises(SeatrialError, match="240 s long, so nothing is left from 300 s on"):
+    with pytest.raises(SeatrialError, match="240 s long, so no data are left from 300 s on"):
         load_run(path, "estimation", TimeWindow(300.0))
 
 

@@ -100,7 +100,7 @@ def test_lanes_do_not_mix_and_a_shared_input_is_the_same_as_copies() -> None:
     low, high = Experiments(model, HULL, t, process_noise=False).extents(u, values)
     np.testing.assert_allclose(low, together.low, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(high, together.high, rtol=1e-9, atol=1e-9)
-    with pytest.raises(ValueError, match="as many inputs"):
+    with pytest.raises(ValueError, match="inputs and parameter values must be equally many"):
         batch(u, values[:5])
 
 

@@ -41,7 +41,7 @@ def test_rows_are_as_close_as_the_quickest_state_needs() -> None:
 def test_what_diverges_is_an_error() -> None:
     """On rows of twenty time constants: the criterion was -1e9, and T infinite and so clear."""
     one, two = follower(0.01), follower(0.01, 2)
-    with pytest.raises(SeatrialError, match=r"tells all of T.*diverges on rows of 0\.2 s"):
+    with pytest.raises(SeatrialError, match=r"informs all of T.*diverges on rows of 0\.2 s"):
         design(task_of(one, 0.2), evaluations=500)
     command = np.where(np.arange(51)[:, None] % 10 < 5, 1.0, -1.0)
     with pytest.raises(SeatrialError, match=r"follower1 and follower2 cannot be compared: .* rows of 0\.2 s"):

@@ -271,7 +271,7 @@ def test_the_command_writes_a_table_a_result_and_a_report(logs: Path) -> None:
     ("words", "message"),
     [
         (("--gnss-outage", "500:600"), "no GNSS position between 500 s and 600 s to withhold; it has them from 0 s"),
-        (("--from", "900"), "is 150 s long, so nothing is left from 900 s on"),
+        (("--from", "900"), "is 150 s long, so no data are left from 900 s on"),
         (("--gnss-outage", "90"), "'90' is not T0:T1 in seconds of the log"),
         (("--gnss-outage", "90:60"), "'90:60': the end is not after the beginning"),
     ],
