@@ -216,7 +216,7 @@ def test_a_clock_that_ran_back_is_a_fault_of_a_mapped_log_too(tmp_path: Path, mo
     fixes = [(t, Gnss(1.7e9 + t, 59.0, 10.0, 3.0, 0.5, 0.1, fix=3)) for t in (0, 100, 1, 101, 2)]
     rows = [("", 1.7e9 + t, Frame(fix, t, t)) for t, fix in fixes]
     (table,) = sample_tables(tmp_path / "run.log", rows)
-    assert table.said == "gnss: its times ran back 2 times, by up to 99.0 s"
+    assert table.full_remark == "gnss: its times ran back 2 times, by up to 99.0 s"
     (tmp_path / "map.toml").write_text(
         'format = "seatrial-import 1"\nsignal = [{ name = "vx", topic = "gnss", field = "vel_n", unit = "m/s" }]\n'
     )
