@@ -166,7 +166,7 @@ def test_frames_behind_midnight(tmp_path: Path) -> None:
 def test_a_log_without_times_is_refused_with_what_to_do(tmp_path: Path) -> None:
     """As candump writes it without an option."""
     path = write(tmp_path, lines_of_frames(lambda k, i, d: f"  can0  {i}   [8]  {spaced(d)}"))
-    with pytest.raises(SeatrialError, match=r"its frames have no times; record with times: candump -ta can0"):
+    with pytest.raises(SeatrialError, match=r"its frames have no times; record again with times: candump -ta can0"):
         guess_map(path)
 
 

@@ -67,7 +67,7 @@ def test_what_is_read_is_never_replaced(folder: Path) -> None:
     kept = [csv_map, source, folder / "link.csv"]
     before = [path.read_bytes() for path in kept]
     for out in (None, csv_map, folder / "link.csv"):
-        with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+        with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
             import_files(csv_map, [source], out=out, force=True)
     (folder / "bag/part.mcap").write_bytes(b"of a bag")
     with (
@@ -230,8 +230,8 @@ def test_times_of_a_day(folder: Path) -> None:
         ('t,cmd,heading\n0," 1\n",2\n1,2,z\n', "line 4, column 'heading': 'z' is not a number"),
         ("t,cmd,heading\n", "no rows below the header"),
         ("", "the file is empty"),
-        ("t,cmd,heading\n-5,1,2\n", "times must lie between 1970 and 2038"),
-        ("t,cmd,heading\n1e12,1,2\n", "times must lie between 1970 and 2038"),
+        ("t,cmd,heading\n-5,1,2\n", "times must be between 1970 and 2038"),
+        ("t,cmd,heading\n1e12,1,2\n", "times must be between 1970 and 2038"),
     ],
 )
 def test_what_is_wrong_with_a_file_is_one_line(folder: Path, rows: str, line: str) -> None:
@@ -300,7 +300,7 @@ def test_two_signals_that_one_name_has_in_the_axes_of_the_log(folder: Path) -> N
     csv_map, files = write(folder)
     text = csv_map.read_text().replace('"deg"', '"m"').replace('"n_left"', '"y"')
     csv_map.write_text(text.replace('name = "psi"', 'name = "x"\nframe = "ENU"'))
-    with pytest.raises(SeatrialError, match=r"signal: 'y' appears twice \(in the axes of the log\)"):
+    with pytest.raises(SeatrialError, match=r"signal: 'y' appears twice \(after conversion to NED\)"):
         import_files(csv_map, files)
 
 
@@ -313,7 +313,7 @@ def test_pieces_begin_with_the_command_that_holds(folder: Path) -> None:
     assert values(a, "n_left") == ([0.5, 1.0, 2.0], [0.1, 0.2, 0.3])
     assert values(a, "psi")[0] == [1.0, 2.0]
     assert values(b, "n_left") == ([3.0], [0.4])
-    with pytest.raises(SeatrialError, match="-o names one log, but there will be 2; use --out-dir"):
+    with pytest.raises(SeatrialError, match="-o names one log, but this import makes 2; use --out-dir"):
         import_files(path, files, out=folder / "x.mcap")
 
 

@@ -181,7 +181,7 @@ def test_references_without_an_object_are_no_numbers(tmp_path: Path) -> None:
     with path.open("r+b") as opened:
         opened.write(b"MATLAB 7.3 MAT-file".ljust(512))
     with pytest.raises(
-        SeatrialError, match=r"holds no vectors of numbers; objects .* are read from files of version 7\.3"
+        SeatrialError, match=r"contains no vectors of numbers; objects .* are read only from files of version 7\.3"
     ):
         read_matlab(path, SourceOptions())
 

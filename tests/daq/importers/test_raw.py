@@ -185,7 +185,7 @@ def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
     import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
     with pytest.raises(SeatrialError, match="the file exists already"):
         import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
-    with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+    with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
         import_raw("vectornav", ascii_capture, rate=40.0, out=ascii_capture, force=True)
 
 
@@ -253,7 +253,7 @@ def test_dates_of_another_calendar_are_moved_next_to_the_others(tmp_path: Path, 
     fixes = [Gnss(t - early * (k in wrong), 59.0 + 1e-6 * k, 10.0, fix=3) for k, t in enumerate(true)]
     path = tmp_path / "run.nmea"
     path.write_bytes(b"".join(map(nmea.encode, fixes)))
-    with pytest.warns(SeatrialWarning, match="dates of another calendar.*10 samples moved"):
+    with pytest.warns(SeatrialWarning, match="wrong dates.*10 samples moved"):
         out, _ = import_raw("nmea", path, out=tmp_path / "run.mcap")
     with open_log(out) as log:
         table = log.table(Gnss, log.sources(Gnss)[0])

@@ -222,7 +222,9 @@ def test_wrong_stamps_of_many_rows_end_an_import_with_an_error(tmp_path: Path, e
         return
     with (
         pytest.warns(SeatrialWarning, match="stamps are wrong"),
-        pytest.raises(SeatrialError, match=r"40 rows left out, whose stamps are wrong .* mend the clock of the driver"),
+        pytest.raises(
+            SeatrialError, match=r"40 rows left out, whose stamps are wrong .* repair the clock of the driver"
+        ),
     ):
         signals(path, tmp_path, lines)
 
@@ -285,7 +287,9 @@ def test_our_own_log_comes_back(tmp_path: Path) -> None:
 def test_our_own_bag_by_its_guess(tmp_path: Path) -> None:
     """`export ros` keeps the topics of the log, in our axes, beside those of REP-103. The log itself needs no map."""
     write_everything(tmp_path / "own.mcap", 12)
-    with pytest.raises(SeatrialError, match="is a log of seatrial: check, ident and export take it as it is"):
+    with pytest.raises(
+        SeatrialError, match="is a seatrial log and needs no import; check, ident and export read it directly"
+    ):
         guess_map(tmp_path / "own.mcap")
     with open_log(tmp_path / "own.mcap") as own:
         export_ros(own, tmp_path / "ros")
@@ -308,7 +312,7 @@ def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match=r"signal\[1\]\.field: missing"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", column = "data", unit = "m" }')
     (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n, and nothing more")
-    with pytest.raises(SeatrialError, match="cannot be read as a bag of ROS"):
+    with pytest.raises(SeatrialError, match="cannot be read as a ROS bag"):
         signals(tmp_path / "bad.mcap", tmp_path, '{ name = "x", topic = "/rpm", field = "data", unit = "m" }')
     assert not list((tmp_path / "logs").glob("*.mcap")) if (tmp_path / "logs").exists() else True
 
