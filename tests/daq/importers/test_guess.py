@@ -95,7 +95,7 @@ def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
     assert guessed(path)["psi"]["unit"] == "deg"
     np.testing.assert_allclose(values(tmp_path / "run.mcap", "psi")[1], np.radians(10.0 + np.arange(N)))
     path.write_bytes(text.encode())
-    said = r"run\.txt: not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
+    said = r"run\.txt: is not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
     with pytest.raises(SeatrialError, match=said) as caught:
         import_files(tmp_path / "run.map.toml", [path], out=tmp_path / "again.mcap")
     assert "\n" not in str(caught.value)
@@ -366,7 +366,7 @@ def test_units_that_no_name_says_have_caveats(guess_of: Guessing) -> None:
     assert "# caveat: a speed of at most 2.9 is assumed to be in m/s\n" in text
     assert "# caveat: accelerations are assumed to be in m/s2, not in g\n" in text
     assert {signal["name"] for signal in tomllib.loads(text)["signal"]} == {"speed", "ax", "ay"}
-    assert "# no latitude in degrees is 3848.85; ddmm.mmmm?" in text
+    assert "# 3848.85 is not a latitude in degrees; the format may be ddmm.mmmm" in text
     known = {f"{name} [{unit}]": TIME for name, unit in (("sog", "kn"), ("acc_x", "g"), ("acc_y", "g"), ("cog", "deg"))}
     assert "# caveat" not in guess_of("matlab", Table(Path("x"), "", known, TIME)).text
 
@@ -379,7 +379,10 @@ def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
     radians = {**degrees, "yaw_rate": np.radians(degrees["yaw_rate"])}
     assert guessed(write(tmp_path, radians))["r"]["unit"] == "rad/s"
     against = {**radians, "yaw_rate": -radians["yaw_rate"]}
-    assert "sign = -1?" in guess_map(write(tmp_path, against)).text
+    assert (
+        "it has the opposite sign of the heading's derivative; sign = -1 may be needed"
+        in guess_map(write(tmp_path, against)).text
+    )
     slow = {"t": TIME, "yaw": 100.0 + 0.1 * psi, "yaw_rate": 4.8 * np.cos(0.8 * TIME)}
     assert guessed(write(tmp_path, slow))["r"]["unit"] == "deg/s"  # by the heading, not by the greatest number
 
@@ -438,7 +441,7 @@ def test_an_output_without_a_range_has_the_usual_one() -> None:
     pulses = {"pwm": 1500.0 + TIME}
     tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2)]
     (left,) = (c for c in outputs(tables) if c.signals[0].name == "n_left")
-    assert left.caveat.startswith("SERVO2_MIN is not below SERVO2_MAX: ")
+    assert left.caveat.startswith("SERVO2_MIN is not below SERVO2_MAX and is ignored; ")
     assert left.signals[0].extra.startswith("scale = 0.0025, offset = -3.75")
 
 
