@@ -124,8 +124,12 @@ def _bare(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
 
     The speed of a VESC is then electrical: the number of pole pairs is unknown.
     """
-    decoders = {bus: _bare_decoder(protocol) for bus in {one.bus for one in frames}}
-    return [(one.bus, frame) for one in frames for frame in decoders[one.bus].feed(_wire(one), one.t)]
+    decoders = {bus: _bare_decoder(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
+    return [
+        (bus_frame.bus, frame)
+        for bus_frame in frames
+        for frame in decoders[bus_frame.bus].feed(_wire(bus_frame), bus_frame.t)
+    ]
 
 
 def _bare_decoder(protocol: str) -> Decoder:
@@ -151,20 +155,20 @@ def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
     by_pgn = {dbc.pgn_bits(m.frame_id): m for m in messages if dbc.is_j1939(m)}
     found: dict[tuple[str, str, int], tuple[list[float], list[dict[str, float]]]] = {}
     refused: Counter[tuple[str, str, int]] = Counter()
-    for one in frames:
-        message, sender = exact.get(one.word), 0
-        if message is None and one.word & EXTENDED:
-            message, sender = by_pgn.get(dbc.pgn_bits(one.word & ~EXTENDED)), one.word & 0xFF
+    for bus_frame in frames:
+        message, sender = exact.get(bus_frame.word), 0
+        if message is None and bus_frame.word & EXTENDED:
+            message, sender = by_pgn.get(dbc.pgn_bits(bus_frame.word & ~EXTENDED)), bus_frame.word & 0xFF
         if message is None:
             continue
-        key = one.bus, message.name, sender
+        key = bus_frame.bus, message.name, sender
         try:
-            raw = message.decode(one.data, decode_choices=False, scaling=False)
+            raw = message.decode(bus_frame.data, decode_choices=False, scaling=False)
         except Exception:  # the frame is too short, or the DBC does not define this value of its multiplexer
             refused[key] += 1
             continue
         t, rows = found.setdefault(key, ([], []))
-        t.append(one.t)
+        t.append(bus_frame.t)
         rows.append({name: dbc.number(message, name, value) for name, value in raw.items()})
     if not found:
         raise SeatrialError(f"{path}: none of its {counted(len(frames), 'frame')} is defined in {database}")
@@ -188,15 +192,15 @@ def _decoded(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFram
         raise SeatrialError(f"{rig.path}: the rig has no device on a CAN bus")
     buses = {frame.bus for frame in frames}
     decoders = {device.name: make_decoder(device, rig) for device in devices}
-    for one in frames:
+    for bus_frame in frames:
         for device in devices:
             bus = device.port.rpartition(":")[2]
             # A log may number its buses in its own way. Only if it has the rig's name, the device reads this bus alone.
-            if bus in buses and one.bus != bus:
+            if bus in buses and bus_frame.bus != bus:
                 continue
-            yield device, one, None
-            for frame in decoders[device.name].feed(_wire(one), one.t):
-                yield device, one, frame
+            yield device, bus_frame, None
+            for frame in decoders[device.name].feed(_wire(bus_frame), bus_frame.t):
+                yield device, bus_frame, frame
 
 
 class _FixedClock(NamedTuple):
@@ -243,11 +247,11 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
         recorder = Recorder(part, rig=rig, clock=_FixedClock(frames[0].t), metadata={"import": "can"})
         try:
             recorder.event(frames[0].t, "import", path.name)
-            for device, one, frame in _decoded(frames, rig):
+            for device, bus_frame, frame in _decoded(frames, rig):
                 if frame is None:
-                    recorder.write_raw(device.name, "rx", _wire(one), one.t)
+                    recorder.write_raw(device.name, "rx", _wire(bus_frame), bus_frame.t)
                 else:
-                    recorder.write(device.name, frame, one.t)
+                    recorder.write(device.name, frame, bus_frame.t)
                     n_samples += 1
                 recorder.tick()
         finally:

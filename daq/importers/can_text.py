@@ -103,11 +103,11 @@ def dialect_of(head: bytes) -> str:
         return "BusMaster"
     if any(re.match(r"(?i)base +(hex|dec)", line) for line in lines):
         return "ASC"
-    for one in _DIALECTS:
+    for candidate in _DIALECTS:
         # The last line may be cut off, and a log may begin in the middle of a line.
-        matching = [k for k, line in enumerate(lines) if one.form.fullmatch(line)]
-        if matching and len(matching) >= 0.5 * len(lines) and one.name not in ("ASC", "BusMaster"):
-            return one.name
+        matching = [k for k, line in enumerate(lines) if candidate.form.fullmatch(line)]
+        if matching and len(matching) >= 0.5 * len(lines) and candidate.name not in ("ASC", "BusMaster"):
+            return candidate.name
     return ""
 
 
@@ -119,7 +119,7 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
     SeatrialError
         If the file cannot be read, its frames have no times, or most of its lines are not frames.
     """
-    one = next(one for one in _DIALECTS if one.name == dialect)
+    dialect_of_log = next(known for known in _DIALECTS if known.name == dialect)
     log = _Log()
     frames: list[BusFrame] = []
     strange: list[int] = []  # numbers of lines
@@ -127,13 +127,13 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
         with path.open(encoding="utf-8", errors="replace") as file:
             for number, line in enumerate(file, start=1):
                 text = line.strip()
-                match = one.form.fullmatch(text)
+                match = dialect_of_log.form.fullmatch(text)
                 if match is not None:
                     try:
-                        frames += one.frames(log, match.groupdict(default=""))
+                        frames += dialect_of_log.frames(log, match.groupdict(default=""))
                     except ValueError:  # an invalid number, or a date that does not exist
                         strange.append(number)
-                elif text and not _is_heading(log, one.name, text):
+                elif text and not _is_heading(log, dialect_of_log.name, text):
                     strange.append(number)
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
@@ -146,7 +146,7 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
     if strange:
         text = f"{path}: {counted(len(strange), 'line')} left out, not CAN frames; the first is line {strange[0]}"
         warnings.warn(text, SeatrialWarning, stacklevel=2)
-    return _with_times(log, one.name, frames)
+    return _with_times(log, dialect_of_log.name, frames)
 
 
 def _with_times(log: _Log, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:

@@ -151,7 +151,9 @@ def _compact_date(table: Table, name: str) -> Clock | None:
     if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
         return None
     clock = "%H%M%S.%f" if any("." in text for text in times) else "%H%M%S"
-    for date in (one for one in table.names if one and read_name(one).words & {"date", "datum", "day", "utcdate"}):
+    for date in (
+        column for column in table.names if column and read_name(column).words & {"date", "datum", "day", "utcdate"}
+    ):
         days = _typical(table.text(date)) if table.names.count(date) == 1 else []
         pattern = _COMPACT.get(len(days[0]) if days else 0)
         if pattern is None or any(len(day) != len(days[0]) for day in days):
@@ -240,7 +242,9 @@ def _format(table: Table, column: str) -> tuple[str, str]:
         )
     if _DIGITS.fullmatch(next((text.strip() for text in table.text(column) if text.strip()), "")):
         patterns = ("%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f", "%Y%m%d%H%M%S%f")
-        if fitting := [one for one in patterns if _fits(partial(read_date, pattern=one), _typical(table.text(column)))]:
+        if fitting := [
+            pattern for pattern in patterns if _fits(partial(read_date, pattern=pattern), _typical(table.text(column)))
+        ]:
             return fitting[0], ""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     values = values[np.isfinite(values)]
@@ -275,7 +279,9 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
         return "", ""
     if not tried[0].replace(".", "").isdigit() and _fits(datetime.fromisoformat, tried):
         return "iso", ""
-    fitting = [one for one in _fitting_patterns(tried, (*_CLOCKS, *_WHOLE, *_BOTH)) if not _is_unpadded(one, tried)]
+    fitting = [
+        pattern for pattern in _fitting_patterns(tried, (*_CLOCKS, *_WHOLE, *_BOTH)) if not _is_unpadded(pattern, tried)
+    ]
     fitting = fitting or _fitting_patterns(tried, _MINUTES)
     fitting = [pattern for pattern in fitting if "%f" in pattern] or fitting
     if not fitting:
@@ -358,7 +364,7 @@ def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
     """Return the format of times that are numbers (n,), by their size and their usual step, and the caveat about it."""
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))
-    for unit, size in ((one, TIME_UNITS[one]) for one in ("s", "ms", "us", "ns")):
+    for unit, size in ((name_of_unit, TIME_UNITS[name_of_unit]) for name_of_unit in ("s", "ms", "us", "ns")):
         if DATES[0] < size * top < DATES[1] and size * step < SLOWEST:
             odd = size * step >= ODD
             caveat = f'{top:.6g} is assumed to be seconds since 1970; a time since the start may be in "ms"'

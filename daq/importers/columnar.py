@@ -51,13 +51,13 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
     seconds: dict[str, set[str]] = {}
     try:
         for name, value in _workspace(path):
-            for one in vectors(name, value, left_out):
-                for column_name, column in _columns(one):
-                    groups.setdefault((one.topic, len(column)), {})[column_name] = column
-                    if one.unit:
-                        units.setdefault(one.topic, {})[column_name] = one.unit
-                    if one.is_time:
-                        seconds.setdefault(one.topic, set()).add(column_name)
+            for vector in vectors(name, value, left_out):
+                for column_name, column in _columns(vector):
+                    groups.setdefault((vector.topic, len(column)), {})[column_name] = column
+                    if vector.unit:
+                        units.setdefault(vector.topic, {})[column_name] = vector.unit
+                    if vector.is_time:
+                        seconds.setdefault(vector.topic, set()).add(column_name)
     except SeatrialError:
         raise
     except Exception as error:  # scipy and h5py raise many kinds of errors for a damaged file or another format
@@ -96,25 +96,25 @@ def _together(path: Path, tables: Sequence[Table]) -> list[Table]:
         signals = [name for name in table.names if name.lower() != "time"]
         if signals == [table.topic] and len(table.names) == 2:
             by_times.setdefault(table.numbers(table.names[0]).tobytes(), []).append(table)
-    merged = {id(one) for group in by_times.values() if len(group) > 1 for one in group}
+    merged = {id(single) for group in by_times.values() if len(group) > 1 for single in group}
     found = [table for table in tables if id(table) not in merged]
     for group in by_times.values():
         if len(group) > 1:
-            columns = {name: one.columns[name] for one in group for name in one.columns}
-            units = {name: unit for one in group for name, unit in one.units.items()}
+            columns = {name: single.columns[name] for single in group for name in single.columns}
+            units = {name: unit for single in group for name, unit in single.units.items()}
             found.append(Table(path, "", columns, units=units, seconds=group[0].seconds))
     return found
 
 
-def _columns(one: Vector) -> Iterator[tuple[str, Column]]:
+def _columns(vector: Vector) -> Iterator[tuple[str, Column]]:
     """Yield name and values (n,) of a vector, or of each column of a matrix that has at most `WIDEST` columns."""
-    array = np.atleast_1d(np.squeeze(one.values)).astype(np.float64)
+    array = np.atleast_1d(np.squeeze(vector.values)).astype(np.float64)
     if array.ndim == 1:
-        yield one.name, array
+        yield vector.name, array
     elif array.ndim == 2 and min(array.shape) <= WIDEST:
         long = array if array.shape[0] >= array.shape[1] else array.T
         for k in range(long.shape[1]):
-            yield f"{one.name}[{k}]", long[:, k]
+            yield f"{vector.name}[{k}]", long[:, k]
 
 
 def _workspace(path: Path) -> Iterator[tuple[str, Any]]:

@@ -69,15 +69,20 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
         raise SeatrialError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     sensors = [
         _sensor(
-            path, name, columns[name], dict(zip(columns[name], units.get(name, ()), strict=False)), own, n_lost[name]
+            path,
+            name,
+            columns[name],
+            dict(zip(columns[name], units.get(name, ()), strict=False)),
+            sensor_rows,
+            n_lost[name],
         )
-        for name, own in rows.items()
+        for name, sensor_rows in rows.items()
         if _TIME in columns[name]
     ]
     if not sensors:
         raise SeatrialError(f"{path}: no rows below the header")
     _move_to_utc(sensors)
-    return [one.table for one in sensors if one.table.topic != _CLOCK] or [one.table for one in sensors]
+    return [sensor.table for sensor in sensors if sensor.table.topic != _CLOCK] or [sensor.table for sensor in sensors]
 
 
 class _Sensor(NamedTuple):
@@ -136,27 +141,30 @@ def _number(cell: str) -> float:
 def _move_to_utc(sensors: list[_Sensor]) -> None:
     """Move the times since power-on to UTC, in place: by the TIME rows, or else by the fixes among the rows."""
     clock = next(
-        (one for one in sensors if one.table.topic == _CLOCK and {"tow", "week"} <= set(one.table.names)), None
+        (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),
+        None,
     )
-    fixes = next((one for one in sensors if one.has_utc), None)
-    own = [one for one in sensors if one.table.topic != _CLOCK and len(one.t) and not one.has_utc]
+    fixes = next((sensor for sensor in sensors if sensor.has_utc), None)
+    on_device_clock = [
+        sensor for sensor in sensors if sensor.table.topic != _CLOCK and len(sensor.t) and not sensor.has_utc
+    ]
     if clock is not None:
         delay = gps_seconds(clock.table.columns["week"], clock.table.columns["tow"]) - clock.t
         good = np.isfinite(delay) & (np.abs(delay - np.nanmedian(delay)) < 1.0 + _LARGEST_DRIFT * np.ptp(clock.t))
         if good.any():
-            for one in own:
-                one.table.t = _moved(one.t, clock.t[good], delay[good])
+            for sensor in on_device_clock:
+                sensor.table.t = _moved(sensor.t, clock.t[good], delay[good])
             return
     if fixes is None:
         return
-    for one in own:
-        before = np.searchsorted(one.lines, fixes.lines) - 1  # the last row of the sensor before each fix
-        delay = fixes.t - one.t[before]
+    for sensor in on_device_clock:
+        before = np.searchsorted(sensor.lines, fixes.lines) - 1  # the last row of the sensor before each fix
+        delay = fixes.t - sensor.t[before]
         if not np.any(before >= 0):
             continue
-        one.table.t = one.t + np.max(delay[before >= 0])
+        sensor.table.t = sensor.t + np.max(delay[before >= 0])
         moved = "times are converted to UTC by the fixes between the rows, accurate to one row"
-        one.table.remark = "; ".join(part for part in (one.table.remark, moved) if part)
+        sensor.table.remark = "; ".join(part for part in (sensor.table.remark, moved) if part)
 
 
 def _moved(t: Column, known: Column, delay: Column) -> Column:

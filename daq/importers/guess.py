@@ -209,7 +209,7 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks:
         t = row_seconds(candidate.table, clocks[id(candidate.table)])
         for signal in candidate.signals:
             holds = 'role = "input"' in signal.extra and "hold = " not in signal.extra
-            if t is None or holds or not any(signal is one for one in taken):
+            if t is None or holds or not any(signal is chosen for chosen in taken):
                 continue
             values = np.sum([candidate.table.numbers(column) for column in signal.columns], axis=0)
             known = np.isfinite(values) & np.isfinite(t)
@@ -278,7 +278,7 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
         ):
             group, taken, caveat = found
             taken, hold_caveat = _with_hold(taken, row_seconds(table, clocks[id(table)]), values, words)
-            caveat = "; ".join(one for one in (caveat, hold_caveat) if one)
+            caveat = "; ".join(part for part in (caveat, hold_caveat) if part)
             behind = (message == "JointState") + bool(words & SET_POINTS)
             signals = (taken._replace(columns=(column,)),)
             yield Candidate(group, behind, table, signals, caveat, quantity(words))

@@ -73,9 +73,11 @@ def import_files(
                 raise SeatrialError(f"{target}: two of the files would become this log; rename one of them")
             _write_piece(import_map, data, piece, target, force, [map_path, *files, *_beside(import_map)])
             written.append(target)
-        for remark in (remark for one in data for remark in one.remarks):
+        for remark in (remark for source_file in data for remark in source_file.remarks):
             warnings.warn(remark, SeatrialWarning, stacklevel=2)
-        spoiled += [(one.path, row) for one in data for row in one.signals.left_out if _spoils(row)]
+        spoiled += [
+            (source_file.path, row) for source_file in data for row in source_file.signals.left_out if _spoils(row)
+        ]
     if spoiled:
         advice = "sort the rows; if a clock was set, import the parts before and after it separately"
         if spoiled[0][1].why == "repeats":
@@ -133,20 +135,21 @@ def _read(path: Path, source: Source) -> _File:
     signals = read_signals(tables, source)
     used = {signal.topic for signal in source.signals}
     remarks = [
-        f"{path}: {line}" for line in _together([one for one in tables if one.full_remark and one.topic in used])
+        f"{path}: {line}"
+        for line in _together([table for table in tables if table.full_remark and table.topic in used])
     ]
-    remarks += [f"{path}: {one.text}" for one in signals.left_out if one.why != "stamps" and not _spoils(one)]
+    remarks += [f"{path}: {rows.text}" for rows in signals.left_out if rows.why != "stamps" and not _spoils(rows)]
     remarks += [f"{path}: {line}" for line in held_lines(signals.held)]
-    gaps = {one.signal.name: unknown_times(one.t, one.values) for one in signals.signals if one.has_gaps}
+    gaps = {data.signal.name: unknown_times(data.t, data.values) for data in signals.signals if data.has_gaps}
     remarks += [f"{path}: {line}" for line in gap_lines(gaps)]
-    empty = [one.signal.name for one in signals.signals if not len(one.t)]
+    empty = [data.signal.name for data in signals.signals if not len(data.t)]
     if empty:
         remarks.append(f"{path}: not in the log, because they have no samples: {', '.join(empty)}")
     origin = source.time.origin if source.time else 0.0
-    events = tuple(event for one in tables for event in one.events)
-    for one in tables:
-        if one.clock and one.topic in used and one.t is not None and len(one.t):
-            events += ((float(one.t[0]), Event("clock", f"{one.topic or path.name}: {one.clock}")),)
+    events = tuple(event for table in tables for event in table.events)
+    for table in tables:
+        if table.clock and table.topic in used and table.t is not None and len(table.t):
+            events += ((float(table.t[0]), Event("clock", f"{table.topic or path.name}: {table.clock}")),)
     return _File(path, kind.name, sha256_of(path), signals, origin, tuple(remarks), events)
 
 
@@ -172,10 +175,10 @@ def held_lines(held: Sequence[Held]) -> list[str]:
         The lines.
     """
     groups: dict[tuple[int, int], list[Held]] = {}
-    for one in held:
-        groups.setdefault((one.n, one.n_left_out), []).append(one)
+    for signal in held:
+        groups.setdefault((signal.n, signal.n_left_out), []).append(signal)
     return [
-        f"{', '.join(one.name for one in group)}: held between measurements {group[0].interval:.3g} s apart; "
+        f"{', '.join(signal.name for signal in group)}: held between measurements {group[0].interval:.3g} s apart; "
         f"{n_left_out} of {n} values repeat the previous value and are left out"
         for (n, n_left_out), group in groups.items()
     ]
@@ -197,20 +200,20 @@ def _write_piece(
 ) -> None:
     """Write one log: the signals and events of the source files within one piece of the map."""
     signals: list[SignalData] = []
-    events = [(t, event) for one in data for t, event in one.events if piece.t_from <= t <= piece.t_to]
-    kinds = ", ".join(dict.fromkeys(one.kind for one in data))
+    events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]
+    kinds = ", ".join(dict.fromkeys(source_file.kind for source_file in data))
     metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
-    for i, one in enumerate(data, start=1):
-        metadata[f"source.{i}.name"] = one.path.name
-        metadata[f"source.{i}.sha256"] = one.sha256
-        metadata[f"source.{i}.dropped"] = str(one.signals.n_dropped)
-        metadata[f"source.{i}.disordered"] = str(one.signals.n_disordered)
-        metadata[f"source.{i}.left_out"] = "\n".join(left_out_line(row) for row in one.signals.left_out)
-        metadata[f"source.{i}.held"] = "; ".join(held_lines(one.signals.held))
-        for signal in one.signals.signals:
+    for i, source_file in enumerate(data, start=1):
+        metadata[f"source.{i}.name"] = source_file.path.name
+        metadata[f"source.{i}.sha256"] = source_file.sha256
+        metadata[f"source.{i}.dropped"] = str(source_file.signals.n_dropped)
+        metadata[f"source.{i}.disordered"] = str(source_file.signals.n_disordered)
+        metadata[f"source.{i}.left_out"] = "\n".join(left_out_line(row) for row in source_file.signals.left_out)
+        metadata[f"source.{i}.held"] = "; ".join(held_lines(source_file.signals.held))
+        for signal in source_file.signals.signals:
             cut = _cut(signal, piece)
-            signals.append(replace(cut, t=cut.t + one.origin))
-    names = ", ".join(one.path.name for one in data)
+            signals.append(replace(cut, t=cut.t + source_file.origin))
+    names = ", ".join(source_file.path.name for source_file in data)
     note = f"{names} by {import_map.path.name}" + (f", {piece.name}" if piece.name else "")
     attachments = {"import.toml": import_map.text.encode()}
     if import_map.vehicle:

@@ -155,10 +155,10 @@ def load_import_map(path: Path) -> ImportMap:
     if form == FORMATS[1]:
         sources = tuple(_as_it_was(source) for source in sources)
     names = [signal.log_name for source in sources for signal in source.signals]
-    for one in names:
-        if names.count(one) > 1:
+    for signal_name in names:
+        if names.count(signal_name) > 1:
             raise root.error(
-                "signal", f"'{one}' appears twice (after conversion to NED); give each signal its own name"
+                "signal", f"'{signal_name}' appears twice (after conversion to NED); give each signal its own name"
             )
     pieces = tuple(_piece(table) for table in root.tables("log"))
     if len({piece.name for piece in pieces}) < len(pieces):
@@ -375,8 +375,8 @@ def _units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tup
     if len(columns) != len(usual):
         raise table.error(key, f"{make} needs {len(usual)} names, not {len(columns)}")
     units = table.texts("units", usual)
-    for one, by_default in zip_longest(units, usual):
-        if one not in UNITS or by_default is None or UNITS[one][0] != UNITS[by_default][0]:
+    for unit_of_column, by_default in zip_longest(units, usual):
+        if unit_of_column not in UNITS or by_default is None or UNITS[unit_of_column][0] != UNITS[by_default][0]:
             raise table.error("units", f"must be convertible to {', '.join(usual)}, not {', '.join(units)}; {known}")
     return unit, units
 

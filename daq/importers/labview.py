@@ -165,7 +165,7 @@ class _Rows:
         if len(x) and x[0] > _SINCE_1904:
             return np.asarray(x + LABVIEW_EPOCH, np.float64)
         begin = _moment(self._segment, self._decimal)
-        begin, start = (one if math.isfinite(one) else 0.0 for one in (begin, self._start))
+        begin, start = (moment if math.isfinite(moment) else 0.0 for moment in (begin, self._start))
         # If the first X is not X0, X continues from the segment before: it counts from the start of the file.
         is_continued = len(x) > 0 and abs(x[0] - x0) > 2.0 * abs(dx)
         return np.asarray(start + x if is_continued or not begin else begin + x - x0)

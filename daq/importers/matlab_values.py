@@ -84,7 +84,7 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
             below = name if not topic and depth == 0 else topic
             inner = field if not topic and depth == 0 else f"{name}.{field}"
             yield from vectors(inner, part, left_out, below, depth + 1)
-    elif isinstance(value, list) and value and all(isinstance(one, Mapping) for one in value):
+    elif isinstance(value, list) and value and all(isinstance(element, Mapping) for element in value):
         yield from _struct_array_vectors(name, value, left_out, topic, depth)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1:
         yield Vector(topic, name, value)
@@ -102,11 +102,11 @@ def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: 
         left_out.append(f"{place} ({value.kind})")
     else:  # timeseries, and other classes with numbers in their properties
         found = [
-            one
+            vector
             for field, part in value.properties.items()
-            for one in vectors(field.strip("_"), part, left_out, place, depth + 1)
+            for vector in vectors(field.strip("_"), part, left_out, place, depth + 1)
         ]
-        yield from (one._replace(name=name) if one.name.lower() == "data" else one for one in found)
+        yield from (vector._replace(name=name) if vector.name.lower() == "data" else vector for vector in found)
         if not found:
             left_out.append(f"{place} ({value.kind})")
 
@@ -177,12 +177,12 @@ def _scalar(value: Any) -> float | None:
 def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
     """Return the signals of a Simulink structure with time; None for any other struct."""
     signals, time = value.get("signals"), value.get("time")
-    one = [signals] if isinstance(signals, Mapping) else signals
-    if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(one, list) or not one:
+    listed = [signals] if isinstance(signals, Mapping) else signals
+    if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(listed, list) or not listed:
         return None
-    if not all(isinstance(signal, Mapping) and "values" in signal for signal in one):
+    if not all(isinstance(signal, Mapping) and "values" in signal for signal in listed):
         return None
-    return one
+    return listed
 
 
 def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[str, Any]]) -> Iterator[Vector]:
@@ -214,14 +214,14 @@ def _struct_array_vectors(
     topic.
     """
     place = f"{topic}.{name}" if topic else name
-    numbers = {field: [_scalar(one.get(field)) for one in value] for field in value[0]}
-    columns = {field: found for field, found in numbers.items() if not any(one is None for one in found)}
+    numbers = {field: [_scalar(struct.get(field)) for struct in value] for field in value[0]}
+    columns = {field: found for field, found in numbers.items() if not any(number is None for number in found)}
     for field, found in columns.items():
         if len(value) > 1:
             yield Vector(place, field, np.array(found, np.float64))
     if not columns:
-        for k, one in enumerate(value[:MOST_STRUCTS]):
-            yield from vectors(f"{place}[{k}]", one, left_out, "", depth and DEEPEST // 2)
+        for k, struct in enumerate(value[:MOST_STRUCTS]):
+            yield from vectors(f"{place}[{k}]", struct, left_out, "", depth and DEEPEST // 2)
 
 
 def scipy_value(value: Any, depth: int = 0) -> Any:
@@ -243,14 +243,14 @@ def scipy_value(value: Any, depth: int = 0) -> Any:
         return value if isinstance(value, str) else np.asarray(value) if np.isscalar(value) else None
     if value.dtype.names and type(value) is np.ndarray:
         structs = [
-            {field: scipy_value(one[field], depth + 1) for field in value.dtype.names}
-            for one in np.atleast_1d(value).flat
+            {field: scipy_value(struct[field], depth + 1) for field in value.dtype.names}
+            for struct in np.atleast_1d(value).flat
         ]
         return structs[0] if value.size == 1 else structs
     if value.dtype.kind == "O" and type(value) is np.ndarray:
-        return [scipy_value(one, depth + 1) for one in value.flat]
+        return [scipy_value(cell, depth + 1) for cell in value.flat]
     if value.dtype.kind == "U":
-        return str(value) if value.ndim == 0 else [str(one) for one in value.flat]
+        return str(value) if value.ndim == 0 else [str(text) for text in value.flat]
     return value if value.dtype.kind in "biufc" else None
 
 
@@ -284,23 +284,23 @@ class Hdf5Variables:
 
     def items(self) -> Iterator[tuple[str, Any]]:
         """Yield each variable with its value."""
-        for name, one in self._file.items():
+        for name, node in self._file.items():
             if not name.startswith("#"):
-                yield name, self._value(one, 0)
+                yield name, self._value(node, 0)
 
-    def _value(self, one: Any, depth: int) -> Any:
+    def _value(self, node: Any, depth: int) -> Any:
         """Return the value of a group or dataset of the file."""
         if depth > DEEPEST:
             raise SeatrialError(f"structs, cells or objects are nested more than {DEEPEST} deep")
-        if hasattr(one, "items"):
-            return self._struct(one, depth)
-        kind = one.attrs.get("MATLAB_class", b"")
-        if "MATLAB_empty" in one.attrs:
+        if hasattr(node, "items"):
+            return self._struct(node, depth)
+        kind = node.attrs.get("MATLAB_class", b"")
+        if "MATLAB_empty" in node.attrs:
             return "" if kind == b"char" else np.zeros(0)
-        if one.dtype.kind == "O":
-            return [self._value(self._file[ref], depth + 1) for ref in one[()].T.ravel()]
-        values = one[()]
-        if "MATLAB_object_decode" in one.attrs or (kind not in _NUMERIC and _is_reference(values)):
+        if node.dtype.kind == "O":
+            return [self._value(self._file[ref], depth + 1) for ref in node[()].T.ravel()]
+        values = node[()]
+        if "MATLAB_object_decode" in node.attrs or (kind not in _NUMERIC and _is_reference(values)):
             return self._object(values, depth)
         if values.dtype.names == ("real", "imag"):
             return (values["real"] + 1j * values["imag"]).T

@@ -216,9 +216,13 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
         The differences; empty without a rig.
     """
     device = _device(rig)
-    here = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
-    outputs = tuple(f"SERVO{thruster.node}_" for thruster in here)
-    return [one for one in check_parameters(p, here, 0) if one.value is not None and one.name.startswith(outputs)]
+    thrusters = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
+    outputs = tuple(f"SERVO{thruster.node}_" for thruster in thrusters)
+    return [
+        mismatch
+        for mismatch in check_parameters(p, thrusters, 0)
+        if mismatch.value is not None and mismatch.name.startswith(outputs)
+    ]
 
 
 def _others(decoder: MavlinkDecoder) -> str:

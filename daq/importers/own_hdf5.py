@@ -43,15 +43,15 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
             place = f"{path}: {printable(f'{group.name.rstrip(chr(47))}/{name}')}"
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 raise SeatrialError(f"{place} is a link to another place; only data in the file itself is imported")
-            one = group[name]
-            address = h5py.h5o.get_info(one.id).addr
+            node = group[name]
+            address = h5py.h5o.get_info(node.id).addr
             if address in known:
                 raise SeatrialError(f"{place} is a second link to the same object; a MATLAB file has only one")
             known.add(address)
-            if isinstance(one, h5py.Group):
-                groups.append(one)
-            elif isinstance(one, h5py.Dataset):
-                properties = one.id.get_create_plist()
+            if isinstance(node, h5py.Group):
+                groups.append(node)
+            elif isinstance(node, h5py.Dataset):
+                properties = node.id.get_create_plist()
                 if properties.get_layout() not in layouts or properties.get_external_count():
                     raise SeatrialError(
                         f"{place} has its data in another file; only data in the file itself is imported"

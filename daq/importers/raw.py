@@ -81,7 +81,7 @@ def import_raw(
         raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; log a receiver too")
     device = next(name for name in names if not name.startswith(XDR))
     times = _even_times(frames, names, rate) if rate else _device_times(path, frames)
-    said = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
+    summary = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
     if rate:
@@ -90,12 +90,15 @@ def import_raw(
         SignalRow(t, name if name.startswith(XDR) else device, frame._replace(t_rx=t))
         for t, name, frame in zip(times, names, frames, strict=True)
     ]
-    units = {name: one.unit for name, one in zip((n for n in names if n.startswith(XDR)), transducers, strict=True)}
+    units = {
+        name: transducer.unit
+        for name, transducer in zip((n for n in names if n.startswith(XDR)), transducers, strict=True)
+    }
     if min(times) < 0.0 or max(times) >= 2**31:
         raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
-    note = f"{path.name} as {protocol}: {said}"
+    note = f"{path.name} as {protocol}: {summary}"
     write_frames(target, rows, metadata=metadata, note=note, units=units, force=force, reads=[path])
-    return target, said
+    return target, summary
 
 
 def _names(frames: Sequence[Frame], transducers: Sequence[nmea.Transducer]) -> list[str]:
@@ -145,11 +148,11 @@ def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
         return list(frames), 0
     kept: list[Frame] = []
     for frame in frames:
-        own = {name for name in names if not math.isnan(getattr(frame.sample, name))}
+        measured = {name for name in names if not math.isnan(getattr(frame.sample, name))}
         if math.isfinite(frame.t_device):
             kept.append(frame)
-        elif isinstance(frame.sample, Ahrs) and own - known:
-            kept.append(frame._replace(sample=replace(frame.sample, **dict.fromkeys(own & known, math.nan))))
+        elif isinstance(frame.sample, Ahrs) and measured - known:
+            kept.append(frame._replace(sample=replace(frame.sample, **dict.fromkeys(measured & known, math.nan))))
     return kept, len(frames) - len(kept)
 
 
@@ -188,9 +191,9 @@ def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
     for way, order in ((-1, range(right - 1, -1, -1)), (1, range(right + 1, len(parts)))):
         near = float(t[parts[right][0 if way < 0 else -1]])
         for k in order:
-            own = float(t[parts[k][-1 if way < 0 else 0]])
-            days = nmea.DAY * round((near - own) / nmea.DAY)
-            if not 0.0 <= way * (own + days - near) <= LONGEST_PAUSE_S:
+            edge = float(t[parts[k][-1 if way < 0 else 0]])
+            days = nmea.DAY * round((near - edge) / nmea.DAY)
+            if not 0.0 <= way * (edge + days - near) <= LONGEST_PAUSE_S:
                 left_out[parts[k]] = True
                 continue
             moved[parts[k]] = days
@@ -200,7 +203,7 @@ def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
     text = "wrong dates: the receiver had not received the date yet, or its week number started again (1024 weeks)"
     warnings.warn(f"{path}: {text}; {' and '.join(places)}", SeatrialWarning, stacklevel=3)
     rows = zip(frames, moved.tolist(), left_out.tolist(), strict=True)
-    return [_at(one, one.t_device + days) if days else one for one, days, out in rows if not out]
+    return [_at(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
 
 
 def _at(frame: Frame, t: float) -> Frame:

@@ -389,7 +389,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, Taken, str]:
-        return "drive", Taken(f"n{side}", (), unit, "", extra), "; ".join(one for one in (*caveats, caveat) if one)
+        return "drive", Taken(f"n{side}", (), unit, "", extra), "; ".join(part for part in (*caveats, caveat) if part)
 
     if unit == "%":
         small = f'its numbers are at most {top:.3g}; if they are fractions, not per cent, give unit = "1"'

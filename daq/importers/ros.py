@@ -85,21 +85,22 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
                 except KeyError:  # neither the bag nor the library defines this type of message
                     continue
                 if isinstance(transforms := getattr(message, "transforms", None), list):
-                    for one in transforms:
-                        name = f"{connection.topic}:{one.header.frame_id.strip('/')}:{one.child_frame_id.strip('/')}"
-                        topics.setdefault(name, _Topic(TRANSFORM)).add(1e-9 * log_ns, one)
+                    for transform in transforms:
+                        frames = transform.header.frame_id.strip("/"), transform.child_frame_id.strip("/")
+                        name = ":".join((connection.topic, *frames))
+                        topics.setdefault(name, _Topic(TRANSFORM)).add(1e-9 * log_ns, transform)
                 else:
                     topics.setdefault(connection.topic, _Topic(connection.msgtype)).add(1e-9 * log_ns, message)
-            for topic in sorted(one for one in options.topics - topics.keys() if ":" in one):
+            for topic in sorted(name for name in options.topics - topics.keys() if ":" in name):
                 names = ", ".join(sorted(topics)) or "none"
                 raise SeatrialError(f"{path}: no transform {topic}; the topics are: {names}")
     except SeatrialError:
         raise
     except Exception as error:  # rosbags raises many kinds of errors for a damaged file or another format
         raise SeatrialError(f"{path}: cannot be read as a ROS bag: {' '.join(str(error).split())}") from error
-    times = message_times({topic: one.times for topic, one in topics.items()})
-    asked = [(topic, one) for topic, one in topics.items() if not options.topics or topic in options.topics]
-    tables = [table for topic, one in asked if (table := one.table(path, topic, times[topic])).columns]
+    times = message_times({topic: collected.times for topic, collected in topics.items()})
+    asked = [(topic, collected) for topic, collected in topics.items() if not options.topics or topic in options.topics]
+    tables = [table for topic, collected in asked if (table := collected.table(path, topic, times[topic])).columns]
     for table in tables:
         table.remark = "; ".join(part for part in (table.remark, remark) if part)
     return tables
@@ -118,7 +119,7 @@ def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
         )
     parts, remarks = [path], []
     if path.is_dir() and not (path / "metadata.yaml").exists():
-        parts = sorted((one for one in path.iterdir() if one.suffix in BAG_ENDINGS), key=_split_number)
+        parts = sorted((file for file in path.iterdir() if file.suffix in BAG_ENDINGS), key=_split_number)
         if not parts:
             raise SeatrialError(f"{path}: is not the folder of a ROS bag: no metadata.yaml, .mcap or .db3 in it")
         remarks.append(f"without metadata.yaml: read from {counted(len(parts), 'file')}")
@@ -130,7 +131,7 @@ def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
         for k, part in enumerate(parts):
             if part.suffix == ".db3" and _sqlite_logs(part):
                 readable.append(_with_sqlite_logs(part, Path(folder) / f"{k}.db3"))
-                remarks.append(f"{part.name} read with {' and '.join(one.name for one in _sqlite_logs(part))}")
+                remarks.append(f"{part.name} read with {' and '.join(log.name for log in _sqlite_logs(part))}")
                 continue
             if part.suffix != ".mcap" or part.is_dir() or _has_end(part):
                 readable.append(part)
@@ -155,7 +156,7 @@ def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
 def _sqlite_logs(path: Path) -> list[Path]:
     """Return the logs that SQLite left beside a database: messages that it must still add or remove."""
     beside = (path.with_name(path.name + ending) for ending in SQLITE_LOGS)
-    return [one for one in beside if os.path.lexists(one) and not (one.is_file() and one.stat().st_size == 0)]
+    return [log for log in beside if os.path.lexists(log) and not (log.is_file() and log.stat().st_size == 0)]
 
 
 def _with_sqlite_logs(path: Path, copy: Path) -> Path:
@@ -184,7 +185,11 @@ def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], l
             _with_sqlite_logs(part, copy / part.name)
         elif not part.name.endswith(SQLITE_LOGS):
             (copy / part.name).symlink_to(part.resolve())
-    return [copy], [f"{name} read with {' and '.join(x.name for x in own)}" for name, own in logs.items() if own]
+    return [copy], [
+        f"{name} read with {' and '.join(log.name for log in logs_of_file)}"
+        for name, logs_of_file in logs.items()
+        if logs_of_file
+    ]
 
 
 def _split_number(path: Path) -> tuple[int, str]:
@@ -272,7 +277,7 @@ def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
         axes = [name for name in columns if name.startswith(f"{part}.")]
         values = np.stack([columns[name] for name in axes], axis=1)
         unmeasured = columns[f"{part}_covariance[0]"] == -1.0
-        is_default = np.any([np.all(values == one, axis=1) for one in defaults], axis=0)
+        is_default = np.any([np.all(values == default, axis=1) for default in defaults], axis=0)
         if np.all(unmeasured & is_default):
             for name in axes:
                 del columns[name]
@@ -292,12 +297,12 @@ def _numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
         if is_dataclass(value):
             yield from _numbers(value, f"{name}.")
         elif isinstance(value, list) and len(value) <= LONGEST:
-            for k, one in enumerate(value):
-                if is_dataclass(one):
-                    yield from _numbers(one, f"{name}[{k}].")
+            for k, element in enumerate(value):
+                if is_dataclass(element):
+                    yield from _numbers(element, f"{name}[{k}].")
         elif isinstance(value, (bool, int, float, np.number)):
             yield name, float(value)
         elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= LONGEST and value.dtype.kind in "biuf":
             named = isinstance(joints, list) and len(joints) == len(value)
-            for k, one in enumerate(value.tolist()):
-                yield f"{name}.{joints[k]}" if named and joints else f"{name}[{k}]", float(one)
+            for k, element in enumerate(value.tolist()):
+                yield f"{name}.{joints[k]}" if named and joints else f"{name}[{k}]", float(element)

@@ -85,8 +85,11 @@ def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
     for table in tables:
         table.vehicle, table.parameters = vehicle, parameters
         prefix = f"{table.topic.upper().replace('_', '')}_"  # SERVO1_ for the topic servo_1
-        found = [str(one) for one in wrong if one.name.startswith(prefix)]
-        remarks = [*([table.remark] if table.remark else []), *(f"differs from the rig: {one}" for one in found)]
+        found = [str(mismatch) for mismatch in wrong if mismatch.name.startswith(prefix)]
+        remarks = [
+            *([table.remark] if table.remark else []),
+            *(f"differs from the rig: {mismatch}" for mismatch in found),
+        ]
         table.remark = "; ".join(remarks)
     tables[0].events = [(row.t, row.frame.sample) for row in rows if isinstance(row.frame.sample, Event)]
     return tables

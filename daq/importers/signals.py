@@ -131,10 +131,10 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
             # A row of another sensor may have the same time and no value of this signal. It must not remove a row with
             # a value, so the order of times is judged by the rows with values alone.
             known = np.isfinite(raw) & np.isfinite(t)
-            own = np.zeros(len(raw), bool)
-            own[known] = _rising(t[known])
-            new, ordered = new | own if source.options.style.repeats != "drop" else new, ordered | own
-            new, ordered = new & (own | ~known), ordered & (own | ~known)
+            rises = np.zeros(len(raw), bool)
+            rises[known] = _rising(t[known])
+            new, ordered = new | rises if source.options.style.repeats != "drop" else new, ordered | rises
+            new, ordered = new & (rises | ~known), ordered & (rises | ~known)
         uses[clock].add(raw, ordered)
         kept = ordered if signal.timeout else new  # with a timeout, a repeated command holds for longer
         rows = kept & ~(np.isnan(raw) if policy == "drop" else np.zeros(len(raw), bool))
@@ -163,11 +163,11 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
         signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any())))
     for places in of_table.values():
-        for k, data, one in _without_held([signals[k] for k in places], places):
+        for k, data, held_signal in _without_held([signals[k] for k in places], places):
             signals[k] = data
-            held.append(one)
-    left_out = {(one.topic, one.why): one for use in uses.values() for one in use.left_out()}
-    n_disordered = sum(one.n for one in left_out.values() if one.why != "stamps")
+            held.append(held_signal)
+    left_out = {(rows_out.topic, rows_out.why): rows_out for use in uses.values() for rows_out in use.left_out()}
+    n_disordered = sum(rows_out.n for rows_out in left_out.values() if rows_out.why != "stamps")
     return Signals(tuple(signals), tuple(held), n_dropped, n_disordered, tuple(left_out.values()))
 
 
@@ -200,16 +200,16 @@ class _RowUse:
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
     """Yield for each held signal of one table its place, the signal without repeats, and the count of repeats."""
     t = table[0].t
-    found = held_signals(t, {one.signal.name: one.values for one in table})
-    for k, one in zip(places, table, strict=True):
-        if (held := found.get(one.signal.name)) is None:
+    found = held_signals(t, {data.signal.name: data.values for data in table})
+    for k, data in zip(places, table, strict=True):
+        if (held := found.get(data.signal.name)) is None:
             continue
         interval = held.rows * float(np.median(np.diff(t)))
-        if one.signal.role == "input" and not is_measured(one.values[held.new], interval):
+        if data.signal.role == "input" and not is_measured(data.values[held.new], interval):
             continue
         n_left_out = len(t) - int(held.new.sum())
-        data = replace(one, t=t[held.new], values=one.values[held.new])
-        yield k, data, Held(one.signal.name, len(t), n_left_out, interval)
+        data = replace(data, t=t[held.new], values=data.values[held.new])
+        yield k, data, Held(data.signal.name, len(t), n_left_out, interval)
 
 
 def _table(tables: Sequence[Table], signal: Signal) -> Table:
@@ -219,14 +219,14 @@ def _table(tables: Sequence[Table], signal: Signal) -> Table:
     """
     if len(tables) == 1 and not signal.topic:
         return tables[0]
-    here = [one for one in tables if one.topic == signal.topic]
-    having = [one for one in here if set(signal.columns) <= set(one.names)]
+    of_topic = [table for table in tables if table.topic == signal.topic]
+    having = [table for table in of_topic if set(signal.columns) <= set(table.names)]
     if len(having) == 1:
         return having[0]
-    if here and not having:
-        return here[0]  # reading the missing column raises an error that lists the columns
+    if of_topic and not having:
+        return of_topic[0]  # reading the missing column raises an error that lists the columns
     if signal.topic or not tables:
-        topics = ", ".join(sorted({one.topic for one in tables if one.topic})) or "none"
+        topics = ", ".join(sorted({table.topic for table in tables if table.topic})) or "none"
         raise SeatrialError(f"{_path(tables)}: no topic {signal.topic}; the topics are: {topics}")
     raise SeatrialError(
         f"{_path(tables)}: signal {signal.name}: the source has {len(tables)} topics; give the signal topic and field"
@@ -284,8 +284,8 @@ def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
     """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before."""
     new = np.zeros(len(values[0]), bool)
     new[:1] = True
-    for one in values:
-        new[1:] |= (one[1:] != one[:-1]) & ~(np.isnan(one[1:]) & np.isnan(one[:-1]))
+    for column in values:
+        new[1:] |= (column[1:] != column[:-1]) & ~(np.isnan(column[1:]) & np.isnan(column[:-1]))
     return new
 
 

@@ -70,21 +70,24 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     dict
         Times by topic, all of one clock.
     """
-    clean = {name: _without_zeros(one) for name, one in topics.items()}
-    stamped = {n: one for n, one in clean.items() if np.isfinite(one.stamp + one.receipt).sum() > 1}
+    clean = {name: _without_zeros(times) for name, times in topics.items()}
+    stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
     if not stamped:
-        return {n: EstimatedTimes(np.where(np.isfinite(o.stamp), o.stamp, o.receipt), "") for n, o in clean.items()}
+        return {
+            n: EstimatedTimes(np.where(np.isfinite(times.stamp), times.stamp, times.receipt), "")
+            for n, times in clean.items()
+        }
     reference = _Reference(stamped)
-    return {name: reference.times(one, name in stamped) for name, one in clean.items()}
+    return {name: reference.times(times, name in stamped) for name, times in clean.items()}
 
 
-def _without_zeros(one: MessageTimes) -> MessageTimes:
+def _without_zeros(times: MessageTimes) -> MessageTimes:
     """Return the times with NaN for empty stamps and receipts.
 
     All stamps become NaN if they are always empty or hardly ever change.
     """
     # Messages of a simulation are empty until its first clock message.
-    receipt, stamp = one.receipt.copy(), one.stamp.copy()
+    receipt, stamp = times.receipt.copy(), times.stamp.copy()
     for t in (receipt, stamp):
         if np.any(t > 0.0):
             t[t == 0.0] = np.nan
@@ -94,13 +97,13 @@ def _without_zeros(one: MessageTimes) -> MessageTimes:
     return MessageTimes(receipt, stamp)
 
 
-def _rate(one: MessageTimes) -> float:
+def _rate(times: MessageTimes) -> float:
     """Return the rate of the receipts by the clock of the stamps [s/s]; exactly 1 if their drift is small.
 
     The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median.
     """
-    known = np.isfinite(one.receipt + one.stamp)
-    receipt, stamp = one.receipt[known], one.stamp[known]
+    known = np.isfinite(times.receipt + times.stamp)
+    receipt, stamp = times.receipt[known], times.stamp[known]
     apart = max(len(stamp) // 10, 1)
     dt = stamp[apart:] - stamp[:-apart]
     good = np.abs(dt) > 0.0
@@ -125,20 +128,20 @@ class _Reference:
 
     def __init__(self, stamped: Mapping[str, MessageTimes]) -> None:
         """Choose the reference among the topics with stamps, and measure its level without wrong stamps."""
-        rates = {name: _rate(one) for name, one in stamped.items()}
-        own = [n for n, one in stamped.items() if rates[n] == 1.0 and self._near(one)]
-        self.is_recorder = bool(own)
-        if not own:
+        rates = {name: _rate(times) for name, times in stamped.items()}
+        sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._near(times)]
+        self.is_recorder = bool(sharing)
+        if not sharing:
             first = max(stamped, key=lambda n: len(stamped[n].stamp))
-            own = [n for n in stamped if self._alike(stamped[first], stamped[n], rates[first])]
+            sharing = [n for n in stamped if self._alike(stamped[first], stamped[n], rates[first])]
             self.rate = rates[first]
         else:
             self.rate = 1.0
-        receipt = np.concatenate([stamped[n].receipt for n in own])
-        stamp = np.concatenate([stamped[n].stamp for n in own])
-        topic = np.concatenate([np.full(len(stamped[n].stamp), k) for k, n in enumerate(own)])
+        receipt = np.concatenate([stamped[n].receipt for n in sharing])
+        stamp = np.concatenate([stamped[n].stamp for n in sharing])
+        topic = np.concatenate([np.full(len(stamped[n].stamp), k) for k, n in enumerate(sharing)])
         known = np.isfinite(receipt + stamp)
-        self.set_back = all(_is_set_back(stamped[n]) for n in own)
+        self.set_back = all(_is_set_back(stamped[n]) for n in sharing)
         order = np.flatnonzero(known)[np.argsort((stamp if self.set_back else receipt)[known], kind="stable")]
         receipt, stamp, topic = receipt[order], stamp[order], topic[order]
         level = _smoothed(receipt - self.rate * stamp)
@@ -166,16 +169,16 @@ class _Reference:
         self.shift = float(np.median(first)) if self.is_recorder else float(first[0])
 
     @staticmethod
-    def _near(one: MessageTimes) -> bool:
+    def _near(times: MessageTimes) -> bool:
         """Return whether at least the share `SHARE` of the stamps agrees with the recorder's clock."""
-        delay = one.receipt - one.stamp
+        delay = times.receipt - times.stamp
         delay = delay[np.isfinite(delay)]
         return bool(np.mean(np.abs(delay) < OTHER_CLOCK) >= SHARE)
 
     @staticmethod
-    def _alike(one: MessageTimes, other: MessageTimes, rate: float) -> bool:
+    def _alike(first: MessageTimes, second: MessageTimes, rate: float) -> bool:
         """Return whether two topics have about the same level, so that their stamps share a clock."""
-        levels = [np.nanmedian(o.receipt - rate * o.stamp) for o in (one, other)]
+        levels = [np.nanmedian(times.receipt - rate * times.stamp) for times in (first, second)]
         return bool(abs(levels[0] - levels[1]) < OTHER_CLOCK * max(rate, 1.0))
 
     def _stamp_steps(self, receipt: Column, stamp: Column, topic: Column, level: Column) -> Mask:
@@ -226,12 +229,12 @@ class _Reference:
         nearest = np.where(receipt - self._receipt[before] < 0.5 * pause, before, after)
         return np.where(steps & np.isfinite(receipt), self._level[nearest], found)
 
-    def times(self, one: MessageTimes, is_stamped: bool) -> EstimatedTimes:
+    def times(self, topic_times: MessageTimes, is_stamped: bool) -> EstimatedTimes:
         """Return the times of a topic on the reference.
 
         Parameters
         ----------
-        one
+        topic_times
             Receipts and stamps of the topic.
         is_stamped
             Whether the topic has stamps.
@@ -242,33 +245,33 @@ class _Reference:
             The times, with a remark if they differ from the stamps.
         """
         if not is_stamped:
-            return self._of_receipts(one)
-        if self.set_back and _is_set_back(one):
+            return self._of_receipts(topic_times)
+        if self.set_back and _is_set_back(topic_times):
             remark = "the recorder's clock was set back; the stamps are in order and are used"
-            return EstimatedTimes(one.stamp + (0.0 if self.is_recorder else self.shift), remark, mixed=True)
-        misfit = one.receipt - self.rate * one.stamp - self.level(one.receipt)
+            return EstimatedTimes(topic_times.stamp + (0.0 if self.is_recorder else self.shift), remark, mixed=True)
+        misfit = topic_times.receipt - self.rate * topic_times.stamp - self.level(topic_times.receipt)
         known = np.isfinite(misfit)
         near = np.abs(misfit) < OTHER_CLOCK * max(self.rate, 1.0)
-        rate = _rate(one)
+        rate = _rate(topic_times)
         same = np.sum(near) >= SHARE * max(np.sum(known), 1) and (abs(rate - self.rate) < 0.01 or np.mean(near) > 0.5)
         if not same:
-            return self._of_another_clock(one, rate)
+            return self._of_another_clock(topic_times, rate)
         usual = float(np.median(misfit[near]))
-        wrong = ~known | _wrong_stamps(one, misfit - usual, self.rate)
-        t = np.where(wrong, np.nan, one.stamp + (0.0 if self.is_recorder else self.shift))
+        wrong = ~known | _wrong_stamps(topic_times, misfit - usual, self.rate)
+        t = np.where(wrong, np.nan, topic_times.stamp + (0.0 if self.is_recorder else self.shift))
         remarks = [] if self.is_recorder else [self._shift_remark()]
-        return EstimatedTimes(t, "; ".join([*remarks, *_wrong_remarks(one, wrong, misfit - usual)]))
+        return EstimatedTimes(t, "; ".join([*remarks, *_wrong_remarks(topic_times, wrong, misfit - usual)]))
 
     def _shift_remark(self) -> str:
         """Return the remark about a reference that is not the recorder's clock."""
         rate = "" if self.rate == 1.0 else f", at {1.0 / self.rate:.3g} times the rate of the recording"
         return f"its stamps are of another clock: moved by {self.shift:+.3f} s{rate}"
 
-    def _of_receipts(self, one: MessageTimes) -> EstimatedTimes:
+    def _of_receipts(self, topic_times: MessageTimes) -> EstimatedTimes:
         """Return the times of a topic without stamps: its receipts, converted to the reference."""
-        level = self.level(one.receipt)
+        level = self.level(topic_times.receipt)
         offset = -self.shift if self.is_recorder else 0.0
-        t = (one.receipt - level - offset) / self.rate + (0.0 if self.is_recorder else self.shift)
+        t = (topic_times.receipt - level - offset) / self.rate + (0.0 if self.is_recorder else self.shift)
         remark, known = "", level[np.isfinite(level)]
         if not self.is_recorder or (len(known) and np.ptp(known) > STEP_S):
             remark = "without stamps: its times are the receipts, corrected by the stamps of the other topics"
@@ -276,28 +279,28 @@ class _Reference:
             remark = "; ".join(part for part in (remark, f"{counted(lost, 'message')} without a time left out") if part)
         return EstimatedTimes(t, remark)
 
-    def _of_another_clock(self, one: MessageTimes, rate: float) -> EstimatedTimes:
+    def _of_another_clock(self, topic_times: MessageTimes, rate: float) -> EstimatedTimes:
         """Return the times of a topic whose stamps are of another clock, moved onto the reference."""
-        on_reference = self._of_receipts(one).t
-        known = np.isfinite(on_reference + one.stamp)
+        on_reference = self._of_receipts(topic_times).t
+        known = np.isfinite(on_reference + topic_times.stamp)
         relative = rate / self.rate
-        if abs(relative - 1.0) * float(np.ptp(one.stamp[known])) < DRIFT_S:
+        if abs(relative - 1.0) * float(np.ptp(topic_times.stamp[known])) < DRIFT_S:
             relative = 1.0
-        misfit = on_reference - relative * one.stamp
+        misfit = on_reference - relative * topic_times.stamp
         usual = float(np.median(misfit[known]))
-        wrong = ~known | _wrong_stamps(one, misfit - usual, rate)
+        wrong = ~known | _wrong_stamps(topic_times, misfit - usual, rate)
         shift = float(np.min(misfit[~wrong])) if np.any(~wrong) else usual
         remark = f"its stamps are of another clock: moved by {shift:+.3f} s"
         if relative != 1.0:
             remark = f"its stamps are of another clock, at {1.0 / relative:.3g} times the rate of the others"
-        t = np.where(wrong, np.nan, relative * one.stamp + shift)
-        return EstimatedTimes(t, "; ".join([remark, *_wrong_remarks(one, wrong, misfit - usual)]))
+        t = np.where(wrong, np.nan, relative * topic_times.stamp + shift)
+        return EstimatedTimes(t, "; ".join([remark, *_wrong_remarks(topic_times, wrong, misfit - usual)]))
 
 
-def _is_set_back(one: MessageTimes) -> bool:
+def _is_set_back(times: MessageTimes) -> bool:
     """Return whether the stamps of a topic are out of order by receipt, but regular when sorted."""
-    known = np.isfinite(one.receipt + one.stamp)
-    stamp = one.stamp[known]
+    known = np.isfinite(times.receipt + times.stamp)
+    stamp = times.stamp[known]
     if np.sum(np.diff(stamp) < -STEP_S) < FEWEST_BACK:
         return False
     step = np.diff(np.sort(stamp))
@@ -311,10 +314,10 @@ def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: fl
     Each topic near message k votes for the clock whose interval at the step is more unusual.
     """
     votes = 0.0
-    for one in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):
-        of_one = np.flatnonzero(topic == one)
-        place = int(np.searchsorted(of_one, k))
-        near = of_one[max(place - SMOOTH, 0) : place + SMOOTH]
+    for index in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):
+        of_topic = np.flatnonzero(topic == index)
+        place = int(np.searchsorted(of_topic, k))
+        near = of_topic[max(place - SMOOTH, 0) : place + SMOOTH]
         if len(near) < 3:
             continue
         of_receipt, of_stamp = np.diff(receipt[near]), rate * np.diff(stamp[near])
@@ -325,13 +328,13 @@ def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: fl
     return votes > 0.0
 
 
-def _wrong_stamps(one: MessageTimes, misfit: Column, rate: float) -> Mask:
+def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
     """Return the flags (n,) of wrong stamps of a topic; a stamp of a message that is only late is not wrong.
 
     `misfit` (n,) is the delay of the receipts beyond the usual delay [s].
     """
     known = np.isfinite(misfit)
-    receipt, stamp, late = one.receipt[known], rate * one.stamp[known], misfit[known]
+    receipt, stamp, late = times.receipt[known], rate * times.stamp[known], misfit[known]
     found = np.zeros(len(misfit), bool)
     if len(receipt) < 3:
         return found
@@ -357,12 +360,12 @@ def _wrong_stamps(one: MessageTimes, misfit: Column, rate: float) -> Mask:
     return found
 
 
-def _wrong_remarks(one: MessageTimes, wrong: Mask, misfit: Column) -> list[str]:
+def _wrong_remarks(times: MessageTimes, wrong: Mask, misfit: Column) -> list[str]:
     """Return the remark about wrong stamps of a topic in a list, which is empty without wrong stamps."""
     if not np.any(wrong):
         return []
-    start = float(np.nanmin(one.receipt)) if np.isfinite(one.receipt).any() else 0.0
-    first = one.receipt[np.argmax(wrong)]
+    start = float(np.nanmin(times.receipt)) if np.isfinite(times.receipt).any() else 0.0
+    first = times.receipt[np.argmax(wrong)]
     since = f", the first at {first - start:.1f} s" if np.isfinite(first) else ""
     off = -misfit[wrong & np.isfinite(misfit)]
     by = f", by {float(np.median(off)):+.2f} s" if len(off) else ", which are empty"

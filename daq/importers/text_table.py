@@ -142,7 +142,7 @@ class TextTable(Table):
 
     def text(self, column: str) -> list[str]:
         if self._header.count(column) != 1:
-            names = ", ".join(one or "(unnamed)" for one in self._header)
+            names = ", ".join(name or "(unnamed)" for name in self._header)
             if column in self._header:
                 raise SeatrialError(f"{self.path}: column '{column}' appears twice in the header; {_RENAME}")
             raise SeatrialError(f"{self.path}: column '{column}' is not in the header; the columns are: {names}")

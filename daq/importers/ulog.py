@@ -62,20 +62,22 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         raise SeatrialError(f"{path}: cannot be read as a PX4 log: {' '.join(str(error).split())}") from error
     remark = f"{counted(n_torn, 'damaged place')}: the records there are left out" if n_torn else ""
     tables = []
-    for one in data:
-        topic = f"{one.name}_{one.multi_id}" if one.multi_id else one.name
+    for dataset in data:
+        topic = f"{dataset.name}_{dataset.multi_id}" if dataset.multi_id else dataset.name
         if options.topics and topic not in options.topics and "gps" not in topic:
             continue
-        if "timestamp" not in one.data:  # damaged: every topic of PX4 has a timestamp
+        if "timestamp" not in dataset.data:  # damaged: every topic of PX4 has a timestamp
             continue
-        columns = {name: np.asarray(values, np.float64) for name, values in one.data.items() if name != "timestamp"}
+        columns = {name: np.asarray(values, np.float64) for name, values in dataset.data.items() if name != "timestamp"}
         if "fix_type" in columns:
             for name in {"lat", "lon", "latitude_deg", "longitude_deg"} & set(columns):
                 columns[name] = np.where(columns["fix_type"] < FIX_2D, np.nan, columns[name])
-        remarks = "; ".join(part for part in (stopped_motors(one.name, columns), remark) if part)
-        order = np.argsort(one.data["timestamp"], kind="stable")
-        t = 1e-6 * np.asarray(one.data["timestamp"], np.float64)
-        tables.append(Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], one.name, remark=remarks))
+        remarks = "; ".join(part for part in (stopped_motors(dataset.name, columns), remark) if part)
+        order = np.argsort(dataset.data["timestamp"], kind="stable")
+        t = 1e-6 * np.asarray(dataset.data["timestamp"], np.float64)
+        tables.append(
+            Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], dataset.name, remark=remarks)
+        )
     offset = _utc_offset(tables)
     vehicle = next((int(t.columns["system_type"][-1]) for t in tables if "system_type" in t.columns), None)
     for table in tables:

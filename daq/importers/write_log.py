@@ -69,12 +69,12 @@ def write_signals(
     SeatrialError
         If no sample is left, a time is not between 1970 and 2038, or the log cannot be written.
     """
-    times = [one.t for one in signals if len(one.t)]
+    times = [data.t for data in signals if len(data.t)]
     if not times:
         raise SeatrialError(f"{out}: no samples left to write; check t_from, t_to and nan in the map")
     if min(t[0] for t in times) < 0.0 or max(t[-1] for t in times) >= 2**31:
         raise SeatrialError(f"{out}: times must be between 1970 and 2038; check time format and origin in the map")
-    t_ns = [np.rint(one.t * NANO).astype(np.int64) for one in signals]
+    t_ns = [np.rint(data.t * NANO).astype(np.int64) for data in signals]
     first = min(int(t[0]) for t in t_ns if len(t))
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
@@ -97,9 +97,9 @@ def _write(
     event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
     channels, layouts = [], []
-    for one in signals:
-        signal = one.signal
-        metadata = {"unit": one.unit, "hold": signal.hold, "role": signal.role}
+    for data in signals:
+        signal = data.signal
+        metadata = {"unit": data.unit, "hold": signal.hold, "role": signal.role}
         topic = schema.topic(Scalar, signal.name)
         channels.append(writer.channel(topic, schema.TYPES[Scalar], metadata))
         layouts.append(cdr_layout(schema.TYPES[Scalar], signal.name.encode()))
