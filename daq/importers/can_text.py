@@ -150,9 +150,9 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
 
 
 def _with_times(log: _Log, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
-    """Return the frames with times that rise steadily [s].
+    """Return the frames with continuous times [s].
 
-    Times that count from the previous frame are summed. A time of day that starts again at midnight gets one day more.
+    Times that count from the previous frame are summed. In dialects with times of day, a day is added after midnight.
     """
     t, total = [frame.t for frame in frames], 0.0
     is_delta = log.is_delta
