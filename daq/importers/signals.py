@@ -60,7 +60,7 @@ class RowsLeftOut:
     def text(self) -> str:
         """Rows left out and the reason, for the user."""
         place = f"{self.topic}: " if self.topic else ""
-        reason = "because their stamps are wrong" if self.why == "stamps" else "because their times repeat or run back"
+        reason = "because stamps are wrong" if self.why == "stamps" else "because times repeat or run back"
         return f"{place}{counted(self.n, 'row')} of {self.n_rows} left out, {reason}"
 
 

@@ -245,5 +245,5 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match=r"unknown kind of file; import reads|no table of numbers found"):
         guess_map(path)
     path.write_text("(1.000000) can0 123#00\n" * 60 + "what is this?\n" * 70)
-    with pytest.raises(SeatrialError, match="cannot be read as a CAN log: line 61 is no frame of candump -L"):
+    with pytest.raises(SeatrialError, match="cannot be read as a CAN log: line 61 is not a frame of candump -L"):
         guess_map(path)

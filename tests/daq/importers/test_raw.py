@@ -57,7 +57,7 @@ def test_a_vectornav_that_sends_ascii_and_binary(rate: float | None, tmp_path: P
     ascii_parts = [vectornav.encode_ascii(s) if k % 2 else b"" for k, s in enumerate(SAMPLES)]
     capture.write_bytes(b"".join(a + b for a, b in zip(ascii_parts, parts, strict=True)))
     out, said = import_raw("vectornav", capture, rate=rate, out=tmp_path / "b.mcap")
-    assert said.endswith("; 20 ASCII samples left out beside the binary ones")
+    assert said.endswith("; 20 ASCII samples left out, contained in binary samples")
     with open_log(out) as log:
         table = log.table(Ahrs, "ahrs")
     start = 5.0 if rate is None else 0.0
@@ -175,9 +175,9 @@ def test_a_load_cell(tmp_path: Path) -> None:
 
 
 def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match=r"still\.txt: its samples have no time; .*--rate"):
+    with pytest.raises(SeatrialError, match=r"still\.txt: its samples have no times; .*--rate"):
         import_raw("vectornav", ascii_capture, out=tmp_path / "x.mcap")
-    with pytest.raises(SeatrialError, match=r"still\.txt: no nmea samples among"):
+    with pytest.raises(SeatrialError, match=r"still\.txt: no nmea samples in"):
         import_raw("nmea", ascii_capture, rate=1.0, out=tmp_path / "x.mcap")
     assert not list(tmp_path.glob("*.mcap"))
     with pytest.raises(SeatrialError, match="cannot be read"):

@@ -325,7 +325,7 @@ def test_a_dialect(tmp_path: Path, text: str, start: float, lacks: int) -> None:
 
 # Table -> what is said of it
 SAID = {
-    "short": (DIALECTS["a short line"][0], r"1 line left out; the first, line 52, has 3 cells where the header has 7$"),
+    "short": (DIALECTS["a short line"][0], r"1 line left out; the first, line 52, has 3 cells, but the header has 7$"),
     "cut": (DIALECTS["a last line that is cut"][0], r"line 201, the last, is cut off and left out$"),
     "cells": (DIALECTS["text in cells"][0], r"line 41, column 'x': 'OVERFLOW' is not a number; 3 such cells left out$"),
     "time": (DIALECTS["text in the time"][0], r"2 rows without a time left out, the first is row 60$"),
