@@ -153,5 +153,5 @@ def test_types_of_parquet(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.columns["clock"], [*(1.0 * n[:-1]), np.nan])
     np.testing.assert_array_equal(table.columns["volts"], n / 4)
     np.testing.assert_allclose(table.columns["stamp"], [*(1.7e9 + 0.1 * n[:-1]), np.nan])
-    assert table.remark.startswith("of a type that is not read: list (list<")
-    assert "# caveat: of a type that is not read: list" in guess_map(path).text
+    assert table.remark.startswith("left out, of a type that cannot be read: list (list<")
+    assert "# caveat: left out, of a type that cannot be read: list" in guess_map(path).text

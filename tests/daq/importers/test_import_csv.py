@@ -264,7 +264,8 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
     ("old", "new", "line"),
     [
         ('unit = "deg"', 'unit = "degs"', r"signal\[1\]\.unit: 'degs' is not a known unit"),
-        ('unit = "deg"', 'unit = "m"\nangle = "wrap"', r"signal\[1\]\.angle: needs a unit of angle \(deg, rad\), not m"),
+        ('unit = "deg"', 'unit = "m"\nangle = "wrap"',
+         r"signal\[1\]\.angle: needs a unit of angle \(deg, rad\), not m"),
         ('column = "t"', 'colum = "t"', r"time\.column: give either column or rate_hz"),
         ('name = "psi"', 'name = "n_left"', "signal: 'n_left' appears twice"),
         ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is: needs missing"),

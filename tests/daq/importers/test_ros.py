@@ -429,5 +429,7 @@ def test_a_wal_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
         assert len(table) == N // 2
         return
     for source in (path, path.parent):
-        with pytest.raises(SeatrialError, match="-wal: is a symbolic link, not a file"):
+        with pytest.raises(
+            SeatrialError, match="-wal: is a symbolic link, not a file" if kind == "link" else "-wal: is not a file"
+        ):
             read_bag(source, SourceOptions())
