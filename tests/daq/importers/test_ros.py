@@ -223,7 +223,8 @@ def test_wrong_stamps_of_many_rows_end_an_import_with_an_error(tmp_path: Path, e
     with (
         pytest.warns(SeatrialWarning, match="stamps are wrong"),
         pytest.raises(
-            SeatrialError, match=r"40 rows of \d+ left out, because stamps are wrong .* repair the clock of the driver"
+            SeatrialError,
+            match=r"40 rows of \d+ left out, because stamps are wrong: .*; repair the clock of the driver",
         ),
     ):
         signals(path, tmp_path, lines)
@@ -344,7 +345,7 @@ def test_a_bag_with_nothing_but_tf_for_its_pose(tmp_path: Path) -> None:
             command = types["std_msgs/msg/Float64"](0.01 * k)
             writer.write(drive, t_ns, STORE.serialize_cdr(command, "std_msgs/msg/Float64"))
     guess = guess_map(path)
-    assert guess.problem == "only n_left of the thrusters was recognised"
+    assert guess.problem == "only n_left of the thrusters was recognised; name the other side by hand"
     assert "caveat: a pose of /tf" in guess.text
     assert guess.text.count("/tf:odom:base_link") >= 3
     assert "odom:imu" not in guess.text.replace("base_link:imu", "")
