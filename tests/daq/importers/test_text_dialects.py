@@ -175,7 +175,7 @@ def test_a_comma_as_delimiter_and_decimal_mark_is_told(tmp_path: Path) -> None:
 def test_a_unit_of_time_that_cannot_be_is_not_taken(tmp_path: Path) -> None:
     t, _, text = imported(tmp_path, table("tow(msec)", lambda t: f"{345600 + (t - START).total_seconds():.3f}"))
     assert 'format = "s"' in text
-    assert "though its name has ms" in text
+    assert "although the name has ms" in text
     np.testing.assert_allclose(np.diff(t), 0.1, atol=1e-6)
 
 
@@ -372,4 +372,4 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path, text: str, line: str) ->
 def test_a_name_that_stands_twice_is_told(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     source.write_text("\n".join([f"{HEADER},x", *(f"{row},1" for row in ROWS)]) + "\n")
-    assert "# caveat: column 'x' is in the header 2 times: give each its name" in guess_map(source).text
+    assert "# caveat: column 'x' is 2 times in the header: name the columns in the map" in guess_map(source).text
