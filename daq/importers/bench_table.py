@@ -1,4 +1,4 @@
-"""Tables of thrust stands (RCbenchmark, Tyto): thrust, the signal of the ESC and the speed of one motor."""
+"""Recogniser of the tables of thrust stands (RCbenchmark, Tyto): thrust, ESC signal and shaft speed of one motor."""
 
 from __future__ import annotations
 
@@ -15,33 +15,35 @@ COMMAND, SHAFT = "n_cmd_thruster", "n_thruster"
 _FORCE = {"N": "N", "kgf": "kgf", "kg": "kgf", "gf": "gf", "g": "gf", "lbf": "lbf", "lb": "lbf", "": "N"}
 _COMMANDS = {"esc", "pwm", "throttle", "cmd", "command"}
 _NOT = {"efficiency", "servo", "power", "torque", "current", "voltage", "temperature", "vibration", "min", "max"}
-STILL = 0.03  # share of the greatest speed or thrust: less is rest
-MOST_REVERSED = 0.05  # share of the greatest thrust that a load cell at rest may show astern
-SLOWEST_SHAFT_S = 0.2  # s between rows: of slower ones no time constant of a shaft can be told
-USUAL_REST = (1000.0, 1500.0)  # us: ESCs of one direction and of two
+REST_SHARE = 0.03  # share of the greatest speed or thrust; the motor is at rest below it
+REVERSE_SHARE = 0.05  # share of the greatest thrust; a load cell at rest may show so much reverse thrust
+SLOWEST_SHAFT_S = 0.2  # s between rows; a longer step does not resolve the time constant of a shaft
+USUAL_REST_US = (1000.0, 1500.0)  # us; rest of an ESC for one direction, and of an ESC for both directions
 
 
 class _Columns(NamedTuple):
+    """Names of the columns of a thrust stand."""
+
     thrust: str
     command: str
-    speed: str  # "" for none
+    speed: str  # "" if the table has no speed
 
 
 def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
-    """Return the signals of a table of a thrust stand; none if it is another table.
+    """Return the signals of a table of a thrust stand.
 
     Parameters
     ----------
     table
         The table.
     t
-        Times of its rows, shape (n,) [s]; None if it has none.
+        Times of the rows, shape (n,) [s]; None if the table has no times.
 
     Returns
     -------
     list of Candidate
-        ``force``, ``n_cmd_thruster`` and, if the speed of the shaft has a sign and is sampled often enough,
-        ``n_thruster``.
+        ``force``, ``n_cmd_thruster`` and, if the table has a shaft speed, ``n_thruster``. The shaft speed gets a low
+        rank if its sign is missing or its rows are too far apart. The list is empty for any other table.
     """
     numbers = dict(_numbers(table))
     found = _columns(table, numbers)
@@ -49,13 +51,13 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
         return []
     thrust, command = numbers[found.thrust], numbers[found.command]
     unit = _force_unit(table, found.thrust) or "N"
-    caveats = [] if _unit(table, found.thrust) else [f"{found.thrust!r} has no unit and is taken for newtons"]
-    most = MOST_REVERSED * float(np.nanmax(np.abs(thrust)))
-    is_ahead, is_astern = bool(np.nanmax(thrust) > most), bool(np.nanmin(thrust) < -most)
-    caveats += ["the thrust is negative throughout: its sign is turned"] * (not is_ahead)
-    force = Taken("force", (found.thrust,), unit, "", "" if is_ahead else "sign = -1")
+    caveats = [] if _unit(table, found.thrust) else [f"{found.thrust!r} has no unit; newtons are assumed"]
+    threshold = REVERSE_SHARE * float(np.nanmax(np.abs(thrust)))
+    is_forward, is_reverse = bool(np.nanmax(thrust) > threshold), bool(np.nanmin(thrust) < -threshold)
+    caveats += ["the thrust is negative throughout: its sign is changed"] * (not is_forward)
+    force = Taken("force", (found.thrust,), unit, "", "" if is_forward else "sign = -1")
     signals = [Candidate("force", 0, table, (force,), "; ".join(caveats))]
-    is_reversed = is_ahead and is_astern
+    is_reversed = is_forward and is_reverse
     speed = numbers.get(found.speed)
     extra, caveat = _scale(command, thrust if speed is None else speed, is_reversed)
     signals.append(Candidate("command", 0, table, (Taken(COMMAND, (found.command,), "1", "", extra),), caveat))
@@ -63,16 +65,18 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
         return signals
     top = float(np.nanmax(np.abs(speed)))
     step = float(np.nanmedian(np.diff(t))) if t is not None and len(t) > 1 else 0.0
-    why, rank = f"{top:.5g} rev/min is taken for full speed", 0
+    caveat, rank = f"{top:.5g} rev/min is assumed to be full speed", 0
     if is_reversed and np.nanmin(speed) >= 0.0:
-        why, rank = "a speed without a sign, though the thrust has one: without it there is a static thrust curve", 5
+        caveat, rank = "the speed has no sign, but the thrust has; only a static thrust curve can be fitted", 5
     elif step > SLOWEST_SHAFT_S:
-        why, rank = f"rows {step:.2g} s apart tell no time constant: without it there is a static thrust curve", 5
+        caveat = f"rows {step:.2g} s apart are too slow for a time constant; only a static thrust curve can be fitted"
+        rank = 5
     shaft = Taken(SHAFT, (found.speed,), "1", "", f'scale = {1.0 / top:.9g}, hold = "linear"')
-    return [*signals, Candidate("shaft", rank, table, (shaft,), why)]
+    return [*signals, Candidate("shaft", rank, table, (shaft,), caveat)]
 
 
 def _numbers(table: Table) -> Iterator[tuple[str, Column]]:
+    """Yield the name and the values (n,) of each column of numbers. A name that appears twice is skipped."""
     for name in table.names:
         if name and table.names.count(name) == 1:
             try:
@@ -84,7 +88,11 @@ def _numbers(table: Table) -> Iterator[tuple[str, Column]]:
 
 
 def _columns(table: Table, numbers: Mapping[str, Column]) -> _Columns | None:
-    """The columns of thrust, command and speed; None if the table is of a boat, or lacks the first two."""
+    """Return the columns of thrust, command and speed.
+
+    The result is None if the table is from a boat or lacks the thrust or the command.
+    """
+    # A name of a side or of a signal of motion means that the table is from a boat. A stand may have an accelerometer.
     words = {name: read_name(name).words for name in numbers}
     if any(words[name] & SIDES or read_name(name).meaning not in ("", "ax", "ay") for name in numbers):
         return None
@@ -96,34 +104,38 @@ def _columns(table: Table, numbers: Mapping[str, Column]) -> _Columns | None:
     speeds = [n for n in speeds if np.nanmax(np.abs(numbers[n])) > 0.0]
     if len(thrusts) != 1 or not commands:
         return None
-    best = max(speeds, key=lambda n: int(np.count_nonzero(np.nan_to_num(numbers[n]))), default="")  # or the optical one
+    # A stand may have an electrical and an optical speed sensor: take the sensor with more values other than zero.
+    best = max(speeds, key=lambda n: int(np.count_nonzero(np.nan_to_num(numbers[n]))), default="")
     return _Columns(thrusts[0], commands[0], best)
 
 
 def _unit(table: Table, column: str) -> str:
-    """The unit of a column as maps have it, or as the column has it."""
+    """Return the unit of a column as a map writes it, or, for an unknown unit, as the column writes it."""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     return name.unit or name.no_unit
 
 
 def _force_unit(table: Table, column: str) -> str:
-    """The unit of a thrust; "" if the unit of the column is none. On a thrust stand grams are a force."""
+    """Return the unit of a thrust; "" if the column has no unit of force. Grams count as a force on a thrust stand."""
     return _FORCE.get(_unit(table, column), "")
 
 
 def _scale(command: Column, response: Column, is_reversed: bool) -> tuple[str, str]:
-    """Scale and offset of the command, -1 to 1, and the caveat about it. Rest is where speed or thrust is zero."""
+    """Return the map keys that scale a command to -1 .. 1, and the caveat about this scale.
+
+    Rest is the most frequent command at which the response (n,), a speed or a thrust, is about zero.
+    """
     known = np.isfinite(command) & np.isfinite(response)
-    still = known & (np.abs(response) <= STILL * np.nanmax(np.abs(response)))
+    at_rest = known & (np.abs(response) <= REST_SHARE * np.nanmax(np.abs(response)))
     good = command[np.isfinite(command)]
     is_pulse = float(np.max(good)) > 700.0
-    if still.any():
-        values, number = np.unique(command[still], return_counts=True)
+    if at_rest.any():
+        values, number = np.unique(command[at_rest], return_counts=True)
         rest = float(values[np.argmax(number)])
     else:
-        rest = USUAL_REST[is_reversed] if is_pulse else 0.0
+        rest = USUAL_REST_US[is_reversed] if is_pulse else 0.0
     full = float(good[np.argmax(np.abs(good - rest))])
     scale = 1.0 / abs(full - rest)
     unit = " us" if is_pulse else ""
     extra = f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, role = "input"'
-    return extra, f"{rest:.6g}{unit} is taken for rest, {full:.6g}{unit} for full"
+    return extra, f"{rest:.6g}{unit} is assumed to be rest, {full:.6g}{unit} full command"

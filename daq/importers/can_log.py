@@ -1,6 +1,7 @@
-"""Logs of a CAN bus (candump, Vector's ASC and BLF, and what else python-can reads) -> tables, or a log as if recorded.
+"""Importer of CAN logs: candump, Vector's ASC and BLF, and the other formats of python-can.
 
-Frames become the 16 bytes of `struct can_frame` and go through the decoders that read the live bus.
+The frames become tables for a map, or a log as if the rig had recorded them. Each frame is packed into the 16 bytes of
+`struct can_frame` and passed to the same decoders that read the live bus.
 """
 
 from __future__ import annotations
@@ -35,31 +36,38 @@ from seatrial.daq.protocol import (
 from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Frame
 
-ENDINGS = (".log", ".asc", ".blf", ".trc", ".db", ".mf4", ".csv")  # of python-can
-BLF = b"LOGG"
-_HEAD = 65536
+ENDINGS = (".log", ".asc", ".blf", ".trc", ".db", ".mf4", ".csv")  # endings of files that python-can reads
+BLF = b"LOGG"  # first bytes of a BLF file
+_HEAD_BYTES = 65536  # bytes in which the dialect is recognised
 
 
 def is_can_log(head: bytes) -> bool:
-    """Return whether a file that begins so is a log of a CAN bus."""
+    """Return whether a file with these first bytes is a CAN log."""
     return head.startswith(BLF) or bool(dialect_of(head))
 
 
 def read_frames(path: Path) -> list[BusFrame]:
-    """Return the data frames of a log, in the order of the file. Raises SeatrialError."""
+    """Return the data frames of a CAN log in the order of the file.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or is not a CAN log.
+    """
     try:
         with path.open("rb") as file:
-            head = file.read(_HEAD)
+            head = file.read(_HEAD_BYTES)
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if dialect := dialect_of(head):
         return read_text_frames(path, dialect)
     if not head.startswith(BLF) and path.suffix.lower() not in ENDINGS:
-        raise SeatrialError(f"{path}: is not a CAN log; known are candump, BusMaster, {', '.join(ENDINGS)}")
+        raise SeatrialError(f"{path}: is not a CAN log; the known formats are candump, BusMaster, {', '.join(ENDINGS)}")
     return list(_library_frames(path, "BLFReader" if head.startswith(BLF) else "LogReader"))
 
 
 def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
+    """Yield the data frames that the reader `name` of python-can finds; skip error, remote and CAN FD frames."""
     import can
 
     try:
@@ -68,14 +76,31 @@ def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
                 if not (message.is_error_frame or message.is_remote_frame or message.is_fd):
                     word = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
                     yield BusFrame(message.timestamp, str(message.channel), word, bytes(message.data))
-    except Exception as error:  # the readers raise whatever a damaged file makes their parsing raise
+    except Exception as error:  # a damaged file can raise any error in the readers
         raise SeatrialError(f"{path}: cannot be read as a CAN log: {' '.join(str(error).split())}") from error
 
 
 def read_can(path: Path, options: SourceOptions) -> list[Table]:
-    """Tables of a CAN log: with a DBC one for each of its messages, else the samples of our own decoders.
+    """Return the tables of a CAN log.
 
-    They are those of the map's rig or protocol, or else of the protocol that understands most. Raises SeatrialError.
+    Parameters
+    ----------
+    path
+        The CAN log.
+    options
+        With `dbc`, each message of that database becomes a table. With `rig`, the devices of the rig decode the log.
+        With `protocol`, the decoder of that protocol is used. Without any of them, every protocol is tried and the
+        one with the most samples is used.
+
+    Returns
+    -------
+    list of Table
+        One table for each message of the DBC, or for each kind of sample.
+
+    Raises
+    ------
+    SeatrialError
+        If the log cannot be read, or no frame can be decoded.
     """
     frames = read_frames(path)
     if options.dbc is not None:
@@ -88,21 +113,29 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
         rows = max(tried, key=len)
     if not rows:
         raise SeatrialError(
-            f"{path}: {counted(len(frames), 'frame')}, none of VESC, DroneCAN or NMEA 2000; name a DBC, by "
-            '--guess --dbc boat.dbc or in the map: [can] dbc = "boat.dbc"'
+            f"{path}: none of its {counted(len(frames), 'frame')} is VESC, DroneCAN or NMEA 2000; give the DBC of the "
+            'bus: --guess --dbc boat.dbc, or in the map [can] dbc = "boat.dbc"'
         )
     return sample_tables(path, [(name, frame.t_rx, frame) for name, frame in rows])
 
 
 def _bare(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
-    """Samples without a rig, with their buses; a VESC's rpm is then that of the field, pole pairs times the shaft's."""
-    decoders = {bus: _bare_decoder(protocol) for bus in {one.bus for one in frames}}
-    return [(one.bus, frame) for one in frames for frame in decoders[one.bus].feed(_wire(one), one.t)]
+    """Return the samples that a protocol decodes without a rig, each with its bus.
+
+    The speed of a VESC is then electrical: the number of pole pairs is unknown.
+    """
+    decoders = {bus: _bare_decoder(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
+    return [
+        (bus_frame.bus, frame)
+        for bus_frame in frames
+        for frame in decoders[bus_frame.bus].feed(_wire(bus_frame), bus_frame.t)
+    ]
 
 
 def _bare_decoder(protocol: str) -> Decoder:
+    """Return the decoder of a CAN protocol for all nodes of a bus."""
     if protocol == "vesc":
-        return vesc.Decoder(dict.fromkeys(range(256), 1))
+        return vesc.Decoder(dict.fromkeys(range(256), 1))  # one pole pair for every possible node
     return dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
 
 
@@ -111,63 +144,67 @@ def _wire(frame: BusFrame) -> bytes:
 
 
 def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
-    """A table for each message of the DBC that came, as MESSAGE, or MESSAGE_SENDER where a PGN has several senders;
-    where several buses have such messages, with the bus in front: can0_MESSAGE."""
+    """Return a table for each message of the DBC that the log contains.
+
+    The topic is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. The bus stands in front, can0_MESSAGE, if the
+    messages come from several buses.
+    """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}
     exact = {m.frame_id | (EXTENDED if m.is_extended_frame else 0): m for m in messages if not dbc.is_j1939(m)}
     by_pgn = {dbc.pgn_bits(m.frame_id): m for m in messages if dbc.is_j1939(m)}
     found: dict[tuple[str, str, int], tuple[list[float], list[dict[str, float]]]] = {}
     refused: Counter[tuple[str, str, int]] = Counter()
-    for one in frames:
-        message, sender = exact.get(one.word), 0
-        if message is None and one.word & EXTENDED:
-            message, sender = by_pgn.get(dbc.pgn_bits(one.word & ~EXTENDED)), one.word & 0xFF
+    for bus_frame in frames:
+        message, sender = exact.get(bus_frame.word), 0
+        if message is None and bus_frame.word & EXTENDED:
+            message, sender = by_pgn.get(dbc.pgn_bits(bus_frame.word & ~EXTENDED)), bus_frame.word & 0xFF
         if message is None:
             continue
-        key = one.bus, message.name, sender
+        key = bus_frame.bus, message.name, sender
         try:
-            raw = message.decode(one.data, decode_choices=False, scaling=False)
-        except Exception:  # too short, or a multiplexer that the DBC does not know
+            raw = message.decode(bus_frame.data, decode_choices=False, scaling=False)
+        except Exception:  # the frame is too short, or the DBC does not define this value of its multiplexer
             refused[key] += 1
             continue
         t, rows = found.setdefault(key, ([], []))
-        t.append(one.t)
+        t.append(bus_frame.t)
         rows.append({name: dbc.number(message, name, value) for name, value in raw.items()})
     if not found:
-        raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of them as {database} has it")
+        raise SeatrialError(f"{path}: none of its {counted(len(frames), 'frame')} is defined in {database}")
     tables = []
     buses = {bus for bus, _, _ in found}
     for key, (t, rows) in found.items():
         bus, name, sender = key
         topic = f"{bus}_{name}" if len(buses) > 1 else name
-        topic += f"_{sender}" if sum(other[:2] == key[:2] for other in found) > 1 else ""
+        topic += f"_{sender}" if sum(found_key[:2] == key[:2] for found_key in found) > 1 else ""
         columns = {k: np.array([row.get(k, np.nan) for row in rows]) for k in dict.fromkeys(k for r in rows for k in r)}
-        remark = f"{counted(refused[key], 'frame')} left out that the DBC does not fit" if refused[key] else ""
+        remark = f"{counted(refused[key], 'frame')} left out: the DBC cannot decode them" if refused[key] else ""
         units = {s.name: s.unit for s in messages_by_name[name].signals if s.unit}
         tables.append(Table(path, topic, columns, np.array(t), "dbc", remark=remark, units=units))
     return tables
 
 
 def _decoded(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFrame, Frame | None]]:
-    """Each frame of each CAN device of the rig, and the samples that it completes; None first, for the frame itself."""
+    """Yield each frame for each CAN device of the rig, first with None, then with each sample that it completes."""
     devices = [device for device in rig.devices if DEVICES[device.protocol].bus == CAN]
     if not devices:
-        raise SeatrialError(f"{rig.path}: has no device on a CAN bus")
-    there = {frame.bus for frame in frames}
+        raise SeatrialError(f"{rig.path}: the rig has no device on a CAN bus")
+    buses = {frame.bus for frame in frames}
     decoders = {device.name: make_decoder(device, rig) for device in devices}
-    for one in frames:
+    for bus_frame in frames:
         for device in devices:
             bus = device.port.rpartition(":")[2]
-            if bus in there and one.bus != bus:  # the log knows the buses of the rig by name
+            # A log may number its buses in its own way. Only if it has the rig's name, the device reads this bus alone.
+            if bus in buses and bus_frame.bus != bus:
                 continue
-            yield device, one, None
-            for frame in decoders[device.name].feed(_wire(one), one.t):
-                yield device, one, frame
+            yield device, bus_frame, None
+            for frame in decoders[device.name].feed(_wire(bus_frame), bus_frame.t):
+                yield device, bus_frame, frame
 
 
-class _Start(NamedTuple):
-    """The clock of a recorder that writes what was."""
+class _FixedClock(NamedTuple):
+    """Clock of a recorder that writes an old log: its time [s] is that of the first frame."""
 
     t: float
     speed: float = 1.0
@@ -178,26 +215,49 @@ class _Start(NamedTuple):
 
 
 def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bool = False) -> tuple[Path, str]:
-    """A log of the frames as if they had been recorded by the rig: raw bytes and samples. Returns its path and a
-    summary in one line. Raises SeatrialError."""
+    """Write the frames of a CAN log as a log that the rig could have recorded: raw bytes and samples.
+
+    Parameters
+    ----------
+    path
+        The CAN log.
+    rig_path
+        The rig file, whose CAN devices decode the frames.
+    out
+        The log to write; by default named after `path`, in the current folder.
+    force
+        Whether an existing log is replaced.
+
+    Returns
+    -------
+    tuple
+        The path of the log, and a summary in one line.
+
+    Raises
+    ------
+    SeatrialError
+        If a file cannot be read, or no frame belongs to a device of the rig.
+    """
     rig = load_rig(rig_path)
     frames = sorted(read_frames(path), key=lambda frame: frame.t)
     if not frames:
-        raise SeatrialError(f"{path}: holds no CAN frames")
+        raise SeatrialError(f"{path}: contains no CAN frames")
     target, n_samples = out or Path(f"{path.stem}.mcap"), 0
     with replacing(target, force, [path, rig_path]) as part:
-        recorder = Recorder(part, rig=rig, clock=_Start(frames[0].t), metadata={"import": "can"})
+        recorder = Recorder(part, rig=rig, clock=_FixedClock(frames[0].t), metadata={"import": "can"})
         try:
             recorder.event(frames[0].t, "import", path.name)
-            for device, one, frame in _decoded(frames, rig):
+            for device, bus_frame, frame in _decoded(frames, rig):
                 if frame is None:
-                    recorder.write_raw(device.name, "rx", _wire(one), one.t)
+                    recorder.write_raw(device.name, "rx", _wire(bus_frame), bus_frame.t)
                 else:
-                    recorder.write(device.name, frame, one.t)
+                    recorder.write(device.name, frame, bus_frame.t)
                     n_samples += 1
                 recorder.tick()
         finally:
             recorder.close()
-        if not n_samples:  # before what stood there is replaced
-            raise SeatrialError(f"{path}: {counted(len(frames), 'frame')}, none of a device of {rig_path}")
+        if not n_samples:  # raised inside the block: an existing log is then not replaced
+            raise SeatrialError(
+                f"{path}: none of its {counted(len(frames), 'frame')} belongs to a device of {rig_path}"
+            )
     return target, f"{counted(n_samples, 'sample')} of {counted(len(frames), 'frame')}"

@@ -1,6 +1,6 @@
-"""Logs of a CAN bus as text: candump, Vector's ASC, BusMaster, and three forms of NMEA 2000.
+"""Reader of CAN logs in text form: candump, Vector's ASC, BusMaster, and three dialects of NMEA 2000.
 
-| dialect | a line | source |
+| dialect | example of a line | source |
 |---|---|---|
 | candump -L, -l | ``(1715504400.100000) can0 123#1122`` | can-utils, candump.c |
 | candump -ta, -tA, -tz, -td | ``(2024-05-12 09:00:00.1)  can0  123   [2]  11 22`` | can-utils, candump.c |
@@ -26,17 +26,17 @@ from seatrial.daq.protocol import EXTENDED
 
 DAY = 86400.0  # s
 LONGEST_FRAME = 8  # bytes
-LOOKED_AT = 40  # lines by which a dialect is told
-LARGEST_PGN = 0x3FFFF  # above are the messages of a gateway itself
+LOOKED_AT = 40  # lines; the dialect is recognised in these first lines
+LARGEST_PGN = 0x3FFFF  # a gateway reports its own state with larger numbers
 _MONTHS = ("jan", "feb", "m.r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]")
 
 
 class BusFrame(NamedTuple):
-    """A data frame: when, on which bus, its identifier with the bit of the long ones, its data."""
+    """Data frame of a CAN bus."""
 
-    t: float  # s since 1970, or since the start
+    t: float  # s since 1970, or since the start of the log
     bus: str
-    word: int
+    word: int  # identifier; the flag EXTENDED is set for identifiers of 29 bits
     data: bytes
 
 
@@ -77,11 +77,11 @@ _CANBOAT = re.compile(
 
 
 class _Dialect(NamedTuple):
-    """A form of lines, and the function that makes frames of one, with a time of its own."""
+    """Dialect of a text log."""
 
     name: str
-    form: re.Pattern[str]
-    frames: Callable[[_Log, Fields], Iterator[BusFrame]]
+    form: re.Pattern[str]  # of a line with a frame
+    frames: Callable[[_Log, Fields], Iterator[BusFrame]]  # converts the groups of a matching line to frames
 
 
 class _Log:
@@ -89,37 +89,37 @@ class _Log:
 
     def __init__(self) -> None:
         self.start = 0.0  # s since 1970
-        self.since_midnight = 0.0  # s, of the start
-        self.base = 16  # of identifiers and data
-        self.is_delta = False  # times are those since the frame before
-        self.sequence = 0  # of fast packets
-        self.has_no_times = False
+        self.since_midnight = 0.0  # s; time of day of the start
+        self.base = 16  # number base of identifiers and data
+        self.is_delta = False  # whether each time counts from the previous frame
+        self.sequence = 0  # sequence number of the next fast packet
+        self.has_no_times = False  # whether a frame without a time was found
 
 
 def dialect_of(head: bytes) -> str:
-    """Return the name of the dialect of a text that begins so, "" if it is no CAN log."""
+    """Return the dialect of a text with these first bytes; "" if the text is not a CAN log."""
     lines = [line.strip() for line in head.decode("utf-8", "replace").splitlines() if line.strip()][:LOOKED_AT]
     if any(_BUSMASTER_DATE.match(line) or line.startswith("***BUSMASTER") for line in lines):
         return "BusMaster"
     if any(re.match(r"(?i)base +(hex|dec)", line) for line in lines):
         return "ASC"
-    for one in _DIALECTS:
-        # The last line may be cut, and a log may begin within one.
-        matching = [k for k, line in enumerate(lines) if one.form.fullmatch(line)]
-        if matching and len(matching) >= 0.5 * len(lines) and one.name not in ("ASC", "BusMaster"):
-            return one.name
+    for candidate in _DIALECTS:
+        # The last line may be cut off, and a log may begin in the middle of a line.
+        matching = [k for k, line in enumerate(lines) if candidate.form.fullmatch(line)]
+        if matching and len(matching) >= 0.5 * len(lines) and candidate.name not in ("ASC", "BusMaster"):
+            return candidate.name
     return ""
 
 
 def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
-    """Return the data frames of a text log, with a warning for lines that are none.
+    """Return the data frames of a text log. Warn about lines that are not frames.
 
     Raises
     ------
     SeatrialError
-        The file cannot be read, holds no frames, or its frames have no times.
+        If the file cannot be read, its frames have no times, or most of its lines are not frames.
     """
-    one = next(one for one in _DIALECTS if one.name == dialect)
+    dialect_of_log = next(known for known in _DIALECTS if known.name == dialect)
     log = _Log()
     frames: list[BusFrame] = []
     strange: list[int] = []  # numbers of lines
@@ -127,33 +127,36 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
         with path.open(encoding="utf-8", errors="replace") as file:
             for number, line in enumerate(file, start=1):
                 text = line.strip()
-                match = one.form.fullmatch(text)
+                match = dialect_of_log.form.fullmatch(text)
                 if match is not None:
                     try:
-                        frames += one.frames(log, match.groupdict(default=""))
-                    except ValueError:  # numbers that are none, or a day that no calendar has
+                        frames += dialect_of_log.frames(log, match.groupdict(default=""))
+                    except ValueError:  # an invalid number, or a date that does not exist
                         strange.append(number)
-                elif text and not _is_heading(log, one.name, text):
+                elif text and not _is_heading(log, dialect_of_log.name, text):
                     strange.append(number)
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if log.has_no_times:
         raise SeatrialError(
-            f"{path}: its frames have no times; record with times: candump -ta can0, or candump -L can0"
+            f"{path}: its frames have no times; record again with times: candump -ta can0, or candump -L can0"
         )
     if len(strange) > len(frames):
-        raise SeatrialError(f"{path}: cannot be read as a CAN log: line {strange[0]} is no frame of {dialect}")
+        raise SeatrialError(f"{path}: cannot be read as a CAN log: line {strange[0]} is not a frame of {dialect}")
     if strange:
-        text = f"{path}: {counted(len(strange), 'line')} left out that are no frames, the first is line {strange[0]}"
+        text = f"{path}: {counted(len(strange), 'line')} left out, not CAN frames; the first is line {strange[0]}"
         warnings.warn(text, SeatrialWarning, stacklevel=2)
-    return _with_times(log, one.name, frames)
+    return _with_times(log, dialect_of_log.name, frames)
 
 
 def _with_times(log: _Log, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
-    """Return frames whose times go on behind midnight, and add up where each counts from the one before."""
+    """Return the frames with continuous times [s].
+
+    Times that count from the previous frame are summed. In dialects with times of day, a day is added after midnight.
+    """
     t, total = [frame.t for frame in frames], 0.0
     is_delta = log.is_delta
-    if dialect == "candump" and t and max(t) < DAY:  # -td begins anew with each frame, -tz with the first
+    if dialect == "candump" and t and max(t) < DAY:  # -td counts from the previous frame, -tz from the first
         is_delta = any(b < a for a, b in pairwise(t))
     if is_delta:
         times = []
@@ -169,24 +172,25 @@ def _with_times(log: _Log, dialect: str, frames: list[BusFrame]) -> list[BusFram
 
 
 def _is_heading(log: _Log, dialect: str, line: str) -> bool:
-    """Return whether a line is a part of the heading or an event without data; keep what it tells about the log."""
+    """Return whether a line is part of the heading or an event without data; store its settings in `log`."""
     if dialect == "ASC":
         return _is_asc_heading(log, line)
     if dialect == "BusMaster":
         if (date := _BUSMASTER_DATE.match(line)) is not None:
             day, month, year, hours, minutes, seconds, milliseconds = (int(part) for part in date.groups())
-            log.start = datetime(year, month, day, tzinfo=UTC).timestamp()  # the frames have the time of the day
+            log.start = datetime(year, month, day, tzinfo=UTC).timestamp()  # the frames have the time of day
             log.since_midnight = 3600.0 * hours + 60.0 * minutes + seconds + 1e-3 * milliseconds
         elif line == "***DEC***":
             log.base = 10
         elif line in ("***RELATIVE MODE***", "***ABSOLUTE MODE***"):
-            log.start += log.since_midnight  # the frames count from the start
+            log.start += log.since_midnight  # in these modes the frames count from the start
             log.is_delta = line.startswith("***REL")
         return line.startswith("***")
     return line.startswith(("#", "//", ";")) or "ERRORFRAME" in line or (dialect == "canboat" and "," not in line)
 
 
 def _is_asc_heading(log: _Log, line: str) -> bool:
+    """Return whether a line of an ASC file is heading or an event; store its date, number base and time mode."""
     low = line.lower()
     if (date := _ASC_DATE.match(line)) is not None:
         if not log.start:
@@ -201,6 +205,7 @@ def _is_asc_heading(log: _Log, line: str) -> bool:
 
 
 def _asc_date(parts: Fields) -> float:
+    """Return the date of an ASC file, taken as UTC [s since 1970]; 0 if its month is unknown."""
     month = next((k for k, name in enumerate(_MONTHS, 1) if re.match(name, parts["month"].lower())), 0)
     hours = int(parts["h"])
     if parts["half"]:
@@ -212,13 +217,14 @@ def _asc_date(parts: Fields) -> float:
 
 
 def _candump(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frame of a candump line. CAN FD frames, remote requests and error messages yield no frame."""
     text = parts["data"]
     if not parts["t"]:
         log.has_no_times = True
-    if text.startswith("#") or text[:1] in ("R", "r"):  # CAN FD, a remote request
+    if text.startswith("#") or text[:1] in ("R", "r"):  # CAN FD, or a remote request
         return
     word, is_long = int(parts["id"], 16), len(parts["id"]) > 3
-    if word > 0x1FFFFFFF:  # a message of an error
+    if word > 0x1FFFFFFF:  # an error message: identifiers have 29 bits
         return
     data = bytes.fromhex(text.replace(".", ""))
     if len(data) <= LONGEST_FRAME and int(parts.get("n") or len(data)) == len(data):
@@ -228,7 +234,7 @@ def _candump(log: _Log, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _moment(text: str) -> float:
-    """Return a time [s]: a number, or a date with a time of day, which is taken for UTC."""
+    """Return a time [s] from a number, or from a date and a time of day, which are taken as UTC."""
     if "-" not in text:
         return float(text or "0")
     moment = datetime.fromisoformat(text.rstrip("Z"))
@@ -236,6 +242,7 @@ def _moment(text: str) -> float:
 
 
 def _asc(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frame of an ASC line; no frame for a remote request."""
     data = bytes(int(part, log.base) for part in parts["data"].split())
     if parts["kind"] in "dD":
         word = int(parts["id"], log.base) | (EXTENDED if parts["long"] else 0)
@@ -243,6 +250,7 @@ def _asc(log: _Log, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _busmaster(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frame of a BusMaster line, with the time since midnight [s]; no frame for a remote request."""
     data = bytes(int(part, log.base) for part in parts["data"].split())
     word = int(parts["id"], 16 if parts["id"].startswith("0x") else log.base)
     if parts["kind"] in ("s", "x") and len(data) <= LONGEST_FRAME:
@@ -252,12 +260,14 @@ def _busmaster(log: _Log, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _yacht(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frame of a Yacht Devices line, with the time since midnight [s]."""
     hours, minutes, seconds = parts["t"].split(":")
     t = 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
     yield BusFrame(t, "1", int(parts["id"], 16) | EXTENDED, bytes.fromhex(parts["data"])[:LONGEST_FRAME])
 
 
 def _n2k(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frames of an N2K ASCII message, with the time since midnight [s]."""
     clock = parts["t"]
     t = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:])
     numbers = [int(parts[name], 16) for name in ("priority", "pgn", "source", "to")]
@@ -265,6 +275,7 @@ def _n2k(log: _Log, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _canboat(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frames of a canboat message, with the time since 1970 [s]. Raise ValueError if its length is wrong."""
     text = parts["t"]
     t = _moment(text[:10] + "T" + text[11:])
     numbers = [int(parts[name]) for name in ("priority", "pgn", "source", "to")]
@@ -275,7 +286,7 @@ def _canboat(log: _Log, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _message(log: _Log, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
-    """Yield the frames of a whole message of NMEA 2000: one, or those of a fast packet."""
+    """Yield the frames of a complete NMEA 2000 message. Split a message above 8 bytes into a fast packet."""
     priority, pgn, source, to = numbers
     if pgn > LARGEST_PGN or source > 255 or to > 255:
         return

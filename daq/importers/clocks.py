@@ -1,4 +1,4 @@
-"""The clock of a table: which of its columns is its time, in which format, and the caveat where that is a guess."""
+"""Recogniser of the clock of a table: the column of its times, their format, and a caveat if the format is a guess."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ _TIME = re.compile(
 )
 _TOW = {"tow", "gps_tow", "gpstow", "itow", "i_tow", "time_of_week", "gps_time_of_week", "gps_ms", "gms", "gps_seconds"}
 _WEEK = {"week", "gps_week", "gpsweek", "wn", "gwk", "week_number", "gps_week_number", "wno"}
-_WEEKS_OF_EPOCH = 1024  # receivers of old count the weeks of GPS modulo this
-DATES = (1e9, 3e9)  # s since 1970, of the years 2001 to 2065
-FASTEST, SLOWEST = 5e-4, 60.0  # s between rows, of the loggers of boats
-ODD = 2.0  # s between rows: more is rather a step in milliseconds
-DATENUM = (7e5, 8e5)  # MATLAB's days, of the years 1916 to 2190
-LEAST_RISING = 0.005  # share of the steps ahead, of a column that is called time
-COARSE_ROWS, FEWEST_STAMPS, EVEN = 2, 5, 0.9  # rows of a stamp; stamps; share of them with as many rows as the mean
-EXCEL = (36892.0, 71700.0)  # Excel's days, of the years 2001 to 2096
-TRIED = 400  # texts of a column to which the patterns of dates are fitted
+_WEEKS_OF_EPOCH = 1024  # old receivers count the GPS weeks modulo this number
+DATES = (1e9, 3e9)  # s since 1970: the years 2001 to 2065
+FASTEST, SLOWEST = 5e-4, 60.0  # s between rows of the loggers of boats
+ODD = 2.0  # s between rows; a longer step is more likely to be in milliseconds
+DATENUM = (7e5, 8e5)  # days of MATLAB: the years 1916 to 2190
+LEAST_RISING = 0.005  # share of rising steps that a column named "time" needs at least
+COARSE_ROWS, FEWEST_STAMPS, EVEN = 2, 5, 0.9  # rows per stamp; stamps; share of stamps with the mean number of rows
+EXCEL = (36892.0, 71700.0)  # days of Excel: the years 2001 to 2096
+TRIED = 400  # texts of a column with which the patterns of dates are tried
 _DAYS: tuple[str, ...] = (
     "%d.%m.%Y",
     "%d.%m.%y",
@@ -55,35 +55,41 @@ _CLOCKS = (
     "%H:%M",
     "%I:%M %p",
 )
-# Some are numbers or dates where they stand alone.
+# Times of day behind a date. Some of these patterns would match a number or a date if no date stood in front.
 _BEHIND_DAYS = (*_CLOCKS, "%H%M%S", "%H%M%S.%f", "%H-%M-%S", "%H-%M-%S.%f")
-_MINUTES = ("%M:%S.%f", "%M:%S,%f", "%M:%S")  # times of an hour
+_MINUTES = ("%M:%S.%f", "%M:%S,%f", "%M:%S")  # minutes and seconds of an hour
 _DIGITS = re.compile(
     r"20\d\d(0[1-9]|1[0-2])([0-2]\d|3[01])([01]\d|2[0-3])([0-5]\d){2}(\.?\d{1,6})?"
 )  # 20240512130000.1
-MOST_DAYS = 3.0  # of a time in shares of a day
-_COMPACT = {6: "%d%m%y", 8: "%Y%m%d"}  # dates of digits alone, by their number
+MOST_DAYS = 3.0  # days; longest time that is recognised as fractions of a day
+_COMPACT = {6: "%d%m%y", 8: "%Y%m%d"}  # dates of digits only, by the number of digits
 _WHOLE = ("%a %b %d %H:%M:%S %Y", "%a %b %d %H:%M:%S.%f %Y", "%a, %d %b %Y %H:%M:%S", "%a, %d %b %Y %H:%M:%S.%f")
 _BOTH = tuple(f"{day}{blank}{clock}" for day in _DAYS for clock in _BEHIND_DAYS for blank in (" ", "T", ", ", "_", "-"))
 _ZONE = re.compile(r"( ?)(?:((?!AM|PM)[A-Z]{3,5})|Z|[+-]\d\d:?\d\d)$")
-FEW = 0.05  # share of the texts of a column that may be of another shape: no times
-_COUNTS = {"index", "row", "id"}  # rise evenly, and say nothing of time
-_ZONES = {"utc", "gmt", "local"}  # behind the name of a time, in the place of a unit
+FEW = 0.05  # share of the texts of a column; a rarer shape of text is not a time
+_COUNTS = {"index", "row", "id"}  # names of columns that rise evenly but are not times
+_ZONES = {"utc", "gmt", "local"}  # words that stand in the place of the unit of a time
 
 
 class Clock(NamedTuple):
-    """Where a table has its times."""
+    """Source of the times of a table."""
 
-    column: str = ""  # "" where it has times of its own, or none
-    form: str = "s"  # as a map has it
+    column: str = ""  # "" if the table has its own times, or no times
+    form: str = "s"  # format as in [time] of a map
     caveat: str = ""
-    rate: float = 0.0  # Hz, of rows whose stamps are coarser than they are; else 0
-    start: float = 0.0  # s, of the first of these rows
-    date: str = ""  # the column of its dates or GPS weeks, as a map has it
+    rate: float = 0.0  # Hz; rate of the rows if several rows share each stamp, else 0
+    start: float = 0.0  # s; time of the first row, if `rate` is not 0
+    date: str = ""  # column of the dates or GPS weeks, as in [time] of a map
 
 
 def clock_of(table: Table) -> Clock:
-    """The clock of a table, as far as it can be told."""
+    """Return the clock of a table, recognised by names and values of its columns.
+
+    Returns
+    -------
+    Clock
+        Without a column if the table has its own times, or if no column is recognised.
+    """
     if table.t is not None:
         return Clock()
     names = [name for name in table.names if name and table.names.count(name) == 1]
@@ -93,39 +99,39 @@ def clock_of(table: Table) -> Clock:
     dates = [name for name in loose if _is_text(table, name) and _day_format(table.text(name))]
     in_week = [name for name in names if plain[name] in _TOW]
     weeks = [name for name in names if plain[name] in _WEEK]
-    # Of a date and a time of day in two columns the first has no time: it is the same in all rows.
+    # If date and time of day have a column each, the date is the same in all rows and cannot be the time.
     for name in (*strict, *(name for name in names if name in table.seconds), *in_week, *loose):
         if name not in dates and _may_be_time(table, name):
             return _named_clock(table, name, dates, weeks if name in in_week else ())
-    for name in strict:  # coarser than the rows, or with rows out of order: its name tells it all the same
+    for name in strict:  # stamps coarser than the rows, or rows out of order: the name is clear enough
         if name not in dates and _may_be_time(table, name, LEAST_RISING):
             return _named_clock(table, name, dates, ())
-    # Without a name to go by: a first column that rises evenly, and is no signal by its name.
-    for name in names[:2]:  # the first may be the name of a boat or of a run
-        said = read_name(name)
-        if said.meaning or said.words & (DRIVES | _COUNTS):
+    # No column has the name of a time: accept a first column that rises evenly and does not have the name of a signal.
+    for name in names[:2]:  # the first column may contain the name of a boat or of a run
+        column_name = read_name(name)
+        if column_name.meaning or column_name.words & (DRIVES | _COUNTS):
             continue
         try:
             values = table.numbers(name)
         except SeatrialError:  # text
             if form := format_of_text(table.text(name))[0]:
-                return Clock(name, form, f"{name!r} has dates and is taken for the time")
+                return Clock(name, form, f"{name!r} has dates and is assumed to be the time")
             continue
         if _may_be_time(table, name) and _is_even(values):
             form, _ = _format(table, name)
             place = "first" if name == table.names[0] else "second"
-            return Clock(name, form, f"its {place} column rises evenly and is taken for the time")
+            return Clock(name, form, f"its {place} column rises evenly and is assumed to be the time")
     return Clock()
 
 
 def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
-    """The clock of a column that is one by its name, with the date or GPS week of another column where it needs one."""
+    """Return the clock of a column with the name of a time, with its column of dates or GPS weeks if needed."""
     form, caveat = _format(table, name)
     clock = Clock(name, form, caveat)
     if weeks and form in ("s", "ms"):
         clock = Clock(name, "gps" if form == "s" else "gps_ms", date=weeks[0])
         if float(np.nanmax(table.numbers(weeks[0]), initial=0.0)) < _WEEKS_OF_EPOCH:
-            caveat = f"{weeks[0]!r} is counted modulo 1024: give the time an origin of 1024 weeks or of 2048"
+            caveat = f"{weeks[0]!r} is counted modulo 1024: add 1024 or 2048 weeks by origin of [time]"
             clock = clock._replace(caveat=caveat)
     elif dates and form.startswith(("%H", "%I")):
         form, caveat = format_of_text(dated(table, dates[0], name))
@@ -137,12 +143,17 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
 
 
 def _compact_date(table: Table, name: str) -> Clock | None:
-    """The clock of a date and a time of day that are digits alone, 120524 and 130000.5; None if it is none."""
+    """Return the clock of a date and a time of day of digits only, as 120524 and 130000.5.
+
+    The result is None if the times are not of this form, or no column of dates fits.
+    """
     times = _typical(table.text(name))
     if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
         return None
     clock = "%H%M%S.%f" if any("." in text for text in times) else "%H%M%S"
-    for date in (one for one in table.names if one and read_name(one).words & {"date", "datum", "day", "utcdate"}):
+    for date in (
+        column for column in table.names if column and read_name(column).words & {"date", "datum", "day", "utcdate"}
+    ):
         days = _typical(table.text(date)) if table.names.count(date) == 1 else []
         pattern = _COMPACT.get(len(days[0]) if days else 0)
         if pattern is None or any(len(day) != len(days[0]) for day in days):
@@ -153,6 +164,7 @@ def _compact_date(table: Table, name: str) -> Clock | None:
 
 
 def _is_text(table: Table, name: str) -> bool:
+    """Return whether a column cannot be read as numbers."""
     try:
         table.numbers(name)
     except SeatrialError:
@@ -171,15 +183,19 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
 
 
 def _is_even(values: Column) -> bool:
+    """Return whether all steps of a column (n,) are positive and of about the same size."""
     steps = np.diff(values)
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
 
 
 def _even_clock(table: Table, clock: Clock) -> Clock:
-    """The clock with the rate of the rows where its stamps are much coarser, as whole seconds are, and every stamp but
-    the first and the last has about as many rows."""
+    """Return the clock with the rate of the rows if several rows share each stamp, as with whole seconds.
+
+    The rate is set only if all stamps except the first and the last have about the same number of rows. Otherwise the
+    clock gets a caveat.
+    """
     t = row_seconds(table, clock)
-    if t is None or not np.all(np.diff(t) >= 0.0):  # NaN, too
+    if t is None or not np.all(np.diff(t) >= 0.0):  # also for NaN
         return clock
     _, count = np.unique(t, return_counts=True)
     inner = count[1:-1]
@@ -192,12 +208,17 @@ def _even_clock(table: Table, clock: Clock) -> Clock:
     caveat = f"the stamps of {clock.column!r} are coarser than the rows: "
     if even and steady:
         start = float(seconds[1]) - float(count[0]) / rate
-        caveat += "even times at the rate of the rows take their place"
+        caveat += "they are replaced by even times at the rate of the rows"
         return clock._replace(rate=rate, start=start, caveat=caveat)
-    return clock._replace(caveat=f"{caveat}rows are left out; rate_hz = {rate:.4g} in its place is their mean rate")
+    return clock._replace(caveat=f"{caveat}rows are left out; to keep them, write rate_hz = {rate:.4g}, the mean rate")
 
 
 def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
+    """Return whether a column may be the time.
+
+    More than the share `rising` of the steps of numbers must be positive. Texts must contain digits and differ from
+    row to row.
+    """
     try:
         values = table.numbers(name)
     except SeatrialError:  # dates are text
@@ -208,6 +229,7 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
 
 
 def _format(table: Table, column: str) -> tuple[str, str]:
+    """Return the format of a column of times, as in [time] of a map, and the caveat about it."""
     if column in table.seconds:
         return "s", ""
     try:
@@ -216,35 +238,50 @@ def _format(table: Table, column: str) -> tuple[str, str]:
         form, caveat = format_of_text(table.text(column))
         shown = next((text.strip() for text in table.text(column) if text.strip()), "")[:40]
         return form or "%d.%m.%Y %H:%M:%S", caveat or "" if form else (
-            f"times like {shown!r}: write their pattern (strptime), and fraction where they have one"
+            f"times like {shown!r} are not recognised: write their strptime pattern as format, and fraction if needed"
         )
     if _DIGITS.fullmatch(next((text.strip() for text in table.text(column) if text.strip()), "")):
         patterns = ("%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f", "%Y%m%d%H%M%S%f")
-        if fitting := [one for one in patterns if _fits(partial(read_date, pattern=one), _typical(table.text(column)))]:
+        if fitting := [
+            pattern for pattern in patterns if _fits(partial(read_date, pattern=pattern), _typical(table.text(column)))
+        ]:
             return fitting[0], ""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     values = values[np.isfinite(values)]
     if name.unit in TIME_UNITS:
         step = float(np.median(np.diff(values)))
         if TIME_UNITS[name.unit] * step < FASTEST <= step < SLOWEST:
-            return "s", f"steps of {step:.4g} are taken for seconds, though its name has {name.unit}"
+            return "s", f"steps of {step:.4g} are assumed to be seconds, although the name has {name.unit}"
         return name.unit, ""
     form, caveat = _format_of_numbers(values, name)
     no_unit = name.no_unit or name.unit
     if no_unit and no_unit.lower() not in _ZONES:
-        odd = f"{no_unit!r} behind {column!r} is not taken for a unit of time, which are {', '.join(TIME_UNITS)}"
+        odd = f"{no_unit!r} in {column!r} is not a unit of time; the units are {', '.join(TIME_UNITS)}"
         caveat = "; ".join(part for part in (odd, caveat) if part)
     return form, caveat
 
 
 def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
-    """Return the format of dates or times of a day as text, and the caveat about it; "" if no pattern fits them."""
+    """Return the format of dates or times of day in text form, and the caveat about it.
+
+    Parameters
+    ----------
+    texts
+        The cells of the column.
+
+    Returns
+    -------
+    tuple of str
+        ``iso`` or a strptime pattern, "" if no pattern fits; and the caveat, "" if the format is certain.
+    """
     tried = _typical(texts)
     if not tried:
         return "", ""
     if not tried[0].replace(".", "").isdigit() and _fits(datetime.fromisoformat, tried):
         return "iso", ""
-    fitting = [one for one in _fitting_patterns(tried, (*_CLOCKS, *_WHOLE, *_BOTH)) if not _is_unpadded(one, tried)]
+    fitting = [
+        pattern for pattern in _fitting_patterns(tried, (*_CLOCKS, *_WHOLE, *_BOTH)) if not _is_unpadded(pattern, tried)
+    ]
     fitting = fitting or _fitting_patterns(tried, _MINUTES)
     fitting = [pattern for pattern in fitting if "%f" in pattern] or fitting
     if not fitting:
@@ -252,19 +289,19 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
     found, caveat = fitting[0], ""
     orders = {pattern.index("%d") < pattern.index("%m") for pattern in fitting if "%m" in pattern and "%d" in pattern}
     if found in _MINUTES:
-        caveat = f"times like {tried[0]!r} are taken for minutes and seconds, which begin anew each hour"
+        caveat = f"times like {tried[0]!r} are assumed to be minutes and seconds that start again each hour"
     elif found.startswith(("%H", "%I")):
-        caveat = 'times of a day: say which, origin = "2025-05-01"; without it is that of 1970-01-01'
+        caveat = 'times of day without a date: give the date, origin = "2025-05-01"; otherwise it is 1970-01-01'
     elif len(orders) == 2:
-        if "%p" in found:  # is written where the month stands first
+        if "%p" in found:  # countries that write AM and PM put the month first
             found = next(pattern for pattern in fitting if pattern.startswith("%m"))
         order = "month" if found.startswith("%m") else "day"
-        caveat = f"dates like {tried[0]!r} are taken with the {order} first"
+        caveat = f"dates like {tried[0]!r} are read with the {order} first"
     return found, caveat
 
 
 def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    """The patterns that read all texts, each with the zone of the texts behind it if they have one."""
+    """Return the patterns that read all texts. If the texts end with a time zone, the patterns include it."""
     fitting = []
     zone = _ZONE.search(texts[0])
     for end in ("", zone[1] + (zone[2] or "%z")) if zone else ("",):
@@ -276,13 +313,13 @@ def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str
 
 
 def _shape(text: str) -> str:
-    """A text with 0 for each number and a for each word."""
+    """Return the text with each number replaced by 0 and each word by a."""
     return re.sub(r"[^\W\d_]+", "a", re.sub(r"\d+", "0", text))
 
 
 @cache
 def _pattern_shapes(pattern: str) -> frozenset[str]:
-    """The shapes of texts of a pattern, with and without its fraction of a second."""
+    """Return the shapes of the texts that a pattern reads, with and without the fraction of a second."""
     shapes = [
         re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSfj]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))
     ]
@@ -290,13 +327,16 @@ def _pattern_shapes(pattern: str) -> frozenset[str]:
 
 
 def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
-    """Whether milliseconds behind a colon have lost their zeros: 12:00:00:5 is 5 ms, and no half second."""
+    """Return whether milliseconds behind a colon lack leading zeros: 12:00:00:5 means 5 ms, not half a second."""
     return ":%f" in pattern and not all(re.search(r":\d{3}(\D|$)", text) for text in texts)
 
 
 def _typical(texts: Sequence[str]) -> list[str]:
-    """Texts evenly over the file: the day of the month tells the order of day and month as soon as one is above 12.
-    Those of a rare shape are no times: ERR, OVERFLOW."""
+    """Return up to about `TRIED` different texts, taken evenly over the file, without texts of a rare shape.
+
+    A text of a rare shape is not a time: ERR, OVERFLOW.
+    """
+    # Over the whole file a day above 12 is likely; only such a day shows the order of day and month.
     filled = [text.strip() for text in texts if text.strip()]
     tried = list(dict.fromkeys(filled[:: max(1, len(filled) // TRIED)] + filled[-1:]))
     shapes = [_shape(text) for text in tried]
@@ -305,13 +345,13 @@ def _typical(texts: Sequence[str]) -> list[str]:
 
 
 def _day_format(texts: Sequence[str]) -> str:
-    """The pattern of texts that are dates without a time of day; "" if they are none."""
+    """Return the pattern of dates without a time of day; "" if the texts are not such dates."""
     tried = _typical(texts)
     return next(iter(_fitting_patterns(tried, _DAYS)), "") if tried else ""
 
 
 def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
-    """Whether a function reads all texts."""
+    """Return whether a function reads all texts without a ValueError."""
     try:
         for text in texts:
             read(text)
@@ -321,27 +361,33 @@ def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
 
 
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
+    """Return the format of times that are numbers (n,), by their size and their usual step, and the caveat about it."""
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))
-    for unit, size in ((one, TIME_UNITS[one]) for one in ("s", "ms", "us", "ns")):
+    for unit, size in ((name_of_unit, TIME_UNITS[name_of_unit]) for name_of_unit in ("s", "ms", "us", "ns")):
         if DATES[0] < size * top < DATES[1] and size * step < SLOWEST:
             odd = size * step >= ODD
-            return unit, f'{top:.6g} is taken for seconds since 1970; since a start it may be "ms"' if odd else ""
+            caveat = f'{top:.6g} is assumed to be seconds since 1970; a time since the start may be in "ms"'
+            return unit, caveat if odd else ""
     if DATES[0] < top + LABVIEW_EPOCH < DATES[1] and step < SLOWEST:
         return "labview", ""
     if DATENUM[0] < top < DATENUM[1] and ("date" in name.words or 0.0 < step < FASTEST):
         return "datenum", ""
     if EXCEL[0] < top < EXCEL[1] and 0.0 < step < FASTEST:
-        return "excel", 'days of Excel, counted from 1900; a workbook that counts from 1904 has format = "excel1904"'
+        return (
+            "excel",
+            'days of Excel since 1900 are assumed; a workbook that counts from 1904 has format = "excel1904"',
+        )
     if FASTEST < step * TIME_UNITS["day"] < ODD and step < FASTEST and top < MOST_DAYS and not name.unit:
-        return "day", f"steps of {step:.4g} are taken for shares of a day"
+        return "day", f"steps of {step:.4g} are assumed to be fractions of a day"
     for unit, usual, word in (("ns", 2e6, "nano"), ("us", 2e3, "micro"), ("ms", 2.0, "milli")):
         if step >= usual:
-            return unit, f"steps of {step:.4g} are taken for {word}seconds"
-    # Hours, minutes and seconds in one number, 120059, 120100: no part above 59, and a step over the rest of a minute.
+            return unit, f"steps of {step:.4g} are assumed to be {word}seconds"
+    # Hours, minutes and seconds in one number, 120059, 120100: no part is above 59, and at the end of a minute the
+    # number steps by 40 more.
     parts = values >= 0.0, values < 240000.0, values % 100.0 < 60.0, values // 100.0 % 100.0 < 60.0
     if np.all(parts) and (values[0] >= 1e4 or np.any(np.abs(steps - step - 40.0) < 0.5)):
-        return "s", f'{values[0]:.6g} is taken for seconds; of a time of day, hhmmss, it is format = "%H%M%S"'
+        return "s", f'{values[0]:.6g} is assumed to be seconds; a time of day, hhmmss, has format = "%H%M%S"'
     if step < FASTEST or (step >= 1.0 and not np.any(values % 1.0)):
-        return "s", f"steps of {step:.4g} are taken for seconds"
+        return "s", f"steps of {step:.4g} are assumed to be seconds"
     return "s", ""

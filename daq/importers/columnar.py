@@ -1,4 +1,4 @@
-"""MATLAB files (version 5 to 7.3) and Parquet -> tables of columns of one length."""
+"""Reader of MATLAB files (version 5 to 7.3) and Parquet files: tables whose columns have the same length."""
 
 from __future__ import annotations
 
@@ -17,15 +17,34 @@ from seatrial.daq.importers.table import Column, SourceOptions, Table
 _SCIPY = "MATLAB files need the package scipy: pip install 'seatrial[matlab]'"
 _H5PY = "MATLAB files of version 7.3 need the package h5py: pip install 'seatrial[matlab]'"
 _PYARROW = "Parquet needs the package pyarrow: pip install 'seatrial[parquet]'"
-WIDEST = 16  # columns of a matrix that are taken
+WIDEST = 16  # columns; a wider matrix is not data of signals
 
 
 def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
-    """Read vectors and matrices of numbers.
+    """Read the vectors and matrices of numbers of a MATLAB file.
 
-    Those of the workspace have no topic. Those of a struct, a table, a timetable or a timeseries have its name; those
-    of nested structs have the names of these, with dots, before their own. The signals of a Simulink structure with
-    time have their labels. Columns of one length make a table. Raises SeatrialError.
+    Parameters
+    ----------
+    path
+        The file.
+    options
+        Not used.
+
+    Returns
+    -------
+    list of Table
+        One table for each topic and each length of columns. A remark lists the objects that cannot be read.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or contains no vectors of numbers.
+
+    Notes
+    -----
+    Variables of the workspace have the topic "". The fields of a struct, table, timetable or timeseries have its name
+    as their topic. For nested structs the names of the inner structs stand before the name of the column, separated by
+    dots. The signals of a Simulink structure with time have their labels as names.
     """
     left_out: list[str] = []
     groups: dict[tuple[str, int], dict[str, Column]] = {}
@@ -33,16 +52,16 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
     seconds: dict[str, set[str]] = {}
     try:
         for name, value in _workspace(path):
-            for one in vectors(name, value, left_out):
-                for called, column in _columns(one):
-                    groups.setdefault((one.topic, len(column)), {})[called] = column
-                    if one.unit:
-                        units.setdefault(one.topic, {})[called] = one.unit
-                    if one.is_time:
-                        seconds.setdefault(one.topic, set()).add(called)
+            for vector in vectors(name, value, left_out):
+                for column_name, column in _columns(vector):
+                    groups.setdefault((vector.topic, len(column)), {})[column_name] = column
+                    if vector.unit:
+                        units.setdefault(vector.topic, {})[column_name] = vector.unit
+                    if vector.is_time:
+                        seconds.setdefault(vector.topic, set()).add(column_name)
     except SeatrialError:
         raise
-    except Exception as error:  # scipy and h5py have errors of many kinds for a file that is none, or damaged
+    except Exception as error:  # scipy and h5py raise many kinds of errors for a damaged file or another format
         raise SeatrialError(f"{path}: cannot be read as a MATLAB file: {' '.join(str(error).split())}") from error
     tables = [
         Table(
@@ -57,43 +76,46 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
     ]
     if not tables:
         raise SeatrialError(
-            f"{path}: holds no vectors of numbers; objects (timetable, timeseries, datetime) are read from files of "
-            "version 7.3: save('run.mat', 'TT', '-v7.3'); or save their columns as vectors, e.g. "
+            f"{path}: contains no vectors of numbers; objects (timetable, timeseries, datetime) are read only from "
+            "files of version 7.3: save('run.mat', 'TT', '-v7.3'); or save their columns as vectors, e.g. "
             "t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
         )
     tables = _together(path, tables)
     if left_out:
-        tables[0].remark = f"of a class that is not read: {', '.join(left_out)}"
+        tables[0].remark = f"left out, of a class that cannot be read: {', '.join(left_out)}"
     return tables
 
 
 def _together(path: Path, tables: Sequence[Table]) -> list[Table]:
-    """Put variables with one signal each, as Simulink's To Workspace blocks write them, into a table if their times are
-    the same: x and y are a position then."""
-    alone: dict[bytes, list[Table]] = {}
+    """Merge tables of one signal each into one table if their times are equal.
+
+    Simulink's To Workspace blocks write one variable for each signal. Only signals of one table, as x and y, are
+    recognised as a position.
+    """
+    by_times: dict[bytes, list[Table]] = {}
     for table in tables:
-        others = [name for name in table.names if name.lower() != "time"]
-        if others == [table.topic] and len(table.names) == 2:
-            alone.setdefault(table.numbers(table.names[0]).tobytes(), []).append(table)
-    merged = {id(one) for group in alone.values() if len(group) > 1 for one in group}
+        signals = [name for name in table.names if name.lower() != "time"]
+        if signals == [table.topic] and len(table.names) == 2:
+            by_times.setdefault(table.numbers(table.names[0]).tobytes(), []).append(table)
+    merged = {id(single) for group in by_times.values() if len(group) > 1 for single in group}
     found = [table for table in tables if id(table) not in merged]
-    for group in alone.values():
+    for group in by_times.values():
         if len(group) > 1:
-            columns = {name: one.columns[name] for one in group for name in one.columns}
-            units = {name: unit for one in group for name, unit in one.units.items()}
+            columns = {name: single.columns[name] for single in group for name in single.columns}
+            units = {name: unit for single in group for name, unit in single.units.items()}
             found.append(Table(path, "", columns, units=units, seconds=group[0].seconds))
     return found
 
 
-def _columns(one: Vector) -> Iterator[tuple[str, Column]]:
-    """Yield the columns of a vector or of a matrix that is not too wide."""
-    array = np.atleast_1d(np.squeeze(one.values)).astype(np.float64)
+def _columns(vector: Vector) -> Iterator[tuple[str, Column]]:
+    """Yield name and values (n,) of a vector, or of each column of a matrix that has at most `WIDEST` columns."""
+    array = np.atleast_1d(np.squeeze(vector.values)).astype(np.float64)
     if array.ndim == 1:
-        yield one.name, array
+        yield vector.name, array
     elif array.ndim == 2 and min(array.shape) <= WIDEST:
         long = array if array.shape[0] >= array.shape[1] else array.T
         for k in range(long.shape[1]):
-            yield f"{one.name}[{k}]", long[:, k]
+            yield f"{vector.name}[{k}]", long[:, k]
 
 
 def _workspace(path: Path) -> Iterator[tuple[str, Any]]:
@@ -115,18 +137,36 @@ def _workspace(path: Path) -> Iterator[tuple[str, Any]]:
         raise SeatrialError(_SCIPY) from error
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of objects that it cannot read; they are left out
+        warnings.simplefilter("ignore")  # scipy warns about objects that it cannot read; a remark lists them
         workspace = loadmat(path, squeeze_me=True, struct_as_record=True)
     for name, value in workspace.items():
-        if type(value).__name__ == "MatlabOpaque":  # scipy keeps one of them, without its name
+        if type(value).__name__ == "MatlabOpaque":  # scipy keeps only one object of the file, without its name
             yield str(name), MatlabObject("version 7: save it with '-v7.3'", {})
         elif not name.startswith("__"):
             yield name, scipy_value(value)
 
 
 def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
-    """The columns of numbers, times and text; times are in s since 1970, those of a day since midnight, durations in s.
-    A remark names what is none of these. Raises SeatrialError."""
+    """Read the columns of numbers, times and text of a Parquet file as one table.
+
+    Parameters
+    ----------
+    path
+        The file.
+    options
+        Not used.
+
+    Returns
+    -------
+    list of Table
+        One table. Dates are in s since 1970, times of day in s since midnight, durations in s. A remark lists the
+        columns of other types.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read, or pyarrow is not installed.
+    """
     try:
         import pyarrow
         import pyarrow.parquet
@@ -148,19 +188,19 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
             elif types.is_temporal(kind) and not types.is_interval(kind):
                 columns[name] = _seconds(pyarrow, column)
                 seconds.add(name)
-            # Not safe: whole numbers beyond 2^53, as ns since 1970, are rounded (to 256 ns), not refused.
+            # safe=False: whole numbers above 2^53, as ns since 1970, are rounded (to 256 ns) instead of refused.
             elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
                 columns[name] = np.asarray(column.cast(pyarrow.float64(), safe=False).to_numpy(zero_copy_only=False))
             else:
                 left_out.append(f"{name} ({kind})")
-    except Exception as error:  # pyarrow has errors of many kinds for a file that is none, or damaged
+    except Exception as error:  # pyarrow raises many kinds of errors for a damaged file or another format
         raise SeatrialError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
-    remark = f"of a type that is not read: {', '.join(left_out)}" if left_out else ""
+    remark = f"left out, of a type that cannot be read: {', '.join(left_out)}" if left_out else ""
     return [Table(path, "", columns, remark=remark, texts=texts, seconds=frozenset(seconds))]
 
 
 def _seconds(pyarrow: Any, column: Any) -> Column:
-    """A column of dates, times or durations in s, (n,); NaN where a row has none."""
+    """Return a column of dates, times or durations in s, (n,); NaN for an empty cell."""
     kind, types = column.type, pyarrow.types
     if types.is_date(kind):
         column = column.cast(pyarrow.timestamp("ns"))

@@ -1,14 +1,14 @@
-"""Resynchronisation behind a damaged place of a binary log."""
+"""Resynchronisation after a damaged place of a binary log."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-SURE = 3  # whole messages in a row, behind a damaged place, that are taken for the log again
+RESYNC_MESSAGES = 3  # complete messages in a row that mark the end of a damaged place
 
 
 def is_chain(place: int, size: int, end_of: Callable[[int], int]) -> bool:
-    """Whether whole messages follow each other from a place on.
+    """Return whether complete messages follow each other from a place on.
 
     Parameters
     ----------
@@ -17,14 +17,14 @@ def is_chain(place: int, size: int, end_of: Callable[[int], int]) -> bool:
     size
         Size of the log [bytes].
     end_of
-        Function from the offset of a message to the offset of its end; -1 if no message can begin there.
+        Function that returns the end [bytes] of the message at an offset; -1 if no message can begin there.
 
     Returns
     -------
     bool
-        True for `SURE` messages in a row, and for fewer that reach the end of the log.
+        True for `RESYNC_MESSAGES` messages in a row, or for fewer messages that reach exactly the end of the log.
     """
-    for _ in range(SURE):
+    for _ in range(RESYNC_MESSAGES):
         place = end_of(place)
         if place < 0 or place == size:
             return place == size

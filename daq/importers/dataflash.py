@@ -1,9 +1,9 @@
-"""ArduPilot's DataFlash log (BIN) -> samples, through pymavlink's DFReader.
+"""Reader of ArduPilot's DataFlash logs (BIN), through pymavlink's DFReader.
 
-Names and units of the messages: ardupilot.org/rover/docs/logmessages.html. Times are TimeUS, s since boot, put on
-the calendar by the first GPS week that the log has. TimeUS is when a loop wrote it: a fix has the time at which it came
-(GPA.SMS, in whole milliseconds), up to a loop before, and an attitude the IMU that is nearest, since a loop writes ATT
-before IMU.
+Names and units of the messages: ardupilot.org/rover/docs/logmessages.html. TimeUS is the time since boot at which a
+loop of the autopilot wrote the message. DFReader converts it to UTC by the first GPS week of the log. A fix arrived up
+to one loop earlier; GPA.SMS has its arrival in whole milliseconds, and the sample gets this time. A loop writes ATT
+before IMU, so an attitude is joined with the IMU message nearest in time.
 """
 
 from __future__ import annotations
@@ -31,28 +31,31 @@ from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo, wrap_angle
 
 Found = list[Sample]
-OLDEST_FIX_S = 1.0  # between a fix and its message: more is no age
-# MAV_TYPE by how the first text begins
+OLDEST_FIX_S = 1.0  # s between a fix and its message; a larger difference is an error, not an age
+# MAV_TYPE by the first word of a text message
 FIRMWARE = {"ArduRover": 10, "ArduSub": 12, "ArduCopter": 2, "ArduPlane": 1, "Blimp": 7, "AntennaTracker": 5}
-HEAD = b"\xa3\x95"  # of each message; its type follows
-FMT, FMT_SIZE = 0x80, 89
-TIME_OFF_US = 1_000_000  # from the median of the times around it: more is a damaged time
-NO_TYPE = 0  # MAV_TYPE: its modes have no names
+HEAD = b"\xa3\x95"  # first bytes of each message; the type of the message follows
+FMT, FMT_SIZE = 0x80, 89  # type and size [bytes] of the messages that define the other types
+TIME_OFF_US = 1_000_000  # us from the median of the neighbouring times; a larger difference is a damaged time
+NO_TYPE = 0  # MAV_TYPE of an unknown vehicle, whose modes have no names
 
 
 class _Reader:
-    """Messages -> samples, by type, and what `joined` adds to them: where no shaft speed of a log is below zero, its
-    sign is that of the output."""
+    """Converter of DataFlash messages to samples, with one method for each type of message.
+
+    `joined` completes the samples after the whole log has been read. If no shaft speed of the log is negative, the
+    speeds are magnitudes, and each gets the sign of its output.
+    """
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
         self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
-        self._imu: list[tuple[float, ...]] = []  # time and readings
-        self._ages: dict[float, float] = {}  # time of a fix's message -> s since the fix came
-        self._seen: set[int] = set()
-        self._n: dict[int, float] = {}
-        self._is_signed = False  # whether telemetry of the controllers has a sign of its own
+        self._imu: list[tuple[float, ...]] = []  # time [s], angular rates [rad/s] and specific forces [m/s2]
+        self._ages: dict[float, float] = {}  # time of the message of a fix -> s since the fix arrived
+        self._seen: set[int] = set()  # outputs that have had a pulse
+        self._n: dict[int, float] = {}  # last command of each output, -1 to 1
+        self._is_signed = False  # whether the shaft speeds of the log have a sign
         self.take: dict[str, Callable[[Any], Found]] = {
             "IMU": self._on_imu, "ATT": self._att, "GPS": self._gps, "RCOU": self._rcou, "ESC": self._esc,
             "BAT": self._bat, "MSG": self._msg, "MODE": self._mode, "ARM": self._arm, "EV": self._ev, "ERR": self._err,
@@ -67,13 +70,14 @@ class _Reader:
         return []
 
     def _gpa(self, m: Any) -> Found:
+        """Store the age of the fix of the first receiver: the time of its message less its arrival."""
         age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
             self._ages[m._timestamp] = max(age - HALF_MS, 0.0)
         return []
 
     def joined(self, rows: list[Timed]) -> Iterator[Timed]:
-        """Rows whose attitudes have the nearest IMU, and whose fixes have their own times."""
+        """Yield the rows. Attitudes get the nearest IMU, shaft speeds a sign, and fixes the time of their arrival."""
         times = np.array([row[0] for row in self._imu])
         middle = (times[1:] + times[:-1]) / 2
         for row in rows:
@@ -81,7 +85,7 @@ class _Reader:
             if isinstance(sample, Ahrs) and self._imu:
                 imu = self._imu[int(np.searchsorted(middle, row.t))][1:]
                 sample = Ahrs(sample.yaw, sample.pitch, sample.roll, *imu)
-            if isinstance(sample, Esc) and not self._is_signed and abs(sample.duty) > 0.0:  # a magnitude alone
+            if isinstance(sample, Esc) and not self._is_signed and abs(sample.duty) > 0.0:  # a magnitude without sign
                 sample = replace(sample, rpm=math.copysign(sample.rpm, sample.duty))
             age = self._ages.get(row.t, 0.0) if isinstance(sample, Gnss) else 0.0
             yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
@@ -91,6 +95,7 @@ class _Reader:
         return [Ahrs(wrap_angle(yaw), pitch, roll, *[NAN] * 6)]
 
     def _gps(self, m: Any) -> Found:
+        """Return the fix of the first receiver. Values that its kind of fix does not determine are NaN."""
         if getattr(m, "I", 0) != 0:
             return []
         fix, course = FIXES.get(m.Status, 0), math.radians(m.GCrs)
@@ -112,6 +117,7 @@ class _Reader:
         ]
 
     def _rcou(self, m: Any) -> Found:
+        """Return the outputs: with a rig those of its thrusters, else those that have had a pulse."""
         found: Found = []
         for node in range(1, 15):
             pwm = float(getattr(m, f"C{node}", 0))
@@ -157,7 +163,27 @@ class _Reader:
 
 
 def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str, dict[str, float]]:
-    """The samples of a DataFlash log, a summary, and its parameters. Raises SeatrialError where it holds none."""
+    """Read a DataFlash log.
+
+    Parameters
+    ----------
+    path
+        The log.
+    rig
+        The rig, which names and scales the outputs; None to read all outputs as pulse widths.
+    device
+        The autopilot of the rig; None without a rig.
+
+    Returns
+    -------
+    tuple
+        The samples, a summary in one line, and the parameters of the autopilot.
+
+    Raises
+    ------
+    SeatrialError
+        If the log cannot be read or contains no samples.
+    """
     reader = _Reader(rig, device)
     rows: list[Timed] = []
     n_messages, skipped, stopped = 0, 0, ""
@@ -173,55 +199,63 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
                 n_messages += 1
-                kind, stopped = message.get_type(), f"read to byte {log.offset} of {log.data_len}"
+                kind, stopped = message.get_type(), f"damaged, read only to byte {log.offset} of {log.data_len}"
                 try:
                     t = float(message._timestamp)
                     t_device = float(getattr(message, "TimeUS", math.nan)) * 1e-6
                     rows += [Timed(Frame(sample, t, t_device), t) for sample in reader.take[kind](message)]
-                except Exception:  # of another firmware, without a field or with text in the place of a number
+                except Exception:  # another firmware: a field is missing, or is text instead of a number
                     strange[kind] += 1
             stopped = ""
-    except Exception as error:  # DFReader raises whatever a damaged file makes its parsing raise
+    except Exception as error:  # a damaged file can raise any error in DFReader
         if not rows:
             raise SeatrialError(f"{path}: is not a readable DataFlash log ({error})") from error
     if not rows:
-        raise SeatrialError(f"{path}: a DataFlash log without attitude, GPS or outputs")
-    odd = [f"{counted(n, 'message')} {kind} of unknown form" for kind, n in strange.items()]
-    odd += [f"{counted(n_torn, 'damaged place')}: the messages there are left out"] * bool(n_torn)
-    odd += [f"{counted(n_wrong_times, 'message')} with a time that cannot be, left out"] * bool(n_wrong_times)
-    odd += [stopped] * bool(stopped)
-    for one in odd:
-        warnings.warn(f"{path}: {one}", SeatrialWarning, stacklevel=2)
-    read = [counted(n_messages, "message"), f"{counted(max(skipped, 0) + n_taken_out, 'byte')} not understood", *odd]
+        raise SeatrialError(
+            f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"
+        )
+    remarks = [f"{counted(n, 'message')} {kind} of unknown form left out" for kind, n in strange.items()]
+    remarks += [f"{counted(n_torn, 'damaged place')}: the messages there are left out"] * bool(n_torn)
+    remarks += [f"{counted(n_wrong_times, 'message')} with an impossible time left out"] * bool(n_wrong_times)
+    remarks += [stopped] * bool(stopped)
+    for remark in remarks:
+        warnings.warn(f"{path}: {remark}", SeatrialWarning, stacklevel=2)
+    n_unread = max(skipped, 0) + n_taken_out
+    read = [counted(n_messages, "message"), f"{counted(n_unread, 'byte')} not understood", *remarks]
     return list(reader.joined(rows)), ", ".join(read), reader.parameters
 
 
 def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
-    """Return the log without damaged messages.
+    """Remove damaged messages from a log.
 
-    A message is whole if another message follows it, or the end of the file. Its time has to lie near the median of
-    the five times around it, which in times that rise is the time itself.
+    A message is complete if another message or the end of the file follows it. Its time must lie near the median of
+    the five times around it. For times that rise, this median is the time itself.
+
+    Parameters
+    ----------
+    raw
+        The bytes of the log.
 
     Returns
     -------
     tuple
-        The bytes, None if nothing has to be taken out; the number of damaged places; the number of wrong times.
+        The remaining bytes, None if no message is damaged; the number of damaged places; the number of wrong times.
     """
-    sizes = {FMT: FMT_SIZE}
+    sizes = {FMT: FMT_SIZE}  # bytes of a message by its type
     timed: set[int] = set()  # types whose first field is TimeUS
 
     def end_of(place: int) -> int:
-        """The end of a message, -1 if no message of a known type begins here."""
+        """Return the end of a message; -1 if no message of a known type begins here."""
         if raw[place : place + 2] != HEAD or place + 3 > len(raw):
             return -1
         size = sizes.get(raw[place + 2], -1)
         return -1 if size < 3 or place + size > len(raw) else place + size
 
-    found: list[tuple[int, int]] = []  # place and end of each whole message
+    found: list[tuple[int, int]] = []  # place and end of each complete message
     place, n_torn = 0, 0
     while place < len(raw):
         end = end_of(place)
-        # At a new type nothing is known yet of what follows a FMT but its head.
+        # The type of the next message may be defined later, so only its first bytes are checked.
         if end > 0 and (end == len(raw) or raw[end : end + 2] == HEAD or len(raw) - end < 3):
             if raw[place + 2] == FMT:
                 kind, size = raw[place + 3], raw[place + 4]
@@ -234,7 +268,7 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
         begin, place = place, raw.find(HEAD, place + 1)
         while place >= 0 and not is_chain(place, len(raw), end_of):
             place = raw.find(HEAD, place + 1)
-        if place < 0:  # cut off, or the rest of the last page
+        if place < 0:  # the log is cut off here, or the rest is an unused part of the last page
             if end > 0:
                 found.append((begin, end))
             break
@@ -254,7 +288,7 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
 
 @contextlib.contextmanager
 def _repaired(path: Path, whole: bytes | None) -> Iterator[Path]:
-    """The file to read: a temporary one if damaged messages were taken out."""
+    """Yield the file to read: a temporary file with the bytes `whole`, or the log itself if `whole` is None."""
     if whole is None:
         yield path
         return
@@ -265,12 +299,12 @@ def _repaired(path: Path, whole: bytes | None) -> Iterator[Path]:
 
 
 def firmware_type(texts: Iterable[str]) -> int | None:
-    """MAV_TYPE by the first text that names a firmware, as "ArduRover V4.7.0"; None where none does."""
+    """Return the MAV_TYPE of the first text that begins with a firmware, as "ArduRover V4.7.0"; None without one."""
     return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
 
 
 def _vehicle(log: Any) -> int:
-    """MAV_TYPE by the texts of a log, which is at its beginning again then."""
+    """Return the MAV_TYPE by the texts of a log, `NO_TYPE` if unknown. Rewind the log to its beginning."""
     texts = (str(getattr(message, "Message", "")) for message in iter(lambda: log.recv_match(type="MSG"), None))
     found = firmware_type(texts)
     log.rewind()
@@ -279,8 +313,11 @@ def _vehicle(log: Any) -> int:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """pymavlink's reader, which prints what a damaged file holds, in C too, and leaves the file open."""
+    """Yield pymavlink's reader of a log, silenced, and close its file at the end."""
     from pymavlink import DFReader
+
+    # The reader prints the contents of a damaged file, also from C code, and never closes the file. Creating and
+    # initialising it in two steps gives access to the open file if the initialisation fails.
 
     log = DFReader.DFReader_binary.__new__(DFReader.DFReader_binary)
     try:
@@ -291,7 +328,7 @@ def _opened(path: Path) -> Iterator[Any]:
     finally:
         for name in ("data_map", "filehandle"):
             if (part := getattr(log, name, None)) is not None:
-                with contextlib.suppress(BufferError):  # of a map that an error on its way still looks into
+                with contextlib.suppress(BufferError):  # a traceback may still refer to the memory map
                     part.close()
 
 

@@ -1,10 +1,11 @@
-"""Text files of FlySight 2 (TRACK.CSV, SENSOR.CSV): columns and units by sensor, and rows that begin with its name.
+"""Reader of the text files of FlySight 2 (TRACK.CSV, SENSOR.CSV): one table for each sensor, with times in UTC.
 
-Theory of operation. ``$COL,GNSS,time,lat,...`` names the columns of a sensor, ``$UNIT,GNSS,,deg,...`` their units, and
-a row of it is ``$GNSS,2024-05-12T13:00:00.000Z,59.1,...``. Fixes have UTC. The other sensors count seconds since
-power-on. ``$TIME,time,tow,week`` has such a time and the GPS time of the same instant, by which they are moved to UTC.
-Without these rows the places of the fixes among the other rows tell the offset: a fix stands behind the last row before
-its receipt. The shortest delay is that of the measurement to within one row.
+Theory of operation. ``$COL,GNSS,time,lat,...`` names the columns of a sensor and ``$UNIT,GNSS,,deg,...`` their units.
+Each row begins with the name of its sensor: ``$GNSS,2024-05-12T13:00:00.000Z,59.1,...``. Fixes have UTC. The other
+sensors have seconds since power-on. A row ``$TIME,time,tow,week`` has such a time and the GPS time of the same instant;
+these rows move the other sensors to UTC. In a file without them, the offset follows from the order of the rows: the
+recorder writes a fix after the last row that came before it. The largest difference between a fix and this row is the
+offset, to within one row.
 """
 
 from __future__ import annotations
@@ -22,18 +23,30 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.importers.row_times import gps_seconds
 from seatrial.daq.importers.table import Column, SourceOptions, Table
 
-_TIME, _CLOCK = "time", "TIME"  # column of the time; sensor that has it with GPS time
-_UTC = 1e9  # s: a time that is greater is one since 1970
-_SLOWEST_RATE = 1e-3  # of the clock against GPS time: more is a wrong row
+_TIME, _CLOCK = "time", "TIME"  # column of the time; name of the rows with GPS time
+_UTC = 1e9  # s; greater times are since 1970, smaller ones since power-on
+_LARGEST_DRIFT = 1e-3  # s/s of the device's clock against GPS time; a larger drift is a wrong row
 
 
 def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
-    """Read a file of a FlySight 2 as a table for each sensor, with UTC if the file has it.
+    """Read a text file of a FlySight 2.
+
+    Parameters
+    ----------
+    path
+        The file.
+    options
+        Not used.
+
+    Returns
+    -------
+    list of Table
+        One table for each sensor. Times are in s since 1970, or in s since power-on if the file has no UTC.
 
     Raises
     ------
     SeatrialError
-        It cannot be read, or has no rows.
+        If the file cannot be read or has no rows.
     """
     columns: dict[str, list[str]] = {}
     units: dict[str, list[str]] = {}
@@ -51,56 +64,62 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
                     if len(cells) - 1 == len(columns[name]):
                         rows.setdefault(name, []).append([str(number), *cells[1:]])
                     else:
-                        n_lost[name] += 1  # a card that was full, or a battery that was empty
+                        n_lost[name] += 1  # cut off: the card was full or the battery empty
     except (OSError, csv.Error) as error:
         raise SeatrialError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     sensors = [
         _sensor(
-            path, name, columns[name], dict(zip(columns[name], units.get(name, ()), strict=False)), own, n_lost[name]
+            path,
+            name,
+            columns[name],
+            dict(zip(columns[name], units.get(name, ()), strict=False)),
+            sensor_rows,
+            n_lost[name],
         )
-        for name, own in rows.items()
+        for name, sensor_rows in rows.items()
         if _TIME in columns[name]
     ]
     if not sensors:
         raise SeatrialError(f"{path}: no rows below the header")
     _move_to_utc(sensors)
-    return [one.table for one in sensors if one.table.topic != _CLOCK] or [one.table for one in sensors]
+    return [sensor.table for sensor in sensors if sensor.table.topic != _CLOCK] or [sensor.table for sensor in sensors]
 
 
 class _Sensor(NamedTuple):
-    """A table and the numbers of the lines of its rows, (n,)."""
+    """Rows of one sensor of a file."""
 
     table: Table
-    lines: Column
+    lines: Column  # (n,); number of the line of each row
 
     @property
     def t(self) -> Column:
-        """Times of its rows [s], (n,)."""
+        """Times of the rows [s], (n,)."""
         assert self.table.t is not None
         return self.table.t
 
     @property
     def has_utc(self) -> bool:
-        """Whether its times are UTC."""
+        """Return whether the times are UTC."""
         return bool(len(self.t) and self.t[0] > _UTC)
 
 
 def _sensor(
     path: Path, name: str, columns: list[str], units: dict[str, str], rows: list[list[str]], n_lost: int
 ) -> _Sensor:
+    """Return the table of one sensor, without the rows whose time cannot be read."""
     at = columns.index(_TIME)
     t = np.array([_seconds(row[at + 1]) for row in rows])
     known = np.isfinite(t)
     lines = np.array([float(row[0]) for row in rows])[known]
     values = {c: np.array([_number(row[k + 1]) for row in rows])[known] for k, c in enumerate(columns) if c and k != at}
     n_lost += int(np.sum(~known))
-    remark = f"{counted(n_lost, 'row')} without a time or not whole left out" if n_lost else ""
+    remark = f"{counted(n_lost, 'row')} left out, incomplete or without a time" if n_lost else ""
     stated = {column: unit for column, unit in units.items() if unit and column in values}
     return _Sensor(Table(path, name, values, t[known], remark=remark, units=stated), lines)
 
 
 def _seconds(cell: str) -> float:
-    """A time of UTC [s since 1970] or of the device [s]; NaN if it is none."""
+    """Return a time in UTC [s since 1970] or since power-on [s]; NaN if the cell is not a time."""
     try:
         return float(cell)
     except ValueError:
@@ -120,33 +139,40 @@ def _number(cell: str) -> float:
 
 
 def _move_to_utc(sensors: list[_Sensor]) -> None:
-    """Move the times of the device's own clock to UTC."""
+    """Move the times since power-on to UTC, in place: by the TIME rows, or else by the fixes among the rows."""
     clock = next(
-        (one for one in sensors if one.table.topic == _CLOCK and {"tow", "week"} <= set(one.table.names)), None
+        (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),
+        None,
     )
-    fixes = next((one for one in sensors if one.has_utc), None)
-    own = [one for one in sensors if one.table.topic != _CLOCK and len(one.t) and not one.has_utc]
+    fixes = next((sensor for sensor in sensors if sensor.has_utc), None)
+    on_device_clock = [
+        sensor for sensor in sensors if sensor.table.topic != _CLOCK and len(sensor.t) and not sensor.has_utc
+    ]
     if clock is not None:
         delay = gps_seconds(clock.table.columns["week"], clock.table.columns["tow"]) - clock.t
-        good = np.isfinite(delay) & (np.abs(delay - np.nanmedian(delay)) < 1.0 + _SLOWEST_RATE * np.ptp(clock.t))
+        good = np.isfinite(delay) & (np.abs(delay - np.nanmedian(delay)) < 1.0 + _LARGEST_DRIFT * np.ptp(clock.t))
         if good.any():
-            for one in own:
-                one.table.t = _moved(one.t, clock.t[good], delay[good])
+            for sensor in on_device_clock:
+                sensor.table.t = _moved(sensor.t, clock.t[good], delay[good])
             return
     if fixes is None:
         return
-    for one in own:
-        before = np.searchsorted(one.lines, fixes.lines) - 1  # the last row of the sensor in front of each fix
-        delay = fixes.t - one.t[before]
+    for sensor in on_device_clock:
+        before = np.searchsorted(sensor.lines, fixes.lines) - 1  # the last row of the sensor before each fix
+        delay = fixes.t - sensor.t[before]
         if not np.any(before >= 0):
             continue
-        one.table.t = one.t + np.max(delay[before >= 0])
-        moved = "its times are moved to UTC by the fixes among its rows, to within one row"
-        one.table.remark = "; ".join(part for part in (one.table.remark, moved) if part)
+        sensor.table.t = sensor.t + np.max(delay[before >= 0])
+        moved = "times are converted to UTC by the fixes between the rows, accurate to one row"
+        sensor.table.remark = "; ".join(part for part in (sensor.table.remark, moved) if part)
 
 
 def _moved(t: Column, known: Column, delay: Column) -> Column:
-    """Times (n,) with the delay between the clocks, (m,) at the times known (m,), as a straight line through it."""
+    """Return times (n,) converted by a straight line through the differences `delay` (m,) of two clocks.
+
+    The differences were measured at the times `known` (m,). The median is added if there are fewer than three of them,
+    or all are of one time.
+    """
     if len(known) < 3 or np.ptp(known) == 0.0:
         return np.asarray(t + np.median(delay))
     rate, offset = np.polyfit(known - known[0], delay, 1)

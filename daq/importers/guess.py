@@ -1,4 +1,9 @@
-"""`seatrial import --guess`: a map of a source with what was recognised, and a comment for each caveat."""
+"""The command `seatrial import --guess`: a map of a source with the recognised signals, and a comment for each caveat.
+
+Theory of operation. The tables of the source give candidates: by the type of a message, or by the names and values of
+columns. For each signal the candidate with the lowest rank is written as a line of the map. The other candidates, and
+columns that were not recognised, follow as comments.
+"""
 
 from __future__ import annotations
 
@@ -43,8 +48,8 @@ from seatrial.daq.importers.units import UNITS
 from seatrial.daq.log import LOG_FORMAT, open_log
 
 MOTION = ("x", "vx", "u", "psi", "r", "speed")
-FORCES = {"X": "N", "N": "Nm"}  # force ahead and moment, by the letters of the literature
-LETTERS = {"X": "force ahead", "N": "moment"}
+FORCES = {"X": "N", "N": "Nm"}  # units of surge force and yaw moment, by their SNAME letters
+LETTERS = {"X": "surge force", "N": "yaw moment"}
 STEERING, THROTTLE, LEFT_THROTTLE, RIGHT_THROTTLE = 26.0, 70.0, 73.0, 74.0  # SERVOn_FUNCTION of ArduPilot
 FUNCTIONS = {
     STEERING: "steering",
@@ -52,58 +57,77 @@ FUNCTIONS = {
     LEFT_THROTTLE: "throttle left",
     RIGHT_THROTTLE: "throttle right",
 }
-PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # SERVOn_..., us, and what they are by default
-# Topics, types and frames of ROS whose axes are ours
+PULSE_US = (("MIN", 1100.0), ("TRIM", 1500.0), ("MAX", 1900.0))  # us; defaults of SERVOn_MIN, _TRIM and _MAX
+# Topics, types and frames of ROS that use north, east, down or forward, starboard, down
 _NED = re.compile(r"(?i)(?<![a-z])(ned|frd)(?![a-z])|px4_msgs|seatrial_msgs")
-SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # messages that only their topics name
-MOST_LISTED = 12  # signals that were not recognised and are offered all the same
-UNKNOWN_CDEG = 65535  # a heading that MAVLink does not know (hdg)
-TURN = 6.6  # rad: a whole turn and a little
-Clocks = Mapping[int, Clock]  # of each table, by its id
+SCALARS = ("Float64", "Float32", "Float64Stamped", "Float32Stamped", "Scalar")  # only the topic names the quantity
+MOST_LISTED = 12  # columns that were not recognised and are listed as comments
+UNKNOWN_CDEG = 65535  # an unknown heading in MAVLink (hdg)
+TURN = 6.6  # rad; slightly more than a whole turn
+Clocks = Mapping[int, Clock]  # clock of each table, by the id of the table
 BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
 
 
 class Guess(NamedTuple):
-    """The text of a map, and why no fit is possible with it; "" where one should be."""
+    """Guessed map."""
 
-    text: str
-    problem: str
+    text: str  # of the map
+    problem: str  # why no fit is possible with the map; "" if a fit should be possible
 
 
 def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -> Guess:
-    """What a source holds, as a map for `seatrial import`; a CAN log may have a `dbc`, whose place the map has from its
-    own `folder` (default: here). Raises SeatrialError where it cannot be read."""
+    """Guess the map of a source for `seatrial import`.
+
+    Parameters
+    ----------
+    path
+        The source.
+    dbc
+        Database of the messages of a CAN log.
+    folder
+        Folder in which the map will be stored, by default the current folder. The map names the DBC relative to it.
+
+    Returns
+    -------
+    Guess
+        The map, and the reason why no fit is possible.
+
+    Raises
+    ------
+    SeatrialError
+        If the source cannot be read, or a text contains no table of numbers.
+    """
     kind = source_kind(path)
     if kind.name == "ros" and _is_log(path):
-        raise SeatrialError(f"{path}: is a log of seatrial: check, ident and export take it as it is")
+        raise SeatrialError(f"{path}: is a seatrial log and needs no import; check, ident and export read it directly")
     if dbc is not None and kind.name != "can":
-        raise SeatrialError(f"{path}: --dbc is for a CAN log (candump, .asc, .blf), and this is none")
+        raise SeatrialError(f"{path}: is not a CAN log (candump, .asc, .blf); leave out --dbc")
     options = SourceOptions(dbc=dbc)
     if kind.name == "csv":
         style = sniff_style(path, text_head(path))
         if (style is None or (style.delimiter == "," and style.columns)) and has_decimal_commas(text_head(path)):
             raise SeatrialError(
-                f"{path}: the comma is both its delimiter and its decimal mark; save it again with ; as delimiter"
+                f"{path}: the comma is both the delimiter and the decimal mark; save it again with ; as delimiter"
             )
         if style is None:
             raise SeatrialError(f"{path}: no table of numbers found in this text; write the map by hand")
-        options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as the map says
+        options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [table for table in kind.read(path, options) if table.names]
     head = [
-        f"# From `seatrial import --guess {path.name}`. Look at each caveat, then `seatrial import MAP {path.name}`.",
+        f"# From `seatrial import --guess {path.name}`. Check each caveat, then run `seatrial import MAP {path.name}`.",
         'format = "seatrial-import 1"',
         f"name = {_quoted(path.stem)}",
     ]
     if kind.name == "ros":
-        head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; the other one is "NED"')
+        head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; or else "NED"')
     if dbc is not None:
         place = os.path.relpath(dbc, folder or Path())
         head.append(f"can = {{ dbc = {_quoted(Path(place).as_posix())} }}")
     clocks = {id(table): clock_of(table) for table in tables}
-    drives: dict[frozenset[str], list[Column]] = {}  # left and right together have one scale
+    drives: dict[frozenset[str], list[Column]] = {}  # by quantity: left and right get the same scale
     for table in tables:
         for column, _, words, values in _columns(table, clocks):
-            if words & DRIVES and without_unit(column) not in FORCES:  # N may be north: no share in their scale
+            if words & DRIVES and without_unit(column) not in FORCES:  # N may be north and must not affect the scale
                 drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
@@ -114,17 +138,18 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     taken, lines = _choose(candidates, clocks, main)
     problem = _problem(taken, tables)
     head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
-    remarks = [f"# caveat: {table.said}" for table in tables if table.said]
+    remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
     remarks += [f"# caveat: {line}" for line in _held_lines(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
 
 def _is_log(path: Path) -> bool:
+    """Return whether a file is a log of seatrial."""
     try:
         with open_log(path) as log:
             return log.metadata.get("format") == LOG_FORMAT
-    except SeatrialError:  # a bag of another format, or damaged: its reader says what is wrong
+    except SeatrialError:  # a bag of another format, or damaged: its own reader raises the error
         return False
 
 
@@ -133,6 +158,7 @@ def _quoted(text: str) -> str:
 
 
 def _style_line(options: SourceOptions, kind: str) -> list[str]:
+    """Return the line of the map for the text style; no line if the source is not text."""
     if kind != "csv":
         return []
     style = options.style
@@ -150,17 +176,17 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
 
 
 def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
-    """The clock that [time] of the map has: of the first table with something in it."""
+    """Return the clock for [time] of the map: that of the first candidate with a column of times."""
     found = [clocks[id(candidate.table)] for candidate in candidates]
     return next((clock for clock in (*found, *clocks.values()) if clock.column), Clock())
 
 
 def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
-    """The line of the map for the time, and a caveat for each clock that has one."""
+    """Return the line of the map for the time, after the caveats of all clocks."""
     if not tables or all(table.t is not None for table in tables):
         return []
     if not main.column:
-        return ["# caveat: no column of times found: its rate is a guess", "time = { rate_hz = 10.0 }"]
+        return ["# caveat: no column of times found; the rate is a guess: correct it", "time = { rate_hz = 10.0 }"]
     caveats = [main.caveat] if main.caveat else []
     for table in (candidate.table for candidate in candidates):
         clock = clocks[id(table)]
@@ -172,18 +198,18 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
     if main.rate:
         day = datetime.fromtimestamp(main.start, UTC).isoformat() if main.start > DATES[0] else ""
         origin = f', origin = "{day}"' if day else ""
-        line = f"time = {{ rate_hz = {main.rate:.6g}{origin} }}  # in place of column = {_quoted(main.column)}"
+        line = f"time = {{ rate_hz = {main.rate:.6g}{origin} }}  # instead of column = {_quoted(main.column)}"
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
 def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks: Clocks) -> Iterator[str]:
-    """A line for each group of signals whose values the table holds from one measurement to the next."""
+    """Yield a line for each group of signals whose values the table holds from one measurement to the next."""
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
     for candidate in candidates:
         t = row_seconds(candidate.table, clocks[id(candidate.table)])
         for signal in candidate.signals:
             holds = 'role = "input"' in signal.extra and "hold = " not in signal.extra
-            if t is None or holds or not any(signal is one for one in taken):
+            if t is None or holds or not any(signal is chosen for chosen in taken):
                 continue
             values = np.sum([candidate.table.numbers(column) for column in signal.columns], axis=0)
             known = np.isfinite(values) & np.isfinite(t)
@@ -193,7 +219,7 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks:
         for names, held in held_together(held_signals(t, signals)):
             yield (
                 f"{names}: held between measurements {held.rows * float(np.ptp(t)) / (len(t) - 1):.3g} s apart; "
-                'the import leaves the repeats out (repeats = "keep" of a signal takes each row for a measurement)'
+                'the import leaves the repeats out (if each row is a measurement, give the signal repeats = "keep")'
             )
 
 
@@ -201,11 +227,14 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks:
 
 
 def _columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
-    """The columns of numbers of a table without known messages, with what their names and the topic's say."""
+    """Yield column, parsed name, words of column and topic, and values (n,) for the columns of numbers of a table.
+
+    Tables with messages of a known type, and set-points, yield no columns.
+    """
     message = table.kind.rpartition("/")[2]
-    alone = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
-    scalar = alone or message == "JointState"
-    if (table.kind not in ("", "dbc") and not scalar) or SETPOINT.search(table.topic):
+    is_scalar = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
+    is_named_by_topic = is_scalar or message == "JointState"
+    if (table.kind not in ("", "dbc") and not is_named_by_topic) or SETPOINT.search(table.topic):
         return
     for column in table.names:
         if column == clocks[id(table)].column:
@@ -215,13 +244,16 @@ def _columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozense
         except SeatrialError:
             continue
         unit = f" [{table.units[column]}]" if column in table.units else ""
-        name = read_name(table.topic.rpartition("/")[2] if alone else column + unit)
-        by_topic = scalar or table.kind == "dbc"
+        name = read_name(table.topic.rpartition("/")[2] if is_scalar else column + unit)
+        by_topic = is_named_by_topic or table.kind == "dbc"
         yield column, name, name.words | (read_name(table.topic).words if by_topic else frozenset()), values
 
 
 def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
-    """What the names of columns say, in tables without known messages; `together` has the numbers of left and right."""
+    """Yield the candidates by the names of columns, in tables without known messages.
+
+    `together` has the numbers of the left and right columns of each quantity of thrusters.
+    """
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
     numbers: dict[str, Column] = {}
@@ -235,7 +267,7 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
                 names.setdefault(axis, (column, name._replace(meaning=axis)))
             elif letter in FORCES:
                 unit = stated if UNITS.get(stated, ("",))[0] == FORCES[letter] else FORCES[letter]
-                caveat = "" if unit == stated else f"{letter} is taken for the {LETTERS[letter]} in {unit}"
+                caveat = "" if unit == stated else f"{letter} is assumed to be the {LETTERS[letter]} in {unit}"
                 yield Candidate("force", 1, table, (Taken(letter, (column,), unit, "", 'role = "input"'),), caveat)
             continue
         found = drive(words, together.get(quantity(words), values), name.unit) if np.isfinite(values).any() else None
@@ -245,8 +277,8 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
             and (message != "JointState" or "velocity" in words)
         ):
             group, taken, caveat = found
-            taken, of_hold = _with_hold(taken, row_seconds(table, clocks[id(table)]), values, words)
-            caveat = "; ".join(one for one in (caveat, of_hold) if one)
+            taken, hold_caveat = _with_hold(taken, row_seconds(table, clocks[id(table)]), values, words)
+            caveat = "; ".join(part for part in (caveat, hold_caveat) if part)
             behind = (message == "JointState") + bool(words & SET_POINTS)
             signals = (taken._replace(columns=(column,)),)
             yield Candidate(group, behind, table, signals, caveat, quantity(words))
@@ -256,7 +288,7 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
 
 
 def _with_hold(taken: Taken, t: Column | None, values: Column, words: frozenset[str]) -> tuple[Taken, str]:
-    """An input with the hold that its values (n,) show, and a caveat about it."""
+    """Return an input with the hold that its values (n,) show, and a caveat about the hold."""
     if t is None or "hold = " in taken.extra:
         return taken, ""
     known = np.isfinite(values) & np.isfinite(t)
@@ -265,25 +297,31 @@ def _with_hold(taken: Taken, t: Column | None, values: Column, words: frozenset[
 
 
 def _axis(letter: str, letters: Collection[str], stated: str) -> str:
-    """x or y where a capital of this name is a position, by its unit or by the letters beside it; "" where none is."""
+    """Return x or y if a column with this capital letter is a position, "" if it is not.
+
+    A position has a unit of length, or columns with matching letters beside it: X and Y, or N and E.
+    """
     beside = (letter == "X" and "Y" in letters and "N" not in letters) or (letter != "X" and {"N", "E"} <= set(letters))
     is_length = UNITS.get(stated, ("",))[0] == "m"
     return ("y" if letter == "E" else "x") if is_length or (beside and not stated) else ""
 
 
 def _in_frame(candidate: Candidate) -> Candidate:
-    """A candidate of a bag whose axes are ENU: signals of a topic that is NED say so, a number alone has a caveat."""
+    """Return a candidate of a bag, whose map has frame = "ENU".
+
+    Signals of a topic in NED get the key frame = "NED". A single number of unknown axes gets a caveat.
+    """
     table, caveat = candidate.table, candidate.caveat
     is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
     if not is_ned and table.kind.rpartition("/")[2] in SCALARS:
         words, also = read_name(table.topic).words, ""
         if candidate.group == "heading" and words & {"compass", "heading", "hdg"}:
             is_ned = True
-            also = "" if "compass" in words else 'taken from north, clockwise; from east it is frame = "ENU"'
+            also = "" if "compass" in words else 'assumed clockwise from north; if from east, give frame = "ENU"'
         elif candidate.group == "heading":
-            also = 'taken from east, counter-clockwise, as in REP-103; from north it is frame = "NED"'
+            also = 'assumed counter-clockwise from east, as in REP-103; if from north, give frame = "NED"'
         elif candidate.group == "rate":
-            also = 'taken positive to port, as in REP-103; to starboard it is frame = "NED"'
+            also = 'assumed positive to port, as in REP-103; if positive to starboard, give frame = "NED"'
         caveat = "; ".join(part for part in (caveat, also) if part)
     if candidate.group in ("drive", "force") or not is_ned:
         return candidate._replace(caveat=caveat)
@@ -292,15 +330,16 @@ def _in_frame(candidate: Candidate) -> Candidate:
 
 
 def _also(signal: Taken, key: str) -> Taken:
+    """Return a signal with a further key."""
     return signal._replace(extra=", ".join(part for part in (signal.extra, key) if part))
 
 
 def _with_units(candidate: Candidate) -> Candidate:
-    """A candidate with a caveat where a unit in the name of a column is none that its signal can have."""
+    """Return a candidate with a caveat for each column whose name contains a unit that its signal cannot have."""
     columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
     units = {signal.unit for signal in candidate.signals}
     caveats = [
-        f"{text!r} behind {column!r} is not taken for a unit"
+        f"{text!r} in {column!r} is not a unit of this signal and is ignored"
         for column, text in columns.items()
         if text and text not in units
     ]
@@ -310,6 +349,8 @@ def _with_units(candidate: Candidate) -> Candidate:
 def _motion(
     table: Table, t: Column | None, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]
 ) -> Iterator[Candidate]:
+    """Yield the candidates of position, velocity, acceleration, heading and yaw rate by the meanings of columns."""
+
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
         if a in names and b in names:
             taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
@@ -317,7 +358,7 @@ def _motion(
 
     capital = "x" in names and names["x"][0] == "X"
     yield from pair(
-        "position", 0, "x", "y", "m", 'X is taken for a position; a force has unit = "N"' if capital else ""
+        "position", 0, "x", "y", "m", 'X is assumed to be a position; a force has unit = "N"' if capital else ""
     )
     if "lat" in names and "lon" in names:
         both = (names["lat"][0], names["lon"][0])
@@ -326,24 +367,26 @@ def _motion(
         extra = f'units = ["{unit}", "{unit}"]' if unit != "deg" else ""
         signals = (Taken("x", both, "", "north", extra), Taken("y", both, "", "east", extra))
         if unit == "deg" and top > 90.0:
-            yield Candidate("position", BEHIND, table, signals, f"no latitude in degrees is {top:.7g}; ddmm.mmmm?")
+            caveat = f"{top:.7g} is not a latitude in degrees; the format may be ddmm.mmmm"
+            yield Candidate("position", BEHIND, table, signals, caveat)
         else:
             yield Candidate("position", 1, table, signals)
     plain = names["vx"][1].plain if "vx" in names else ""
     unclear = plain in ("vel_x", "velocity_x", "speed_x")
-    caveat = "vel_x and vel_y are taken for north and east; ahead and to starboard are u and v" if unclear else ""
+    caveat = (
+        "assumed to be velocities north and east; velocities forward and to starboard are u and v" if unclear else ""
+    )
     yield from pair("velocity", 0, "vx", "vy", "m/s", caveat)
     yield from pair("body", 0, "u", "v", "m/s")
     known = all(names[n][1].unit for n in ("ax", "ay") if n in names)
     yield from pair(
-        "acceleration", 0, "ax", "ay", "m/s2", "" if known else "accelerations are taken for m/s2, not for g"
+        "acceleration", 0, "ax", "ay", "m/s2", "" if known else "accelerations are assumed to be in m/s2, not in g"
     )
     if "speed" in names:
         column, name = names["speed"]
         speed = name.unit or "m/s"
-        caveat = (
-            "" if name.unit else f"a speed of at most {np.nanmax(numbers[column], initial=0.0):.3g} is taken for m/s"
-        )
+        top = float(np.nanmax(numbers[column], initial=0.0))
+        caveat = "" if name.unit else f"a speed of at most {top:.3g} is assumed to be in m/s"
         if "course" in names:
             both = (column, names["course"][0])
             course, also = _angle_unit(names["course"][1], numbers[both[1]])
@@ -366,28 +409,31 @@ def _motion(
 
 
 def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
-    """The unit of a heading or a course, and the caveat about it. Only a jump by a whole turn, or a start beyond one,
-    tells degrees from radians that somebody has unwrapped."""
+    """Return the unit of a heading or course (n,), and the caveat about it."""
+    # Unwrapped radians can be as large as degrees. Only a jump by a whole turn, or a first value above one, is clear.
     good = values[np.isfinite(values)]
     if name.unit or not len(good):
         return name.unit or "rad", ""
     top, first = float(np.max(np.abs(good))), abs(float(good[0]))
     if top <= TURN:
-        return "rad", f"an angle of at most {top:.2f} is taken for radians"
+        return "rad", f"an angle of at most {top:.2f} is assumed to be in radians"
     jump = float(np.max(np.abs(np.diff(good)), initial=0.0))
     for unit, turn in (("deg", 360.0), ("cdeg", 36000.0)):
         if top <= 1.01 * turn and jump > 0.8 * turn:
             return unit, ""
     if first > 720.0:
-        return "cdeg", f"an angle that begins at {first:.5g} is taken for centidegrees"
-    caveat = f"an angle of up to {top:.5g}, without a jump by a turn, is taken for degrees"
+        return "cdeg", f"an angle that begins at {first:.5g} is assumed to be in centidegrees"
+    caveat = f"an angle of up to {top:.5g}, without a jump by a turn, is assumed to be in degrees"
     return "deg", "" if TURN < first <= 360.0 and top <= 720.0 else caveat
 
 
 def _rate_unit(
     t: Column | None, numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]
 ) -> tuple[str, str]:
-    """The unit of a yaw rate, by what the heading does in the same table where there is one."""
+    """Return the unit of a yaw rate and the caveat about it.
+
+    If the table has a heading, its derivative shows the unit. Otherwise the size of the yaw rate decides.
+    """
     rate = numbers[column]
     if "psi" in names and t is not None:
         psi = numbers[names["psi"][0]]
@@ -400,65 +446,80 @@ def _rate_unit(
         with np.errstate(all="ignore"):
             follows = float(np.corrcoef(turned, size)[0, 1]) if len(size) > 1 else 0.0
         if abs(follows) > 0.5:
-            slope = abs(follows) * np.std(turned) / np.std(size)  # 1, or pi/180 where the column has degrees
+            slope = abs(follows) * np.std(turned) / np.std(size)  # 1 for rad/s, pi/180 for deg/s
             found = "deg/s" if slope < np.radians(1.0) ** 0.5 else "rad/s"
             caveats = [f"{found} if the heading is in {unit}"] * bool(guessed)
-            caveats += ["it is against the heading: sign = -1?"] * (follows < 0.0)
+            caveats += ["it has the opposite sign of the heading's derivative; sign = -1 may be needed"] * (
+                follows < 0.0
+            )
             return found, "; ".join(caveats)
     top = float(np.nanmax(np.abs(rate), initial=0.0))
     unit = "deg/s" if top > 6.0 else "rad/s"
-    return unit, f"a yaw rate of at most {top:.3g} is taken for {unit}"
+    return unit, f"a yaw rate of at most {top:.3g} is assumed to be in {unit}"
 
 
 def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
-    """Outputs of an autopilot, left and right by its parameters or else 1 and 3, as ArduPilot has them; controllers."""
+    """Yield the candidates of the outputs of an autopilot and of the shaft speeds of motor controllers.
+
+    Parameters
+    ----------
+    tables
+        Tables of one source. The first has the parameters of the autopilot.
+
+    Yields
+    ------
+    Candidate
+        Left and right outputs, by the parameters SERVOn_FUNCTION, or else outputs 1 and 3, ArduPilot's default; and the
+        shaft speed of each controller.
+    """
     nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
     p = tables[0].parameters if tables else {}
     functions = _functions(tables)
-    told = {function: node for node, function in functions.items()}
-    # An output of which the log says another function is no throttle, and a boat that steers has no two sides.
-    usual = not {STEERING, THROTTLE} & set(functions.values())
-    left = told.get(LEFT_THROTTLE, 1 if usual and 1 not in functions else None)
-    right = told.get(RIGHT_THROTTLE, 3 if usual and 3 not in functions else None)
+    node_of_function = {function: node for node, function in functions.items()}
+    # The default outputs are used only if the log has no other function for them, and the boat has no steering output.
+    is_default = not {STEERING, THROTTLE} & set(functions.values())
+    left = node_of_function.get(LEFT_THROTTLE, 1 if is_default and 1 not in functions else None)
+    right = node_of_function.get(RIGHT_THROTTLE, 3 if is_default and 3 not in functions else None)
     for node, name in ((left, "n_left"), (right, "n_right")) if {left, right} <= set(nodes) else ():
         assert node is not None
-        known = "n" in nodes[node].columns  # by a rig
+        known = "n" in nodes[node].columns  # a rig has scaled the output
         by_parameters = bool(functions) and f"SERVO{node}_TRIM" in p
         extra, caveat = _pulses(p, node) if by_parameters else (OUTPUT, CAVEATS["RCOut"])
         extra = 'role = "input", hold = "sampled"' if known else extra
         taken = Taken(name, ("n" if known else "pwm",), "1", "", extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
     shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_node_of)
-    # One scale for all: equal speeds stay equal.
+    # All controllers get the same scale, so that equal speeds stay equal.
     top = max((float(np.nanmax(np.abs(t.columns["rpm"]), initial=0.0)) for t in shafts), default=0.0) or 1.0
     for k, table in enumerate(shafts):
         node = _node_of(table)[0]
         name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
-        caveat = f"controller {node} is taken for {name}, {top:.5g} rev/min (a VESC's: electrical) for full"
+        caveat = f"controller {node} is assumed to be {name}, {top:.5g} rev/min (electrical for a VESC) full speed"
         taken = Taken(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
         yield Candidate("drive", 1, table, (taken,), caveat)
 
 
 def _functions(tables: Sequence[Table]) -> dict[int, float]:
-    """SERVOn_FUNCTION of the outputs in an autopilot's log, by n, as far as the log has them."""
+    """Return the parameter SERVOn_FUNCTION by the number n of the output, for the outputs whose log has it."""
     p = tables[0].parameters if tables else {}
     nodes = sorted(int(table.topic.rpartition("_")[2]) for table in tables if table.kind == "Servo")
     return {node: p[key] for node in nodes if (key := f"SERVO{node}_FUNCTION") in p}
 
 
 def _node_of(table: Table) -> tuple[int, str]:
-    """The number of a controller, and its whole topic, which has the bus in front where there are several."""
+    """Return the number of a controller and its topic. With several buses, the topic begins with the bus."""
     return int(table.topic.rpartition("_")[2]), table.topic
 
 
 def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
-    """The scale of an output by its own parameters, and the caveat about it."""
+    """Return the map keys that scale an output by its parameters, and the caveat about this scale."""
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
     if not low < high:
-        return OUTPUT, f"SERVO{node}_MIN is not below SERVO{node}_MAX: {CAVEATS['RCOut']}"
+        return OUTPUT, f"SERVO{node}_MIN is not below SERVO{node}_MAX and is ignored; {CAVEATS['RCOut']}"
     scale = (-2.0 if p.get(f"SERVO{node}_REVERSED", 0.0) else 2.0) / (high - low)
     ends = abs(scale) * (high - rest), abs(scale) * (low - rest)
-    caveat = f"SERVO{node}_TRIM is not in the middle: full is {ends[0]:.3g} and {ends[1]:.3g}; name a [mavlink] rig"
+    caveat = f"SERVO{node}_TRIM is not in the middle: full commands are {ends[0]:.3g} and {ends[1]:.3g}, not 1 and -1; "
+    caveat += "name a rig in [mavlink] of the map to scale each direction"
     extra = f'scale = {scale:.9g}, offset = {-scale * rest:.9g}, missing = 0, missing_is = 0, role = "input", '
     extra += 'hold = "sampled"'
     return extra, caveat if high - rest != rest - low else ""
@@ -468,21 +529,21 @@ def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
 
 
 def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[Taken], list[str]]:
-    """The best candidate for each signal as lines of the map, the others as comments behind them."""
+    """Return the chosen signals, and the lines of the map: the best candidates, then the others as comments."""
 
     sides: dict[frozenset[str], set[str]] = {}
     for c in candidates:
         sides.setdefault(c.quantity, set()).update(signal.name for signal in c.signals)
 
     def order(c: Candidate) -> tuple[int, int]:
-        """A thruster without the one of the other side stands behind a pair."""
+        """Return the sort key of a candidate. A thruster of one side alone comes after a pair of thrusters."""
         single = c.quantity and len({"n_left", "n_right", "f_left", "f_right"} & sides[c.quantity]) == 1
         return c.rank + 2 * bool(single), -len(c.table)
 
-    quantities: dict[str, frozenset[str]] = {}  # of the thrusters that were taken, by their group
+    quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
     taken: dict[str, Taken] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
-    found: dict[str, tuple[str, str]] = {}  # of each signal its line and the caveat about it
+    found: dict[str, tuple[str, str]] = {}  # line and caveat of each signal
     others: list[str] = []
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
@@ -490,7 +551,9 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
         free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
         free &= not candidate.quantity or quantities.get(candidate.group, candidate.quantity) == candidate.quantity
         clock = clocks[id(candidate.table)]
-        free &= bool(candidate.table.t is not None or clock.column or not main.column)  # it has times, or none has
+        free &= bool(
+            candidate.table.t is not None or clock.column or not main.column
+        )  # the table has times, or no table has times
         if free and candidate.quantity:
             quantities[candidate.group] = candidate.quantity
         for signal in candidate.signals:
@@ -498,19 +561,19 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
             if free:
                 taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
             else:
-                why = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= BEHIND else ""
-                others.append(f"  # {line},{why}")
+                reason = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= BEHIND else ""
+                others.append(f"  # {line},{reason}")
     places = {name: k for k, name in enumerate(NAMES)}
-    lines, said = [], ""
+    lines, last_caveat = [], ""
     for name in sorted(found, key=lambda name: (places.get(name, len(places)), name)):
         line, caveat = found[name]
-        lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != said) + [f"  {line},"]
-        said = caveat
-    return list(taken.values()), lines + (["  # also there:", *others] if others else [])
+        lines += [f"  # caveat: {caveat}"] * bool(caveat and caveat != last_caveat) + [f"  {line},"]
+        last_caveat = caveat
+    return list(taken.values()), lines + (["  # also in the source:", *others] if others else [])
 
 
 def _line(table: Table, signal: Taken, clock: Clock, main: Clock) -> str:
-    """One signal as an inline table of TOML."""
+    """Return one signal of the map as an inline table of TOML."""
     keys = [f"name = {_quoted(signal.name)}"]
     if table.topic:
         keys.append(f"topic = {_quoted(table.topic)}")
@@ -526,7 +589,7 @@ def _line(table: Table, signal: Taken, clock: Clock, main: Clock) -> str:
 
 
 def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
-    """Single numbers that nothing was made of, ready to be named."""
+    """Return comment lines for the columns that were not recognised, with the range of their values."""
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     lines = []
     for table in tables:
@@ -549,10 +612,10 @@ def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: C
 
 
 def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
-    """Why there is nothing to fit; "" where there is."""
+    """Return the reason why no fit is possible; "" if a fit should be possible."""
     if any(table.vehicle not in (None, *BOATS) for table in tables):
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))
-        return f"this log is of no boat (MAV_TYPE {vehicle}): its outputs are no thrusters of one"
+        return f"the vehicle of this log is not a boat (MAV_TYPE {vehicle}), so its outputs are not thrusters of a boat"
     names = {signal.name for signal in taken}
     if {"force", COMMAND} <= names:  # a thruster on the bench
         return ""
@@ -561,17 +624,17 @@ def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
     if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
         functions = _functions(tables)
         if functions and not {LEFT_THROTTLE, RIGHT_THROTTLE} <= set(functions.values()):
-            said = (
+            listed = (
                 f"SERVO{n}_FUNCTION {f:g}{f' ({FUNCTIONS[f]})' if f in FUNCTIONS else ''}" for n, f in functions.items()
             )
-            return f"its outputs are no left and right throttles: {', '.join(said)}"
+            return f"its outputs are not a left and a right throttle: {', '.join(listed)}"
         half = names & {"n_left", "n_right", "f_left", "f_right"}
         return (
-            f"only {', '.join(sorted(half))} of the thrusters was recognised"
+            f"only {', '.join(sorted(half))} of the thrusters was recognised; name the other side by hand"
             if half
-            else "no commands, shaft speeds or forces of thrusters were recognised, and a model needs an input"
+            else "no commands, shaft speeds or forces of thrusters were recognised; a model needs an input"
         )
     spans = [t.t[-1] - t.t[0] for t in tables if t.t is not None and len(t.t) > 1]
     if spans and max(spans) < 1.0:
-        return f"it is {max(spans):.2g} s long"
+        return f"the recording is only {max(spans):.2g} s long"
     return ""

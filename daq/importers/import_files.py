@@ -1,4 +1,4 @@
-"""`seatrial import MAP.toml SOURCE...`: a map and its sources -> logs."""
+"""The command `seatrial import MAP.toml SOURCE...`: the import of source files by a map into logs."""
 
 from __future__ import annotations
 
@@ -15,30 +15,53 @@ import numpy as np
 from seatrial.daq.checks import lacks_too_much, unknown_times
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.import_map import ImportMap, Piece, Source, load_import_map
-from seatrial.daq.importers.missing_inputs import said_gaps
+from seatrial.daq.importers.missing_inputs import gap_lines
 from seatrial.daq.importers.signals import Held, RowsLeftOut, SignalData, Signals, coarse_advice, read_signals
 from seatrial.daq.importers.sources import source_kind
 from seatrial.daq.importers.table import Table
 from seatrial.daq.importers.write_log import sha256_of, write_signals
 from seatrial.daq.samples import Event
 
-_WHOLE = Piece("", -1e18, 1e18)
+_WHOLE = Piece("", -1e18, 1e18)  # the piece of a map without [[log]]
 
 
 def import_files(
     map_path: Path, files: Sequence[Path], *, out: Path | None = None, out_dir: Path | None = None, force: bool = False
 ) -> list[Path]:
-    """Import files by a map and return the logs written, in the order of the files and of the map's [[log]].
+    """Import files by a map.
 
-    `out` names the log where it is a single one; otherwise they go to `out_dir` (default: here), named after the
-    files (after the map, where files are merged) and the pieces. Raises SeatrialError, also after the logs are written
-    where more than one row in 20 of a source is out of order, or has a stamp that is wrong.
+    Parameters
+    ----------
+    map_path
+        The map.
+    files
+        The source files.
+    out
+        Path of the log; only if the import makes a single log.
+    out_dir
+        Folder of the logs; by default the current folder. The logs are named after the files, or after the map if it
+        merges the files, and after the pieces of the map.
+    force
+        Whether existing logs are replaced.
+
+    Returns
+    -------
+    list of Path
+        The logs, in the order of the files and of the [[log]] tables of the map.
+
+    Raises
+    ------
+    SeatrialError
+        If the import fails. Also, after the logs are written, if more than one row in 20 of a source is out of order
+        or has a wrong stamp.
     """
     import_map = load_import_map(map_path)
     groups = _groups(import_map, files)
     pieces = import_map.pieces or (_WHOLE,)
     if out is not None and len(groups) * len(pieces) > 1:
-        raise SeatrialError(f"{out}: -o names one log, but there will be {len(groups) * len(pieces)}; use --out-dir")
+        raise SeatrialError(
+            f"{out}: -o names one log, but this import makes {len(groups) * len(pieces)}; use --out-dir"
+        )
     written: list[Path] = []
     spoiled: list[tuple[Path, RowsLeftOut]] = []
     for stem, group in groups:
@@ -47,32 +70,34 @@ def import_files(
             name = f"{stem}_{piece.name}" if piece.name else stem
             target = out or (out_dir or Path()) / f"{name}.mcap"
             if target in written:
-                raise SeatrialError(f"{target}: two of the files would become this log; rename one")
+                raise SeatrialError(f"{target}: two of the files would become this log; rename one of them")
             _write_piece(import_map, data, piece, target, force, [map_path, *files, *_beside(import_map)])
             written.append(target)
-        for remark in (remark for one in data for remark in one.remarks):
+        for remark in (remark for source_file in data for remark in source_file.remarks):
             warnings.warn(remark, SeatrialWarning, stacklevel=2)
-        spoiled += [(one.path, row) for one in data for row in one.signals.left_out if _spoils(row)]
+        spoiled += [
+            (source_file.path, row) for source_file in data for row in source_file.signals.left_out if _spoils(row)
+        ]
     if spoiled:
-        advice = "sort the rows, or import the parts before and after a clock was set by themselves"
+        advice = "sort the rows; if a clock was set, import the parts before and after it separately"
         if spoiled[0][1].why == "repeats":
             advice = f"its stamps are too coarse: {coarse_advice(spoiled[0][1].rate)}"
         elif spoiled[0][1].why == "stamps":
-            advice = "mend the clock of the driver, or cut the log where it failed: [[log]] t_from, t_to of the map"
+            advice = "repair the clock of the driver, or cut the log where it failed: [[log]] t_from, t_to of the map"
         rest = f" ({counted(len(spoiled) - 1, 'more source')})" if len(spoiled) > 1 else ""
         raise SeatrialError(
-            f"{spoiled[0][0]}: {spoiled[0][1].text}{rest}: the log is written, but it lacks too much; {advice}"
+            f"{spoiled[0][0]}: {spoiled[0][1].text}{rest}: the log is written, but too many rows are missing; {advice}"
         )
     return written
 
 
 def _spoils(row: RowsLeftOut) -> bool:
-    """Whether so many rows are out of order, or have wrong stamps, that what is left is not the recording."""
+    """Return whether so many rows are left out that the rest does not represent the recording."""
     return lacks_too_much(row.n, row.n_rows)
 
 
 def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
-    """Which files make a log together, each with its part of the map."""
+    """Return for each log its name without ending, and its files, each with its part of the map."""
     if not import_map.merge:
         return [(path.stem, [(path, import_map.sources[0])]) for path in files]
     group = []
@@ -80,75 +105,92 @@ def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, lis
         matching = [path for path in files if fnmatch(path.name, source.match)]
         if len(matching) != 1:
             found = ", ".join(path.name for path in matching) or "none"
-            raise SeatrialError(f"{import_map.path}: '{source.match}' must match one file, but matches: {found}")
+            raise SeatrialError(f"{import_map.path}: '{source.match}' must match exactly one file; it matches: {found}")
         group.append((matching[0], source))
     used = [path for path, _ in group]
     for path in files:
         if used.count(path) != 1:
-            raise SeatrialError(f"{import_map.path}: {path.name} must match one [[file]], not {used.count(path)}")
+            raise SeatrialError(
+                f"{import_map.path}: {path.name} must match exactly one [[file]]; it matches {used.count(path)}"
+            )
     return [(import_map.path.stem, group)]
 
 
 class _File(NamedTuple):
-    """What one source gave, and which it was."""
+    """Contents of one source file."""
 
     path: Path
-    kind: str
+    kind: str  # name of the kind of source, as csv or ros
     sha256: str
     signals: Signals
-    origin: float
-    remarks: tuple[str, ...]  # what was odd about it
+    origin: float  # s since 1970, added to its times
+    remarks: tuple[str, ...]  # shown as warnings
     events: tuple[tuple[float, Event], ...] = ()  # with their times, s since 1970
 
 
 def _read(path: Path, source: Source) -> _File:
+    """Read one source file by its part of the map, and collect the remarks about it."""
     kind = source_kind(path)
     tables = kind.read(path, source.options)
     signals = read_signals(tables, source)
     used = {signal.topic for signal in source.signals}
-    remarks = [f"{path}: {line}" for line in _together([one for one in tables if one.said and one.topic in used])]
-    remarks += [f"{path}: {one.text}" for one in signals.left_out if one.why != "stamps" and not _spoils(one)]
+    remarks = [
+        f"{path}: {line}"
+        for line in _together([table for table in tables if table.full_remark and table.topic in used])
+    ]
+    remarks += [f"{path}: {rows.text}" for rows in signals.left_out if rows.why != "stamps" and not _spoils(rows)]
     remarks += [f"{path}: {line}" for line in held_lines(signals.held)]
-    gaps = {one.signal.name: unknown_times(one.t, one.values) for one in signals.signals if one.has_gaps}
-    remarks += [f"{path}: {line}" for line in said_gaps(gaps)]
-    empty = [one.signal.name for one in signals.signals if not len(one.t)]
+    gaps = {data.signal.name: unknown_times(data.t, data.values) for data in signals.signals if data.has_gaps}
+    remarks += [f"{path}: {line}" for line in gap_lines(gaps)]
+    empty = [data.signal.name for data in signals.signals if not len(data.t)]
     if empty:
-        remarks.append(f"{path}: not in the log, without a sample: {', '.join(empty)}")
+        remarks.append(f"{path}: not in the log, because they have no samples: {', '.join(empty)}")
     origin = source.time.origin if source.time else 0.0
-    events = tuple(event for one in tables for event in one.events)
-    for one in tables:
-        if one.clock and one.topic in used and one.t is not None and len(one.t):
-            events += ((float(one.t[0]), Event("clock", f"{one.topic or path.name}: {one.clock}")),)
+    events = tuple(event for table in tables for event in table.events)
+    for table in tables:
+        if table.clock and table.topic in used and table.t is not None and len(table.t):
+            events += ((float(table.t[0]), Event("clock", f"{table.topic or path.name}: {table.clock}")),)
     return _File(path, kind.name, sha256_of(path), signals, origin, tuple(remarks), events)
 
 
 def _together(tables: Sequence[Table]) -> list[str]:
-    """The remarks of tables, those that several have in one line."""
+    """Return the remarks of tables. A remark of several tables becomes one line with all their topics."""
     topics: dict[str, list[str]] = {}
     for table in tables:
-        topics.setdefault(table.said.removeprefix(f"{table.topic}: "), []).append(table.topic)
+        topics.setdefault(table.full_remark.removeprefix(f"{table.topic}: "), []).append(table.topic)
     return [": ".join(part for part in (", ".join(names), text) if part) for text, names in topics.items()]
 
 
 def held_lines(held: Sequence[Held]) -> list[str]:
-    """One line for each group of signals that were held together: how many repeats were left out."""
+    """Return a line for each group of signals that the source holds together, with the number of repeats left out.
+
+    Parameters
+    ----------
+    held
+        The signals whose values the source holds.
+
+    Returns
+    -------
+    list of str
+        The lines.
+    """
     groups: dict[tuple[int, int], list[Held]] = {}
-    for one in held:
-        groups.setdefault((one.n, one.n_left_out), []).append(one)
+    for signal in held:
+        groups.setdefault((signal.n, signal.n_left_out), []).append(signal)
     return [
-        f"{', '.join(one.name for one in group)}: held between measurements {group[0].interval:.3g} s apart; "
-        f"{n_left_out} of {n} values repeat the one before and are left out"
+        f"{', '.join(signal.name for signal in group)}: held between measurements {group[0].interval:.3g} s apart; "
+        f"{n_left_out} of {n} values repeat the previous value and are left out"
         for (n, n_left_out), group in groups.items()
     ]
 
 
 def left_out_line(row: RowsLeftOut) -> str:
-    """Rows left out as one line of the log's metadata, which the check of the log reads."""
+    """Return rows left out as one line of the log's metadata. The check of the log parses this line."""
     return f"{row.n} {row.n_rows} {row.why} {row.rate:.6g} {row.topic}"
 
 
 def _beside(import_map: ImportMap) -> list[Path]:
-    """The files that a map names."""
+    """Return the DBC and rig files that a map names."""
     named = [path for source in import_map.sources for path in (source.options.dbc, source.options.rig)]
     return [path for path in named if path is not None]
 
@@ -156,21 +198,22 @@ def _beside(import_map: ImportMap) -> list[Path]:
 def _write_piece(
     import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
 ) -> None:
+    """Write one log: the signals and events of the source files within one piece of the map."""
     signals: list[SignalData] = []
-    events = [(t, event) for one in data for t, event in one.events if piece.t_from <= t <= piece.t_to]
-    kinds = ", ".join(dict.fromkeys(one.kind for one in data))
+    events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]
+    kinds = ", ".join(dict.fromkeys(source_file.kind for source_file in data))
     metadata = {"import": kinds, "import.map": import_map.name, "import.map.sha256": _sha256(import_map.text)}
-    for i, one in enumerate(data, start=1):
-        metadata[f"source.{i}.name"] = one.path.name
-        metadata[f"source.{i}.sha256"] = one.sha256
-        metadata[f"source.{i}.dropped"] = str(one.signals.n_dropped)
-        metadata[f"source.{i}.disordered"] = str(one.signals.n_disordered)
-        metadata[f"source.{i}.left_out"] = "\n".join(left_out_line(row) for row in one.signals.left_out)
-        metadata[f"source.{i}.held"] = "; ".join(held_lines(one.signals.held))
-        for signal in one.signals.signals:
+    for i, source_file in enumerate(data, start=1):
+        metadata[f"source.{i}.name"] = source_file.path.name
+        metadata[f"source.{i}.sha256"] = source_file.sha256
+        metadata[f"source.{i}.dropped"] = str(source_file.signals.n_dropped)
+        metadata[f"source.{i}.disordered"] = str(source_file.signals.n_disordered)
+        metadata[f"source.{i}.left_out"] = "\n".join(left_out_line(row) for row in source_file.signals.left_out)
+        metadata[f"source.{i}.held"] = "; ".join(held_lines(source_file.signals.held))
+        for signal in source_file.signals.signals:
             cut = _cut(signal, piece)
-            signals.append(replace(cut, t=cut.t + one.origin))
-    names = ", ".join(one.path.name for one in data)
+            signals.append(replace(cut, t=cut.t + source_file.origin))
+    names = ", ".join(source_file.path.name for source_file in data)
     note = f"{names} by {import_map.path.name}" + (f", {piece.name}" if piece.name else "")
     attachments = {"import.toml": import_map.text.encode()}
     if import_map.vehicle:
@@ -181,15 +224,16 @@ def _write_piece(
 
 
 def _cut(signal: SignalData, piece: Piece) -> SignalData:
+    """Return the samples of a signal within a piece. A held command also gets samples at the ends of the piece."""
     inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
     t, values = signal.t[inside], signal.values[inside]
     before = np.flatnonzero(signal.t < piece.t_from)
     if signal.signal.hold == "zero" and len(before) and not (len(t) and t[0] == piece.t_from):
-        # What was commanded last before the cut still holds at its beginning.
+        # The last command before the piece still holds at its beginning.
         t, values = np.insert(t, 0, piece.t_from), np.insert(values, 0, signal.values[before[-1]])
     known_after = bool(np.any(signal.t > piece.t_to)) or signal.signal.timeout > 0.0
     if signal.signal.hold == "zero" and len(t) and t[-1] < piece.t_to < _WHOLE.t_to and known_after:
-        # The last command within it holds to its end.
+        # The last command within the piece holds to its end.
         t, values = np.append(t, piece.t_to), np.append(values, values[-1])
     return replace(signal, t=t, values=values)
 

@@ -1,4 +1,4 @@
-"""The map of `seatrial import`: which columns of which topics become which signals (docs/formats/import.md)."""
+"""The map of `seatrial import`, which assigns columns of topics to signals of the log (docs/formats/import.md)."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from seatrial.daq.importers.table import SourceOptions, TextStyle
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.rig import NAME
 
-# Every map of the second kind is one of the first, but keeps repeats unless it says otherwise.
+# Both formats have the same keys. A map of the second, older format keeps repeats by default.
 FORMATS = ("seatrial-import 1", "seatrial-import-csv 1")
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "day": 86400.0}
-DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days: 1970-01-01 in each
-GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times of a GPS week [s]
+DAY_COUNTS = {"datenum": 719529.0, "excel": 25569.0, "excel1904": 24107.0}  # formats of days -> day of 1970-01-01
+GPS_UNITS = {"gps": 1.0, "gps_ms": 1e-3}  # formats of times in a GPS week -> their unit [s]
 FORMATS_OF_TIME = (*TIME_UNITS, "iso", *DAY_COUNTS, "labview", *GPS_UNITS)
-GEOMETRY = ("y_left", "y_right", "length")  # thrusters to starboard, and the hull's length [m]
+GEOMETRY = ("y_left", "y_right", "length")  # positions of the thrusters to starboard, and length of the hull [m]
 FRAMES = {"NED": "NED", "FRD": "NED", "ENU": "ENU", "FLU": "ENU"}
 CAN_PROTOCOLS = ("vesc", "dronecan", "nmea2000")
-# What becomes what from east, north, up and forward, left, up to north, east, down and forward, starboard, down
+# Names of signals in east, north, up (ENU) or forward, left, up (FLU) -> names in NED or forward, starboard, down (FRD)
 RENAMED = {"x": "y", "y": "x", "vx": "vy", "vy": "vx", "speed_x": "speed_y", "speed_y": "speed_x"}
-GEOGRAPHIC = ("north", "east", "velocity_north", "velocity_east")  # have no other frame
-MAKES: dict[str, tuple[str, tuple[str, ...]]] = {  # what is made -> its unit, and the usual units of what it is made of
-    "north": ("m", ("deg", "deg")),  # of latitude and longitude, from the file's first
+GEOGRAPHIC = ("north", "east", "velocity_north", "velocity_east")  # always in NED
+MAKES: dict[str, tuple[str, tuple[str, ...]]] = {  # made signal -> its unit, and the default units of its columns
+    "north": ("m", ("deg", "deg")),  # from latitude and longitude; the origin is the first position of the file
     "east": ("m", ("deg", "deg")),
-    "velocity_north": ("m/s", ("m/s", "deg")),  # of speed and course over ground
+    "velocity_north": ("m/s", ("m/s", "deg")),  # from speed and course over ground
     "velocity_east": ("m/s", ("m/s", "deg")),
-    "roll": ("rad", ("1",) * 4),  # of a quaternion x, y, z, w
+    "roll": ("rad", ("1",) * 4),  # from a quaternion x, y, z, w
     "pitch": ("rad", ("1",) * 4),
     "yaw": ("rad", ("1",) * 4),
 }
@@ -41,28 +41,29 @@ SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """Where time comes from: a column, or a rate where the file has none."""
+    """Source of the times: a column, or a rate if the file has no times."""
 
     column: str = ""
-    # s | ms | us | ns | iso | datenum (MATLAB's days) | excel | excel1904 | labview (s since 1904) | gps | gps_ms (of
-    # the GPS week in `date`) | a strptime pattern
+    # s | ms | us | ns | iso | datenum (days of MATLAB) | excel | excel1904 | labview (s since 1904) | gps | gps_ms (in
+    # the GPS week of `date`) | a strptime pattern
     format: str = "s"
-    date: str = ""  # column of the date, in front of the time of day in `column`; or of the GPS week
-    fraction: str = ""  # decimal | unpadded-ns: text behind the last point, taken off before `format` applies
-    rate_hz: float = 0.0
-    origin: float = 0.0  # s since 1970, added
+    date: str = ""  # column of the date, if `column` has the time of day; or of the GPS week
+    fraction: str = ""  # decimal | unpadded-ns: how the text behind the last point is read; `format` reads the rest
+    rate_hz: float = 0.0  # Hz; 0 for times of a column
+    origin: float = 0.0  # s since 1970, added to the times
 
     @property
     def is_text(self) -> bool:
-        """Whether the times are read as text."""
+        """Return whether the times are read as text."""
         return self.format not in FORMATS_OF_TIME or self.format == "iso" or bool(self.fraction)
 
 
 @dataclass(frozen=True)
 class Signal:
-    """The way of a column into the log: sign * (scale * cell + offset), from `unit` to SI, then from `frame` to ours.
+    """Conversion of a column to a signal: sign * (scale * cell + offset), then from `unit` to SI, then `frame` to NED.
 
-    With `make` it is of several columns: their own units are `units`, and `scale` and the rest act on what is made.
+    With `make`, the signal is computed from several columns with the units `units`. Scale, offset and sign then apply
+    to the computed signal.
     """
 
     name: str
@@ -74,60 +75,76 @@ class Signal:
     angle: str = "keep"  # keep | wrap | unwrap
     role: str = "output"  # input | output
     hold: str = "linear"  # zero | linear | sampled
-    nan: str = ""  # as TextStyle.nan, or zero: a cell without a number says zero, in `unit`
-    timeout: float = 0.0  # s after which an input that is not repeated is zero; 0: never
-    missing: float | None = None  # the value of a cell without a measurement
-    missing_is: float | None = None  # what such a cell says all the same, in `unit`; None: nothing
+    nan: str = ""  # as TextStyle.nan; or zero: a cell without a number means zero, in `unit`
+    timeout: float = 0.0  # s after which an input that is not repeated becomes zero; 0: never
+    missing: float | None = None  # number in a cell that marks a missing measurement
+    missing_is: float | None = None  # value of such a cell, in `unit`; None: unknown
     topic: str = ""
-    time: str = ""  # the column of its own time, in place of [time]
-    time_format: str = ""  # of that column, in place of [time]'s
+    time: str = ""  # column of the signal's own time, instead of that of [time]
+    time_format: str = ""  # format of that column, instead of that of [time]
     frame: str = (
         "NED"  # NED: north, east, down and forward, starboard, down; ENU: east, north, up and forward, left, up
     )
     make: str = ""  # a key of MAKES
     units: tuple[str, ...] = ()
-    repeats: str = ""  # keep | drop: values that repeat the one before; "": as TextStyle.repeats
+    repeats: str = ""  # keep | drop: values that repeat the previous one; "": as TextStyle.repeats
 
     @property
     def log_name(self) -> str:
-        """Name in the log, in our axes."""
+        """Name of the signal in the log, after conversion to NED."""
         return self.name if self.frame == "NED" else RENAMED.get(self.name, self.name)
 
 
 @dataclass(frozen=True)
 class Source:
-    """One kind of file: how it is read, its clock, its signals. `match` is a glob on the file's name."""
+    """Kind of source file: how it is read, its clock and its signals."""
 
-    match: str
+    match: str  # glob pattern of the file's name
     options: SourceOptions
-    time: TimeColumn | None  # None: the source has times of its own
+    time: TimeColumn | None  # None: the source has its own times
     signals: tuple[Signal, ...]
 
 
 @dataclass(frozen=True)
 class Piece:
-    """An interval of time that becomes a log of its own, in seconds of the file's clock (before `origin`)."""
+    """Interval of time that becomes a log of its own."""
 
     name: str
-    t_from: float
-    t_to: float
+    t_from: float  # s of the file's clock, before `origin` is added
+    t_to: float  # s, likewise
 
 
 @dataclass(frozen=True)
 class ImportMap:
-    """A whole map. `merge`: the files make one log together; otherwise each makes its own."""
+    """Map of an import."""
 
     name: str
     path: Path
     text: str
-    merge: bool
+    merge: bool  # whether all files together make one log; otherwise each file makes its own log
     sources: tuple[Source, ...]
     pieces: tuple[Piece, ...]
-    vehicle: Mapping[str, float] = field(default_factory=dict)  # what is known of the boat, model parameters by name
+    vehicle: Mapping[str, float] = field(default_factory=dict)  # known model parameters of the boat, by name
 
 
 def load_import_map(path: Path) -> ImportMap:
-    """Read and check a map. Raises SeatrialError that names file and key of whatever is wrong."""
+    """Read and check a map.
+
+    Parameters
+    ----------
+    path
+        The map, a TOML file.
+
+    Returns
+    -------
+    ImportMap
+        The map.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or a key is wrong. The message names the file and the key.
+    """
     text = read_text(path)
     root = parse_toml(text, path)
     form = root.text("format", choices=FORMATS)
@@ -138,25 +155,30 @@ def load_import_map(path: Path) -> ImportMap:
     if form == FORMATS[1]:
         sources = tuple(_as_it_was(source) for source in sources)
     names = [signal.log_name for source in sources for signal in source.signals]
-    for one in names:
-        if names.count(one) > 1:
-            raise root.error("signal", f"'{one}' appears twice (in the axes of the log); a name belongs to one column")
+    for signal_name in names:
+        if names.count(signal_name) > 1:
+            raise root.error(
+                "signal", f"'{signal_name}' appears twice (after conversion to NED); give each signal its own name"
+            )
     pieces = tuple(_piece(table) for table in root.tables("log"))
     if len({piece.name for piece in pieces}) < len(pieces):
-        raise root.error("log", "two of them have one name")
+        raise root.error("log", "two [[log]] tables have the same name; rename one")
     vehicle = _known(root.table("geometry"), GEOMETRY) | _known(root.table("scale"), SCALE)
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
 
 
 def _as_it_was(source: Source) -> Source:
-    """A source of the first format, which kept repeats unless the map said otherwise: its logs stay the same."""
+    """Return a source that keeps repeats by default, as in the older format, so that its logs stay the same."""
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
 
 
 def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
-    """Numbers by name, each with its standard uncertainty ``NAME_sd`` where the table has one."""
+    """Return known numbers of the boat by name, and their standard uncertainties ``NAME_sd`` if given.
+
+    Raise SeatrialError if a number is impossible or a key is unknown.
+    """
     if table is None:
         return {}
     found = {name: table.number(name) for name in names if table.has(name)}
@@ -177,6 +199,7 @@ def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
 
 
 def _source(table: TomlTable, match: str, near: Path) -> Source:
+    """Return a source from its table; paths in the table are relative to the folder `near`."""
     options = _options(table, near)
     time_table = table.table("time")
     time = None if time_table is None else _time(time_table)
@@ -191,6 +214,7 @@ def _source(table: TomlTable, match: str, near: Path) -> Source:
 
 
 def _options(parent: TomlTable, near: Path) -> SourceOptions:
+    """Return the reading options of the tables [csv], [can] and [mavlink]."""
     can, mavlink = parent.table("can"), parent.table("mavlink")
     found = SourceOptions(
         _style(parent.table("csv")),
@@ -206,19 +230,23 @@ def _options(parent: TomlTable, near: Path) -> SourceOptions:
 
 
 def _style(table: TomlTable | None) -> TextStyle:
+    """Return the text style of the table [csv]."""
     if table is None:
         return TextStyle()
     delimiter = table.text("delimiter", ",")
     if len(delimiter) != 1 and delimiter != "blank":
         raise table.error("delimiter", f"must be one character or 'blank', not '{delimiter}'")
     decimal = table.text("decimal", ".", choices=(".", ","))
-    if decimal == delimiter and not (table.has("delimiter") and decimal == ","):  # both where cells are in quotes
+    if decimal == delimiter and not (
+        table.has("delimiter") and decimal == ","
+    ):  # a comma may be both if the cells are in quotes
         raise table.error("decimal", "is also the delimiter")
     encoding = table.text("encoding", "utf-8-sig")
     try:
-        "a".encode(encoding)  # fails for a codec that is none of text (rot13, hex), too
+        "a".encode(encoding)  # also fails for codecs that do not encode text (rot13, hex)
     except (LookupError, ValueError) as error:
-        raise table.error("encoding", f"'{encoding}' is no encoding; try utf-8, latin-1, cp1252, utf-16") from error
+        message = f"'{encoding}' is not a text encoding; try utf-8, latin-1, cp1252 or utf-16"
+        raise table.error("encoding", message) from error
     found = TextStyle(
         delimiter,
         decimal,
@@ -234,6 +262,7 @@ def _style(table: TomlTable | None) -> TextStyle:
 
 
 def _time(table: TomlTable) -> TimeColumn:
+    """Return the source of the times from the table [time]."""
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", f"give either column or rate_hz{table.misspelt('column')}")
     origin = _origin(table)
@@ -243,12 +272,10 @@ def _time(table: TomlTable) -> TimeColumn:
         pattern = _time_format(table, "format", "s")
         fraction = table.text("fraction", "", choices=("", "decimal", "unpadded-ns"))
         if fraction and pattern in FORMATS_OF_TIME and pattern not in ("s", "iso"):
-            raise table.error("fraction", "goes with seconds only: format s, iso or a pattern")
+            raise table.error("fraction", f"needs format s, iso or a pattern, not {pattern}")
         date = table.text("date", "")
         if date and pattern in FORMATS_OF_TIME and pattern not in ("iso", *GPS_UNITS):
-            raise table.error(
-                "date", f"goes with text or GPS weeks: format iso, gps, gps_ms or a pattern, not {pattern}"
-            )
+            raise table.error("date", f"needs format iso, gps, gps_ms or a pattern, not {pattern}")
         if not date and pattern in GPS_UNITS:
             raise table.error("format", f"{pattern} needs date: the column of the GPS week")
         found = TimeColumn(table.text("column"), pattern, date, fraction, origin=origin)
@@ -257,6 +284,7 @@ def _time(table: TomlTable) -> TimeColumn:
 
 
 def _time_format(table: TomlTable, key: str, usual: str) -> str:
+    """Return the format of times at a key, by default `usual`. Raise SeatrialError if the format is invalid."""
     pattern = table.text(key, usual)
     if pattern not in (*FORMATS_OF_TIME, usual) and "%" not in pattern:
         raise table.error(key, f"must be {', '.join(FORMATS_OF_TIME)} or a pattern with %, not '{pattern}'")
@@ -264,14 +292,15 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
         try:
             datetime.strptime("", pattern)
         except re.error as error:  # `%Y %Y`
-            raise table.error(key, f"'{pattern}' has a field twice; each field of a pattern comes once") from error
+            raise table.error(key, f"'{pattern}' contains a field twice; use each field once") from error
         except ValueError as error:
-            if "does not match" not in str(error):  # the empty text never does
-                raise table.error(key, f"'{pattern}' is no pattern of strptime: {error}") from error
+            if "does not match" not in str(error):  # the empty text never matches, so this error is expected
+                raise table.error(key, f"'{pattern}' is not a strptime pattern: {error}") from error
     return pattern
 
 
 def _origin(table: TomlTable) -> float:
+    """Return the origin [s since 1970] that is added to the times; a time without a zone is UTC."""
     text = table.text("origin", "")
     if not text:
         return 0.0
@@ -283,9 +312,10 @@ def _origin(table: TomlTable) -> float:
 
 
 def _signal(table: TomlTable, frame: str) -> Signal:
+    """Return a signal from its table; `frame` is the default frame of its source."""
     name = table.text("name")
     if not NAME.fullmatch(name):
-        raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
+        raise table.error("name", f"'{name}' is not a valid name; use a letter, then letters, digits or _")
     topic, make = table.text("topic", ""), table.text("make", "", choices=("", *MAKES))
     key = ("fields" if make else "field") if topic else ("columns" if make else "column")
     columns = table.texts(key) if make else (table.text(key),)
@@ -296,17 +326,17 @@ def _signal(table: TomlTable, frame: str) -> Signal:
         raise table.error("sign", f"must be 1 or -1, not {sign}")
     angle = table.text("angle", "keep", choices=("keep", "wrap", "unwrap"))
     if angle != "keep" and UNITS[unit][0] != "rad":
-        raise table.error("angle", f"goes with deg and rad, not with {unit}")
+        raise table.error("angle", f"needs a unit of angle (deg, rad), not {unit}")
     hold = table.text("hold", "zero" if role == "input" else "linear", choices=("zero", "linear", "sampled"))
     timeout = table.number("timeout", positive=True) if table.has("timeout") else 0.0
     if timeout and hold != "zero":
-        raise table.error("timeout", "needs hold = 'zero': a value that is held until it is repeated")
+        raise table.error("timeout", "needs hold = 'zero': only a held value can time out")
     time, time_format = table.text("time", ""), _time_format(table, "time_format", "")
     if time_format and not time:
-        raise table.error("time_format", "needs time: the column of its own time that has it")
+        raise table.error("time_format", "needs time: the column that has this format")
     missing = table.maybe_number("missing")
     if missing is None and table.has("missing_is"):
-        raise table.error("missing_is", "needs missing: the number in whose place it stands")
+        raise table.error("missing_is", "needs missing: the number that it replaces")
     found = Signal(
         name,
         columns,
@@ -334,27 +364,28 @@ def _signal(table: TomlTable, frame: str) -> Signal:
 
 
 def _units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tuple[str, tuple[str, ...]]:
-    """The unit of a signal, and those of its columns where it is made of several."""
+    """Return the unit of a signal and, for a signal made of several columns, the units of these columns."""
     known = f"known: {', '.join(UNITS)}"
     if not make:
         unit = table.text("unit")
         if unit not in UNITS:
-            raise table.error("unit", f"'{unit}' is not known (use scale); {known}")
+            raise table.error("unit", f"'{unit}' is not a known unit (use scale); {known}")
         return unit, ()
     unit, usual = MAKES[make]
     if len(columns) != len(usual):
-        raise table.error(key, f"{make} is made of {len(usual)}, not {len(columns)}")
+        raise table.error(key, f"{make} needs {len(usual)} names, not {len(columns)}")
     units = table.texts("units", usual)
-    for one, by_default in zip_longest(units, usual):
-        if one not in UNITS or by_default is None or UNITS[one][0] != UNITS[by_default][0]:
-            raise table.error("units", f"must be like {', '.join(usual)}, not {', '.join(units)}; {known}")
+    for unit_of_column, by_default in zip_longest(units, usual):
+        if unit_of_column not in UNITS or by_default is None or UNITS[unit_of_column][0] != UNITS[by_default][0]:
+            raise table.error("units", f"must be convertible to {', '.join(usual)}, not {', '.join(units)}; {known}")
     return unit, units
 
 
 def _piece(table: TomlTable) -> Piece:
+    """Return a piece from its table [[log]]."""
     name = table.text("name")
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
-        raise table.error("name", f"'{name}' becomes part of a file name: letters, digits, _, - or .")
+        raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")
     found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18))
     if found.t_to <= found.t_from:
         raise table.error("t_to", "must be after t_from")

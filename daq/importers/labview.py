@@ -1,9 +1,10 @@
-"""Measurement files of LabVIEW (.lvm): text with a header for the file and one for each segment of rows.
+"""Reader of LabVIEW measurement files (.lvm), text files with a header for the file and one for each segment of rows.
 
 Theory of operation. The header of the file has the separators and the date and time of the start. The header of a
-segment has for each channel the date and time, X0 and Delta_X of its first row, and its unit. The X of a row is in
-seconds: since 1904, or from the time of the segment on, where it is X0. Where no X is written (``X_Columns No``) the
-rows are Delta_X apart. Source: NI, "Specification for the LabVIEW Measurement File (.lvm)", 2023.
+segment has for each channel the date and time, X0 and Delta_X of its first row, and its unit. The X of a row is a time
+in seconds. It counts either since 1904 or from the start of the segment, at which it equals X0. In a file without X
+(``X_Columns No``) the rows are Delta_X apart. Source: NI, "Specification for the LabVIEW Measurement File (.lvm)",
+2023.
 """
 
 from __future__ import annotations
@@ -26,12 +27,24 @@ _SINCE_1904 = 1e9  # s; an X that is greater counts from 1904
 
 
 def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
-    """Read a measurement file of LabVIEW as one table with times of its own.
+    """Read a LabVIEW measurement file as one table with its own times.
+
+    Parameters
+    ----------
+    path
+        The file.
+    options
+        Not used.
+
+    Returns
+    -------
+    list of Table
+        One table. Times are in s since 1970, or since the start if the file has no date.
 
     Raises
     ------
     SeatrialError
-        It cannot be read, has no rows, or its channels have different times.
+        If the file cannot be read, has no rows or no times, or its channels have different times.
     """
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
@@ -39,7 +52,7 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     end = next((k for k, line in enumerate(lines) if line.startswith(_END)), None)
     if end is None:
-        raise SeatrialError(f"{path}: the header of this LabVIEW file has no end ({_END}): is it whole?")
+        raise SeatrialError(f"{path}: the header of this LabVIEW file has no end ({_END}); copy the file again")
     named = next((line[len("Separator") :] for line in lines[:end] if line.startswith("Separator")), "")
     separator = named.strip("\t,; ").lower()
     mark = _SEPARATORS.get(separator, "\t")
@@ -47,7 +60,7 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
     decimal = _first(head, "Decimal_Separator", ".")
     found = _Rows(path, decimal, _first(head, "X_Columns", "One"), _moment(head, decimal))
     segment: list[list[str]] = []
-    is_header = True  # between the header of the file and the end of the first segment's
+    is_header = True  # whether the line is before the end of the header of a segment
     rows: list[list[str]] = []
     for line in lines[end + 1 :]:
         cells = line.split(mark)
@@ -74,7 +87,7 @@ def _first(head: Mapping[str, Sequence[str]], key: str, usual: str) -> str:
 
 
 def _moment(head: Mapping[str, Sequence[str]], decimal: str) -> float:
-    """Date and time of a header [s since 1970]; NaN if it has none."""
+    """Return date and time of a header [s since 1970]; NaN if the header has no date."""
     text = f"{_first(head, 'Date', '')} {_first(head, 'Time', '').replace(decimal, '.')}"
     for pattern in ("%Y/%m/%d %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%f"):
         try:
@@ -86,24 +99,30 @@ def _moment(head: Mapping[str, Sequence[str]], decimal: str) -> float:
 
 
 class _Rows:
-    """Rows of all segments."""
+    """Collector of the rows of all segments."""
 
     def __init__(self, path: Path, decimal: str, x_columns: str, start: float) -> None:
         self._path, self._decimal, self._x_columns, self._start = path, decimal, x_columns.lower(), start
         self._names: list[str] = []
         self._units: dict[str, str] = {}
-        self._places: list[int] = []
+        self._places: list[int] = []  # positions of the channels in a row
         self._t: list[Column] = []
         self._values: list[Column] = []
-        self._n_short = 0
+        self._n_short = 0  # incomplete rows
         self._segment: Mapping[str, Sequence[str]] = {}
 
     def begin(self, segment: Mapping[str, Sequence[str]]) -> None:
-        """Begin a segment with this header."""
+        """Begin a segment with the given header."""
         self._segment = segment
 
     def add(self, rows: Sequence[Sequence[str]]) -> None:
-        """Add the rows of the segment, of which the first has the names of its columns."""
+        """Add the rows of the segment. The first row has the names of the columns.
+
+        Raises
+        ------
+        SeatrialError
+            If the channels differ from those of the segments before, or have different times.
+        """
         if not rows:
             return
         names: list[str] = []
@@ -116,14 +135,14 @@ class _Rows:
             units = [cell.strip() for cell in self._segment.get("Y_Unit_Label", ())]
             self._units = {name: unit for name, unit in zip(self._names, units, strict=False) if unit}
         elif [names[k] for k in columns] != self._names:
-            raise SeatrialError(f"{self._path}: its segments have different channels; export each to a file of its own")
+            raise SeatrialError(f"{self._path}: its segments have different channels; export each to its own file")
         width = max(self._places, default=0) + 1
         whole = [row for row in rows[1:] if len(row) >= width]
         self._n_short += len(rows) - 1 - len(whole)
         values = np.array([[self._number(row[k]) for k in self._places] for row in whole]).reshape(-1, len(columns))
         x = [k for k, name in enumerate(names) if name == "X_Value"]
         if len(x) > 1 and any(row[k].strip() != row[x[0]].strip() for row in whole for k in x):
-            raise SeatrialError(f"{self._path}: each channel has times of its own; export it with one X column")
+            raise SeatrialError(f"{self._path}: each channel has its own times; export it with one X column")
         self._t.append(self._times(whole, x[0] if x and self._x_columns != "no" else None))
         self._values.append(values)
 
@@ -134,7 +153,7 @@ class _Rows:
             return math.nan
 
     def _times(self, rows: Sequence[Sequence[str]], place: int | None) -> Column:
-        """Times of the rows of the segment [s since 1970, or since the start if the file has no date], (n,)."""
+        """Return times of the rows of the segment [s since 1970, or since the start if the file has no date], (n,)."""
         x0 = self._number(_first(self._segment, "X0", "0"))
         dx = self._number(_first(self._segment, "Delta_X", "nan"))
         if place is None:
@@ -146,17 +165,18 @@ class _Rows:
         if len(x) and x[0] > _SINCE_1904:
             return np.asarray(x + LABVIEW_EPOCH, np.float64)
         begin = _moment(self._segment, self._decimal)
-        begin, start = (one if math.isfinite(one) else 0.0 for one in (begin, self._start))
-        goes_on = len(x) > 0 and abs(x[0] - x0) > 2.0 * abs(dx)  # from the segments before: X counts from the start
-        return np.asarray(start + x if goes_on or not begin else begin + x - x0)
+        begin, start = (moment if math.isfinite(moment) else 0.0 for moment in (begin, self._start))
+        # If the first X is not X0, X continues from the segment before: it counts from the start of the file.
+        is_continued = len(x) > 0 and abs(x[0] - x0) > 2.0 * abs(dx)
+        return np.asarray(start + x if is_continued or not begin else begin + x - x0)
 
     def table(self) -> Table:
-        """All rows, without those that have no time."""
+        """Return all rows that have a time as one table. Raise SeatrialError if there are no rows."""
         if not self._t or not sum(map(len, self._t)):
             raise SeatrialError(f"{self._path}: no rows below the header")
         t, values = np.concatenate(self._t), np.concatenate(self._values)
         known = np.isfinite(t)
         n_lost = self._n_short + int(np.sum(~known))
-        remark = f"{counted(n_lost, 'row')} without a time or not whole left out" if n_lost else ""
+        remark = f"{counted(n_lost, 'row')} left out, incomplete or without a time" if n_lost else ""
         columns = dict(zip(self._names, values[known].T, strict=True))
         return Table(self._path, "", columns, t[known], remark=remark, units=self._units)

@@ -1,10 +1,10 @@
 """Variables of MATLAB files as Python values: structs, struct arrays, cells, text, and objects of version 7.3.
 
-Version 5 to 7 comes from scipy. Version 7.3 is HDF5: a struct is a group, a struct array a group whose fields are
-references, a cell an array of references. An object (datetime, duration, table, timetable, timeseries) is a number of
-the list ``/#subsystem#/MCOS``; its first entry says, as 32-bit words, which class an object has and which of the other
-entries are its properties. MathWorks does not publish this layout; it is that of https://github.com/foreverallama/matio
-(docs/mcos.md).
+Files of version 5 to 7 are read by scipy. Files of version 7.3 are HDF5: a struct is a group, a struct array is a group
+whose fields are references, a cell is an array of references. An object (datetime, duration, table, timetable,
+timeseries) is an index of the list ``/#subsystem#/MCOS``. The first entry of this list contains, as 32-bit words, the
+class of each object and the entries with its properties. MathWorks does not publish this layout; the source is
+https://github.com/foreverallama/matio (docs/mcos.md).
 """
 
 from __future__ import annotations
@@ -20,50 +20,60 @@ from numpy.typing import NDArray
 from seatrial.daq.errors import SeatrialError
 
 OBJECT = 0xDD000000  # first word of a reference to an object
-DEEPEST = 30  # structs, cells and objects in each other
+DEEPEST = 30  # deepest nesting of structs, cells and objects
 MOST_STRUCTS = 16  # elements of a struct array that become topics of their own
-_HEADER_BYTES = 40  # of the list of objects: version, number of names, ends of 8 regions
-_CONTENTS = 2  # entries before the properties
+_HEADER_BYTES = 40  # header of the list of objects: version, number of names, ends of 8 regions
+_CONTENTS = 2  # entries of the list before the properties
 TABLES = ("table", "timetable")
 
 
 @dataclass(frozen=True)
 class MatlabObject:
-    """An object: its class and its properties by name."""
+    """Object of MATLAB."""
 
-    kind: str
-    properties: Mapping[str, Any]
+    kind: str  # name of its class
+    properties: Mapping[str, Any]  # by name
 
 
 class Vector(NamedTuple):
-    """Numbers of a variable: the topic and the name that they get, and what MATLAB tells about them."""
+    """Numbers of a variable, with the topic and the name of their table and column."""
 
     topic: str
     name: str
     values: NDArray[Any]  # (n,) or a matrix
     unit: str = ""
-    is_time: bool = False  # s, since 1970 for a datetime
+    is_time: bool = False  # whether the values are times [s]; a datetime counts since 1970
 
 
 def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: int = 0) -> Iterator[Vector]:
-    """Yield the numbers in a variable; add the names of objects without numbers, with their classes, to `left_out`.
+    """Yield the numbers in a variable.
 
     Parameters
     ----------
     name
-        The name of the variable, or of the field of a struct.
+        Name of the variable, or of the field of a struct.
     value
         Its value: array, text, dict (struct), list (cell or struct array) or MatlabObject.
     left_out
-        Gets what is of a class that is not read.
+        List to which the names and classes of objects without readable numbers are added.
     topic
-        The variable whose field this is, "" for the variable itself.
+        Name of the variable to which the field belongs; "" for the variable itself.
     depth
-        How many structs it is in.
+        Number of structs around the value.
+
+    Yields
+    ------
+    Vector
+        The numbers, with their topic and name.
+
+    Raises
+    ------
+    SeatrialError
+        If structs are nested too deeply.
     """
     place = f"{topic}.{name}" if topic else name
     if depth > DEEPEST:
-        raise SeatrialError(f"{place[:60]}: structs in structs, more than {DEEPEST} deep")
+        raise SeatrialError(f"{place[:60]}: structs are nested more than {DEEPEST} deep; save the needed vectors alone")
     if isinstance(value, MatlabObject):
         yield from _object_vectors(name, value, left_out, topic, depth)
     elif isinstance(value, Mapping):
@@ -74,14 +84,14 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
             below = name if not topic and depth == 0 else topic
             inner = field if not topic and depth == 0 else f"{name}.{field}"
             yield from vectors(inner, part, left_out, below, depth + 1)
-    elif isinstance(value, list) and value and all(isinstance(one, Mapping) for one in value):
+    elif isinstance(value, list) and value and all(isinstance(element, Mapping) for element in value):
         yield from _struct_array_vectors(name, value, left_out, topic, depth)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 1:
         yield Vector(topic, name, value)
 
 
 def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: str, depth: int) -> Iterator[Vector]:
-    """Yield the numbers of an object: a time, the columns of a table, or the properties of another class."""
+    """Yield the numbers of an object: times, the columns of a table, or the properties of another class."""
     place = f"{topic}.{name}" if topic else name
     if (seconds := _seconds(value)) is not None:
         if seconds.size > 1:
@@ -90,30 +100,32 @@ def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: 
         yield from columns
     elif value.kind in (*TABLES, "string", "categorical", "calendarDuration"):
         left_out.append(f"{place} ({value.kind})")
-    else:  # timeseries, and what else has its numbers in properties
+    else:  # timeseries, and other classes with numbers in their properties
         found = [
-            one
+            vector
             for field, part in value.properties.items()
-            for one in vectors(field.strip("_"), part, left_out, place, depth + 1)
+            for vector in vectors(field.strip("_"), part, left_out, place, depth + 1)
         ]
-        yield from (one._replace(name=name) if one.name.lower() == "data" else one for one in found)
+        yield from (vector._replace(name=name) if vector.name.lower() == "data" else vector for vector in found)
         if not found:
             left_out.append(f"{place} ({value.kind})")
 
 
 def _seconds(value: Any) -> NDArray[np.float64] | None:
-    """Return a datetime (since 1970, UTC if it has a zone) or a duration in s; None if it is neither."""
+    """Return a datetime (since 1970, in UTC if it has a zone) or a duration in s; None for other values."""
     if not isinstance(value, MatlabObject) or value.kind not in ("datetime", "duration"):
         return None
     milliseconds = value.properties.get("data" if value.kind == "datetime" else "millis")
-    if not isinstance(milliseconds, np.ndarray):  # the value of a new object is not in the file: 0 s
+    if not isinstance(
+        milliseconds, np.ndarray
+    ):  # the file does not contain default values: a duration of 0 s, no datetime
         return np.zeros(1) if value.kind == "duration" else np.full(1, np.nan)
-    # The imaginary part of a datetime is what the real part, a double, is too coarse for.
+    # A datetime is a complex number: the imaginary part is the remainder below the resolution of the real part.
     return np.asarray(1e-3 * milliseconds.real + 1e-3 * milliseconds.imag, np.float64)
 
 
 def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
-    """Yield the columns of a table or a timetable, its times first."""
+    """Yield the columns of a table or timetable. The times of a timetable come first."""
     inner = value.properties.get("any", value.properties)
     if not isinstance(inner, Mapping):
         return
@@ -124,10 +136,10 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
     n_rows = int(_scalar(inner.get("numRows", inner.get("nrows"))) or 0)
     if value.kind == "timetable":
         dimensions = inner.get("dimNames")
-        called = dimensions[0] if isinstance(dimensions, list) and dimensions else "Time"
+        time_name = dimensions[0] if isinstance(dimensions, list) and dimensions else "Time"
         t = _row_times(inner.get("rowTimes"), n_rows)
         if t is not None and len(t) == n_rows and np.isfinite(t).any():
-            yield Vector(place, str(called), t, is_time=True)
+            yield Vector(place, str(time_name), t, is_time=True)
     properties = inner.get("props")
     units = inner.get("varUnits", properties.get("VariableUnits") if isinstance(properties, Mapping) else None)
     units = units if isinstance(units, list) and len(units) == len(names) else [""] * len(names)
@@ -140,7 +152,7 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
 
 
 def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
-    """Return the times of the rows of a timetable, (n_rows,) [s]; None if they are of a kind that is not known."""
+    """Return the times of the rows of a timetable, (n_rows,) [s]; None if their kind is unknown."""
     if (seconds := _seconds(value)) is not None:
         return seconds.ravel()
     if not isinstance(value, Mapping):
@@ -163,18 +175,21 @@ def _scalar(value: Any) -> float | None:
 
 
 def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the signals of a structure with time, as Simulink writes it; None if it is another struct."""
+    """Return the signals of a Simulink structure with time; None for any other struct."""
     signals, time = value.get("signals"), value.get("time")
-    one = [signals] if isinstance(signals, Mapping) else signals
-    if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(one, list) or not one:
+    listed = [signals] if isinstance(signals, Mapping) else signals
+    if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(listed, list) or not listed:
         return None
-    if not all(isinstance(signal, Mapping) and "values" in signal for signal in one):
+    if not all(isinstance(signal, Mapping) and "values" in signal for signal in listed):
         return None
-    return one
+    return listed
 
 
 def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[str, Any]]) -> Iterator[Vector]:
-    """Yield the times and the signals of a structure with time: by their labels, their blocks or the variable."""
+    """Yield the times and the signals of a Simulink structure with time.
+
+    A signal is named after its label, or else its block, or else the variable.
+    """
     t = np.ravel(time)
     yield Vector(place, "time", t)
     for k, signal in enumerate(signals):
@@ -184,46 +199,63 @@ def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[st
         if values.ndim == 3 and values.shape[2] == len(t):  # a column or a matrix at each time
             values = values.reshape(-1, len(t)).T
         label, block = signal.get("label"), signal.get("blockName")
-        called = label if isinstance(label, str) and label else ""
-        if not called and len(signals) > 1 and isinstance(block, str):
-            called = block.rpartition("/")[2]
-        yield Vector(place, called or (name if len(signals) == 1 else f"signals[{k}]"), values)
+        signal_name = label if isinstance(label, str) and label else ""
+        if not signal_name and len(signals) > 1 and isinstance(block, str):
+            signal_name = block.rpartition("/")[2]
+        yield Vector(place, signal_name or (name if len(signals) == 1 else f"signals[{k}]"), values)
 
 
 def _struct_array_vectors(
     name: str, value: list[Mapping[str, Any]], left_out: list[str], topic: str, depth: int
 ) -> Iterator[Vector]:
-    """Yield the numbers of a struct array: a column for each field with one number a struct, else a topic a struct."""
+    """Yield the numbers of a struct array.
+
+    A field with one number in each struct becomes a column. If the array has no such field, each struct becomes a
+    topic.
+    """
     place = f"{topic}.{name}" if topic else name
-    numbers = {field: [_scalar(one.get(field)) for one in value] for field in value[0]}
-    columns = {field: found for field, found in numbers.items() if not any(one is None for one in found)}
+    numbers = {field: [_scalar(struct.get(field)) for struct in value] for field in value[0]}
+    columns = {field: found for field, found in numbers.items() if not any(number is None for number in found)}
     for field, found in columns.items():
         if len(value) > 1:
             yield Vector(place, field, np.array(found, np.float64))
     if not columns:
-        for k, one in enumerate(value[:MOST_STRUCTS]):
-            yield from vectors(f"{place}[{k}]", one, left_out, "", depth and DEEPEST // 2)
+        for k, struct in enumerate(value[:MOST_STRUCTS]):
+            yield from vectors(f"{place}[{k}]", struct, left_out, "", depth and DEEPEST // 2)
 
 
 def scipy_value(value: Any, depth: int = 0) -> Any:
-    """Return a variable of scipy.io.loadmat (squeezed) as a Python value."""
+    """Return a variable of scipy.io.loadmat (squeezed) as a Python value.
+
+    Parameters
+    ----------
+    value
+        The variable as scipy returns it.
+    depth
+        Number of structs and cells around it.
+
+    Returns
+    -------
+    Any
+        A dict (struct), list (cell or struct array), text or array; None for other values.
+    """
     if depth > DEEPEST or not isinstance(value, np.ndarray):
         return value if isinstance(value, str) else np.asarray(value) if np.isscalar(value) else None
     if value.dtype.names and type(value) is np.ndarray:
         structs = [
-            {field: scipy_value(one[field], depth + 1) for field in value.dtype.names}
-            for one in np.atleast_1d(value).flat
+            {field: scipy_value(struct[field], depth + 1) for field in value.dtype.names}
+            for struct in np.atleast_1d(value).flat
         ]
         return structs[0] if value.size == 1 else structs
     if value.dtype.kind == "O" and type(value) is np.ndarray:
-        return [scipy_value(one, depth + 1) for one in value.flat]
+        return [scipy_value(cell, depth + 1) for cell in value.flat]
     if value.dtype.kind == "U":
-        return str(value) if value.ndim == 0 else [str(one) for one in value.flat]
+        return str(value) if value.ndim == 0 else [str(text) for text in value.flat]
     return value if value.dtype.kind in "biufc" else None
 
 
 class Hdf5Variables:
-    """The variables of a MATLAB file of version 7.3."""
+    """Reader of the variables of a MATLAB file of version 7.3."""
 
     def __init__(self, file: Any) -> None:
         """Read the list of objects of an open h5py file, if it has one."""
@@ -238,7 +270,7 @@ class Hdf5Variables:
             self._read_objects(np.asarray(file[self._contents[0]][()], np.uint8).tobytes())
 
     def _read_objects(self, data: bytes) -> None:
-        """Read the classes and objects: regions of 32-bit words behind a header and the names."""
+        """Read the classes and objects of the file. They are regions of 32-bit words after a header and the names."""
         words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
         n_names, ends = int(words[1]), [int(end) for end in words[2:7]]
         names = [
@@ -252,22 +284,23 @@ class Hdf5Variables:
 
     def items(self) -> Iterator[tuple[str, Any]]:
         """Yield each variable with its value."""
-        for name, one in self._file.items():
+        for name, node in self._file.items():
             if not name.startswith("#"):
-                yield name, self._value(one, 0)
+                yield name, self._value(node, 0)
 
-    def _value(self, one: Any, depth: int) -> Any:
+    def _value(self, node: Any, depth: int) -> Any:
+        """Return the value of a group or dataset of the file."""
         if depth > DEEPEST:
-            raise SeatrialError(f"structs, cells or objects in each other, more than {DEEPEST} deep")
-        if hasattr(one, "items"):
-            return self._struct(one, depth)
-        kind = one.attrs.get("MATLAB_class", b"")
-        if "MATLAB_empty" in one.attrs:
+            raise SeatrialError(f"structs, cells or objects are nested more than {DEEPEST} deep")
+        if hasattr(node, "items"):
+            return self._struct(node, depth)
+        kind = node.attrs.get("MATLAB_class", b"")
+        if "MATLAB_empty" in node.attrs:
             return "" if kind == b"char" else np.zeros(0)
-        if one.dtype.kind == "O":
-            return [self._value(self._file[ref], depth + 1) for ref in one[()].T.ravel()]
-        values = one[()]
-        if "MATLAB_object_decode" in one.attrs or (kind not in _NUMERIC and _is_reference(values)):
+        if node.dtype.kind == "O":
+            return [self._value(self._file[ref], depth + 1) for ref in node[()].T.ravel()]
+        values = node[()]
+        if "MATLAB_object_decode" in node.attrs or (kind not in _NUMERIC and _is_reference(values)):
             return self._object(values, depth)
         if values.dtype.names == ("real", "imag"):
             return (values["real"] + 1j * values["imag"]).T
@@ -276,7 +309,7 @@ class Hdf5Variables:
         return np.asarray(values).T
 
     def _struct(self, group: Any, depth: int) -> Any:
-        """Return a struct as a dict, a struct array as a list of them."""
+        """Return a struct as a dict, and a struct array as a list of dicts."""
         is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets(group)]
         if not is_array or not all(is_array) or len(is_array) < len(group):
             return {field: self._value(part, depth + 1) for field, part in group.items()}
@@ -285,7 +318,10 @@ class Hdf5Variables:
         return [{field: column[k] for field, column in columns.items()} for k in range(n)]
 
     def _object(self, reference: NDArray[Any], depth: int) -> Any:
-        """Return the object of a reference: its first word, its number of dimensions, these, the objects, the class."""
+        """Return the object of a reference, or a list of objects; None if the reference is invalid.
+
+        The words of a reference: `OBJECT`, number of dimensions, the dimensions, the indices of the objects, the class.
+        """
         words = [int(word) for word in np.ravel(reference)]
         if len(words) < 2 or words[0] != OBJECT or words[1] != len(words[2 : 2 + words[1]]):
             return None
@@ -294,13 +330,16 @@ class Hdf5Variables:
         return found[0] if len(found) == 1 else found
 
     def _one_object(self, number: int, depth: int) -> MatlabObject | None:
+        """Return the object with an index; None if the file has no such object."""
         if not 0 < number < len(self._objects):
             return None
         kind, _, _, saved, plain, _ = (int(word) for word in self._objects[number])
         pairs = self._saved[saved] if saved else self._properties[plain]
         properties: dict[str, Any] = {}
         for name, how, value in pairs:
-            if how == 1 and _CONTENTS + value < len(self._contents):  # 0 is an enumeration, 2 a number or a truth value
+            if how == 1 and _CONTENTS + value < len(
+                self._contents
+            ):  # 1: an entry; 0: an enumeration; 2: a number or bool
                 properties[name] = self._value(self._file[self._contents[_CONTENTS + value]], depth + 1)
         return MatlabObject(self._classes[kind], properties)
 
@@ -317,9 +356,9 @@ def _datasets(group: Any) -> list[Any]:
 
 
 def _property_lists(words: NDArray[np.uint32], names: list[str]) -> list[list[tuple[str, int, int]]]:
-    """Return the properties of each object: their names, how their values are kept, and which these are.
+    """Return for each object its properties: name, kind of storage, and value or index of the value.
 
-    Each list has its length in front, and begins at an even word.
+    The length stands in front of each list, and each list begins at an even word.
     """
     found, at = [], 0
     while at < len(words):

@@ -1,4 +1,4 @@
-"""`seatrial import mavlink`: a ground station's tlog or an ArduPilot DataFlash log (BIN) -> a log."""
+"""The command `seatrial import mavlink`: import of a ground station's tlog or of an ArduPilot DataFlash log (BIN)."""
 
 from __future__ import annotations
 
@@ -22,37 +22,78 @@ from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Ahrs, Event, Gnss
 
 STAMP = 8  # bytes before each frame of a tlog: us since 1970, big-endian
-DATAFLASH = b"\xa3\x95"
-# Samples whose boot time runs back by more than this [s], and their share, from which there are two clocks. One
-# autopilot rounds its times to ms in some messages and to us in others, and a radio may exchange frames.
+DATAFLASH = b"\xa3\x95"  # first bytes of a DataFlash log
+# Two autopilots are recognised by boot times that run back: by more than BACK_S [s], in at least FEWEST_BACK samples
+# and in more than the share ALTERNATE of all samples. The times of one autopilot may run back slightly: some messages
+# have ms and others us, and a radio may swap frames.
 BACK_S, FEWEST_BACK, ALTERNATE = 0.05, 10, 0.2
-DEVICE = "autopilot"  # the name in the log where there is no rig
+DEVICE = "autopilot"  # name of the device in a log without a rig
 
 
 def import_mavlink(
     path: Path, *, rig: Rig | None = None, system: int | None = None, out: Path | None = None, force: bool = False
 ) -> tuple[Path, str]:
-    """Write the samples of `path` as a log; returns the path of the log and a summary in one line.
+    """Write the samples of an autopilot's log as a log.
 
-    `rig` gives thrusters their names and outputs their scale; its MAVLink device names the topics. Without `system`
-    the first autopilot that sends a heartbeat is taken. Raises SeatrialError.
+    Parameters
+    ----------
+    path
+        A tlog or a DataFlash log.
+    rig
+        The rig, which names and scales the thrusters. Its MAVLink device names the topics.
+    system
+        MAVLink system number; None for the first autopilot that sends a heartbeat.
+    out
+        The log to write; by default named after `path`, in the current folder.
+    force
+        Whether an existing log is replaced.
+
+    Returns
+    -------
+    tuple
+        The path of the log, and a summary in one line.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or contains no samples of the autopilot.
     """
-    rows, said, parameters = read_autopilot(path, rig, system)
+    rows, summary, parameters = read_autopilot(path, rig, system)
     device = _device(rig)
     counts = Counter(type(row.frame.sample).__name__ for row in rows)
-    said += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
-    said += "".join(f"; not as the rig has it: {finding}" for finding in mismatches(parameters, rig))
+    summary += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
+    summary += "".join(f"; differs from the rig: {finding}" for finding in mismatches(parameters, rig))
     target = out or Path(f"{path.stem}.mcap")
     about = {"import": "mavlink", "source.1.name": path.name, "source.1.sha256": sha256_of(path)}
     name = device.name if device is not None else DEVICE
     reads = [path] if rig is None else [path, rig.path]
     with replacing(target, force, reads) as part:
-        _write(target, part, name, rows, about, rig, f"{path.name}: {said}")
-    return target, said
+        _write(target, part, name, rows, about, rig, f"{path.name}: {summary}")
+    return target, summary
 
 
 def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[list[Timed], str, dict[str, float]]:
-    """The samples of a tlog or a DataFlash log, what was read in words, and its parameters. Raises SeatrialError."""
+    """Read a tlog or a DataFlash log.
+
+    Parameters
+    ----------
+    path
+        The log of an autopilot.
+    rig
+        The rig, which names and scales the thrusters; None without one.
+    system
+        MAVLink system number; None for the first autopilot that sends a heartbeat.
+
+    Returns
+    -------
+    tuple
+        The samples, a summary in one line, and the parameters of the autopilot.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or contains no samples.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -63,31 +104,59 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
 
 
 def is_tlog(head: bytes) -> bool:
-    """Whether the first bytes of a file are a time of this century and a MAVLink frame."""
+    """Return whether the first bytes of a file are a time of this century and the begin of a MAVLink frame."""
     return len(head) > STAMP and head[STAMP] in (0xFD, 0xFE) and 2**50 < struct.unpack_from(">Q", head)[0] < 2**52
 
 
 def _device(rig: Rig | None) -> Device | None:
+    """Return the MAVLink device of a rig; None without a rig. Raise SeatrialError unless the rig has exactly one."""
     if rig is None:
         return None
     found = [device for device in rig.devices if device.protocol == "mavlink"]
     if len(found) != 1:
-        raise SeatrialError(f"{rig.path}: needs one device of protocol mavlink for this import, and has {len(found)}")
+        raise SeatrialError(
+            f"{rig.path}: this import needs exactly one device of protocol mavlink in the rig, which has {len(found)}"
+        )
     return found[0]
 
 
 def read_tlog(
     path: Path, data: bytes, rig: Rig | None, device: Device | None, system: int | None
 ) -> tuple[list[Timed], str, dict[str, float]]:
-    """The samples of a tlog, a summary, and the parameters in it; device times are mapped onto the times at which the
-    ground station received them."""
+    """Read a tlog.
+
+    Parameters
+    ----------
+    path
+        The tlog, for messages.
+    data
+        Its bytes.
+    rig, device
+        The rig and its autopilot; None without a rig.
+    system
+        MAVLink system number; None for the first autopilot that sends a heartbeat.
+
+    Returns
+    -------
+    tuple
+        The samples, a summary in one line, and the parameters in the tlog. Device times are mapped onto the times at
+        which the ground station received the frames.
+
+    Raises
+    ------
+    SeatrialError
+        If the tlog has no samples of the system, or two autopilots have the same system number.
+    """
     component = 1
     if system is None:
         system, component = _who(path, data)
         others = sorted({found.system for found, _ in _heartbeats(data)} - {system})
         if others:
             names = " and ".join(str(number) for number in others)
-            text = f"{path}: system {system} is read; system {names} is in it, too: --system or `system` of the map"
+            text = (
+                f"{path}: system {system} is imported; the log also contains system {names}: choose one by --system, "
+                "or `system` of the map"
+            )
             warnings.warn(text, SeatrialWarning, stacklevel=2)
     samples = make_samples(device, rig) if device is not None and rig is not None else Samples()
     decoder = MavlinkDecoder(samples, system, component)
@@ -109,8 +178,7 @@ def read_tlog(
     skipped += len(data) - end
     if not rows:
         raise SeatrialError(
-            f"{path}: no samples of system {system} among {decoder.frames} frames; "
-            f"is it a tlog or a BIN? {_others(decoder)}"
+            f"{path}: no samples of system {system} in {decoder.frames} frames of this tlog; {_others(decoder)}"
         )
     _refuse_two_of_one_number(path, rows, system)
     delay = f"device times {1e3 * clock.bias:.1f} ms before their arrival, spread {1e3 * clock.spread:.1f} ms"
@@ -119,33 +187,52 @@ def read_tlog(
 
 
 def _refuse_two_of_one_number(path: Path, rows: Sequence[Timed], system: int) -> None:
-    """Raise SeatrialError if the samples are of two autopilots with one system number: their boot times alternate."""
+    """Raise SeatrialError if two autopilots have the same system number, which alternating boot times show."""
     for kind in (Ahrs, Gnss):
         boot = np.array([row.frame.t_device for row in rows if isinstance(row.frame.sample, kind)])
         known = boot[np.isfinite(boot)]
         n_back = int(np.sum(np.diff(known) < -BACK_S))
         if n_back >= FEWEST_BACK and n_back > ALTERNATE * known.size:
             raise SeatrialError(
-                f"{path}: two autopilots send as system {system}, times of two clocks alternate "
-                f"({counted(n_back, 'time')}); give one another number (SYSID_THISMAV, MAV_SYSID) and record again"
+                f"{path}: two autopilots send as system {system}: the times of two clocks alternate "
+                f"({counted(n_back, 'time')}); change the number of one of them (SYSID_THISMAV, MAV_SYSID) and record "
+                "again"
             )
 
 
 def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatch]:
-    """Return the output parameters in `p` whose pulse widths or directions differ from the rig's."""
+    """Return the output parameters whose pulse widths or directions differ from the rig.
+
+    Parameters
+    ----------
+    p
+        Parameters of the autopilot by name.
+    rig
+        The rig; None without one.
+
+    Returns
+    -------
+    list of ParameterMismatch
+        The differences; empty without a rig.
+    """
     device = _device(rig)
-    here = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
-    outputs = tuple(f"SERVO{thruster.node}_" for thruster in here)
-    return [one for one in check_parameters(p, here, 0) if one.value is not None and one.name.startswith(outputs)]
+    thrusters = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
+    outputs = tuple(f"SERVO{thruster.node}_" for thruster in thrusters)
+    return [
+        mismatch
+        for mismatch in check_parameters(p, thrusters, 0)
+        if mismatch.value is not None and mismatch.name.startswith(outputs)
+    ]
 
 
 def _others(decoder: MavlinkDecoder) -> str:
-    there = ", ".join(str(number) for number in sorted(decoder.foreign))
-    return f"There are systems {there}: name one with --system" if there else "It holds no MAVLink frames"
+    """Return the part of an error message about the other systems of a tlog."""
+    others = ", ".join(str(number) for number in sorted(decoder.foreign))
+    return f"it contains systems {others}: choose one by --system" if others else "it contains no other MAVLink system"
 
 
 def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
-    """Time [s since 1970], place and header of each whole frame behind a time; bytes between them are skipped."""
+    """Yield time [s since 1970], offset and header of each complete frame. Skip bytes between the frames."""
     at = 0
     while at + STAMP < len(data):
         found = head(data, at + STAMP) if data[at + STAMP] in (0xFD, 0xFE) else -1
@@ -163,22 +250,37 @@ def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
 
 
 def _who(path: Path, data: bytes) -> tuple[int, int]:
-    """System and component of the first heartbeat that is an autopilot's."""
+    """Return system and component of the first heartbeat of an autopilot. Raise SeatrialError without one."""
     for found, _ in _heartbeats(data):
         return found.system, found.component
-    raise SeatrialError(f"{path}: no heartbeat of an autopilot in it; is it a tlog or a DataFlash BIN?")
+    raise SeatrialError(f"{path}: contains no heartbeat of an autopilot; give a tlog or a DataFlash BIN")
 
 
 def _heartbeats(data: bytes) -> Iterator[tuple[Head, int]]:
-    """Head and MAV_TYPE of each heartbeat of an autopilot."""
+    """Yield header and MAV_TYPE of each heartbeat of an autopilot."""
     for _, at, found in _frames(data):
         payload = at + (10 if data[at] == 0xFD else 6)
-        if found.message_id == 0 and found.payload > 5 and data[payload + 5] != 8:
+        if found.message_id == 0 and found.payload > 5 and data[payload + 5] != 8:  # 8: MAV_AUTOPILOT_INVALID
             yield found, data[payload + 4]
 
 
 def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int | None:
-    """MAV_TYPE of the vehicle that a tlog, or the first texts of a DataFlash log, are of; None: they do not say it."""
+    """Return the type of the vehicle of a tlog or a DataFlash log.
+
+    Parameters
+    ----------
+    path
+        The log of the autopilot.
+    rows
+        Its samples.
+    system
+        MAVLink system number in a tlog; None for the first autopilot.
+
+    Returns
+    -------
+    int or None
+        MAV_TYPE by the heartbeats of a tlog, or by the texts of a DataFlash log; None if unknown.
+    """
     data = path.read_bytes()
     if data.startswith(DATAFLASH):
         texts = [row.frame.sample.text for row in rows if isinstance(row.frame.sample, Event)]
@@ -189,12 +291,15 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
 def _write(
     out: Path, part: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str
 ) -> None:
-    in_file = rows
+    """Write the samples in the order of receipt to `part`, the temporary file of `out`."""
+    in_file_order = rows
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if not all(0.0 <= t < 2**31 for row in rows for t in (row.frame.t_rx, row.t)):
-        raise SeatrialError(f"{out}: the file's times do not lie between 1970 and 2038")
-    said = ((device, row.frame, row.frame.t_rx) for row in in_file if not isinstance(row.frame.sample, Event))
-    steps = clock_steps(said)
+        raise SeatrialError(
+            f"{out}: the times of the file are not between 1970 and 2038; did the autopilot have a fix?"
+        )
+    samples = ((device, row.frame, row.frame.t_rx) for row in in_file_order if not isinstance(row.frame.sample, Event))
+    steps = clock_steps(samples)
     first = round(rows[0].frame.t_rx * NANO)
     metadata = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **about}
     attachments = {} if rig is None else {"rig.toml": rig.text.encode()}
@@ -208,6 +313,7 @@ def _write(
 def _add_all(
     writer: LogWriter, device: str, rows: Sequence[Timed], first: int, events: Sequence[tuple[str, str]]
 ) -> None:
+    """Add events at the time `first` [ns], then the samples with their channels."""
     event = writer.channel("/event", schema.EVENT)
     about = cdr_layout(schema.EVENT, b"")
     for kind, text in events:

@@ -1,7 +1,7 @@
-"""Inputs without a value: a motor that is stopped, or a command that is unknown.
+"""Inputs without a value: a stopped motor, or an unknown command.
 
-A sensor without a value has not measured, and that is no harm. A thruster always does something. If the last command
-before a gap were held through it, a fit would believe that the thruster pushed all the time.
+A sensor without a value has not measured, which does no harm to a fit. A thruster always has some thrust. If the last
+command before a gap were held through the gap, a fit would assume this thrust for the whole gap.
 """
 
 from __future__ import annotations
@@ -17,20 +17,26 @@ from seatrial.daq.importers.table import Column
 
 Mask = npt.NDArray[np.bool_]
 
-GAP_S, GAP_ROWS = 0.5, 3  # s and rows without a value: shorter ones are noise of a link, and the last value holds
-# Messages in which NaN stands for a motor that is stopped (PX4, msg/ActuatorMotors.msg: "NaN maps to disarmed")
+GAP_S, GAP_ROWS = 0.5, 3  # s and rows; a shorter gap is a lost message, in which the last value holds
+# Messages in which NaN means a stopped motor (PX4, msg/ActuatorMotors.msg: "NaN maps to disarmed")
 _MOTORS = {"actuator_motors", "px4_msgs/msg/ActuatorMotors"}
 _CONTROL = re.compile(r"control\[\d+\]")
 
 
 def stopped_motors(kind: str, columns: dict[str, Column]) -> str:
-    """Put zero where a message of this ``kind`` says that a motor is stopped, in place.
+    """Replace NaN by zero in the commands of stopped motors, in place.
+
+    Parameters
+    ----------
+    kind
+        Type of the messages. Other types than those of motors are not changed.
+    columns
+        Columns of the topic by name, each (n,). A motor that never has a value does not exist and is not changed.
 
     Returns
     -------
     str
-        A remark with the number of these messages; "" if there are none. Motors that never have a value stay as they
-        are: they do not exist.
+        A remark with the number of messages with a stopped motor; "" without such messages.
     """
     if kind not in _MOTORS:
         return ""
@@ -45,7 +51,7 @@ def stopped_motors(kind: str, columns: dict[str, Column]) -> str:
 
 
 def input_gaps(t: Column, values: Column) -> Mask:
-    """Find where an input becomes unknown.
+    """Find the rows in which an input becomes unknown.
 
     Parameters
     ----------
@@ -57,8 +63,8 @@ def input_gaps(t: Column, values: Column) -> Mask:
     Returns
     -------
     Mask
-        True in the first row of each gap (n,). A column that has a value in some rows only, because other columns have
-        the other rows, has no gaps: its last value holds.
+        True in the first row of each gap (n,). A column whose values are usually more than a row apart has no gaps:
+        the other rows belong to other columns, and its last value holds.
     """
     found = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
@@ -71,14 +77,25 @@ def input_gaps(t: Column, values: Column) -> Mask:
     return found
 
 
-def said_gaps(gaps: Mapping[str, list[tuple[float, float]]]) -> list[str]:
-    """One line for each group of inputs that are unknown at the same times."""
+def gap_lines(gaps: Mapping[str, list[tuple[float, float]]]) -> list[str]:
+    """Return a line for each group of inputs that are unknown at the same times.
+
+    Parameters
+    ----------
+    gaps
+        Begin and end [s] of the gaps of each input, by the name of the input.
+
+    Returns
+    -------
+    list of str
+        The lines, for the user.
+    """
     groups: dict[tuple[tuple[float, float], ...], list[str]] = {}
     for name, found in gaps.items():
         groups.setdefault(tuple(found), []).append(name)
     return [
         f"{', '.join(names)}: unknown for {sum(b - a for a, b in found):.1f} s, in {counted(len(found), 'gap')}; "
-        'a fit leaves these times out, and nan = "zero" of the signal says that the thruster stands'
+        'a fit leaves these times out; if the thruster is stopped in them, give the signal nan = "zero"'
         for found, names in groups.items()
         if found
     ]

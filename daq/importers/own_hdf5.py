@@ -1,8 +1,8 @@
-"""The check of an HDF5 file, before any of it is read, that all of its data is in the file itself.
+"""Check that all data of an HDF5 file is in the file itself, before any of the data is read.
 
-HDF5 can place data elsewhere: by soft and external links, by external storage and by virtual datasets. A file of
-somebody else's could so name any file of this computer. The import would copy that file into a log, and the log is then
-shared. MATLAB writes none of these.
+HDF5 can place data in other files: by soft and external links, by external storage and by virtual datasets. A file from
+another person could name any file of this computer. The import would then copy that file into a log, and the log may be
+shared. MATLAB does not write such files.
 """
 
 from __future__ import annotations
@@ -16,14 +16,21 @@ from seatrial.daq.errors import SeatrialError, printable
 def refuse_data_of_other_files(path: Path, file: Any) -> None:
     """Raise SeatrialError unless each object of an open h5py file is data of this file and has exactly one link.
 
-    An object with two links could contain itself, or be read any number of times.
-
     Parameters
     ----------
     path
-        The name of the file, for the message.
+        Name of the file, for the message.
     file : h5py.File
         The open file.
+
+    Raises
+    ------
+    SeatrialError
+        If an object is a link to another place, a second link, or has its data in another file.
+
+    Notes
+    -----
+    An object with two links could contain itself, or be read any number of times.
     """
     import h5py
 
@@ -35,17 +42,17 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
         for name in group:
             place = f"{path}: {printable(f'{group.name.rstrip(chr(47))}/{name}')}"
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                raise SeatrialError(f"{place} is a link to another place; only data of the file itself is imported")
-            one = group[name]
-            address = h5py.h5o.get_info(one.id).addr
+                raise SeatrialError(f"{place} is a link to another place; only data in the file itself is imported")
+            node = group[name]
+            address = h5py.h5o.get_info(node.id).addr
             if address in known:
-                raise SeatrialError(f"{place} is a second link to the same object; a MATLAB file has one for each")
+                raise SeatrialError(f"{place} is a second link to the same object; a MATLAB file has only one")
             known.add(address)
-            if isinstance(one, h5py.Group):
-                groups.append(one)
-            elif isinstance(one, h5py.Dataset):
-                properties = one.id.get_create_plist()
+            if isinstance(node, h5py.Group):
+                groups.append(node)
+            elif isinstance(node, h5py.Dataset):
+                properties = node.id.get_create_plist()
                 if properties.get_layout() not in layouts or properties.get_external_count():
                     raise SeatrialError(
-                        f"{place} has its data in another file; only data of the file itself is imported"
+                        f"{place} has its data in another file; only data in the file itself is imported"
                     )

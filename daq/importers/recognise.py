@@ -1,4 +1,4 @@
-"""What is known of foreign signals: messages of ROS, mavros, PX4 and of our own decoders, and names of columns."""
+"""Tables of known foreign signals: messages of ROS, mavros, PX4 and seatrial's decoders, and names of columns."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ import numpy as np
 from seatrial.daq.importers.table import Column, Table
 from seatrial.daq.importers.units import UNITS
 
-BEHIND = 5  # added to the rank of what is a set-point or the truth of a simulator: not taken
+BEHIND = 5  # added to the rank of set-points and of the truth of a simulator; a candidate of this rank is not chosen
 
 
 class Candidate(NamedTuple):
-    """Signals that could be taken together, of one topic: what they are in a model, and where they come from."""
+    """Signals of one topic that a guessed map could contain together."""
 
-    group: str  # of candidates with one group the best is taken: position, velocity, body, heading, ...
-    rank: int  # the less the better: a sensor before an estimate, an estimate before the truth of a simulator
+    group: str  # position, velocity, body, heading, ...; only the best candidate of a group is chosen
+    rank: int  # lower is better: a sensor before an estimate, an estimate before the truth of a simulator
     table: Table
     signals: tuple[Taken, ...]
     caveat: str = ""
-    quantity: frozenset[str] = frozenset()  # of thrusters: what left and right must share; empty: they need not
+    quantity: frozenset[str] = frozenset()  # of thrusters: left and right must have the same; empty: no condition
 
 
 class Taken(NamedTuple):
-    """One signal of a candidate: its name in models, its columns, and what the map says of them."""
+    """Signal of a candidate, as in a map."""
 
-    name: str
+    name: str  # in models
     columns: tuple[str, ...]
     unit: str
     make: str = ""
@@ -38,6 +38,7 @@ Row = tuple[str, int, tuple[Taken, ...]]  # group, rank and signals of a candida
 
 
 def _vector(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
+    """Return a row whose signals `names` are the fields `fields`, both separated by blanks."""
     return (
         group,
         rank,
@@ -46,21 +47,23 @@ def _vector(group: str, names: str, fields: str, unit: str, rank: int, extra: st
 
 
 def _heading(prefix: str, rank: int, names: str = "x y z w") -> Row:
+    """Return a row with the heading of a quaternion; `names` are its fields x, y, z and w behind `prefix`."""
     fields = tuple(f"{prefix}{axis}" for axis in names.split())
     return "heading", rank, (Taken("psi", fields, "", "yaw", 'angle = "unwrap"'),)
 
 
 def _fix(lat: str, lon: str, unit: str, rank: int) -> Row:
+    """Return a row with the position of a fix from the fields of latitude and longitude."""
     extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
     signals = (Taken("x", (lat, lon), "", "north", extra), Taken("y", (lat, lon), "", "east", extra))
     return "position", rank, signals
 
 
 _Q = "q[1] q[2] q[3] q[0]"  # PX4 writes w first
-PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, missing_is = 0, role = "input"'  # no pulse: it stands
-OUTPUT = f'{PULSES}, hold = "sampled"'  # that an autopilot reports at a rate
+PULSES = 'scale = 0.0025, offset = -3.75, missing = 0, missing_is = 0, role = "input"'  # no pulse: the thruster stops
+OUTPUT = f'{PULSES}, hold = "sampled"'  # an output that an autopilot reports at a fixed rate
 _UNWRAP = 'angle = "unwrap"'
-# Types of messages -> (group, rank, signals). Of ROS the type without its package, of PX4 the topic's name.
+# Types of messages -> (group, rank, signals). For ROS the type without its package, for PX4 the name of the topic.
 KNOWN: dict[str, tuple[Row, ...]] = {
     "NavSatFix": (_fix("latitude", "longitude", "deg", 0),),
     "Imu": (
@@ -129,17 +132,18 @@ KNOWN: dict[str, tuple[Row, ...]] = {
 BODY_FRD = 3  # velocity_frame of PX4's vehicle_odometry; NED is 1
 KNOWN["vehicle_gps_position"] = KNOWN["sensor_gps"]
 CAVEATS = {
-    "actuator_motors": "PX4's motor 1 is taken for the right one, 2 for the left, as on its differential rovers",
-    "actuator_outputs": "output 1 is taken for the right thruster, 2 for the left; 1500 us for rest, 400 us for full",
-    "TransformStamped": "a pose of /tf: who makes it, and how often it is new, the bag does not say",
-    "RCOut": "outputs 1 and 3 are taken for left and right, as ArduPilot has them; 1500 us for rest, 400 us for full",
+    "actuator_motors": "PX4's motors 1 and 2 are assumed to be right and left, as on its differential rovers",
+    "actuator_outputs": "outputs 1 and 2 are assumed to be right and left; 1500 us is rest, 1100 and 1900 us are full",
+    "TransformStamped": "a pose of /tf: the bag does not contain its source and its rate of new values",
+    "RCOut": "outputs 1 and 3 are assumed to be left and right (ArduPilot's default); 1500 us is rest, 1100 and 1900 "
+    "us are full",
 }
 SETPOINT = re.compile(
     r"(?i)setpoint|desired|target|goal|reference|cmd_vel|/cmd/|waypoint|groundtruth|ground_truth|_sp$"
 )
 _EARTH = re.compile(r"(?i)gps|gnss|navsat|fix|velocity_local|vel_ned|vel_enu")
 _EARTH_FRAMES = {"map", "odom", "world", "earth", "utm"}
-# Names of columns, in small letters and without their unit, by what they are.
+# Meaning in a model -> names of columns, in small letters and without their unit
 NAMES: dict[str, str] = {
     "x": "x x0 x_ned pos_x position_x x_pos north pos_n pos_north northing x_n north_m",
     "y": "y y0 y_ned pos_y position_y y_pos east pos_e pos_east easting y_e east_m",
@@ -159,7 +163,7 @@ NAMES: dict[str, str] = {
 _SI_OF = {"m": "x y", "m/s": "u v vx vy speed", "m/s2": "ax ay", "rad": "psi course lat lon", "rad/s": "r"}
 _SI = {meaning: unit for unit, meanings in _SI_OF.items() for meaning in meanings.split()}
 _MEANING = {name: meaning for meaning, names in NAMES.items() for name in names.split()}
-_UNITS = {  # as they are written behind names -> as maps have them
+_UNITS = {  # units as written in names of columns -> units of maps
     "deg": "deg", "°": "deg", "degrees": "deg", "rad": "rad", "deg/s": "deg/s", "dps": "deg/s", "deg_s": "deg/s",
     "rad/s": "rad/s", "rads": "rad/s", "rad_s": "rad/s", "m": "m", "m/s": "m/s", "mps": "m/s", "m_s": "m/s", "kn": "kn",
     "kts": "kn", "knots": "kn", "km/h": "km/h", "m/s2": "m/s2", "m/s^2": "m/s2", "g": "g", "1/s": "rev/s", "hz": "Hz",
@@ -189,40 +193,51 @@ DRIVES |= {"throttle", "esc", "servo", "power", "n", "f", "engine", "shaft", "du
 _NOT_DRIVES = {"angle", "rudder", "azimuth", "pos", "position", "zero", "offset", "current", "voltage", "temperature"}
 _NOT_DRIVES |= {"efficiency"}
 _NOT_DRIVES |= {"effort", "torque", "std", "bias", "status", "min", "max", "temp", "sp", "sat", "sats", "satellites"}
-_LETTERS = {"n", "f"}  # of a thruster only where they stand alone, or beside a side
+_LETTERS = {"n", "f"}  # names of a thruster only if they stand alone or beside a side
 SET_POINTS = {"setpoint", "desired", "target", "goal", "reference", "ref"}
-FEWEST_JUMPS, FEWEST_LEVELS = 3, 10  # between small and wrapped numbers, and different ones of either
-WRAPPED = "numbers up to {:.5g} are taken for negative speeds that were wrapped (65536 - n); mend the telemetry"
+FEWEST_JUMPS = 3  # jumps between small and wrapped numbers at least
+FEWEST_LEVELS = 10  # different small numbers, and different wrapped numbers, at least
+WRAPPED = "numbers up to {:.5g} are assumed to be negative speeds stored as 65536 - n; correct the telemetry"
 _COMMANDS = SET_POINTS | {"cmd", "command", "pwm"}
 _SPEEDS = {"rpm", "speed", "velocity", "shaft"}
 _SPEED_UNITS = {"rev/min", "rev/s", "rad/s", "Hz"}
 _FORCE_UNITS = {"N", "kgf", "lbf"}
-_DRIVE_UNITS = {"", "1", "%", "us"} | _SPEED_UNITS | _FORCE_UNITS  # what has another, a power or a current, drives not
+_DRIVE_UNITS = {"", "1", "%", "us"} | _SPEED_UNITS | _FORCE_UNITS  # a power or a current is not an input
 
 
 class Name(NamedTuple):
-    """A column's name taken apart: what it means in a model ("" unknown), its unit ("" none), its words, and what
-    stands in the place of a unit and is none of what it means."""
+    """Parts of the name of a column."""
 
-    meaning: str
-    unit: str
-    words: frozenset[str]
-    plain: str
-    no_unit: str = ""
+    meaning: str  # a key of NAMES, "" if unknown
+    unit: str  # as in a map, "" if the name has no unit that fits its meaning
+    words: frozenset[str]  # in small letters
+    plain: str  # words joined by _, without the unit
+    no_unit: str = ""  # text in the place of a unit that is not a unit of this meaning
 
 
 def unit_of(text: str) -> str:
-    """The unit that a text stands for, as maps have it; "" if it is not known."""
+    """Return the unit of a text, as maps write it; "" if the unit is unknown."""
     return text if text in UNITS else _UNITS.get(text.lower(), "")
 
 
 def without_unit(column: str) -> str:
-    """The name of a column without what stands behind it in brackets."""
+    """Return the name of a column without the brackets at its end."""
     return _BRACKET.sub("", column).strip()
 
 
 def read_name(column: str) -> Name:
-    """What the name of a column says."""
+    """Split the name of a column into meaning, unit and words.
+
+    Parameters
+    ----------
+    column
+        The name, as "Heading [deg]" or "yaw_rate_dps".
+
+    Returns
+    -------
+    Name
+        The parts of the name.
+    """
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", column)
     bracket = _BRACKET.search(column)
     behind = bracket.group(1).strip() if bracket else ""
@@ -233,16 +248,27 @@ def read_name(column: str) -> Name:
         behind, plain = behind or suffix.group(1), plain[: suffix.start()]
         meaning = _MEANING.get(plain, "")
     unit = unit_of(behind)
-    if unit == "ms" and _SI.get(meaning) == "m/s":  # m/s, in a name that can have no /
+    if unit == "ms" and _SI.get(meaning) == "m/s":  # m/s in a name that cannot contain a slash
         unit = "m/s"
-    if meaning == "speed" and unit in _SPEED_UNITS:  # of a shaft
+    if meaning == "speed" and unit in _SPEED_UNITS:  # a shaft speed, not the speed of the boat
         meaning = ""
     fits = unit and (not meaning or UNITS.get(unit, ("",))[0] == _SI[meaning])
     return Name(meaning, unit if fits else "", words, plain, "" if fits or behind.isdecimal() else behind)
 
 
 def message_candidates(table: Table) -> list[Candidate]:
-    """What a message of a known type holds."""
+    """Return the candidates of a table with messages of a known type.
+
+    Parameters
+    ----------
+    table
+        Rows of one topic; `kind` is the type of its messages.
+
+    Returns
+    -------
+    list of Candidate
+        Candidates whose columns are all in the table and have values; empty for an unknown type.
+    """
     kind = table.kind.rpartition("/")[2]
     if table.kind.startswith("px4_msgs/"):
         kind = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind).lower()
@@ -265,11 +291,12 @@ def message_candidates(table: Table) -> list[Candidate]:
 
 
 def _is_pose(table: Table) -> bool:
-    """Whether a transform places what moves: from a frame of the earth to one that is none."""
+    """Return whether a transform is a pose of a vehicle: from a frame of the earth to a frame that moves."""
     return table.frame_id.strip("/") in _EARTH_FRAMES and table.topic.rpartition(":")[2] not in _EARTH_FRAMES
 
 
 def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
+    """Return the rows of a twist: velocities over ground for a topic or frame of the earth, else in body axes."""
     linear = f"{prefix}linear.x {prefix}linear.y"
     if _EARTH.search(table.topic) or table.frame_id.strip("/") in _EARTH_FRAMES:
         return (_vector("velocity", "vx vy", linear, "m/s", 0),)
@@ -280,10 +307,22 @@ def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
 
 
 def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
-    """Return which numbers (n,) are negative ones that a counter of 16 bits has wrapped; none if that is not clear.
+    """Find negative numbers that were stored as 65536 - n, by a counter of 16 bits without a sign.
 
-    Raw numbers lie below 65536, and scaled ones are far from all others. Both come from a small number, and go back to
-    one, without any between.
+    Parameters
+    ----------
+    values
+        Numbers (n,), raw or scaled.
+
+    Returns
+    -------
+    Array (n,)
+        True for wrapped numbers. All False if the case is not clear.
+
+    Notes
+    -----
+    Wrapped numbers are far from all others. The values jump from small to wrapped numbers and back, without values
+    between them.
     """
     none = np.zeros(len(values), bool)
     if len(values) < 2 or np.min(values) < 0.0 or (top := float(np.max(values))) <= 1.0:
@@ -298,22 +337,37 @@ def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
 
 
 def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
-    """Whether the high numbers (n,) begin at the top, as small negative ones do, and end where the low ones do."""
+    """Return whether the high numbers span at most about three times the range of the low numbers, as negatives do."""
     top = float(np.max(values[high]))
     return top - float(np.min(values[high])) < 3.0 * float(np.max(values[~high])) + 1e-9
 
 
 def quantity(words: frozenset[str]) -> frozenset[str]:
-    """What the words about a thruster say beside its side and number: left and right of one quantity have the same."""
+    """Return the words about a thruster without side and number. They are equal for left and right of one quantity."""
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 
 
 def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken, str] | None:
-    """Which thruster a column of commands or forces belongs to: its group, how it is taken (without its columns), and
-    the caveat about it. None where it is none. `values` are its own and those of the other side, which has the same
-    scale."""
-    said = words & DRIVES
-    if not said or words & _NOT_DRIVES or (said <= _LETTERS and not words & SIDES and quantity(words) - _LETTERS):
+    """Recognise a column of commands, shaft speeds or forces of a thruster.
+
+    Parameters
+    ----------
+    words
+        Words of the names of column and topic.
+    values
+        Numbers of the column and of the column of the other side, which has the same scale.
+    unit
+        Unit of the column as in a map; "" if unknown.
+
+    Returns
+    -------
+    tuple or None
+        Group, signal (without its columns) and caveat; None if the column does not belong to a thruster.
+    """
+    drive_words = words & DRIVES
+    if not drive_words or words & _NOT_DRIVES:
+        return None
+    if drive_words <= _LETTERS and not words & SIDES and quantity(words) - _LETTERS:  # n or f of another quantity
         return None
     good = values[np.isfinite(values)]
     if unit not in _DRIVE_UNITS or not good.size:
@@ -323,29 +377,30 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
     top = float(np.max(np.abs(good[~wraps])))
     forces = words & {"force", "thrust", "f"}
     if unit in _FORCE_UNITS or (not unit and forces and top > 1.0):
-        caveat = "" if unit else f"its numbers, up to {top:.3g}, are taken for newtons"
+        caveat = "" if unit else f"its numbers, up to {top:.3g}, are assumed to be newtons"
         return "force", Taken(f"f{side}" if side else "X", (), unit or "N", "", 'role = "input"'), caveat
     speed = bool(unit in _SPEED_UNITS or words & _SPEEDS)
     role, caveat = 'role = "input"', ""
     if speed and not words & _COMMANDS:
         role += ', hold = "linear"'
-        caveat = 'taken for a measured shaft speed; a command has hold = "zero"'
+        caveat = 'assumed to be a measured shaft speed; if it is a command, give hold = "zero"'
 
     if wraps.any():
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, Taken, str]:
-        return "drive", Taken(f"n{side}", (), unit, "", extra), "; ".join(one for one in (*caveats, caveat) if one)
+        return "drive", Taken(f"n{side}", (), unit, "", extra), "; ".join(part for part in (*caveats, caveat) if part)
 
     if unit == "%":
-        return found("%", role, "" if top > 1.0 else f"its numbers are at most {top:.3g}: percent, or a share of 1?")
+        small = f'its numbers are at most {top:.3g}; if they are fractions, not per cent, give unit = "1"'
+        return found("%", role, "" if top > 1.0 else small)
     if top <= 1.0 and unit in ("", "1"):
-        share = "a thrust within -1..1 is taken for a command; newtons are f_left, f_right with unit N"
-        return found("1", role, share if forces and not unit else "")
+        small = "a thrust within -1..1 is assumed to be a command; a force in newtons is f_left or f_right with unit N"
+        return found("1", role, small if forces and not unit else "")
     pulses = np.min(good[good != 0.0], initial=top) > 700.0 and top < 2300.0 and "rpm" not in words
     if unit == "us" or (not unit and pulses):
-        return found("1", PULSES, "1500 us is taken for rest, 400 us more for full ahead")
+        return found("1", PULSES, "1500 us is assumed to be rest, 1900 us full forward")
     if top <= 100.0 and not unit and not speed:
-        return found("%", role, f"its numbers, up to {top:.3g}, are taken for %")
+        return found("%", role, f"its numbers, up to {top:.3g}, are assumed to be per cent")
     scale = f"scale = {1.0 / top:.9g}, " if top > 0.0 else ""
-    return found("1", scale + role, f"its greatest number, {top:.4g}, is taken for full ahead")
+    return found("1", scale + role, f"its greatest number, {top:.4g}, is assumed to be full forward")

@@ -1,4 +1,4 @@
-"""Times of the rows of a table, from the column that a map names: numbers, dates, times of a day, GPS weeks."""
+"""Times of the rows of a table, from the column that a map names: numbers, dates, times of day, GPS weeks."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from seatrial.daq.protocol import ubx
 
 DAY = 86400.0  # s
 HOUR = 3600.0  # s
-LABVIEW_EPOCH = -2_082_844_800.0  # s since 1970 of 1904-01-01
+LABVIEW_EPOCH = -2_082_844_800.0  # s since 1970; 1904-01-01
 _ZONE = re.compile(r"(Z|[+-]\d\d:?\d\d)$")  # at the end of an ISO time
-_LONG_FRACTION = re.compile(r"([.,]\d{6})\d+")  # %f has six digits
-# Local hours and months in which clocks are set. Nearly all countries do it on the night to a Sunday.
+_LONG_FRACTION = re.compile(r"([.,]\d{6})\d+")  # %f reads at most six digits
+# Hours of the night and months in which daylight saving time begins or ends. Nearly all countries change on a Sunday.
 _LAST_HOUR, _MONTHS, _SUNDAY = 4, (3, 4, 9, 10, 11), 6
 
 
@@ -32,19 +32,19 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
     table
         The rows.
     time
-        Where their times come from. None: the table has times of its own.
+        Source of the times; None if the table has its own times.
     lenient
-        Whether a row without a time gets NaN, and a remark of the table counts it. Otherwise it is an error.
+        Whether a row without a time gets NaN and is counted in a remark of the table. Otherwise it is an error.
 
     Returns
     -------
     Column
-        Time in s of the file's clock, shape (n,).
+        Times [s] of the file's clock, shape (n,).
 
     Raises
     ------
     SeatrialError
-        A cell has no time of this format; with ``lenient``, so many that the log would lack too much.
+        If a cell has no time of this format; with ``lenient``, if too many cells have none.
     """
     if time is not None and time.rate_hz:
         return np.arange(len(table)) / time.rate_hz
@@ -52,20 +52,20 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
         return table.t
     if time is None:
         raise SeatrialError(
-            f"{table.path}: it has no times of its own; give [time] column = ... in the map (or rate_hz = ...)"
+            f"{table.path}: the file has no times of its own; give [time] column = ... in the map (or rate_hz = ...)"
         )
     if not time.is_text:
         raw = table.numbers(time.column)
         t = _of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
         untimed = np.flatnonzero(np.isnan(t))
         if len(untimed) and not _may_lack(untimed, t, lenient):
-            raise table.error(int(untimed[0]), time.column, "no time; take the line out")
+            raise table.error(int(untimed[0]), time.column, "the cell has no time; remove the line")
     else:
         t = _of_text(table, time, lenient)
         untimed = np.flatnonzero(np.isnan(t))
         known = np.isfinite(t)
         if "%" in time.format:
-            t[known] = _behind_midnight(t[known], time.format)
+            t[known] = _continued(t[known], time.format)
     if len(untimed):
         row = int(untimed[0])
         _remark(table, f"{counted(len(untimed), 'row')} without a time left out, the first is row {row + 1}")
@@ -78,7 +78,7 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
 
 
 def _of_numbers(raw: Column, weeks: Column, form: str) -> Column:
-    """Seconds (n,) of numbers; of GPS times with the weeks of their rows."""
+    """Return times (n,) [s] from numbers of a format; `weeks` (n,) are the GPS weeks for GPS times."""
     if form in TIME_UNITS:
         return raw * TIME_UNITS[form]
     if form in DAY_COUNTS:
@@ -89,13 +89,24 @@ def _of_numbers(raw: Column, weeks: Column, form: str) -> Column:
 
 
 def gps_seconds(weeks: Column, seconds: Column) -> Column:
-    """Return UTC [s since 1970] of GPS weeks and the seconds in them, each (n,)."""
+    """Return the UTC of GPS times.
+
+    Parameters
+    ----------
+    weeks, seconds
+        GPS weeks, and seconds [s] in the week, each (n,).
+
+    Returns
+    -------
+    Column
+        UTC [s since 1970], (n,).
+    """
     gps = ubx.GPS_EPOCH + weeks * ubx.WEEK + seconds
     return np.array([ubx.gps_to_utc(t) for t in gps.tolist()])
 
 
 def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
-    """Seconds (n,) of text, NaN where a cell is not of the format."""
+    """Return times (n,) [s] from text, NaN for a cell of another format. Raise SeatrialError if NaN is not allowed."""
     parse = _parser(time)
     text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
     found = np.full(len(text), np.nan)
@@ -111,15 +122,25 @@ def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
     if len(wrong) and not _may_lack(wrong, found, lenient):
         row = int(wrong[0])
         problem = f"'{text[row][:40]}' is not a time of format {time.format}"
-        advice = "; give its pattern (strptime) as format of [time]" if "%" in time.format else ""
+        advice = "; give its strptime pattern as format in [time]" if "%" in time.format else ""
         raise table.error(row, time.column, problem + advice) from first
     return found
 
 
 def dated(table: Table, date: str, time: str) -> list[str]:
-    """Return the texts of a column of dates, a blank, and the texts of a column of times of the day.
+    """Join a column of dates and a column of times of day by a blank.
 
-    A date that is left out is that of the row above.
+    Parameters
+    ----------
+    table
+        The table.
+    date, time
+        Names of the columns. An empty date stands for the date of the row above.
+
+    Returns
+    -------
+    list of str
+        Date and time of each row.
     """
     texts, day = [], ""
     for cell, clock in zip(table.text(date), table.text(time), strict=True):
@@ -129,11 +150,12 @@ def dated(table: Table, date: str, time: str) -> list[str]:
 
 
 def _may_lack(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
-    return lenient and len(untimed) < len(t) and not lacks_too_much(len(untimed), len(t))  # it is another format
+    """Return whether so few rows are without a time that they may be left out; with more, the format is wrong."""
+    return lenient and len(untimed) < len(t) and not lacks_too_much(len(untimed), len(t))
 
 
-def _behind_midnight(t: Column, form: str) -> Column:
-    """Times of a day, or of an hour if the format has no hours, (n,) [s], that go on where the next one begins."""
+def _continued(t: Column, form: str) -> Column:
+    """Return times of day (n,) [s] that continue after midnight; for a format without hours, after the full hour."""
     period = DAY if any(part in form for part in ("%H", "%I", "%c", "%X", "%T", "%s")) else HOUR
     if len(t) and np.all(t < period):
         t[1:] += period * np.cumsum(np.diff(t) < -period / 2)
@@ -141,16 +163,17 @@ def _behind_midnight(t: Column, form: str) -> Column:
 
 
 def _remark(table: Table, text: str) -> None:
+    """Add a remark to a table, once."""
     if text not in table.remark:
         table.remark = "; ".join(part for part in (table.remark, text) if part)
 
 
 def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
-    """Take the change between standard and daylight saving time out of local times t (n,) [s].
+    """Remove the change between standard and daylight saving time from local times t (n,) [s], in place.
 
-    The step is one hour, forward or back, beside the usual step. It ends at a full hour in a night to a Sunday of
-    spring or autumn. The rows behind it are moved, and a remark says so. A step of an hour at another time is the
-    pause of a logger, or a clock that somebody has set: it stays, and a remark says so.
+    The change is a step of one hour, forward or back, added to the usual step. It is at a full hour of a Sunday night
+    in spring or autumn. The rows after it are moved, with a remark. A step of an hour at any other time is a pause of
+    the logger, or a clock that was set. It is kept, with a remark.
     """
     known = np.flatnonzero(np.isfinite(t))
     steps = np.diff(t[known])
@@ -161,7 +184,7 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
         return
     for sign, change in ((-1.0, "ends"), (1.0, "begins")):
         rows = np.flatnonzero(np.abs(steps - usual - sign * HOUR) <= 2.0 * usual)
-        # Two such steps are no change of the season.
+        # More than one such step, or larger steps back, do not come from daylight saving time.
         if len(rows) != 1 or (sign < 0.0 and np.any(steps < -2.0 * usual - HOUR)):
             continue
         before, row = int(known[rows[0]]), int(known[rows[0] + 1])
@@ -169,8 +192,8 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
         if not (is_full_hour and all(_are_clocks_set(t[k] + time.origin) for k in (before, row))):
             _remark(
                 table,
-                f"times step by {sign:+.0f} h at row {row + 1}, when no clock is set to daylight saving time or "
-                "back: they are kept",
+                f"times step by {sign:+.0f} h at row {row + 1}, which is not a change of daylight saving time: the "
+                "times are kept",
             )
             continue
         t[row:] -= sign * HOUR
@@ -178,18 +201,33 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
 
 def _are_clocks_set(t: float) -> bool:
-    """Whether clocks are set at a local time [s since 1970]. The date of a time of the first days is not known."""
+    """Return whether daylight saving time may begin or end at a local time [s since 1970]."""
     moment = datetime(1970, 1, 1) + timedelta(seconds=float(t))
     is_night = moment.hour <= _LAST_HOUR
-    has_date = t > 2 * DAY
+    has_date = t > 2 * DAY  # a smaller time is a time of day without a date
     return is_night and (not has_date or (moment.weekday() == _SUNDAY and moment.month in _MONTHS))
 
 
 def read_date(text: str, pattern: str) -> datetime:
-    """Read a date and time.
+    """Read a date and time by a strptime pattern.
 
-    A fraction of the pattern may be missing, as in a whole second of many loggers. It may have more digits than six, of
-    which the rest is cut off.
+    Parameters
+    ----------
+    text
+        Date and time. The fraction of a second may be missing, as many loggers write whole seconds. Digits after the
+        sixth are cut off.
+    pattern
+        The strptime pattern.
+
+    Returns
+    -------
+    datetime
+        Date and time.
+
+    Raises
+    ------
+    ValueError
+        If the text does not match the pattern.
     """
     try:
         return datetime.strptime(text, pattern)
@@ -203,12 +241,14 @@ def read_date(text: str, pattern: str) -> datetime:
 
 
 def _parser(time: TimeColumn) -> Callable[[str], float]:
+    """Return a function that converts the text of a cell to a time [s]. The function raises ValueError."""
+
     def whole(text: str) -> float:
         if time.format == "s":
             return float(text)
         iso = time.format == "iso"
         moment = datetime.fromisoformat(text) if iso else read_date(text, time.format)
-        if moment.year == 1900 and not iso and "%Y" not in time.format:  # strptime's, where the pattern has none
+        if moment.year == 1900 and not iso and "%Y" not in time.format:  # strptime's default year
             moment = moment.replace(year=1970)
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
@@ -218,7 +258,7 @@ def _parser(time: TimeColumn) -> Callable[[str], float]:
             return whole(text)
         if not (tail.isascii() and tail.isdigit()) or len(tail) > 9:
             raise ValueError(text)
-        # unpadded-ns: a logger wrote seconds, a point, and the nanoseconds as a bare number
+        # unpadded-ns: the logger wrote seconds, a point, and the nanoseconds as a number without leading zeros
         return whole(head) + (int(tail) * 1e-9 if time.fraction == "unpadded-ns" else float(f"0.{tail}"))
 
     return split if time.fraction else whole

@@ -1,4 +1,4 @@
-"""Samples of our own decoders -> tables: autopilots' logs (tlog, BIN) and CAN buses."""
+"""Tables of decoded samples: logs of autopilots (tlog, BIN) and of CAN buses."""
 
 from __future__ import annotations
 
@@ -11,15 +11,27 @@ import numpy as np
 from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.importers.mavlink import mismatches, read_autopilot, vehicle_type
-from seatrial.daq.importers.table import SourceOptions, Table, ran_back
+from seatrial.daq.importers.table import SourceOptions, Table, clock_remark
 from seatrial.daq.samples import MEASURED, Event, Frame, Gnss
 
-FIX_2D = 2
+FIX_2D = 2  # Gnss.fix; the position of a lower kind of fix is invalid
 
 
 def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[Table]:
-    """A table for each kind of sample and node, `ahrs`, `gnss`, `esc_1`, from (device, time, frame); several devices
-    have their names in front."""
+    """Return a table for each kind of sample and node: `ahrs`, `gnss`, `esc_1`.
+
+    Parameters
+    ----------
+    path
+        The source file.
+    rows
+        Device, time [s] and frame of each sample, in the order of the file.
+
+    Returns
+    -------
+    list of Table
+        The tables, in the order of time. If there are several devices, topics begin with the name of the device.
+    """
     found: dict[str, tuple[str, list[float], list[list[float]], list[str]]] = {}
     several = len({device for device, _, _ in rows}) > 1
     for device, t, frame in rows:
@@ -41,22 +53,43 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
         clock, block = np.array(times), np.array(values)
         order = np.argsort(clock, kind="stable")
         columns = {name: block[order, k] for k, name in enumerate(names) if np.isfinite(block[:, k]).any()}
-        tables.append(Table(path, topic, columns, clock[order], kind, clock=ran_back(clock)))
+        tables.append(Table(path, topic, columns, clock[order], kind, clock=clock_remark(clock)))
     return tables
 
 
 def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
-    """The samples of a tlog or a DataFlash log. Raises SeatrialError."""
+    """Read a tlog or a DataFlash log as tables.
+
+    Parameters
+    ----------
+    path
+        The log of an autopilot.
+    options
+        `rig` names and scales the outputs, and `system` selects a MAVLink system.
+
+    Returns
+    -------
+    list of Table
+        One table for each kind of sample and node. The first has the events of the log.
+
+    Raises
+    ------
+    SeatrialError
+        If the log cannot be read or contains no measurements.
+    """
     rig = None if options.rig is None else load_rig(options.rig)
     rows, _, parameters = read_autopilot(path, rig, options.system)
     if not (tables := sample_tables(path, [("", row.t, row.frame) for row in rows])):
-        raise SeatrialError(f"{path}: no attitude, fixes or outputs in it")
+        raise SeatrialError(f"{path}: contains no attitude, fixes or outputs; check the stream rates of the autopilot")
     vehicle, wrong = vehicle_type(path, rows, options.system), mismatches(parameters, rig)
     for table in tables:
         table.vehicle, table.parameters = vehicle, parameters
-        own = f"{table.topic.upper().replace('_', '')}_"  # SERVO1_ of servo_1
-        found = [str(one) for one in wrong if one.name.startswith(own)]
-        remarks = [*([table.remark] if table.remark else []), *(f"not as the rig has it: {one}" for one in found)]
+        prefix = f"{table.topic.upper().replace('_', '')}_"  # SERVO1_ for the topic servo_1
+        found = [str(mismatch) for mismatch in wrong if mismatch.name.startswith(prefix)]
+        remarks = [
+            *([table.remark] if table.remark else []),
+            *(f"differs from the rig: {mismatch}" for mismatch in found),
+        ]
         table.remark = "; ".join(remarks)
     tables[0].events = [(row.t, row.frame.sample) for row in rows if isinstance(row.frame.sample, Event)]
     return tables

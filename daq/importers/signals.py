@@ -1,4 +1,4 @@
-"""Columns of tables -> signals in SI and our axes, by a map: the one place where values are converted."""
+"""Conversion of columns of tables to signals in SI units and NED axes, by a map. No other module converts values."""
 
 from __future__ import annotations
 
@@ -18,73 +18,90 @@ from seatrial.daq.importers.table import Column, Table
 from seatrial.daq.importers.units import UNITS
 from seatrial.daq.log import local_ned, schema
 
-# Of another sign in north, east, down and forward, starboard, down than in east, north, up and forward, left, up
+# Signals whose sign differs between ENU and FLU (east, north, up; forward, left, up) and NED and FRD
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
-COARSE = 0.3  # share of the rows whose time repeats: the stamps are coarser than the rows
+COARSE = 0.3  # share of rows with a repeated time; with more, the stamps are coarser than the rows
 _ATTITUDE = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
 class SignalData:
-    """One signal's samples in SI: t in s since 1970, shape (n,), and values, shape (n,)."""
+    """Samples of one signal in SI units."""
 
     signal: Signal
     unit: str
-    t: Column
-    values: Column
-    has_gaps: bool = False  # whether it is an input that is unknown at times: its sample is NaN there
+    t: Column  # s of the file's clock, or since 1970 after `origin` was added; (n,)
+    values: Column  # (n,)
+    has_gaps: bool = False  # whether it is an input with unknown intervals; a NaN sample begins each
 
 
 @dataclass(frozen=True)
 class Held:
-    """A signal whose values the source holds: of ``n`` samples, ``n_left_out`` repeat the one before."""
+    """Signal whose last value the source repeats until the next measurement."""
 
     name: str
-    n: int
-    n_left_out: int
+    n: int  # samples
+    n_left_out: int  # samples that repeat the previous one
     interval: float  # s from one measurement to the next
 
 
 @dataclass(frozen=True)
 class RowsLeftOut:
-    """Rows of one table that are not in the log because of their times.
-
-    ``why``: ``repeats``, their times repeat; ``back``, times run back (some may repeat); ``stamps``, the source itself
-    found their stamps wrong. ``rate``: rows per second of the whole table [Hz].
-    """
+    """Rows of one table that are not in the log because of their times."""
 
     topic: str
-    n: int
-    n_rows: int
+    n: int  # rows left out
+    n_rows: int  # rows of the table
+    # repeats: times repeat; back: times run back, and some may repeat; stamps: the reader found wrong stamps
     why: str
-    rate: float
+    rate: float  # Hz; rows per second of the whole table
 
     @property
     def text(self) -> str:
-        """What was left out, for people."""
+        """Rows left out and the reason, for the user."""
         place = f"{self.topic}: " if self.topic else ""
-        reason = "whose stamps are wrong" if self.why == "stamps" else "where time repeats or runs back"
-        return f"{place}{counted(self.n, 'row')} left out, {reason} ({self.n_rows} in all)"
+        reason = "because stamps are wrong" if self.why == "stamps" else "because times repeat or run back"
+        return f"{place}{counted(self.n, 'row')} of {self.n_rows} left out, {reason}"
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What one file gave."""
+    """Signals of one source file."""
 
     signals: tuple[SignalData, ...]
-    held: tuple[Held, ...]  # signals of which repeats were left out
-    n_dropped: int  # rows out of order and cells without a number, where the map drops them
-    n_disordered: int  # of these, the rows whose times ran back or repeated
-    left_out: tuple[RowsLeftOut, ...]  # the same by table, with those that the source has left out
+    held: tuple[Held, ...]  # signals whose repeats were left out
+    n_dropped: int  # rows out of order and cells without a number that the map drops
+    n_disordered: int  # rows among them whose times run back or repeat
+    left_out: tuple[RowsLeftOut, ...]  # the same rows by table, and the rows with wrong stamps
 
 
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
-    """The signals of one file by its part of the map. Raises SeatrialError with the place and what to do."""
+    """Return the signals of one source file.
+
+    Parameters
+    ----------
+    tables
+        Tables of the file.
+    source
+        The part of the map for this file.
+
+    Returns
+    -------
+    Signals
+        The signals, and what was left out.
+
+    Raises
+    ------
+    SeatrialError
+        If a column is missing, a cell has no number, or times are out of order, and the map does not allow this. The
+        message names the place and the key of the map that allows it.
+    """
     signals: list[SignalData] = []
     n_dropped = 0
     uses: dict[tuple[int, str, str], _RowUse] = {}
     held: list[Held] = []
-    of_table: dict[tuple[object, ...], list[int]] = {}  # places in `signals` of those that share their rows
+    of_table: dict[tuple[object, ...], list[int]] = {}  # indices in `signals` of the signals with the same rows
+    # Times, rows in order, and rows in order that do not repeat the row before; each (n,)
     clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
     for signal in source.signals:
         table = _table(tables, signal)
@@ -111,19 +128,20 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         if policy == "zero":
             raw = np.where(np.isnan(raw), (0.0 - signal.offset) / signal.scale, raw)
         if policy == "drop" and not ordered.all() and np.isnan(raw).any():
-            # A row of another sensor, with the same time and without a cell of this one, costs it nothing.
+            # A row of another sensor may have the same time and no value of this signal. It must not remove a row with
+            # a value, so the order of times is judged by the rows with values alone.
             known = np.isfinite(raw) & np.isfinite(t)
-            own = np.zeros(len(raw), bool)
-            own[known] = _rising(t[known])
-            new, ordered = new | own if source.options.style.repeats != "drop" else new, ordered | own
-            new, ordered = new & (own | ~known), ordered & (own | ~known)
+            rises = np.zeros(len(raw), bool)
+            rises[known] = _rising(t[known])
+            new, ordered = new | rises if source.options.style.repeats != "drop" else new, ordered | rises
+            new, ordered = new & (rises | ~known), ordered & (rises | ~known)
         uses[clock].add(raw, ordered)
-        kept = ordered if signal.timeout else new  # a command that is repeated stands for longer
+        kept = ordered if signal.timeout else new  # with a timeout, a repeated command holds for longer
         rows = kept & ~(np.isnan(raw) if policy == "drop" else np.zeros(len(raw), bool))
         gaps = np.zeros(len(raw), bool)
         if policy == "drop" and signal.role == "input" and not signal.timeout:
             gaps[kept] = input_gaps(t[kept], raw[kept])
-            rows |= gaps  # as NaN: from there on the input is unknown
+            rows |= gaps  # a NaN sample: the input is unknown from there on
         values = signal.sign * (signal.scale * raw + signal.offset)
         if signal.missing is not None and signal.missing_is is None:
             rows &= raw != signal.missing
@@ -132,7 +150,8 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         n_dropped += int(kept.sum()) - int((rows & ~np.isnan(raw)).sum() if policy == "drop" else rows.sum())
         bad = np.flatnonzero(np.isnan(raw) & kept)
         if policy == "error" and len(bad):
-            raise table.error(int(bad[0]), signal.columns[0], 'no number; nan = "drop" or "keep" would allow that')
+            problem = 'no number in this cell; nan = "drop" in the map leaves such cells out'
+            raise table.error(int(bad[0]), signal.columns[0], problem)
         repeats = signal.repeats or source.options.style.repeats
         holds = signal.hold == "zero" or signal.timeout
         if repeats == "" and not holds and not np.isnan(raw[rows]).any():
@@ -144,32 +163,32 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
         signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any())))
     for places in of_table.values():
-        for k, data, one in _without_held([signals[k] for k in places], places):
+        for k, data, held_signal in _without_held([signals[k] for k in places], places):
             signals[k] = data
-            held.append(one)
-    left_out = {(one.topic, one.why): one for use in uses.values() for one in use.left_out()}
-    n_disordered = sum(one.n for one in left_out.values() if one.why != "stamps")
+            held.append(held_signal)
+    left_out = {(rows_out.topic, rows_out.why): rows_out for use in uses.values() for rows_out in use.left_out()}
+    n_disordered = sum(rows_out.n for rows_out in left_out.values() if rows_out.why != "stamps")
     return Signals(tuple(signals), tuple(held), n_dropped, n_disordered, tuple(left_out.values()))
 
 
 class _RowUse:
-    """Which rows of a table with one clock are in the log, of all its signals."""
+    """Count of the rows of a table that are in the log, over all signals with the same clock."""
 
     def __init__(self, table: Table, t: Column) -> None:
         self._table, self._t = table, t
         self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
-        self._again = np.append(False, np.diff(t) == 0.0)  # rows that say nothing beside the one before
-        self._has_time = np.isfinite(t)  # a remark of the table counts the others
+        self._again = np.append(False, np.diff(t) == 0.0)  # rows that are copies of the row before
+        self._has_time = np.isfinite(t)  # a remark of the table counts the rows without a time
 
     def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
-        """Add the values (n,) of a signal, and which rows of it are in order (n,)."""
+        """Add the values (n,) of a signal, and the flags of its rows in order (n,)."""
         known = np.isfinite(raw)
         self._kept |= ordered & known
         self._valued |= known
         self._again[1:] &= (raw[1:] == raw[:-1]) | ~known[1:]
 
     def left_out(self) -> Iterator[RowsLeftOut]:
-        """What the log lacks because of the times of rows. Rows that are written twice are not lacking."""
+        """Yield the rows that the log lacks because of their times. Copies of other rows do not count."""
         table, t = self._table, self._t[self._has_time]
         if table.n_left_out:
             yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
@@ -179,35 +198,38 @@ class _RowUse:
 
 
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
-    """The signals of one table whose values are held, each with its place, without the repeats."""
+    """Yield for each held signal of one table its place, the signal without repeats, and the count of repeats."""
     t = table[0].t
-    found = held_signals(t, {one.signal.name: one.values for one in table})
-    for k, one in zip(places, table, strict=True):
-        if (held := found.get(one.signal.name)) is None:
+    found = held_signals(t, {data.signal.name: data.values for data in table})
+    for k, data in zip(places, table, strict=True):
+        if (held := found.get(data.signal.name)) is None:
             continue
         interval = held.rows * float(np.median(np.diff(t)))
-        if one.signal.role == "input" and not is_measured(one.values[held.new], interval):
+        if data.signal.role == "input" and not is_measured(data.values[held.new], interval):
             continue
         n_left_out = len(t) - int(held.new.sum())
-        data = replace(one, t=t[held.new], values=one.values[held.new])
-        yield k, data, Held(one.signal.name, len(t), n_left_out, interval)
+        data = replace(data, t=t[held.new], values=data.values[held.new])
+        yield k, data, Held(data.signal.name, len(t), n_left_out, interval)
 
 
 def _table(tables: Sequence[Table], signal: Signal) -> Table:
-    """The table of a signal: the one of its topic, or without a topic the one that has its column."""
+    """Return the table of a signal: the table of its topic, or, for a signal without a topic, the only table.
+
+    If several tables have the topic, the table with the columns of the signal is returned.
+    """
     if len(tables) == 1 and not signal.topic:
         return tables[0]
-    here = [one for one in tables if one.topic == signal.topic]
-    having = [one for one in here if set(signal.columns) <= set(one.names)]
+    of_topic = [table for table in tables if table.topic == signal.topic]
+    having = [table for table in of_topic if set(signal.columns) <= set(table.names)]
     if len(having) == 1:
         return having[0]
-    if here and not having:
-        return here[0]  # it will say which columns there are
+    if of_topic and not having:
+        return of_topic[0]  # reading the missing column raises an error that lists the columns
     if signal.topic or not tables:
-        there = ", ".join(sorted({one.topic for one in tables if one.topic})) or "none"
-        raise SeatrialError(f"{_path(tables)}: no topic {signal.topic}; there is: {there}")
+        topics = ", ".join(sorted({table.topic for table in tables if table.topic})) or "none"
+        raise SeatrialError(f"{_path(tables)}: no topic {signal.topic}; the topics are: {topics}")
     raise SeatrialError(
-        f"{_path(tables)}: signal {signal.name}: has {len(tables)} topics; say which with topic and field"
+        f"{_path(tables)}: signal {signal.name}: the source has {len(tables)} topics; give the signal topic and field"
     )
 
 
@@ -216,7 +238,7 @@ def _path(tables: Sequence[Table]) -> str:
 
 
 def _raw(table: Table, signal: Signal) -> Column:
-    """The values before scale and sign, (n,), in `signal.unit`."""
+    """Return the values of a signal before scale and sign, (n,), in `signal.unit`."""
     if not signal.make:
         return table.numbers(signal.columns[0])
     parts = [table.numbers(c) * UNITS[unit][1] for c, unit in zip(signal.columns, signal.units, strict=True)]
@@ -225,19 +247,19 @@ def _raw(table: Table, signal: Signal) -> Column:
         yaw, pitch, roll = schema.angles(*(np.where(size > 0.0, part, np.nan) for part in parts))
         return {"roll": roll, "pitch": pitch, "yaw": yaw}[signal.make]
     if signal.make in ("velocity_north", "velocity_east"):
-        # A receiver at rest knows no course; its speed of zero is known all the same.
+        # A receiver at rest reports no course, but its velocity is zero.
         course = np.where(parts[0] == 0.0, 0.0, parts[1])
         return parts[0] * (np.cos(course) if signal.make == "velocity_north" else np.sin(course))
     lat, lon = (np.degrees(part) for part in parts)
     known = np.flatnonzero(np.isfinite(lat) & np.isfinite(lon) & ((lat != 0.0) | (lon != 0.0)))
-    found = np.full(len(lat), np.nan)  # 0, 0 is what receivers without a fix write
+    found = np.full(len(lat), np.nan)  # receivers without a fix write 0, 0
     if len(known):
         found[known] = local_ned(lat[known], lon[known])[signal.make == "east"]
     return found
 
 
 def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
-    """A signal of the frame ENU in ours: its name and its values."""
+    """Return a signal and its values (n,) in NED, from the frame of the signal."""
     if signal.frame == "NED":
         return signal, values
     if signal.name == "psi":
@@ -247,6 +269,7 @@ def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
 
 
 def _angle(values: Column, how: str) -> Column:
+    """Return angles (n,) [rad], wrapped, unwrapped or unchanged."""
     if how == "wrap":
         return np.asarray(np.pi - np.mod(np.pi - values, 2.0 * np.pi))  # -pi < angle <= pi
     if how == "unwrap":
@@ -258,16 +281,16 @@ def _angle(values: Column, how: str) -> Column:
 
 
 def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
-    """Rows in which any of the columns, each (n,), differs from the row before, shape (n,)."""
+    """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before."""
     new = np.zeros(len(values[0]), bool)
     new[:1] = True
-    for one in values:
-        new[1:] |= (one[1:] != one[:-1]) & ~(np.isnan(one[1:]) & np.isnan(one[:-1]))
+    for column in values:
+        new[1:] |= (column[1:] != column[:-1]) & ~(np.isnan(column[1:]) & np.isnan(column[:-1]))
     return new
 
 
 def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
-    """The signal with a zero `timeout` seconds after each sample that the next one does not follow sooner."""
+    """Return times and values with a zero `timeout` [s] after each sample that no other sample follows in this time."""
     if not timeout or not len(t):
         return t, values
     last = np.append(np.flatnonzero(np.diff(t) > timeout), len(t) - 1)
@@ -275,34 +298,50 @@ def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
 
 
 def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
-    """The most rows whose times rise; raises where these are not all, unless the others are dropped."""
+    """Return the flags (n,) of the largest set of rows whose times rise.
+
+    Raise SeatrialError if rows are out of order and the map does not drop them.
+    """
     has_time = np.isfinite(t)
     behind = np.flatnonzero(np.diff(t[has_time]) <= 0.0)
     if not len(behind):
         return has_time
     row = int(behind[0]) + 1
     if (source.options.style.time_order or ("error" if table.strict else "drop")) == "error":
-        what = "repeats" if t[row] == t[row - 1] else f"runs back by {t[row - 1] - t[row]:.6g} s"
+        fault = "repeats" if t[row] == t[row - 1] else f"runs back by {t[row - 1] - t[row]:.6g} s"
         column = source.time.column if source.time else "time"
-        advice = 'csv.time_order = "drop" would leave such rows out'
+        advice = 'csv.time_order = "drop" in the map leaves such rows out'
         if np.all(np.diff(t) >= 0.0) and len(behind) > COARSE * len(t):
             advice = f"its stamps are too coarse: {coarse_advice((len(t) - 1) / max(float(np.ptp(t)), 1e-9))}"
-        raise table.error(row, column, f"time {what}; {advice}")
+        raise table.error(row, column, f"time {fault}; {advice}")
     ordered = np.zeros(len(t), bool)
     ordered[has_time] = _rising(t[has_time])
     return ordered
 
 
 def coarse_advice(rate: float) -> str:
-    """What to do about stamps that are coarser than the rows, which come at a rate [Hz]."""
-    return f"time = {{ rate_hz = {rate:.4g} }} of the map gives even times in their place"
+    """Return the advice for stamps that are coarser than the rows.
+
+    Parameters
+    ----------
+    rate
+        Mean rate of the rows [Hz].
+
+    Returns
+    -------
+    str
+        The key of the map that replaces the stamps.
+    """
+    return f"time = {{ rate_hz = {rate:.4g} }} in the map replaces them by even times"
 
 
 def _rising(t: Column) -> NDArray[np.bool_]:
-    """A longest part of t that rises, (n,), of equal times the first: a single time far ahead costs no row but its own
-    (Fredman, Discrete Mathematics 11, 1975)."""
-    ends: list[float] = []  # of rising parts of 1, 2, ... rows the lowest time they can end with, and its row
-    rows: list[int] = []
+    """Return the flags (n,) of a longest rising subsequence of times (n,); of equal times, only the first.
+
+    A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975).
+    """
+    ends: list[float] = []  # lowest last time of a rising subsequence of 1, 2, ... rows
+    rows: list[int] = []  # the row of this time
     before = np.full(len(t), -1)
     for row, time in enumerate(t.tolist()):
         k = bisect_left(ends, time)

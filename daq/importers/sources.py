@@ -1,4 +1,4 @@
-"""A file or folder -> its tables, by what is in it rather than by its name."""
+"""Kinds of sources: a file or folder is recognised by its contents, not by its name, and read as tables."""
 
 from __future__ import annotations
 
@@ -11,20 +11,36 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.importers.table import SourceOptions, Table
 from seatrial.daq.importers.text_table import TextTable, wide_encoding
 
-_HEAD = 65536
-_UNWRITTEN = re.compile(rb"\0{64,}")  # of a card after a power cut, in text too
+_HEAD_BYTES = 65536
+_UNWRITTEN = re.compile(rb"\0{64,}")  # blocks of a card that a power cut left empty, also in text
 LABVIEW, FLYSIGHT = b"LabVIEW Measurement", b"$FLYS"
 
 
 class SourceKind(NamedTuple):
-    """A kind of source: its name in logs and maps, and its reader."""
+    """Kind of source."""
 
-    name: str
-    read: Callable[[Path, SourceOptions], list[Table]]
+    name: str  # in the metadata of logs
+    read: Callable[[Path, SourceOptions], list[Table]]  # reader of its tables
 
 
 def source_kind(path: Path) -> SourceKind:
-    """What kind of source this is. Raises SeatrialError where it cannot be read or is of no known kind."""
+    """Return the kind of a source, recognised by the first bytes of the file.
+
+    Parameters
+    ----------
+    path
+        A file, or the folder of a ROS bag.
+
+    Returns
+    -------
+    SourceKind
+        The kind, with its reader.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or its kind is unknown.
+    """
     if path.is_dir():
         return _bag()
     head = _head(path)
@@ -61,17 +77,18 @@ def source_kind(path: Path) -> SourceKind:
 
         return SourceKind("flysight", read_flysight)
     if head.startswith(b"FMT,"):
-        raise SeatrialError(f"{path}: a DataFlash log as text; import the .BIN of which it was made")
+        raise SeatrialError(f"{path}: is a DataFlash log converted to text; import the original .BIN")
     written = _UNWRITTEN.sub(b"", head)
     if not wide_encoding(head) and (b"\0" in written or len(written) < len(head) / 2):
         raise SeatrialError(
-            f"{path}: of no kind that import knows: text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
+            f"{path}: unknown kind of file; import reads text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
             "MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 text)"
         )
     return SourceKind("csv", _read_text)
 
 
 def _bag() -> SourceKind:
+    """Return the kind of ROS bags."""
     from seatrial.daq.importers.ros import read_bag
 
     return SourceKind("ros", read_bag)
@@ -84,11 +101,27 @@ def _read_text(path: Path, options: SourceOptions) -> list[Table]:
 def _head(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
-            return file.read(_HEAD)
+            return file.read(_HEAD_BYTES)
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def text_head(path: Path) -> bytes:
-    """The beginning of a text file, by which its style is told."""
+    """Return the first bytes of a text file, without blocks that were never written, to recognise its style.
+
+    Parameters
+    ----------
+    path
+        The text file.
+
+    Returns
+    -------
+    bytes
+        The first bytes.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read.
+    """
     return _UNWRITTEN.sub(b"", _head(path))

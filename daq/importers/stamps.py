@@ -1,20 +1,21 @@
-"""Times of messages that have two: the stamp of their source, and when the recorder got them.
+"""Times of messages that have two times: the stamp of their source and the receipt by the recorder.
 
-Theory of operation. The stamp is when a value was measured, and so it is the better time, but it can be wrong: a driver
-that overflows, a simulation that was reset, a message from before the first fix. The receipt is late, and its clock can
-step. The difference of both, receipt minus stamp, shows which one failed:
+Theory of operation. The stamp is the time of the measurement, so it is the better time. But a stamp can be wrong: a
+driver overflows, a simulation is reset, or a message comes before the first fix. The receipt is late, and the clock of
+the recorder can step. The level, receipt minus stamp, shows which of the two clocks failed:
 
-- The stamps of most topics share one clock, the reference. It is the recorder's own clock where that is possible, else
-  that of the topic with most messages, as in a bag of a simulation. Its rate need not be that of the recorder: a
-  simulation at half the real time has stamps that run half as fast.
-- A step of the difference in all topics is of the clock whose own interval is odd across the step.
-- A recorder's clock that was set back writes messages of before and after into the same receipts. In the order of their
-  stamps, which stay regular, the step is plain. What was received in that time without a stamp is left out.
-- A stamp that is far from the reference beside the other stamps of its topic is wrong. It is left out. A message that
-  is merely late keeps its stamp: then the interval of the receipts is odd, and not that of the stamps.
-- A topic whose stamps are of another clock is moved onto the reference by the shortest delay, or by a straight line
-  where the clocks differ in rate.
-- A topic without stamps has the receipt, turned into the reference as the other topics show it.
+- The stamps of most topics share one clock, the reference. The reference is the recorder's own clock if some stamps
+  agree with it. Otherwise it is the clock of the topic with the most messages, as in a bag of a simulation. The
+  reference may have another rate than the recorder: a simulation at half the real time has stamps that run half as
+  fast.
+- If the level of all topics steps, one of the clocks stepped: the clock with an unusual interval at the step.
+- If the clock of the recorder is set back, messages from before and after the change have the same receipts. In the
+  order of their stamps, which stay regular, the step is clear. Messages of this time without a stamp are left out.
+- A stamp is wrong if its level is far from the other levels of its topic. It is left out. A message that is only late
+  keeps its stamp: the interval of its receipts is unusual, but the interval of its stamps is not.
+- A topic with stamps of another clock is moved onto the reference by the shortest delay, or by a straight line if the
+  clocks differ in rate.
+- A topic without stamps gets its receipts, converted to the reference by the level of the other topics.
 """
 
 from __future__ import annotations
@@ -31,38 +32,33 @@ from seatrial.daq.importers.table import Column
 
 Mask = npt.NDArray[np.bool_]
 
-OTHER_CLOCK = 1.0  # s; stamps that are further from the receipt are of another clock
-STEP_S, STEP_RATE = 0.25, 0.5  # s, and per second between two messages: a difference that changes by more has a step
-DRIFT_S = 0.2  # s, over a whole recording: more is a clock of another rate
-SMOOTH = 51  # messages, over which the difference is the median
-LEAST_DIFFERENT = 0.1  # share of a topic's stamps, below which they stand still
-FEWEST_BACK, REGULAR = 3, 0.95  # stamps that run back; share of the intervals of stamps in order that are as usual
-SHARE = 0.2  # of a topic's stamps that can be its usual ones
+OTHER_CLOCK = 1.0  # s; stamps that are farther from the receipt come from another clock
+STEP_S, STEP_RATE = 0.25, 0.5  # s, and s per second between two messages; a larger change of the level is a step
+DRIFT_S = 0.2  # s over a whole recording; a larger drift means a clock of another rate
+SMOOTH = 51  # messages in the running median of the level
+LEAST_DIFFERENT = 0.1  # share of different stamps of a topic; with a smaller share the stamps do not count
+FEWEST_BACK = 3  # stamps that run back, in the order of receipt, if the recorder's clock was set back
+REGULAR = 0.95  # share of usual intervals of the sorted stamps if the recorder's clock was set back
+SHARE = 0.2  # share of a topic's stamps that must agree with a clock
 
 
 class MessageTimes(NamedTuple):
-    """Times of the messages of one topic in the order of receipt, s since 1970, each (n,).
+    """Times of the messages of one topic in the order of receipt."""
 
-    ``stamp``: NaN without a header, 0 where it is empty.
-    """
-
-    receipt: Column
-    stamp: Column
+    receipt: Column  # s since 1970, (n,)
+    stamp: Column  # s since 1970, (n,); NaN for messages without a header, 0 for empty stamps
 
 
 class EstimatedTimes(NamedTuple):
-    """Times of a topic's messages ``t`` (n,) [s], NaN where a message has no time that can be trusted, and a remark.
+    """Estimated times of the messages of one topic."""
 
-    ``mixed``: the receipts are out of order, and the times are not.
-    """
-
-    t: Column
-    remark: str
-    mixed: bool = False
+    t: Column  # s since 1970, (n,); NaN for a message without a reliable time
+    remark: str  # for the user, "" if all is normal
+    mixed: bool = False  # whether the receipts are out of order, but the times are not
 
 
 def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTimes]:
-    """Estimate when the messages of a recording were measured.
+    """Estimate the times at which the messages of a recording were measured.
 
     Parameters
     ----------
@@ -72,20 +68,26 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     Returns
     -------
     dict
-        Times by topic, on one clock.
+        Times by topic, all of one clock.
     """
-    clean = {name: _without_zeros(one) for name, one in topics.items()}
-    stamped = {n: one for n, one in clean.items() if np.isfinite(one.stamp + one.receipt).sum() > 1}
+    clean = {name: _without_zeros(times) for name, times in topics.items()}
+    stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
     if not stamped:
-        return {n: EstimatedTimes(np.where(np.isfinite(o.stamp), o.stamp, o.receipt), "") for n, o in clean.items()}
+        return {
+            n: EstimatedTimes(np.where(np.isfinite(times.stamp), times.stamp, times.receipt), "")
+            for n, times in clean.items()
+        }
     reference = _Reference(stamped)
-    return {name: reference.times(one, name in stamped) for name, one in clean.items()}
+    return {name: reference.times(times, name in stamped) for name, times in clean.items()}
 
 
-def _without_zeros(one: MessageTimes) -> MessageTimes:
-    """Empty stamps and receipts as NaN: a simulation has no time before its first clock. A topic has no stamps at all
-    if they are always empty, or hardly ever change."""
-    receipt, stamp = one.receipt.copy(), one.stamp.copy()
+def _without_zeros(times: MessageTimes) -> MessageTimes:
+    """Return the times with NaN for empty stamps and receipts.
+
+    All stamps become NaN if they are always empty or hardly ever change.
+    """
+    # Messages of a simulation are empty until its first clock message.
+    receipt, stamp = times.receipt.copy(), times.stamp.copy()
     for t in (receipt, stamp):
         if np.any(t > 0.0):
             t[t == 0.0] = np.nan
@@ -95,11 +97,13 @@ def _without_zeros(one: MessageTimes) -> MessageTimes:
     return MessageTimes(receipt, stamp)
 
 
-def _rate(one: MessageTimes) -> float:
-    """Seconds of receipt per second of the stamp's clock: the median over pieces of a tenth, which a step or wrong
-    stamps do not move."""
-    known = np.isfinite(one.receipt + one.stamp)
-    receipt, stamp = one.receipt[known], one.stamp[known]
+def _rate(times: MessageTimes) -> float:
+    """Return the rate of the receipts by the clock of the stamps [s/s]; exactly 1 if their drift is small.
+
+    The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median.
+    """
+    known = np.isfinite(times.receipt + times.stamp)
+    receipt, stamp = times.receipt[known], times.stamp[known]
     apart = max(len(stamp) // 10, 1)
     dt = stamp[apart:] - stamp[:-apart]
     good = np.abs(dt) > 0.0
@@ -111,7 +115,7 @@ def _rate(one: MessageTimes) -> float:
 
 
 def _smoothed(values: Column) -> Column:
-    """The running median over `SMOOTH` values, (n,)."""
+    """Return the running median over `SMOOTH` values, (n,)."""
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:
         return values
@@ -120,23 +124,24 @@ def _smoothed(values: Column) -> Column:
 
 
 class _Reference:
-    """The clock that most stamps share, beside the recorder's."""
+    """The clock that most stamps share, and its level against the clock of the recorder."""
 
     def __init__(self, stamped: Mapping[str, MessageTimes]) -> None:
-        rates = {name: _rate(one) for name, one in stamped.items()}
-        own = [n for n, one in stamped.items() if rates[n] == 1.0 and self._near(one)]
-        self.is_recorder = bool(own)
-        if not own:
+        """Choose the reference among the topics with stamps, and measure its level without wrong stamps."""
+        rates = {name: _rate(times) for name, times in stamped.items()}
+        sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._near(times)]
+        self.is_recorder = bool(sharing)
+        if not sharing:
             first = max(stamped, key=lambda n: len(stamped[n].stamp))
-            own = [n for n in stamped if self._alike(stamped[first], stamped[n], rates[first])]
+            sharing = [n for n in stamped if self._alike(stamped[first], stamped[n], rates[first])]
             self.rate = rates[first]
         else:
             self.rate = 1.0
-        receipt = np.concatenate([stamped[n].receipt for n in own])
-        stamp = np.concatenate([stamped[n].stamp for n in own])
-        topic = np.concatenate([np.full(len(stamped[n].stamp), k) for k, n in enumerate(own)])
+        receipt = np.concatenate([stamped[n].receipt for n in sharing])
+        stamp = np.concatenate([stamped[n].stamp for n in sharing])
+        topic = np.concatenate([np.full(len(stamped[n].stamp), k) for k, n in enumerate(sharing)])
         known = np.isfinite(receipt + stamp)
-        self.set_back = all(_is_set_back(stamped[n]) for n in own)
+        self.set_back = all(_is_set_back(stamped[n]) for n in sharing)
         order = np.flatnonzero(known)[np.argsort((stamp if self.set_back else receipt)[known], kind="stable")]
         receipt, stamp, topic = receipt[order], stamp[order], topic[order]
         level = _smoothed(receipt - self.rate * stamp)
@@ -150,12 +155,12 @@ class _Reference:
             self.shift = float(np.median(self._level[near])) if near.any() else 0.0
             steady = np.ptp(self._level) < STEP_S
             self._level = np.full(len(self._level), self.shift) if steady else self._level
-        else:  # the calendar begins with the recording
+        else:  # shift the stamps so that the recording keeps its date
             delay = receipt - stamp
             self.shift = float(delay[~wrong].min()) if self.rate == 1.0 else float(delay[~wrong][0])
 
     def _set_branches(self, receipt: Column, level: Column) -> None:
-        """Receipts and levels before and after each time that the recorder's clock was set back."""
+        """Store receipts and levels by branches, which begin each time that the recorder's clock was set back."""
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
         near = [k for k, (a, b) in enumerate(pairwise(edges)) if b > a and abs(np.median(level[a:b])) < OTHER_CLOCK]
@@ -164,27 +169,31 @@ class _Reference:
         self.shift = float(np.median(first)) if self.is_recorder else float(first[0])
 
     @staticmethod
-    def _near(one: MessageTimes) -> bool:
-        """Whether a good part of the stamps is of the recorder's clock."""
-        delay = one.receipt - one.stamp
+    def _near(times: MessageTimes) -> bool:
+        """Return whether at least the share `SHARE` of the stamps agrees with the recorder's clock."""
+        delay = times.receipt - times.stamp
         delay = delay[np.isfinite(delay)]
         return bool(np.mean(np.abs(delay) < OTHER_CLOCK) >= SHARE)
 
     @staticmethod
-    def _alike(one: MessageTimes, other: MessageTimes, rate: float) -> bool:
-        levels = [np.nanmedian(o.receipt - rate * o.stamp) for o in (one, other)]
+    def _alike(first: MessageTimes, second: MessageTimes, rate: float) -> bool:
+        """Return whether two topics have about the same level, so that their stamps share a clock."""
+        levels = [np.nanmedian(times.receipt - rate * times.stamp) for times in (first, second)]
         return bool(abs(levels[0] - levels[1]) < OTHER_CLOCK * max(rate, 1.0))
 
     def _stamp_steps(self, receipt: Column, stamp: Column, topic: Column, level: Column) -> Mask:
-        """Messages (n,) on plateaus of the level that begin with a step of the stamps, and have fewer messages than the
-        plateau that is taken for right."""
+        """Return the flags (n,) of messages with wrong stamps, by the plateaus of the level between its steps.
+
+        Steps of the stamps change the offset of their clock. The offset with the most messages is right, and messages
+        with another offset are wrong. Plateaus near the recorder's clock count three times.
+        """
         allowed = STEP_S + STEP_RATE * np.diff(receipt)
         steps = np.flatnonzero(np.abs(np.diff(level)) > allowed) + 1
         if not len(steps):
             return np.zeros(len(level), bool)
         edges = [0, *steps.tolist(), len(level)]
         pieces = list(pairwise(edges))
-        # The offset of the stamps' clock on each plateau, receipt steps left out
+        # Offset of the clock of the stamps on each plateau, without the steps of the receipts
         offsets = [0.0]
         for k in steps.tolist():
             jump = float(level[k] - level[k - 1])
@@ -200,10 +209,10 @@ class _Reference:
         return wrong
 
     def level(self, receipt: Column) -> Column:
-        """Receipt minus `rate` times the stamp, as messages that were received then have it, (n,)."""
+        """Return the level at given receipts (n,): receipt minus `rate` times the stamp, of messages received then."""
         if self.set_back:
             pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
-            edge = max(pause, default=0.0)  # next to the ends of a branch a message may be of either
+            edge = max(pause, default=0.0)  # near its end a message may belong to either branch
             inside = np.stack([(receipt >= own[0] - edge) & (receipt <= own[-1] + edge) for own, _ in self._branches])
             levels = np.stack([np.interp(receipt, *branch) for branch in self._branches])
             nearest = np.stack([np.minimum(abs(receipt - own[0]), abs(receipt - own[-1])) for own, _ in self._branches])
@@ -220,63 +229,78 @@ class _Reference:
         nearest = np.where(receipt - self._receipt[before] < 0.5 * pause, before, after)
         return np.where(steps & np.isfinite(receipt), self._level[nearest], found)
 
-    def times(self, one: MessageTimes, is_stamped: bool) -> EstimatedTimes:
-        """The times of a topic."""
+    def times(self, topic_times: MessageTimes, is_stamped: bool) -> EstimatedTimes:
+        """Return the times of a topic on the reference.
+
+        Parameters
+        ----------
+        topic_times
+            Receipts and stamps of the topic.
+        is_stamped
+            Whether the topic has stamps.
+
+        Returns
+        -------
+        EstimatedTimes
+            The times, with a remark if they differ from the stamps.
+        """
         if not is_stamped:
-            return self._of_receipts(one)
-        if self.set_back and _is_set_back(one):
-            remark = "the recorder's clock was set back; its stamps are in order"
-            return EstimatedTimes(one.stamp + (0.0 if self.is_recorder else self.shift), remark, mixed=True)
-        misfit = one.receipt - self.rate * one.stamp - self.level(one.receipt)
+            return self._of_receipts(topic_times)
+        if self.set_back and _is_set_back(topic_times):
+            remark = "the recorder's clock was set back; the stamps are in order and are used"
+            return EstimatedTimes(topic_times.stamp + (0.0 if self.is_recorder else self.shift), remark, mixed=True)
+        misfit = topic_times.receipt - self.rate * topic_times.stamp - self.level(topic_times.receipt)
         known = np.isfinite(misfit)
         near = np.abs(misfit) < OTHER_CLOCK * max(self.rate, 1.0)
-        rate = _rate(one)
+        rate = _rate(topic_times)
         same = np.sum(near) >= SHARE * max(np.sum(known), 1) and (abs(rate - self.rate) < 0.01 or np.mean(near) > 0.5)
         if not same:
-            return self._of_another_clock(one, rate)
+            return self._of_another_clock(topic_times, rate)
         usual = float(np.median(misfit[near]))
-        wrong = ~known | _wrong_stamps(one, misfit - usual, self.rate)
-        t = np.where(wrong, np.nan, one.stamp + (0.0 if self.is_recorder else self.shift))
-        remarks = [] if self.is_recorder else [self._said()]
-        return EstimatedTimes(t, "; ".join([*remarks, *_said_wrong(one, wrong, misfit - usual)]))
+        wrong = ~known | _wrong_stamps(topic_times, misfit - usual, self.rate)
+        t = np.where(wrong, np.nan, topic_times.stamp + (0.0 if self.is_recorder else self.shift))
+        remarks = [] if self.is_recorder else [self._shift_remark()]
+        return EstimatedTimes(t, "; ".join([*remarks, *_wrong_remarks(topic_times, wrong, misfit - usual)]))
 
-    def _said(self) -> str:
+    def _shift_remark(self) -> str:
+        """Return the remark about a reference that is not the recorder's clock."""
         rate = "" if self.rate == 1.0 else f", at {1.0 / self.rate:.3g} times the rate of the recording"
-        return f"its stamps are of another clock: {self.shift:+.3f} s{rate}"
+        return f"its stamps are of another clock: moved by {self.shift:+.3f} s{rate}"
 
-    def _of_receipts(self, one: MessageTimes) -> EstimatedTimes:
-        level = self.level(one.receipt)
+    def _of_receipts(self, topic_times: MessageTimes) -> EstimatedTimes:
+        """Return the times of a topic without stamps: its receipts, converted to the reference."""
+        level = self.level(topic_times.receipt)
         offset = -self.shift if self.is_recorder else 0.0
-        t = (one.receipt - level - offset) / self.rate + (0.0 if self.is_recorder else self.shift)
+        t = (topic_times.receipt - level - offset) / self.rate + (0.0 if self.is_recorder else self.shift)
         remark, known = "", level[np.isfinite(level)]
         if not self.is_recorder or (len(known) and np.ptp(known) > STEP_S):
-            remark = "without stamps: its times follow the stamps of the other topics"
+            remark = "without stamps: its times are the receipts, corrected by the stamps of the other topics"
         if lost := int(np.sum(~np.isfinite(t))):
             remark = "; ".join(part for part in (remark, f"{counted(lost, 'message')} without a time left out") if part)
         return EstimatedTimes(t, remark)
 
-    def _of_another_clock(self, one: MessageTimes, rate: float) -> EstimatedTimes:
-        """Stamps of another clock than the reference, moved onto it."""
-        on_reference = self._of_receipts(one).t  # of the receipts
-        known = np.isfinite(on_reference + one.stamp)
+    def _of_another_clock(self, topic_times: MessageTimes, rate: float) -> EstimatedTimes:
+        """Return the times of a topic whose stamps are of another clock, moved onto the reference."""
+        on_reference = self._of_receipts(topic_times).t
+        known = np.isfinite(on_reference + topic_times.stamp)
         relative = rate / self.rate
-        if abs(relative - 1.0) * float(np.ptp(one.stamp[known])) < DRIFT_S:
+        if abs(relative - 1.0) * float(np.ptp(topic_times.stamp[known])) < DRIFT_S:
             relative = 1.0
-        misfit = on_reference - relative * one.stamp
+        misfit = on_reference - relative * topic_times.stamp
         usual = float(np.median(misfit[known]))
-        wrong = ~known | _wrong_stamps(one, misfit - usual, rate)
+        wrong = ~known | _wrong_stamps(topic_times, misfit - usual, rate)
         shift = float(np.min(misfit[~wrong])) if np.any(~wrong) else usual
-        remark = f"its stamps are of another clock: {shift:+.3f} s"
+        remark = f"its stamps are of another clock: moved by {shift:+.3f} s"
         if relative != 1.0:
             remark = f"its stamps are of another clock, at {1.0 / relative:.3g} times the rate of the others"
-        t = np.where(wrong, np.nan, relative * one.stamp + shift)
-        return EstimatedTimes(t, "; ".join([remark, *_said_wrong(one, wrong, misfit - usual)]))
+        t = np.where(wrong, np.nan, relative * topic_times.stamp + shift)
+        return EstimatedTimes(t, "; ".join([remark, *_wrong_remarks(topic_times, wrong, misfit - usual)]))
 
 
-def _is_set_back(one: MessageTimes) -> bool:
-    """Whether the receipts of a topic mix messages whose stamps, in their own order, are as regular as ever."""
-    known = np.isfinite(one.receipt + one.stamp)
-    stamp = one.stamp[known]
+def _is_set_back(times: MessageTimes) -> bool:
+    """Return whether the stamps of a topic are out of order by receipt, but regular when sorted."""
+    known = np.isfinite(times.receipt + times.stamp)
+    stamp = times.stamp[known]
     if np.sum(np.diff(stamp) < -STEP_S) < FEWEST_BACK:
         return False
     step = np.diff(np.sort(stamp))
@@ -285,13 +309,15 @@ def _is_set_back(one: MessageTimes) -> bool:
 
 
 def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: float, rate: float) -> bool:
-    """Whether it is the stamps whose interval is odd where the level jumps at message k: most of the topics around it
-    have receipts that go on as before."""
+    """Return whether the stamps, not the receipts, step at message k, where the level jumps.
+
+    Each topic near message k votes for the clock whose interval at the step is more unusual.
+    """
     votes = 0.0
-    for one in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):
-        of_one = np.flatnonzero(topic == one)
-        place = int(np.searchsorted(of_one, k))
-        near = of_one[max(place - SMOOTH, 0) : place + SMOOTH]
+    for index in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):
+        of_topic = np.flatnonzero(topic == index)
+        place = int(np.searchsorted(of_topic, k))
+        near = of_topic[max(place - SMOOTH, 0) : place + SMOOTH]
         if len(near) < 3:
             continue
         of_receipt, of_stamp = np.diff(receipt[near]), rate * np.diff(stamp[near])
@@ -302,25 +328,27 @@ def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: fl
     return votes > 0.0
 
 
-def _wrong_stamps(one: MessageTimes, misfit: Column, rate: float) -> Mask:
-    """Stamps that are far from the usual ones of their topic, (n,): ahead of them, or behind them though the message
-    was not late. ``misfit``: by which the receipt is later than usual [s]."""
+def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
+    """Return the flags (n,) of wrong stamps of a topic; a stamp of a message that is only late is not wrong.
+
+    `misfit` (n,) is the delay of the receipts beyond the usual delay [s].
+    """
     known = np.isfinite(misfit)
-    receipt, stamp, late = one.receipt[known], rate * one.stamp[known], misfit[known]
+    receipt, stamp, late = times.receipt[known], rate * times.stamp[known], misfit[known]
     found = np.zeros(len(misfit), bool)
     if len(receipt) < 3:
         return found
     of_receipt, of_stamp = np.diff(receipt), np.diff(stamp)
     usual = float(np.median(of_receipt))
     off = np.abs(late) > STEP_S + STEP_RATE * usual
-    # Neighbours that are off by as much are of one kind: a stretch begins and ends where that changes.
+    # Neighbours with about the same misfit belong to one segment, which is judged as a whole.
     kind = np.where(off, np.rint(late / STEP_S), 0.0)
     edges = np.flatnonzero(np.diff(kind, prepend=np.nan, append=np.nan) != 0.0)
     wrong = np.zeros(len(receipt), bool)
     for a, b in pairwise(edges.tolist()):
         if not off[a]:
             continue
-        # At its begin, or else at its end, the interval of the clock that failed is odd.
+        # At the begin of the segment, or else at its end, the clock that failed has an unusual interval.
         at = a - 1 if a else b - 1
         if at >= len(of_receipt):
             continue
@@ -332,13 +360,13 @@ def _wrong_stamps(one: MessageTimes, misfit: Column, rate: float) -> Mask:
     return found
 
 
-def _said_wrong(one: MessageTimes, wrong: Mask, misfit: Column) -> list[str]:
-    """What is said of wrong stamps, if there are any."""
+def _wrong_remarks(times: MessageTimes, wrong: Mask, misfit: Column) -> list[str]:
+    """Return the remark about wrong stamps of a topic in a list, which is empty without wrong stamps."""
     if not np.any(wrong):
         return []
-    start = float(np.nanmin(one.receipt)) if np.isfinite(one.receipt).any() else 0.0
-    first = one.receipt[np.argmax(wrong)]
+    start = float(np.nanmin(times.receipt)) if np.isfinite(times.receipt).any() else 0.0
+    first = times.receipt[np.argmax(wrong)]
     since = f", the first at {first - start:.1f} s" if np.isfinite(first) else ""
     off = -misfit[wrong & np.isfinite(misfit)]
     by = f", by {float(np.median(off)):+.2f} s" if len(off) else ", which are empty"
-    return [f"{int(np.sum(wrong))} of {len(wrong)} stamps are wrong{by}{since}: left out"]
+    return [f"{int(np.sum(wrong))} of {len(wrong)} stamps are wrong{by}{since}: messages left out"]

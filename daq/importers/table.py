@@ -1,4 +1,4 @@
-"""What every source of an import yields: a table for each topic, with named columns and the times of its rows."""
+"""Tables of an import: each source is read as one table for each topic, with named columns and times of the rows."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ Column = NDArray[np.float64]
 
 @dataclass
 class Table:
-    """Rows of one topic. A file that is a single table has the topic ""."""
+    """Rows of one topic."""
 
     path: Path
-    topic: str
-    columns: Mapping[str, Column]  # by name, each (n,); NaN where a row has no value
-    t: Column | None = None  # s since 1970 or since the start, (n,), in order; None: the map says where time comes from
-    kind: str = ""  # type of its messages: sensor_msgs/msg/Imu, vehicle_attitude (PX4), Ahrs
-    frame_id: str = ""  # of ROS: the frame that the header names
-    remark: str = ""  # what was odd about it
-    clock: str = ""  # what was odd about its times, which a fit has to know
-    vehicle: int | None = None  # MAV_TYPE, of logs of autopilots that say it
-    parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, where its log has them
-    events: Sequence[tuple[float, Event]] = ()  # of the whole source, s since 1970; its first table has them
-    units: Mapping[str, str] = field(default_factory=dict)  # of columns, where the source says them
-    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of text, by name, which have no numbers
-    seconds: frozenset[str] = frozenset()  # columns that the source calls times or durations: they are in s
-    n_left_out: int = 0  # rows that the source had and the table has not, because their times are wrong
-    strict = False  # text: rows out of order and cells without a number are errors unless the map says otherwise
+    topic: str  # "" for a file that is a single table
+    columns: Mapping[str, Column]  # by name, each (n,); NaN for a row without a value
+    t: Column | None = None  # s since 1970 or since the start, (n,), in order; None: the map names the source of times
+    kind: str = ""  # type of the messages: sensor_msgs/msg/Imu, vehicle_attitude (PX4), Ahrs
+    frame_id: str = ""  # frame in the header of ROS messages
+    remark: str = ""  # unusual things about the rows, for the user
+    clock: str = ""  # unusual things about the times, for the user; also stored in the log, for a fit
+    vehicle: int | None = None  # MAV_TYPE in the log of an autopilot; None: unknown
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of the autopilot, if its log has them
+    events: Sequence[tuple[float, Event]] = ()  # of the whole source, s since 1970; only its first table has them
+    units: Mapping[str, str] = field(default_factory=dict)  # by column, as far as the source has them
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)  # columns of text by name
+    seconds: frozenset[str] = frozenset()  # columns with times or durations in s, by the type in the source
+    n_left_out: int = 0  # rows of the source that are not in the table because their times are wrong
+    strict = False  # for text: rows out of order and cells without a number are errors unless the map allows them
 
     @property
     def names(self) -> Sequence[str]:
@@ -43,8 +43,8 @@ class Table:
         return [*self.columns, *self.texts]
 
     @property
-    def said(self) -> str:
-        """The remarks with its topic."""
+    def full_remark(self) -> str:
+        """Topic and remarks in one line, for the user; "" without remarks."""
         remarks = "; ".join(part for part in (self.remark, self.clock) if part)
         return f"{self.topic}: {remarks}" if self.topic and remarks else remarks
 
@@ -52,26 +52,53 @@ class Table:
         return len(next(iter((*self.columns.values(), *self.texts.values())), ()))
 
     def numbers(self, column: str) -> Column:
-        """A column (n,). Raises SeatrialError where there is no such column, or a cell is no number."""
+        """Return a column of numbers.
+
+        Parameters
+        ----------
+        column
+            Name of the column.
+
+        Returns
+        -------
+        Column
+            The numbers (n,), NaN for a cell without a value.
+
+        Raises
+        ------
+        SeatrialError
+            If the table has no such column, or the column is not numeric.
+        """
         if column in self.texts:
-            raise self.error(0, column, f"{''.join(self.texts[column][:1])[:40]!r} is text, no number")
+            raise self.error(0, column, f"{''.join(self.texts[column][:1])[:40]!r} is text, not a number")
         if column not in self.columns:
-            there = ", ".join(self.names) or "none"
-            raise SeatrialError(f"{self.path}: {self.topic or 'the table'} has no '{column}'; there is: {there}")
+            names = ", ".join(self.names) or "none"
+            raise SeatrialError(f"{self.path}: {self.topic or 'the table'} has no '{column}'; the columns are: {names}")
         return self.columns[column]
 
     def text(self, column: str) -> list[str]:
-        """A column as text, for times that are no numbers."""
+        """Return a column as text, for times that are not numbers."""
         return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
-        """The error of one cell, to be raised."""
+        """Return an error that names the file, topic, column and row of a cell. The caller raises the error."""
         place = f"{self.topic}, '{column}'" if self.topic else f"'{column}'"
         return SeatrialError(f"{self.path}: {place}, row {row + 1}: {problem}")
 
 
-def ran_back(t: Column) -> str:
-    """What is odd about times (n,) [s] in the order of a file: a clock that was set, or two of them; "" nothing."""
+def clock_remark(t: Column) -> str:
+    """Return a remark if times run back in the order of a file: a clock was set, or there are two clocks.
+
+    Parameters
+    ----------
+    t
+        Times (n,) [s] in the order of the file.
+
+    Returns
+    -------
+    str
+        The remark; "" if no time runs back by more than `CLOCK_STEP_S`.
+    """
     back = -np.diff(t)
     far = back > CLOCK_STEP_S
     return f"its times ran back {counted(int(far.sum()), 'time')}, by up to {back.max():.1f} s" if far.any() else ""
@@ -79,25 +106,25 @@ def ran_back(t: Column) -> str:
 
 @dataclass(frozen=True)
 class TextStyle:
-    """How text is cut into cells, and what to do about gaps; the gaps of other sources too."""
+    """Style of a text table, and the handling of missing numbers, times and repeats for all kinds of sources."""
 
     delimiter: str = ","  # one character, or "blank": any number of blanks and tabs
     decimal: str = "."
     encoding: str = "utf-8-sig"
-    skip_rows: int = 0  # lines in front of the header
-    columns: tuple[str, ...] = ()  # names, where the file has no header of its own
-    nan: str = ""  # error (default of text) | drop (default of all others) | keep
-    time_order: str = ""  # likewise error | drop
-    repeats: str = ""  # keep | drop: rows whose signals all repeat the row before; "": values that are held, by signal
+    skip_rows: int = 0  # lines before the header
+    columns: tuple[str, ...] = ()  # names of the columns of a file without a header
+    nan: str = ""  # cell without a number: error (default for text) | drop (default for other sources) | keep
+    time_order: str = ""  # row out of order: error (default for text) | drop (default for other sources)
+    repeats: str = ""  # keep | drop: rows whose signals all repeat the row before; "": drop held values, by signal
 
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """What the map says about reading a source, beside its columns."""
+    """Options of a map for reading a source."""
 
     style: TextStyle = field(default_factory=TextStyle)
-    dbc: Path | None = None  # of a CAN log
+    dbc: Path | None = None  # database of the messages of a CAN log
     protocol: str = ""  # of a CAN log: vesc | dronecan | nmea2000
-    rig: Path | None = None  # names and scales the outputs of an autopilot
-    system: int | None = None  # MAVLink system, where a tlog has several
-    topics: frozenset[str] = frozenset()  # those wanted; none: all
+    rig: Path | None = None  # rig that names and scales the outputs of an autopilot
+    system: int | None = None  # MAVLink system number, for a tlog of several systems
+    topics: frozenset[str] = frozenset()  # topics to read; empty: all

@@ -1,9 +1,9 @@
-"""Text tables: CSV, other delimiters, columns between blanks. Every complaint names file, line and column.
+"""Reader of text tables: CSV, other delimiters, columns between blanks. Errors name file, line and column.
 
-Theory of operation. Loggers write more than rows of numbers: a title, units below the header, comments, the header
-again after a restart, text where a value is missing or out of range, a last line that is cut. A map with
-``nan = "drop"``, as the guess writes it, leaves such lines and cells out, and a remark counts them. Without it they are
-errors, as a table that somebody made by hand should have none.
+Theory of operation. Loggers write more than rows of numbers: a title, units below the header, comments, a second header
+after a restart, text for a missing value, and a last line that is cut off. A map with ``nan = "drop"``, as a guessed
+map has, leaves such lines and cells out, and a remark counts them. Without this key they are errors, because a table
+made by hand should not contain them.
 """
 
 from __future__ import annotations
@@ -26,31 +26,32 @@ from seatrial.daq.importers.table import Column, Table, TextStyle
 _EMPTY = {"", "nan", "na", "null", "none", "n/a", "#n/a", "-", "--", "---", "nil"}
 BLANK = "blank"
 DELIMITERS = (",", ";", "\t", "|", BLANK)
-_COMMENTS = ("#", "%", "//")  # how a line begins that is no row
-MOST_TEXT = 0.5  # share of the filled cells of a column: with more it is a column of text
-MOST_RAGGED = 0.2  # share of the lines with another number of cells: more is another delimiter
-LEAST_NUMERIC = 0.25  # share of the cells of a row that are numbers or times: in less it is no row
-LEAST_OF_USUAL = 0.4  # of the share that the last rows have: a title with some numbers has less
-MOST_LINES = 4  # of a cell of a header in quotes
-LEAST_SAME = 0.8  # share of the rows with as many cells as most: less is no table
+_COMMENTS = ("#", "%", "//")  # begin of a comment line
+MOST_TEXT = 0.5  # share of text in the filled cells of a column; with more it is a column of text
+MOST_RAGGED = 0.2  # share of lines with a wrong number of cells; with more the delimiter is wrong
+LEAST_NUMERIC = 0.25  # share of numbers and times in the cells of a row; with less the line is not a row of data
+LEAST_OF_USUAL = 0.4  # the same, relative to the last rows; a title with some numbers has less
+MOST_LINES = 4  # lines of a header cell in quotes
+LEAST_SAME = 0.8  # share of rows with the usual number of cells; with less the text is not a table
 _THOUSANDS = {".": re.compile(r"[+-]?\d{1,3}(,\d{3})+\.\d*"), ",": re.compile(r"[+-]?\d{1,3}([. ]\d{3})+,\d*")}
 _WHOLE_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _POINT = re.compile(r"[+-]?\d+\.\d+")
-LOOKED_AT = 100  # rows
+LOOKED_AT = 100  # rows; a decimal point is searched in the first rows
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:e[+-]?\d+)?)\s*([^\d\s.,+-]\S*)", re.IGNORECASE)
 _DATE_OR_CLOCK = re.compile(r"(\d{1,4}[-/.:]\w{1,9}[-/.:]\d|\d{1,2}:\d{1,2})[\w :.,+-]{,30}")
-ASCII = 0.8  # of the characters of a table at least
+ASCII = 0.8  # least share of ASCII characters in a table
 
 
 class TextTable(Table):
-    """Cells as text; a column becomes numbers when it is asked for."""
+    """Table of text cells. A column is converted to numbers at its first use."""
 
     strict = True
 
     def __init__(self, path: Path, style: TextStyle) -> None:
+        """Read the cells of a file. Raise SeatrialError if the file cannot be read as a table of this style."""
         super().__init__(path, "", {})
         self._style = style
-        self.lines: list[int] = []  # of each row
+        self.lines: list[int] = []  # number of the line of each row
         self._rows: list[list[str]] = []
         self._numbers: dict[str, Column] = {}
         try:
@@ -62,15 +63,16 @@ class TextTable(Table):
         except UnicodeError as error:
             name = "UTF-8" if style.encoding == "utf-8-sig" else style.encoding
             raise SeatrialError(
-                f"{path}: not {name} text ({getattr(error, 'reason', error)}); "
-                'save it as UTF-8, or say csv.encoding = "latin-1", "utf-16"'
+                f"{path}: is not {name} text ({getattr(error, 'reason', error)}); save it as UTF-8, or give its "
+                'encoding in the map, as csv.encoding = "latin-1" or "utf-16"'
             ) from error
         except csv.Error as error:
-            raise SeatrialError(f"{path}: not a CSV file: {error}") from error
+            raise SeatrialError(f"{path}: is not a CSV file: {error}") from error
         except OSError as error:
             raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
     def _read(self, file: Iterable[str]) -> None:
+        """Read header and rows. Skip comments, repeated headers, units and subheadings."""
         watched = _WatchedLines(file)
         rows = _split(watched, self._style)
         header = list(self._style.columns) or next((cells for _, cells in rows), [])
@@ -78,14 +80,14 @@ class TextTable(Table):
             raise SeatrialError(f"{self.path}: the file is empty")
         first = next(rows, None)
         if first is not None and header[0].strip() in _COMMENTS and len(first[1]) == len(header) - 1:
-            header = header[1:]  # the mark of a comment in front of the names
+            header = header[1:]  # a comment mark in front of the names
         self._header = [name.strip().replace("\r", "").replace("\n", " ") for name in header]
         width = len(header)
         ragged: list[tuple[int, int]] = []  # line and number of cells
         for line, cells in chain([first] if first else [], rows):
             names = [cell.strip().replace("\r", "").replace("\n", " ") for cell in cells]
             if names == self._header or names[1:] == self._header:
-                continue  # the logger was restarted
+                continue  # the header again: the logger was restarted
             if is_comment(cells, width):
                 continue
             if not self.lines and is_units_row(cells):
@@ -96,9 +98,9 @@ class TextTable(Table):
             if not self.lines and self._style.nan and is_subheading(cells):
                 continue
             if len(cells) > width and not any(cell.strip() for cell in cells[width:]):
-                cells = cells[:width]  # separators at the end of the rows, but not of the header
+                cells = cells[:width]  # the rows end with separators, the header does not
             elif len(cells) == width - 1 and not self._header[-1]:
-                cells.append("")  # a separator at the end of the header, but not of the rows
+                cells.append("")  # the header ends with a separator, the rows do not
             if len(cells) != width:
                 ragged.append((line + self._style.skip_rows, len(cells)))
                 continue
@@ -109,24 +111,25 @@ class TextTable(Table):
         if not self.lines:
             raise SeatrialError(f"{self.path}: no rows below the header")
         for name in {name for name in self._header if name and self._header.count(name) > 1}:
-            self._note(f"column '{name}' is in the header {counted(self._header.count(name), 'time')}: {_RENAME}")
+            self._note(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
     def _leave_out(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
-        """Count the lines with another number of cells than the header. Raise where they may be rows."""
+        """Note the lines whose number of cells differs from the header. Raise SeatrialError if they may be rows."""
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
         if self._style.nan != "drop" or n > MOST_RAGGED * (n + len(self.lines)):
             raise SeatrialError(
-                f"{self.path}: line {line}: {counted(n_cells, 'cell')} where the header has {width}; is the delimiter "
-                "right, is the last line whole?"
+                f"{self.path}: line {line}: {counted(n_cells, 'cell')}, but the header has {width}; check the "
+                "delimiter, and whether the last line is cut off"
             )
         if n == 1 and is_cut and (not self.lines or line > self.lines[-1]):
-            self._note(f"line {line}, the last, is not whole and left out")
+            self._note(f"line {line}, the last, is cut off and left out")
         else:
-            what = f"{counted(n_cells, 'cell')} where the header has {width}"
-            self._note(f"{counted(n, 'line')} left out; the first, line {line}, has {what}")
+            fault = f"{counted(n_cells, 'cell')}, but the header has {width}"
+            self._note(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
 
     def _note(self, text: str) -> None:
+        """Add a remark, once."""
         if text not in self.remark:
             self.remark = "; ".join(part for part in (self.remark, text) if part)
 
@@ -139,10 +142,10 @@ class TextTable(Table):
 
     def text(self, column: str) -> list[str]:
         if self._header.count(column) != 1:
-            there = ", ".join(one or "(unnamed)" for one in self._header)
+            names = ", ".join(name or "(unnamed)" for name in self._header)
             if column in self._header:
                 raise SeatrialError(f"{self.path}: column '{column}' appears twice in the header; {_RENAME}")
-            raise SeatrialError(f"{self.path}: column '{column}' is not in the header; there is: {there}")
+            raise SeatrialError(f"{self.path}: column '{column}' is not in the header; the columns are: {names}")
         place = self._header.index(column)
         return [cells[place] for cells in self._rows]
 
@@ -150,27 +153,37 @@ class TextTable(Table):
         return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
 
     def numbers(self, column: str) -> Column:
-        """Return the column as numbers, shape (n,), NaN where a cell is empty.
+        """Return a column as numbers.
+
+        Parameters
+        ----------
+        column
+            Name of the column.
+
+        Returns
+        -------
+        Column
+            The numbers (n,), NaN for an empty cell. With ``nan = "drop"`` or ``"keep"`` also NaN for a cell of text.
 
         Raises
         ------
         SeatrialError
-            A cell is text. With ``nan = "drop"`` or ``"keep"`` it is NaN, and the error is that of a column that has
-            more text than numbers.
+            If a cell is text. With ``nan = "drop"`` or ``"keep"``, only if the column has more text than numbers.
         """
         if column not in self._numbers:
             self._numbers[column] = self._as_numbers(column)
         return self._numbers[column]
 
     def _as_numbers(self, column: str) -> Column:
+        """Convert a column to numbers, as `numbers` describes."""
         cells = self._without_units(column, [cell.strip() for cell in self.text(column)])
         decimal = self._style.decimal
-        # In quotes, or beside numbers with a point, a comma is no decimal mark.
+        # A comma in quotes, or in a table with decimal points, separates thousands.
         has_thousands = decimal == "." and (self._style.delimiter == "," or self._has_points())
         found, wrong = np.full(len(cells), math.nan), list[int]()
         try:
             found[:] = _plain_numbers(cells, decimal)
-        except ValueError:  # a cell with more than digits: each by itself
+        except ValueError:  # some cell is not a plain number: convert each cell separately
             for row, text in enumerate(cells):
                 try:
                     found[row] = to_number(text, decimal, has_thousands)
@@ -190,11 +203,11 @@ class TextTable(Table):
         return found
 
     def _has_points(self) -> bool:
-        """Whether the first rows have numbers with a decimal point."""
+        """Return whether the first rows contain numbers with a decimal point."""
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
-        """The cells without a unit that stands in each of them (1.25 m), which becomes the unit of the column."""
+        """Return the cells without their unit if all have the same unit (1.25 m). Store it as the column's unit."""
         first = _WITH_UNIT.fullmatch(next((text for text in cells if text), ""))
         if first is None or not unit_of(first[2]):
             return cells
@@ -205,11 +218,11 @@ class TextTable(Table):
         return [text.removesuffix(end).rstrip() for text in cells]
 
 
-_RENAME = 'give each its name: csv.skip_rows = 1 more and csv.columns = ["...", ...] of the map'
+_RENAME = 'name the columns in the map: csv.columns = ["...", ...], and csv.skip_rows larger by 1 to skip the header'
 
 
 class _WatchedLines:
-    """Lines of a file; whether the last one has no end."""
+    """Iterator over the lines of a file. `is_cut` is True if the last line has no line end."""
 
     def __init__(self, lines: Iterable[str]) -> None:
         self._lines = lines
@@ -218,12 +231,12 @@ class _WatchedLines:
     def __iter__(self) -> Iterator[str]:
         for line in self._lines:
             self.is_cut = not line.endswith(("\n", "\r"))
-            yield line.replace("\0", "")  # blocks of a card that were never written
+            yield line.replace("\0", "")  # zero bytes come from blocks of a card that were never written
 
 
 def _plain_numbers(cells: Sequence[str], decimal: str) -> list[float]:
-    """The numbers of a column. Raises ValueError where a cell is none, or may be one that no instrument writes."""
-    if any("_" in text for text in cells):
+    """Return the numbers of a column (n,). Raise ValueError if a cell is not a plain number."""
+    if any("_" in text for text in cells):  # Python's float also reads 1_000, which no instrument writes
         raise ValueError("_")
     return list(map(float, cells if decimal == "." else (text.replace(decimal, ".") for text in cells)))
 
@@ -243,19 +256,21 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
     Returns
     -------
     float
-        The number; it may be infinite.
+        The number, which may be infinite.
 
     Raises
     ------
     ValueError
-        It is none.
+        If the text is not a number.
     """
-    if "_" in text:  # Python's float also takes 1_000, which no instrument writes
+    if "_" in text:  # Python's float also reads 1_000, which no instrument writes
         raise ValueError(text)
     try:
         return float(text if decimal == "." else text.replace(decimal, "."))
     except ValueError:
-        text = text.replace("\u2212", "-").replace("\u202f", " ").replace("\u00a0", " ")  # minus; narrow, fixed blank
+        text = (
+            text.replace("\u2212", "-").replace("\u202f", " ").replace("\u00a0", " ")
+        )  # Unicode minus; narrow and fixed blanks
         if _THOUSANDS[decimal].fullmatch(text):
             text = re.sub("[. ]" if decimal == "," else ",", "", text)
         elif has_thousands and _WHOLE_THOUSANDS.fullmatch(text):
@@ -264,7 +279,7 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
 
 
 def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of each line that is not blank."""
+    """Yield number and cells of each line that is not blank."""
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
             if cells := line.split():
@@ -277,24 +292,37 @@ def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[st
 
 
 def is_comment(cells: Sequence[str], width: int) -> bool:
-    """Whether a line is a comment by how it begins. A row may begin so where the mark is a cell (-- for no value)."""
+    """Return whether a line is a comment.
+
+    Parameters
+    ----------
+    cells
+        Cells of the line.
+    width
+        Number of cells of the header.
+
+    Returns
+    -------
+    bool
+        True if the line begins with #, or with another comment mark and has another number of cells than the header.
+    """
     first = cells[0].strip()
     return first.startswith("#") or (first.startswith(_COMMENTS) and len(cells) != width)
 
 
 def is_subheading(cells: Sequence[str]) -> bool:
-    """Whether a row below the header has words and no number: kinds of values, as Smp and Avg of Campbell."""
+    """Return whether a row below the header has words and no digits, as Smp and Avg in files of Campbell loggers."""
     texts = [text for cell in cells if (text := cell.strip())]
     return not any(c.isdigit() for text in texts for c in text) and any(text.lower() not in _EMPTY for text in texts)
 
 
 def bare(cell: str) -> str:
-    """Return the text of a cell of a units row without blanks and brackets."""
+    """Return the text of a cell of a row of units, without blanks and brackets."""
     return cell.strip().strip("()[]{}<>").strip()
 
 
 def is_units_row(cells: list[str]) -> bool:
-    """Whether the cells of a row are the units of the columns: most of them are known, and none is a measured value."""
+    """Return whether a row contains the units of the columns: at least half are known units, and none is a number."""
     texts = [text for cell in cells if (text := bare(cell))]
     known = [text for text in texts if unit_of(text)]
     values = [text for text in texts if text not in known and any(character.isdigit() for character in text)]
@@ -302,7 +330,18 @@ def is_units_row(cells: list[str]) -> bool:
 
 
 def has_decimal_commas(head: bytes) -> bool:
-    """Whether a table has the comma as delimiter and as decimal mark: its rows have more cells than its header."""
+    """Return whether a text has the comma as delimiter and as decimal mark: rows have more cells than the header.
+
+    Parameters
+    ----------
+    head
+        First bytes of the file.
+
+    Returns
+    -------
+    bool
+        True if nearly all rows show this.
+    """
     lines = head.decode("utf-8-sig", "ignore").splitlines()[:-1]
     widths = [line.count(",") + 1 for line in lines if line.strip()]
     if len(widths) < 3 or widths[0] < 2 or any(character in ";\t" for character in lines[0]):
@@ -313,10 +352,21 @@ def has_decimal_commas(head: bytes) -> bool:
 
 
 def wide_encoding(head: bytes) -> str:
-    """The encoding of text of two bytes a character (Excel's "Unicode text") that begins so; "" where it is none."""
+    """Return the encoding of a text with two bytes per character (Excel's "Unicode text").
+
+    Parameters
+    ----------
+    head
+        First bytes of the file.
+
+    Returns
+    -------
+    str
+        The encoding; "" for other texts.
+    """
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
-    first, second = head[::2], head[1::2]  # the bytes of characters that are ASCII, as those of a table nearly all are
+    first, second = head[::2], head[1::2]  # nearly all characters are ASCII, so one of the two bytes is zero
     for name, zeros, letters in (("utf-16-le", second, first), ("utf-16-be", first, second)):
         if zeros and zeros.count(0) > ASCII * len(zeros) and not letters.count(0):
             return name
@@ -324,7 +374,20 @@ def wide_encoding(head: bytes) -> str:
 
 
 def sniff_style(path: Path, head: bytes) -> TextStyle | None:
-    """The style of a text table of which ``head`` is the beginning; None where it looks like none."""
+    """Recognise the style of a text table.
+
+    Parameters
+    ----------
+    path
+        The file.
+    head
+        First bytes of the file.
+
+    Returns
+    -------
+    TextStyle or None
+        The style with the most numbers; None if the text is not a table.
+    """
     encoding = wide_encoding(head) or "utf-8-sig"
     try:
         text = head.decode(encoding)
@@ -342,7 +405,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
 
 
 def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
-    """Lines of rows, of which a cell in quotes may have several lines of the file; and at which line each begins."""
+    """Return the rows, and the line of the file at which each begins. A cell in quotes may have several lines."""
     found: list[str] = []
     places: list[int] = []
     for place, line in enumerate(lines):
@@ -355,13 +418,16 @@ def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
 
 
 def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
-    """The style with its header, and how many numbers these lines have in it, times their share; None: no table."""
+    """Return a score and the style with the place of the header; None if the lines are not a table in this style.
+
+    The score is the sum over the rows of the squared share of numbers times the number of cells.
+    """
     rows = [next((cells for _, cells in _split(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)
     if not widths:
         return None
     width = widths[0][0]
-    # A line of a title that a spreadsheet has filled up with separators has fewer cells with something in them.
+    # A spreadsheet fills up the line of a title with separators; it has fewer filled cells than a row of data.
     last = [cells for cells in rows if len(cells) == width][-20:]
     least = min(_n_filled(cells) for cells in last) / 2
     least_share = max(LEAST_NUMERIC, LEAST_OF_USUAL * float(np.median([_share(cells, style) for cells in last])))
@@ -380,7 +446,7 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
         return None
     shares = [_share(cells, style, with_times=False) for cells in body]
     score = sum(share**2 * len(cells) for share, cells in zip(shares, body, strict=True))
-    open_rows = all(not cells[-1].strip() for cells in body if len(cells) == width)  # end with a separator
+    open_rows = all(not cells[-1].strip() for cells in body if len(cells) == width)  # rows end with a separator
     above = _header_above(rows, first, width, open_rows, style)
     if above is not None:
         return score, TextStyle(style.delimiter, style.decimal, style.encoding, above)
@@ -389,14 +455,16 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
 
 
 def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: bool, style: TextStyle) -> int | None:
-    """The row of the header above the first row of data; None if it has none."""
+    """Return the index of the header above the first row of data; None without a header."""
     above = [k for k in range(first) if rows[k]]
     while above:
         cells, n = rows[above[-1]], len(rows[above[-1]])
         is_named = n == width or (n == width - 1 and open_rows) or (n == width + 1 and not cells[-1].strip())
         is_named |= n == width + 1 and cells[0].strip() in _COMMENTS
         texts = [text for cell in cells if (text := cell.strip())]
-        is_below = len(above) > 1 and (is_units_row(cells) or len(set(texts)) <= len(texts) / 2)  # the header is above
+        is_below = len(above) > 1 and (
+            is_units_row(cells) or len(set(texts)) <= len(texts) / 2
+        )  # units or kinds of values; the header is above them
         if not (is_below or (is_comment(cells, width) and not is_named)):
             return above[-1] if is_named and _share(cells, style) < LEAST_NUMERIC else None
         above.pop()
@@ -404,17 +472,18 @@ def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: 
 
 
 def _n_filled(cells: Sequence[str]) -> int:
+    """Return the number of cells that are not blank."""
     return sum(bool(cell.strip()) for cell in cells)
 
 
 def _share(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
-    """Which part of the cells are numbers, times or empty; 0 where none is a number or a time."""
+    """Return the share of cells that are numbers, times or empty; 0 if no cell is a number or a time."""
     n, empty = 0, 0
     for cell in cells:
         text = cell.strip()
         with_unit = _WITH_UNIT.fullmatch(text)
         if style.decimal == "," and _POINT.fullmatch(text):
-            continue  # speaks for the other mark, though it can be read with this one
+            continue  # a decimal point is evidence for the other mark, although it could separate thousands
         try:
             to_number(with_unit[1] if with_unit and unit_of(with_unit[2]) else text, style.decimal)
             n += 1

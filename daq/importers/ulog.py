@@ -1,4 +1,4 @@
-"""Flight logs of PX4 (.ulg) -> a table for each topic. PX4's axes are ours: forward, starboard, down and north."""
+"""Reader of PX4 logs (.ulg): a table for each topic. PX4 has seatrial's axes: NED and forward, starboard, down."""
 
 from __future__ import annotations
 
@@ -18,17 +18,33 @@ _PYULOG = "PX4 logs need the package pyulog: pip install 'seatrial[ulog]'"
 HEADER = 16  # bytes of the file header
 RECORD = struct.Struct("<HB")  # size of the data, type
 TYPES = frozenset(b"BFIMPQALCDSOR")
-MOST_RECORD = 65538  # bytes of a record
-MOST_COLUMNS = 200_000  # of all topics; PX4 has some thousands
-DEEPEST_FORMAT = 30  # of formats in formats; PX4 has two
+MOST_RECORD = 65538  # bytes of the largest record
+MOST_COLUMNS = 200_000  # columns of all topics; logs of PX4 have some thousands
+DEEPEST_FORMAT = 30  # deepest nesting of formats; PX4 uses two levels
 FIELD = re.compile(r"\s*([^\[\s]+)(?:\[(\d{1,9})\])?")  # type and length of an array
 FIX_2D = 2  # sensor_gps.fix_type
 
 
 def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
-    """Its topics, the second instance of one as TOPIC_1. Raises SeatrialError.
+    """Read the topics of a PX4 log.
 
-    Times are those of the autopilot, moved to UTC by its first fix where there is one, else they begin in 1970.
+    Parameters
+    ----------
+    path
+        The log.
+    options
+        `topics`: the topics to read; all topics if empty.
+
+    Returns
+    -------
+    list of Table
+        One table for each topic; the second instance of a topic is TOPIC_1. Times are in UTC [s since 1970] by the
+        first fix. In a log without a fix they are the time since the start of the autopilot.
+
+    Raises
+    ------
+    SeatrialError
+        If the log cannot be read.
     """
     try:
         from pyulog import ULog
@@ -38,26 +54,30 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         whole = path.read_bytes()
         raw, n_torn = whole_records(whole)
         _require_few_columns(whole if raw is None else raw)
-        with _Bounded(path) if raw is None else io.BytesIO(raw) as file:  # pyulog does not close what it cannot read
+        with (
+            _Bounded(path) if raw is None else io.BytesIO(raw) as file
+        ):  # pyulog does not close a file that it cannot read
             data = ULog(file).data_list
-    except Exception as error:  # pyulog has errors of many kinds for a file that is none, or damaged
+    except Exception as error:  # pyulog raises many kinds of errors for a damaged file or another format
         raise SeatrialError(f"{path}: cannot be read as a PX4 log: {' '.join(str(error).split())}") from error
     remark = f"{counted(n_torn, 'damaged place')}: the records there are left out" if n_torn else ""
     tables = []
-    for one in data:
-        topic = f"{one.name}_{one.multi_id}" if one.multi_id else one.name
+    for dataset in data:
+        topic = f"{dataset.name}_{dataset.multi_id}" if dataset.multi_id else dataset.name
         if options.topics and topic not in options.topics and "gps" not in topic:
             continue
-        if "timestamp" not in one.data:  # damaged: every topic of PX4 has one
+        if "timestamp" not in dataset.data:  # damaged: every topic of PX4 has a timestamp
             continue
-        columns = {name: np.asarray(values, np.float64) for name, values in one.data.items() if name != "timestamp"}
+        columns = {name: np.asarray(values, np.float64) for name, values in dataset.data.items() if name != "timestamp"}
         if "fix_type" in columns:
             for name in {"lat", "lon", "latitude_deg", "longitude_deg"} & set(columns):
                 columns[name] = np.where(columns["fix_type"] < FIX_2D, np.nan, columns[name])
-        remarks = "; ".join(part for part in (stopped_motors(one.name, columns), remark) if part)
-        order = np.argsort(one.data["timestamp"], kind="stable")
-        t = 1e-6 * np.asarray(one.data["timestamp"], np.float64)
-        tables.append(Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], one.name, remark=remarks))
+        remarks = "; ".join(part for part in (stopped_motors(dataset.name, columns), remark) if part)
+        order = np.argsort(dataset.data["timestamp"], kind="stable")
+        t = 1e-6 * np.asarray(dataset.data["timestamp"], np.float64)
+        tables.append(
+            Table(path, topic, {n: c[order] for n, c in columns.items()}, t[order], dataset.name, remark=remarks)
+        )
     offset = _utc_offset(tables)
     vehicle = next((int(t.columns["system_type"][-1]) for t in tables if "system_type" in t.columns), None)
     for table in tables:
@@ -68,16 +88,17 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _require_few_columns(raw: bytes) -> None:
-    """Raise SeatrialError where the formats of a log make more columns than any log has.
+    """Raise SeatrialError if the formats of a log make more than `MOST_COLUMNS` columns.
 
-    A format may contain others, and a subscription makes columns of all that its format contains. Some kilobytes can
-    make columns that take gigabytes and hours.
+    A format may contain other formats, and a subscription makes columns of all nested fields. A damaged or malicious
+    log of some kilobytes could make columns that take gigabytes and hours.
     """
-    formats: dict[str, list[tuple[str, int]]] = {}  # type and number of each field
-    columns: dict[str, float] = {}
+    formats: dict[str, list[tuple[str, int]]] = {}  # type and array length of each field
+    columns: dict[str, float] = {}  # number of columns of each format
     total, place = 0.0, HEADER
 
     def columns_of(name: str, depth: int = 0) -> float:
+        """Return the number of columns of a format; infinite if the format contains itself."""
         if name not in formats:
             return 1.0  # a number
         if depth > DEEPEST_FORMAT:
@@ -97,25 +118,30 @@ def _require_few_columns(raw: bytes) -> None:
         elif kind == ord("A"):
             total += columns_of(data[3:].decode("utf-8", "replace"))
         if total > MOST_COLUMNS:
-            raise SeatrialError(f"its formats make more than {MOST_COLUMNS} columns")
+            raise SeatrialError(f"its formats define more than {MOST_COLUMNS} columns")
         place += RECORD.size + size
 
 
 def whole_records(raw: bytes) -> tuple[bytes | None, int]:
-    """Return the log without its torn records, and the number of damaged places.
+    """Remove torn records from a log.
 
-    A record is whole if another record follows it, or the end of the file. Of a torn record the size is right but the
-    data are in part those of a later place, so that the next header is not where it should be.
+    A record is complete if another record or the end of the file follows it. A torn record has the right size, but a
+    part of its data belongs to a later place, so that no header follows it.
+
+    Parameters
+    ----------
+    raw
+        The bytes of the log.
 
     Returns
     -------
     tuple
-        The bytes, None if nothing has to be taken out; the number of damaged places.
+        The remaining bytes, None if no record is torn; and the number of damaged places.
     """
-    sizes: dict[int, int] = {}  # of the data of each subscription, by its number
+    sizes: dict[int, int] = {}  # bytes of the data of each subscription, by its number
 
     def end_of(place: int) -> int:
-        """The end of a record, -1 if no record can begin here."""
+        """Return the end of a record; -1 if no record can begin here."""
         if place + RECORD.size > len(raw):
             return -1
         size, kind = RECORD.unpack_from(raw, place)
@@ -131,25 +157,25 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
     place, n_torn = HEADER, 0
     while place < len(raw):
         end = end_of(place)
-        # The last record of a log that was cut off has no end; nothing is wrong with the one before it.
+        # In a log that was cut off, the last record has no end. The record before it is still complete.
         cut_off = end > 0 and len(raw) - end < MOST_RECORD and _is_cut(raw, end)
         if end > 0 and (end == len(raw) or end_of(end) > 0 or cut_off):
             if raw[place + 2] == ord("D"):
                 sizes.setdefault(int.from_bytes(raw[place + 3 : place + 5], "little"), end - place - RECORD.size)
             if raw[place + 2] == ord("B") and any(raw[place + 19 : place + 43]):
-                return None, 0  # data are appended at places that count from the beginning of the file
+                return None, 0  # appended data are at offsets from the begin of the file, so no bytes can be removed
             kept.append(raw[place:end])
             place = end
             continue
         place += 1
         while place < len(raw) and not is_chain(place, len(raw), end_of):
             place += 1
-        n_torn += place < len(raw)  # else the log was cut off here
+        n_torn += place < len(raw)  # otherwise the log was cut off here
     return (b"".join(kept), n_torn) if n_torn else (None, 0)
 
 
 def _is_cut(raw: bytes, place: int) -> bool:
-    """Whether the record that begins here goes on behind the end of the file."""
+    """Return whether the record at a place continues beyond the end of the file."""
     if place + RECORD.size > len(raw):
         return True
     size, kind = RECORD.unpack_from(raw, place)
@@ -157,22 +183,23 @@ def _is_cut(raw: bytes, place: int) -> bool:
 
 
 class _Bounded(io.BufferedReader):
-    """A file of which only so much is read: on damage pyulog goes back by a message, and may do so for ever."""
+    """File with a limit on the bytes read. In a damaged file, pyulog may step back by a message again and again."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path))
         self._left = 100 * path.stat().st_size + (16 << 20)
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """As of any file. Raises SeatrialError beyond the bound."""
+        """Read as from any file. Raise SeatrialError beyond the limit."""
         data = super().read(size)
         self._left -= len(data) + 16
         if self._left < 0:
-            raise SeatrialError("too much of it is damaged")
+            raise SeatrialError("too much of the file is damaged")
         return data
 
 
 def _utc_offset(tables: list[Table]) -> float:
+    """Return UTC less the time of the autopilot [s], by the first fix with a UTC; 0 without one."""
     for table in tables:
         utc: Column | None = table.columns.get("time_utc_usec") if "gps" in table.topic else None
         if utc is not None and table.t is not None and (utc > 0).any():

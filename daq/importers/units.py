@@ -1,4 +1,4 @@
-"""The units that imports know, and what they become: SI and radians."""
+"""Units of imported columns, and their conversion to SI units and radians."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LBF = 4.4482216152605  # N
 UNITS: dict[str, tuple[str, float]] = {  # unit of the column -> (unit in the log, factor)
     **{unit: (unit, 1.0) for unit in _SI},
     "deg": ("rad", _RAD),
-    "degE7": ("rad", 1e-7 * _RAD),  # of MAVLink and PX4
+    "degE7": ("rad", 1e-7 * _RAD),  # latitude and longitude of MAVLink and PX4
     "cdeg": ("rad", 1e-2 * _RAD),
     "deg/s": ("rad/s", _RAD),
     "deg/s2": ("rad/s2", _RAD),

@@ -1,4 +1,4 @@
-"""Writing a log of imported data: signals or samples of foreign logs to MCAP; what all importers share."""
+"""Writers of logs of imported data, signals or samples, which all importers share."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from seatrial.daq.samples import Event, Frame, Scalar
 
 
 class SignalRow(NamedTuple):
-    """One sample: its time [s since 1970], its device (or the name of the signal) and itself."""
+    """Sample of a log to be written."""
 
-    t: float
-    device: str
+    t: float  # s since 1970
+    device: str  # or the name of the signal
     frame: Frame
 
 
 class Timed(NamedTuple):
-    """A sample with its times and its estimated time [s since 1970]."""
+    """Sample with its estimated time."""
 
-    frame: Frame
-    t: float
+    frame: Frame  # the sample, with its receipt and device time
+    t: float  # s since 1970, estimated
 
 
 def write_signals(
@@ -45,14 +45,36 @@ def write_signals(
     force: bool = False,
     reads: Sequence[Path] = (),
 ) -> None:
-    """Write one log of signals and events, messages in the order of time, with `note` as its first event; never in the
-    place of what it is made of, `reads`."""
-    times = [one.t for one in signals if len(one.t)]
+    """Write one log of signals and events in the order of time.
+
+    Parameters
+    ----------
+    out
+        The log.
+    signals
+        The signals; times in s since 1970.
+    metadata, attachments
+        Metadata and attachments of the log, by name.
+    note
+        Text of the first event.
+    events
+        Further events, with their times [s since 1970].
+    force
+        Whether an existing log is replaced.
+    reads
+        Source files, which are never replaced.
+
+    Raises
+    ------
+    SeatrialError
+        If no sample is left, a time is not between 1970 and 2038, or the log cannot be written.
+    """
+    times = [data.t for data in signals if len(data.t)]
     if not times:
-        raise SeatrialError(f"{out}: no samples left to write; look at the map's t_from, t_to and nan")
+        raise SeatrialError(f"{out}: no samples left to write; check t_from, t_to and nan in the map")
     if min(t[0] for t in times) < 0.0 or max(t[-1] for t in times) >= 2**31:
-        raise SeatrialError(f"{out}: times must lie between 1970 and 2038; look at the map's time format and origin")
-    t_ns = [np.rint(one.t * NANO).astype(np.int64) for one in signals]
+        raise SeatrialError(f"{out}: times must be between 1970 and 2038; check time format and origin in the map")
+    t_ns = [np.rint(data.t * NANO).astype(np.int64) for data in signals]
     first = min(int(t[0]) for t in t_ns if len(t))
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
@@ -71,16 +93,17 @@ def _write(
     first: int,
     events: Sequence[tuple[float, Event]],
 ) -> None:
+    """Write signals and events in the order of time; `t_ns` are the times of the signals [ns], `first` the earliest."""
     event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
     channels, layouts = [], []
-    for one in signals:
-        signal = one.signal
-        told = {"unit": one.unit, "hold": signal.hold, "role": signal.role}
+    for data in signals:
+        signal = data.signal
+        metadata = {"unit": data.unit, "hold": signal.hold, "role": signal.role}
         topic = schema.topic(Scalar, signal.name)
-        channels.append(writer.channel(topic, schema.TYPES[Scalar], told))
+        channels.append(writer.channel(topic, schema.TYPES[Scalar], metadata))
         layouts.append(cdr_layout(schema.TYPES[Scalar], signal.name.encode()))
-    # What was said before the first sample (its mode) is of its beginning.
+    # Events before the first sample (as the mode of an autopilot) are written at the begin of the log.
     t_event = np.array([max(round(t * NANO), first) for t, _ in events], np.int64)
     times = np.concatenate([*t_ns, t_event])
     which = np.repeat(np.arange(len(signals) + 1), [*(len(t) for t in t_ns), len(t_event)])
@@ -105,16 +128,35 @@ def write_frames(
     force: bool = False,
     reads: Sequence[Path] = (),
 ) -> None:
-    """Write samples in the order of time, with `note` as the first event; `units` are those of the signals, `reads`
-    what they are made of.
+    """Write one log of samples in the order of time.
 
-    Raises SeatrialError where there is nothing to write, and for times that lie not between 1970 and 2038.
+    Parameters
+    ----------
+    out
+        The log.
+    rows
+        The samples.
+    metadata
+        Metadata of the log, by name.
+    note
+        Text of the first event.
+    units
+        Units of the signals among the samples, by name.
+    force
+        Whether an existing log is replaced.
+    reads
+        Source files, which are never replaced.
+
+    Raises
+    ------
+    SeatrialError
+        If there are no samples, a time is not between 1970 and 2038, or the log cannot be written.
     """
     if not rows:
-        raise SeatrialError(f"{out}: there is nothing in it that seatrial can use")
+        raise SeatrialError(f"{out}: the source contains no samples that seatrial can use")
     ordered = sorted(rows, key=lambda row: row.t)
     if ordered[0].t < 0.0 or ordered[-1].t >= 2**31:
-        raise SeatrialError(f"{out}: the times do not lie between 1970 and 2038")
+        raise SeatrialError(f"{out}: the times of the source are not between 1970 and 2038")
     steps = clock_steps((row.device, row.frame, row.t) for row in rows)
     first = round(ordered[0].t * NANO)
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
@@ -131,8 +173,22 @@ def write_frames(
 
 
 def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
-    """A line, also as a warning, for each device whose times [s] run back in the order of the file: a clock that was
-    set, or two of them. In the order of time its samples of before and after are mixed."""
+    """Warn about each device whose times run back in the order of the file, and return the warnings.
+
+    Parameters
+    ----------
+    samples
+        Device, frame and time [s] of each sample, in the order of the file.
+
+    Returns
+    -------
+    list of str
+        One line for each such device.
+
+    Notes
+    -----
+    A clock was set, or there are two clocks. In the order of time, samples from before and after the step are mixed.
+    """
     newest: dict[tuple[object, ...], float] = {}
     steps: dict[str, list[float]] = {}
     for device, frame, t in samples:
@@ -141,8 +197,8 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
             steps.setdefault(device, []).append(newest[key] - t)
         newest[key] = t
     lines = [
-        f"{device}: its times ran back {counted(len(back), 'time')}, by up to {max(back):.1f} s; two clocks, or one "
-        "that was set: where they overlap, two tracks are mixed"
+        f"{device}: its times ran back {counted(len(back), 'time')}, by up to {max(back):.1f} s: a clock was set, or "
+        "there are two clocks; two tracks are mixed where their times overlap"
         for device, back in steps.items()
     ]
     for line in lines:
@@ -151,6 +207,7 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
 
 
 def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:
+    """Write samples in the given order, each to the topics of its kind."""
     channels: dict[str, int] = {}
     for sequence, (t, device, frame) in enumerate(rows, start=1):
         t_ns = round(t * NANO)
@@ -166,22 +223,49 @@ def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[s
 
 @contextlib.contextmanager
 def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
-    """A path to write to; it becomes `out` when the block ends well, and nothing stays behind when not.
+    """Yield a temporary path to write to. The file becomes `out` if the block succeeds, and is removed if not.
 
-    What the block `reads`, files and folders, stays as it is even with `force`: a recording cannot be made again. A map
-    that lies in a bag's folder is none of it.
+    Parameters
+    ----------
+    out
+        The file to write.
+    force
+        Whether an existing file is replaced.
+    reads
+        Source files and folders, which are never replaced, even with `force`: a recording cannot be made again.
+
+    Yields
+    ------
+    Path
+        The temporary path.
+
+    Raises
+    ------
+    SeatrialError
+        If `out` is one of `reads`, or exists and `force` is not set.
     """
     for path in reads if out.exists() else ():
-        inside = path.resolve() in out.resolve().parents and out.suffix != ".toml"
+        inside = path.resolve() in out.resolve().parents and out.suffix != ".toml"  # a map may be in a bag's folder
         if (path.exists() and out.samefile(path)) or inside:
-            raise SeatrialError(f"{out}: is what is read here, and is never replaced; -o names another file")
+            raise SeatrialError(f"{out}: is the source of this import and is never replaced; give another file by -o")
     with new_file(out, force) as part:
         yield part
     discard_note(out)
 
 
 def sha256_of(path: Path) -> str:
-    """The digest of a file, or of the files of a folder in the order of their names."""
+    """Return the SHA-256 of a file, or of the files of a folder in the order of their names.
+
+    Parameters
+    ----------
+    path
+        The file or folder.
+
+    Returns
+    -------
+    str
+        The digest in hexadecimal digits.
+    """
     digest = hashlib.sha256()
     for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
         if file.is_file():

@@ -54,11 +54,13 @@ def test_rows_to_skip_end_with_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["rot13", "hex", "base64", "undefined", "nothing"])
 def test_an_encoding_is_one_of_text(tmp_path: Path, name: str) -> None:
     csv_map, files = write(tmp_path, csv=f'encoding = "{name}"')
-    with pytest.raises(SeatrialError, match=f"'{name}' is no encoding"):
+    with pytest.raises(SeatrialError, match=f"'{name}' is not a text encoding"):
         import_files(csv_map, files)
 
 
-@pytest.mark.parametrize(("pattern", "why"), [("%Y %Y", "has a field twice"), ("%Y %Q", "is no pattern of strptime")])
+@pytest.mark.parametrize(
+    ("pattern", "why"), [("%Y %Y", "contains a field twice"), ("%Y %Q", "is not a strptime pattern")]
+)
 def test_a_pattern_of_times_is_one(tmp_path: Path, pattern: str, why: str) -> None:
     csv_map, files = write(tmp_path, time=f'format = "{pattern}"')
     with pytest.raises(SeatrialError, match=rf"format: '{pattern}' {why}"):

@@ -283,11 +283,11 @@ def test_kingfisher(tmp_path: Path, form: str) -> None:
 # Logs of other people
 
 NO_FIT = {
-    "px4_sample_small.ulg": "of no boat (MAV_TYPE 22)",
-    "px4_tagged.ulg": "of no boat (MAV_TYPE 2)",
+    "px4_sample_small.ulg": "not a boat (MAV_TYPE 22)",
+    "px4_tagged.ulg": "not a boat (MAV_TYPE 2)",
     "roboboat_gps_and_imu_inputs.bag": "no commands, shaft speeds or forces of thrusters",
     "roboboat_nathan01_merged.bag": "no position, velocity, heading or yaw rate",
-    "vtol.tlog": "of no boat (MAV_TYPE 1)",
+    "vtol.tlog": "not a boat (MAV_TYPE 1)",
 }
 
 

@@ -166,7 +166,7 @@ def test_frames_behind_midnight(tmp_path: Path) -> None:
 def test_a_log_without_times_is_refused_with_what_to_do(tmp_path: Path) -> None:
     """As candump writes it without an option."""
     path = write(tmp_path, lines_of_frames(lambda k, i, d: f"  can0  {i}   [8]  {spaced(d)}"))
-    with pytest.raises(SeatrialError, match=r"its frames have no times; record with times: candump -ta can0"):
+    with pytest.raises(SeatrialError, match=r"its frames have no times; record again with times: candump -ta can0"):
         guess_map(path)
 
 
@@ -174,7 +174,7 @@ def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
     lines = DIALECTS["candump -ta"][0].copy()
     lines[7] = lines[7][:40]  # data is missing
     lines[9] = " (1715504401.000000)  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME"
-    with pytest.warns(SeatrialWarning, match="1 line left out that are no frames, the first is line 8"):
+    with pytest.warns(SeatrialWarning, match="1 line left out, not CAN frames; the first is line 8"):
         frames = read_frames(write(tmp_path, lines))
     assert len(frames) == N - 2
 

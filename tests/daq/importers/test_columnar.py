@@ -75,7 +75,7 @@ def test_structs_and_matrices(save: Any, tmp_path: Path) -> None:
 
 def test_matlab_files_that_hold_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     savemat(tmp_path / "a.mat", {"name": "boat"})
-    with pytest.raises(SeatrialError, match=r"a\.mat: holds no vectors of numbers; objects \(timetable"):
+    with pytest.raises(SeatrialError, match=r"a\.mat: contains no vectors of numbers; objects \(timetable"):
         read_matlab(tmp_path / "a.mat", SourceOptions())
     (tmp_path / "b.mat").write_bytes(b"MATLAB 5.0 MAT-file, and no more")
     with pytest.raises(SeatrialError, match=r"b\.mat: cannot be read as a MATLAB file"):
@@ -111,7 +111,7 @@ def test_parquet_with_times_of_its_own(tmp_path: Path) -> None:
     (found,) = read_parquet(tmp_path / "run.parquet", SourceOptions())
     assert list(found.names) == ["time", "heading", "who"]
     assert found.text("who") == ["a"] * 20
-    with pytest.raises(SeatrialError, match="'who', row 1: 'a' is text, no number"):
+    with pytest.raises(SeatrialError, match="'who', row 1: 'a' is text, not a number"):
         found.numbers("who")
     guess = guess_map(tmp_path / "run.parquet")
     (tmp_path / "map.toml").write_text(guess.text)
@@ -153,5 +153,5 @@ def test_types_of_parquet(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.columns["clock"], [*(1.0 * n[:-1]), np.nan])
     np.testing.assert_array_equal(table.columns["volts"], n / 4)
     np.testing.assert_allclose(table.columns["stamp"], [*(1.7e9 + 0.1 * n[:-1]), np.nan])
-    assert table.remark.startswith("of a type that is not read: list (list<")
-    assert "# caveat: of a type that is not read: list" in guess_map(path).text
+    assert table.remark.startswith("left out, of a type that cannot be read: list (list<")
+    assert "# caveat: left out, of a type that cannot be read: list" in guess_map(path).text

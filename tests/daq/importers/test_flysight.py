@@ -62,7 +62,7 @@ def test_sensors_get_the_time_of_gps(tmp_path: Path) -> None:
     guess = guess_map(source)
     assert '{ name = "r", topic = "IMU", field = "wz", unit = "deg/s" }' in guess.text
     (tmp_path / "map.toml").write_text(guess.text)
-    with pytest.warns(SeatrialWarning, match="IMU: 1 row without a time or not whole left out"):
+    with pytest.warns(SeatrialWarning, match="IMU: 1 row left out, incomplete or without a time"):
         (path,) = import_files(tmp_path / "map.toml", [source], out=tmp_path / "s.mcap")
     with open_log(path) as log:
         r = log.table(Scalar, "r")
@@ -84,7 +84,7 @@ def test_sensors_among_fixes_get_their_time(late: int, tmp_path: Path) -> None:
     (tmp_path / "ALL.CSV").write_text("\n".join(lines) + "\n")
     guess = guess_map(tmp_path / "ALL.CSV")
     (tmp_path / "map.toml").write_text(guess.text)
-    with pytest.warns(SeatrialWarning, match="IMU: its times are moved to UTC by the fixes among its rows"):
+    with pytest.warns(SeatrialWarning, match="IMU: times are converted to UTC by the fixes between the rows"):
         (path,) = import_files(tmp_path / "map.toml", [tmp_path / "ALL.CSV"], out=tmp_path / "a.mcap")
     with open_log(path) as log:
         r = log.table(Scalar, "r")

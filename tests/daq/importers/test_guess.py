@@ -71,7 +71,7 @@ def test_a_text_that_is_no_table(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="no table of numbers found in this text"):
         guess_map(tmp_path / "x.csv")
     (tmp_path / "x.bin").write_bytes(bytes(100))
-    with pytest.raises(SeatrialError, match="of no kind that import knows"):
+    with pytest.raises(SeatrialError, match="unknown kind of file; import reads"):
         guess_map(tmp_path / "x.bin")
 
 
@@ -95,7 +95,7 @@ def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
     assert guessed(path)["psi"]["unit"] == "deg"
     np.testing.assert_allclose(values(tmp_path / "run.mcap", "psi")[1], np.radians(10.0 + np.arange(N)))
     path.write_bytes(text.encode())
-    said = r"run\.txt: not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
+    said = r"run\.txt: is not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
     with pytest.raises(SeatrialError, match=said) as caught:
         import_files(tmp_path / "run.map.toml", [path], out=tmp_path / "again.mcap")
     assert "\n" not in str(caught.value)
@@ -149,8 +149,8 @@ def test_a_unit_that_is_none_is_a_caveat(tmp_path: Path) -> None:
     found = guessed(path)
     assert [found[name]["unit"] for name in ("x", "y", "psi")] == ["m", "cm", "deg"]
     text = guess_map(path).text
-    assert "  # caveat: 'fathom' behind 'x [fathom]' is not taken for a unit\n" in text
-    assert "  # caveat: 'm' behind 'heading [m]' is not taken for a unit\n" in text
+    assert "  # caveat: 'fathom' in 'x [fathom]' is not a unit of this signal and is ignored\n" in text
+    assert "  # caveat: 'm' in 'heading [m]' is not a unit of this signal and is ignored\n" in text
 
 
 def thrusters(guess: Guess) -> dict[str, tuple[str, str, str]]:
@@ -170,11 +170,15 @@ def columns(*names: str, top: float = 40.0) -> Table:
 @pytest.mark.parametrize(
     ("names", "found", "caveat"),
     [
-        (("X", "Y"), {"x": ("X", "m", "linear"), "y": ("Y", "m", "linear")}, "X is taken for a position"),
+        (("X", "Y"), {"x": ("X", "m", "linear"), "y": ("Y", "m", "linear")}, "X is assumed to be a position"),
         (("N", "E"), {"x": ("N", "m", "linear"), "y": ("E", "m", "linear")}, ""),
         (("X [m]", "Y [m]"), {"x": ("X [m]", "m", "linear"), "y": ("Y [m]", "m", "linear")}, ""),
-        (("X", "N"), {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")}, "X is taken for the force ahead in N"),
-        (("X", "Y", "N"), {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")}, "N is taken for the moment in Nm"),
+        (("X", "N"), {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")}, "X is assumed to be the surge force in N"),
+        (
+            ("X", "Y", "N"),
+            {"X": ("X", "N", "zero"), "N": ("N", "Nm", "zero")},
+            "N is assumed to be the yaw moment in Nm",
+        ),
         (("X [kgf]", "N [Nm]"), {"X": ("X [kgf]", "kgf", "zero"), "N": ("N [Nm]", "Nm", "zero")}, ""),
     ],
 )
@@ -190,15 +194,18 @@ def test_capitals_are_forces_or_a_position(
     ("name", "top", "found", "caveat"),
     [
         ("thrust_left [%]", 40.0, ("n_left", "%", "zero"), ""),
-        ("thrust_left [%]", 0.9, ("n_left", "%", "zero"), "its numbers are at most 0.9: percent, or a share of 1?"),
+        ("thrust_left [%]", 0.9, ("n_left", "%", "zero"),
+         'its numbers are at most 0.9; if they are fractions, not per cent, give unit = "1"'),
         ("thrust_left [N]", 40.0, ("f_left", "N", "zero"), ""),
-        ("thrust_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are taken for newtons"),
-        ("f_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are taken for newtons"),
-        ("thrust_left [us]", 1900.0, ("n_left", "1", "zero"), "1500 us is taken for rest"),
-        ("thrust_left [rpm]", 900.0, ("n_left", "1", "linear"), "its greatest number, 900, is taken for full ahead; "
-         'taken for a measured shaft speed; a command has hold = "zero"'),
-        ("rpm_left", 900.0, ("n_left", "1", "linear"), "its greatest number, 900, is taken for full ahead; taken"),
-        ("rpm_cmd_left", 900.0, ("n_left", "1", "zero"), "its greatest number, 900, is taken for full ahead\n"),
+        ("thrust_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are assumed to be newtons"),
+        ("f_left", 40.0, ("f_left", "N", "zero"), "its numbers, up to 40, are assumed to be newtons"),
+        ("thrust_left [us]", 1900.0, ("n_left", "1", "zero"), "1500 us is assumed to be rest"),
+        ("thrust_left [rpm]", 900.0, ("n_left", "1", "linear"),
+         "its greatest number, 900, is assumed to be full forward; "
+         'assumed to be a measured shaft speed; if it is a command, give hold = "zero"'),
+        ("rpm_left", 900.0, ("n_left", "1", "linear"),
+         "its greatest number, 900, is assumed to be full forward; assumed to be a measured"),
+        ("rpm_cmd_left", 900.0, ("n_left", "1", "zero"), "its greatest number, 900, is assumed to be full forward\n"),
         ("cmd_left", 0.9, ("n_left", "1", "zero"), ""),
         ("n_left", 0.9, ("n_left", "1", "zero"), ""),
         ("n", 0.9, ("n", "1", "zero"), ""),
@@ -272,23 +279,23 @@ def test_controllers_have_one_scale() -> None:
         ("time", TIME, "s", ""),
         ("time", 1.7e9 + np.arange(N), "s", ""),
         ("time", 1.7e9 + 1.0 * np.arange(N), "s", ""),
-        ("time", 1.5e9 + 20.0 * np.arange(N), "s", "since a start it may be"),
+        ("time", 1.5e9 + 20.0 * np.arange(N), "s", "a time since the start may be in"),
         ("time", 1.7e12 + 100.0 * np.arange(N), "ms", ""),
         ("time", 1.7e15 + 1e5 * np.arange(N), "us", ""),
         ("time", 1.7e18 + 1e8 * np.arange(N), "ns", ""),
-        ("time", 1.5e9 + 2e4 * np.arange(N), "us", "steps of 2e+04 are taken for microseconds"),  # since its start
-        ("time", 1.5e12 + 2e7 * np.arange(N), "ns", "steps of 2e+07 are taken for nanoseconds"),
+        ("time", 1.5e9 + 2e4 * np.arange(N), "us", "steps of 2e+04 are assumed to be microseconds"),  # since its start
+        ("time", 1.5e12 + 2e7 * np.arange(N), "ns", "steps of 2e+07 are assumed to be nanoseconds"),
         ("time", 739_000.5 + TIME / 86400.0, "datenum", ""),
-        ("time", 1.0 * np.arange(N), "s", "steps of 1 are taken for seconds"),
-        ("time", 1e-4 * np.arange(N), "s", "steps of 0.0001 are taken for seconds"),
-        ("time [week]", TIME, "s", "'week' behind 'time [week]' is not taken for a unit of time"),
+        ("time", 1.0 * np.arange(N), "s", "steps of 1 are assumed to be seconds"),
+        ("time", 1e-4 * np.arange(N), "s", "steps of 0.0001 are assumed to be seconds"),
+        ("time [week]", TIME, "s", "'week' in 'time [week]' is not a unit of time"),
         ("time [min]", TIME / 60.0, "min", ""),
         ("time [sec]", TIME, "s", ""),
         ("time (UTC)", TIME, "s", ""),
         ("t [µs]", 1e5 * TIME, "us", ""),
-        ("utc", 120000.0 + TIME, "s", "of a time of day, hhmmss, it is"),
-        ("utc", np.append(55.0 + np.arange(5), 100.0 + np.arange(10)), "s", "of a time of day, hhmmss, it is"),
-        ("t", 12000.0 + 5.0 * TIME, "s", "of a time of day, hhmmss, it is"),
+        ("utc", 120000.0 + TIME, "s", "a time of day, hhmmss, has"),
+        ("utc", np.append(55.0 + np.arange(5), 100.0 + np.arange(10)), "s", "a time of day, hhmmss, has"),
+        ("t", 12000.0 + 5.0 * TIME, "s", "a time of day, hhmmss, has"),
         ("t", 12050.0 + 5.0 * TIME, "s", ""),  # no minute has more than 59 seconds
     ],
 )  # fmt: skip
@@ -317,7 +324,7 @@ def test_each_table_has_its_own_clock(tmp_path: Path) -> None:
     text = guess_map(path).text
     assert tomllib.loads(text)["time"] == {"column": "t", "format": "s"}
     assert (found["psi"]["time"], found["psi"]["time_format"]) == ("t", "ms")
-    assert "# caveat: imu, 't': steps of 50 are taken for milliseconds" in text
+    assert "# caveat: imu, 't': steps of 50 are assumed to be milliseconds" in text
     assert "r" not in found  # it has no times
     assert '# { name = "r", column = "yaw_rate"' in text
     log = tmp_path / "run.mcap"
@@ -328,7 +335,7 @@ def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("time,yaw_deg\n" + "".join(f"12:00:{k:02d},{90 + k}\n" for k in range(N)))
     assert "psi" in guessed(path)
-    assert "# caveat: times of a day: say which, origin =" in guess_map(path).text
+    assert "# caveat: times of day without a date: give the date, origin =" in guess_map(path).text
     assert values(tmp_path / "run.mcap", "psi")[0] == [43200.0 + k for k in range(N)]
 
 
@@ -337,11 +344,11 @@ def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
     [
         (np.mod(300.0 + 10.0 * np.arange(N), 360.0), "deg", ""),  # it jumps
         (200.0 + TIME, "deg", ""),  # it begins beyond a turn
-        (0.5 * np.arange(N), "deg", "an angle of up to 14.5, without a jump by a turn, is taken for degrees"),
+        (0.5 * np.arange(N), "deg", "an angle of up to 14.5, without a jump by a turn, is assumed to be in degrees"),
         (5.0 + 100.0 * np.arange(N), "deg", "an angle of up to 2905, without a jump"),
-        (TIME, "rad", "an angle of at most 2.90 is taken for radians"),
+        (TIME, "rad", "an angle of at most 2.90 is assumed to be in radians"),
         (np.mod(30000.0 + 1000.0 * np.arange(N), 36000.0), "cdeg", ""),
-        (20000.0 + TIME, "cdeg", "an angle that begins at 20000 is taken for centidegrees"),
+        (20000.0 + TIME, "cdeg", "an angle that begins at 20000 is assumed to be in centidegrees"),
     ],
 )
 def test_the_unit_of_an_angle(guess_of: Guessing, values: np.ndarray, unit: str, caveat: str) -> None:
@@ -356,10 +363,10 @@ def test_the_unit_of_an_angle(guess_of: Guessing, values: np.ndarray, unit: str,
 def test_units_that_no_name_says_have_caveats(guess_of: Guessing) -> None:
     columns = {"sog": TIME, "acc_x": TIME, "acc_y": TIME, "lat": 3845.95 + TIME, "lon": 9012.5 + TIME}
     text = guess_of("matlab", Table(Path("x"), "", columns, TIME)).text
-    assert "# caveat: a speed of at most 2.9 is taken for m/s\n" in text
-    assert "# caveat: accelerations are taken for m/s2, not for g\n" in text
+    assert "# caveat: a speed of at most 2.9 is assumed to be in m/s\n" in text
+    assert "# caveat: accelerations are assumed to be in m/s2, not in g\n" in text
     assert {signal["name"] for signal in tomllib.loads(text)["signal"]} == {"speed", "ax", "ay"}
-    assert "# no latitude in degrees is 3848.85; ddmm.mmmm?" in text
+    assert "# 3848.85 is not a latitude in degrees; the format may be ddmm.mmmm" in text
     known = {f"{name} [{unit}]": TIME for name, unit in (("sog", "kn"), ("acc_x", "g"), ("acc_y", "g"), ("cog", "deg"))}
     assert "# caveat" not in guess_of("matlab", Table(Path("x"), "", known, TIME)).text
 
@@ -372,7 +379,10 @@ def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
     radians = {**degrees, "yaw_rate": np.radians(degrees["yaw_rate"])}
     assert guessed(write(tmp_path, radians))["r"]["unit"] == "rad/s"
     against = {**radians, "yaw_rate": -radians["yaw_rate"]}
-    assert "sign = -1?" in guess_map(write(tmp_path, against)).text
+    assert (
+        "it has the opposite sign of the heading's derivative; sign = -1 may be needed"
+        in guess_map(write(tmp_path, against)).text
+    )
     slow = {"t": TIME, "yaw": 100.0 + 0.1 * psi, "yaw_rate": 4.8 * np.cos(0.8 * TIME)}
     assert guessed(write(tmp_path, slow))["r"]["unit"] == "deg/s"  # by the heading, not by the greatest number
 
@@ -388,7 +398,8 @@ def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
     for table in tables:
         table.parameters = {**PARAMETERS, "SERVO2_MAX": 2000.0}
     caveat = next(c.caveat for c in outputs(tables) if c.signals[0].name == "n_left")
-    assert caveat == "SERVO2_TRIM is not in the middle: full is 1.11 and -0.889; name a [mavlink] rig"
+    full = "full commands are 1.11 and -0.889, not 1 and -1; name a rig in [mavlink] of the map to scale each direction"
+    assert caveat == f"SERVO2_TRIM is not in the middle: {full}"
     for table in tables:
         table.parameters = {}
     found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
@@ -412,7 +423,7 @@ def test_outputs_that_are_no_left_and_right_throttle(
     assert not list(outputs(tables))
     attitude = Table(Path("x"), "ahrs", {"yaw": TIME}, TIME, "Ahrs", parameters=parameters)
     guess = guess_of("mavlink", *tables, attitude)
-    assert guess.problem == f"its outputs are no left and right throttles: {problem}"
+    assert guess.problem == f"its outputs are not a left and a right throttle: {problem}"
 
 
 @pytest.mark.parametrize(
@@ -430,7 +441,7 @@ def test_an_output_without_a_range_has_the_usual_one() -> None:
     pulses = {"pwm": 1500.0 + TIME}
     tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2)]
     (left,) = (c for c in outputs(tables) if c.signals[0].name == "n_left")
-    assert left.caveat.startswith("SERVO2_MIN is not below SERVO2_MAX: ")
+    assert left.caveat.startswith("SERVO2_MIN is not below SERVO2_MAX and is ignored; ")
     assert left.signals[0].extra.startswith("scale = 0.0025, offset = -3.75")
 
 
@@ -518,8 +529,8 @@ def test_axes_of_a_topic_by_its_name_or_its_frame(guess_of: Guessing, topic: str
     ("topic", "frame", "caveat"),
     [
         ("/mavros/global_position/compass_hdg", "NED", ""),
-        ("/state/heading", "NED", "taken from north, clockwise"),
-        ("/state/yaw", None, "taken from east, counter-clockwise"),
+        ("/state/heading", "NED", "assumed clockwise from north"),
+        ("/state/yaw", None, "assumed counter-clockwise from east"),
         ("/state/yaw_ned", "NED", ""),
     ],
 )
@@ -527,13 +538,13 @@ def test_a_heading_alone_in_a_bag(guess_of: Guessing, topic: str, frame: str | N
     text = guess_of("ros", scalar(topic, 200.0 + TIME)).text
     (signal,) = tomllib.loads(text)["signal"]
     assert signal.get("frame") == frame
-    assert (f"# caveat: {caveat}" in text) if caveat else ("taken from" not in text)
+    assert (f"# caveat: {caveat}" in text) if caveat else ("clockwise" not in text)
 
 
 def test_yaw_and_its_rate_alone_have_the_axes_of_the_bag(guess_of: Guessing) -> None:
     text = guess_of("ros", scalar("/state/yaw", TIME), scalar("/state/yaw_rate", 1.0 + 0.0 * TIME)).text
     assert [signal.get("frame") for signal in tomllib.loads(text)["signal"]] == [None, None]
-    assert "taken positive to port" in text
+    assert "assumed positive to port" in text
 
 
 def test_a_topic_of_px4_does_not_turn_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -563,7 +574,7 @@ def test_the_command(tmp_path: Path) -> None:
     assert isinstance(run.invoke(cli.import_, ["--guess", str(path), "-o", str(out)]).exception, SeatrialError)
     assert run.invoke(cli.import_, ["--guess", str(path), "-o", str(out), "--force"]).exit_code == 0
     refused = run.invoke(cli.import_, ["--guess", str(path), "-o", str(path), "--force"]).exception
-    assert "is what is read here, and is never replaced" in str(refused)
+    assert "is the source of this import and is never replaced" in str(refused)
     done = run.invoke(cli.import_, [str(out), str(path), "-o", str(tmp_path / "run.mcap")])
     assert done.stdout == f"{tmp_path / 'run.mcap'}\n"
     assert run.invoke(cli.import_, [str(out)]).exit_code == 2

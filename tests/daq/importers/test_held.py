@@ -58,7 +58,7 @@ def test_repeats_are_left_out_by_signal_and_said(table: Path) -> None:
     with pytest.warns(SeatrialWarning) as told:
         log = imported(table)
     lines = [str(one.message).partition("run.csv: ")[2] for one in told]
-    what = "values repeat the one before and are left out"
+    what = "values repeat the previous value and are left out"
     assert lines == [
         f"x, y: held between measurements 1 s apart; 1900 of 2000 {what}",
         f"n_left: held between measurements 0.2 s apart; 1500 of 2000 {what}",
@@ -133,7 +133,7 @@ def test_the_hold_of_an_input_is_guessed_by_its_values(
     (tmp_path / "run.csv").write_text(f"time,{name},yaw_rad\n{text}\n")
     guessed = guess_map(tmp_path / "run.csv").text
     assert (f'role = "input", hold = "{hold}"' in guessed) == bool(hold)
-    assert ("it changes only every 1 s, at every row 20" in guessed) == (what == "command" and every == 20)
+    assert ("it changes only every 1 s, every 20 rows" in guessed) == (what == "command" and every == 20)
     (tmp_path / "map.toml").write_text(guessed)
     if not hold or every == 1:
         (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
@@ -160,7 +160,7 @@ def test_wrapped_speeds_are_no_percent(
     text = "\n".join(f"{t:.3f},{n:.5f},{0.1 * t:.4f}" for t, n in zip(T, value, strict=True))
     (tmp_path / "run.csv").write_text(f"time,n_left,yaw_rad\n{text}\n")
     guessed = guess_map(tmp_path / "run.csv").text
-    assert ("negative speeds that were wrapped (65536 - n)" in guessed) == is_wrapped
+    assert ("negative speeds stored as 65536 - n" in guessed) == is_wrapped
     assert 'unit = "%"' not in guessed
     (tmp_path / "map.toml").write_text(guessed)
     (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])

@@ -168,7 +168,7 @@ def test_other_objects_of_version_7_3(tmp_path: Path) -> None:
     np.testing.assert_allclose(tables["log.T"].numbers("yaw"), YAW)
     np.testing.assert_allclose(tables["rpm"].numbers("rpm"), 900.0 * LEFT)
     np.testing.assert_allclose(tables["rpm"].numbers("Time"), T)
-    assert next(iter(tables.values())).remark == "of a class that is not read: words (categorical)"
+    assert next(iter(tables.values())).remark == "left out, of a class that cannot be read: words (categorical)"
 
 
 def test_references_without_an_object_are_no_numbers(tmp_path: Path) -> None:
@@ -181,7 +181,7 @@ def test_references_without_an_object_are_no_numbers(tmp_path: Path) -> None:
     with path.open("r+b") as opened:
         opened.write(b"MATLAB 7.3 MAT-file".ljust(512))
     with pytest.raises(
-        SeatrialError, match=r"holds no vectors of numbers; objects .* are read from files of version 7\.3"
+        SeatrialError, match=r"contains no vectors of numbers; objects .* are read only from files of version 7\.3"
     ):
         read_matlab(path, SourceOptions())
 

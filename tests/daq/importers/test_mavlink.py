@@ -73,7 +73,7 @@ def test_a_tlog_becomes_a_log_on_the_autopilots_own_times(tmp_path: Path) -> Non
             assert len(log.table(kind, "autopilot")) > 5
         assert log.nodes(Servo, "autopilot") == log.nodes(Esc, "autopilot") == [1, 3]
         assert log.metadata["source.1.name"] == "run.tlog"
-    with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+    with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
         import_mavlink(tmp_path / "run.tlog", out=tmp_path / "run.tlog", force=True)
 
 
@@ -97,7 +97,7 @@ def test_a_damaged_time_that_no_log_can_hold_is_one_line(tmp_path: Path, damaged
     for at in [at - STAMP for _, at, _ in _frames(bytes(data))][-100:-50]:
         data[at : at + STAMP] = struct.pack(">Q", damaged)
     path.write_bytes(data)
-    with pytest.raises(SeatrialError, match="do not lie between 1970 and 2038"):
+    with pytest.raises(SeatrialError, match="are not between 1970 and 2038"):
         import_mavlink(path, out=tmp_path / "run.mcap")
     assert not (tmp_path / "run.mcap").exists()
 
@@ -121,7 +121,9 @@ def attitudes(*autopilots: tuple[int, float]) -> bytes:
 def test_of_two_autopilots_one_is_read_and_the_other_one_named(tmp_path: Path) -> None:
     path = tmp_path / "run.tlog"
     path.write_bytes(attitudes((1, 12.0), (2, 400.0)))
-    with pytest.warns(SeatrialWarning, match=r"system 1 is read; system 2 is in it, too: --system"):
+    with pytest.warns(
+        SeatrialWarning, match=r"system 1 is imported; the log also contains system 2: choose one by --system"
+    ):
         out, _ = import_mavlink(path, out=tmp_path / "run.mcap")
     with open_log(out) as log:
         assert len(log.table(Ahrs, "autopilot")) == 60
@@ -142,7 +144,7 @@ def test_what_is_no_tlog_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="no heartbeat of an autopilot"):
         import_mavlink(path, out=tmp_path / "x.mcap")
     tlog(path)
-    with pytest.raises(SeatrialError, match=r"no samples of system 9 .* There are systems 1: name one with --system"):
+    with pytest.raises(SeatrialError, match=r"no samples of system 9 .* it contains systems 1: choose one by --system"):
         import_mavlink(path, system=9, out=tmp_path / "x.mcap")
     assert not (tmp_path / "x.mcap").exists()
 
@@ -219,7 +221,7 @@ def test_a_map_keeps_what_an_autopilot_told_and_compares_its_rig(tmp_path: Path,
     assert not guess.problem
     (tmp_path / "map.toml").write_text(f'{guess.text}\n[mavlink]\nrig = "rig.toml"\n')
     was, wanted = (1000, 1100) if source == "BIN" else (1100, 1000)
-    said = rf"servo_1: not as the rig has it: SERVO1_MIN is {was}, wanted {wanted}"
+    said = rf"servo_1: differs from the rig: SERVO1_MIN is {was}, wanted {wanted}"
     with pytest.warns(SeatrialWarning, match=said):
         (out,) = import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
     direct, _ = import_mavlink(path, rig=load_rig(tmp_path / "rig.toml"), out=tmp_path / "direct.mcap")
@@ -286,7 +288,7 @@ def test_a_dataflash_log_that_cannot_be_read_to_its_end(tmp_path: Path, monkeypa
         return read(log, **how)
 
     monkeypatch.setattr(DFReader.DFReader_binary, "recv_match", fails_half_way)
-    with pytest.warns(SeatrialWarning, match=rf"00000001\.BIN: read to byte \d+ of {size}"):
+    with pytest.warns(SeatrialWarning, match=rf"00000001\.BIN: damaged, read only to byte \d+ of {size}"):
         _, said = import_mavlink(path, out=tmp_path / "bin.mcap")
     assert f"of {size}: " in said
 
@@ -294,7 +296,7 @@ def test_a_dataflash_log_that_cannot_be_read_to_its_end(tmp_path: Path, monkeypa
 def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
     dataflash(tmp_path / "00000001.BIN")
     out, said = import_mavlink(tmp_path / "00000001.BIN", rig=mav_rig(), out=tmp_path / "bin.mcap")
-    assert said.count("not as the rig has it") == 1
+    assert said.count("differs from the rig") == 1
     assert "SERVO1_MIN is 1000, wanted 1100" in said
     with open_log(out) as log:
         ahrs = log.table(Ahrs, "autopilot")
@@ -355,7 +357,7 @@ def test_lost_frames_and_parameters_of_a_tlog_are_told(tmp_path: Path) -> None:
     assert "SERVO1_MIN is 1100, wanted 1000" in said
     _, said = import_mavlink(tmp_path / "run.tlog", rig=rig, out=tmp_path / "run.mcap")
     assert " 0 lost," in said
-    assert "not as the rig" not in said
+    assert "differs from the rig" not in said
 
 
 def test_a_damaged_dataflash_log_is_one_line(tmp_path: Path) -> None:
@@ -386,7 +388,7 @@ def test_a_flipped_bit_in_a_time_costs_one_message(tmp_path: Path) -> None:
     place = data.index(att, 2500)
     data[place + 3 + 6] ^= 0x40  # of TimeUS
     path.write_bytes(data)
-    with pytest.warns(SeatrialWarning, match="1 message with a time that cannot be"):
+    with pytest.warns(SeatrialWarning, match="1 message with an impossible time left out"):
         out, _ = import_mavlink(path, out=tmp_path / "bin.mcap")
     with open_log(out) as log:
         attitude = log.table(Ahrs, "autopilot")

@@ -33,7 +33,7 @@ def test_nan_of_px4_motors_is_a_motor_that_is_stopped(tmp_path: Path) -> None:
     np.testing.assert_allclose(table.columns["control[0]"], np.where(STOPPED, 0.0, 0.5))
     np.testing.assert_allclose(table.columns["control[1]"], np.where(STOPPED, 0.0, -0.4), rtol=1e-6)
     assert np.isnan(table.columns["control[2]"]).all()  # there is no such motor
-    assert f"{STOPPED.sum()} messages of {T.size} with a stopped motor" in table.said
+    assert f"{STOPPED.sum()} messages of {T.size} with a stopped motor" in table.full_remark
 
 
 def test_nan_of_px4_motors_in_a_bag(tmp_path: Path) -> None:

@@ -57,7 +57,7 @@ def test_a_vectornav_that_sends_ascii_and_binary(rate: float | None, tmp_path: P
     ascii_parts = [vectornav.encode_ascii(s) if k % 2 else b"" for k, s in enumerate(SAMPLES)]
     capture.write_bytes(b"".join(a + b for a, b in zip(ascii_parts, parts, strict=True)))
     out, said = import_raw("vectornav", capture, rate=rate, out=tmp_path / "b.mcap")
-    assert said.endswith("; 20 ASCII samples left out beside the binary ones")
+    assert said.endswith("; 20 ASCII samples left out, contained in binary samples")
     with open_log(out) as log:
         table = log.table(Ahrs, "ahrs")
     start = 5.0 if rate is None else 0.0
@@ -175,9 +175,9 @@ def test_a_load_cell(tmp_path: Path) -> None:
 
 
 def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match=r"still\.txt: its samples have no time; .*--rate"):
+    with pytest.raises(SeatrialError, match=r"still\.txt: its samples have no times; .*--rate"):
         import_raw("vectornav", ascii_capture, out=tmp_path / "x.mcap")
-    with pytest.raises(SeatrialError, match=r"still\.txt: no nmea samples among"):
+    with pytest.raises(SeatrialError, match=r"still\.txt: no nmea samples in"):
         import_raw("nmea", ascii_capture, rate=1.0, out=tmp_path / "x.mcap")
     assert not list(tmp_path.glob("*.mcap"))
     with pytest.raises(SeatrialError, match="cannot be read"):
@@ -185,7 +185,7 @@ def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
     import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
     with pytest.raises(SeatrialError, match="the file exists already"):
         import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "x.mcap")
-    with pytest.raises(SeatrialError, match="is what is read here, and is never replaced"):
+    with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
         import_raw("vectornav", ascii_capture, rate=40.0, out=ascii_capture, force=True)
 
 
@@ -216,7 +216,7 @@ def test_a_clock_that_ran_back_is_a_fault_of_a_mapped_log_too(tmp_path: Path, mo
     fixes = [(t, Gnss(1.7e9 + t, 59.0, 10.0, 3.0, 0.5, 0.1, fix=3)) for t in (0, 100, 1, 101, 2)]
     rows = [("", 1.7e9 + t, Frame(fix, t, t)) for t, fix in fixes]
     (table,) = sample_tables(tmp_path / "run.log", rows)
-    assert table.said == "gnss: its times ran back 2 times, by up to 99.0 s"
+    assert table.full_remark == "gnss: its times ran back 2 times, by up to 99.0 s"
     (tmp_path / "map.toml").write_text(
         'format = "seatrial-import 1"\nsignal = [{ name = "vx", topic = "gnss", field = "vel_n", unit = "m/s" }]\n'
     )
@@ -253,7 +253,7 @@ def test_dates_of_another_calendar_are_moved_next_to_the_others(tmp_path: Path, 
     fixes = [Gnss(t - early * (k in wrong), 59.0 + 1e-6 * k, 10.0, fix=3) for k, t in enumerate(true)]
     path = tmp_path / "run.nmea"
     path.write_bytes(b"".join(map(nmea.encode, fixes)))
-    with pytest.warns(SeatrialWarning, match="dates of another calendar.*10 samples moved"):
+    with pytest.warns(SeatrialWarning, match="wrong dates.*10 samples moved"):
         out, _ = import_raw("nmea", path, out=tmp_path / "run.mcap")
     with open_log(out) as log:
         table = log.table(Gnss, log.sources(Gnss)[0])

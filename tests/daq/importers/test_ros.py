@@ -222,7 +222,10 @@ def test_wrong_stamps_of_many_rows_end_an_import_with_an_error(tmp_path: Path, e
         return
     with (
         pytest.warns(SeatrialWarning, match="stamps are wrong"),
-        pytest.raises(SeatrialError, match=r"40 rows left out, whose stamps are wrong .* mend the clock of the driver"),
+        pytest.raises(
+            SeatrialError,
+            match=r"40 rows of \d+ left out, because stamps are wrong: .*; repair the clock of the driver",
+        ),
     ):
         signals(path, tmp_path, lines)
 
@@ -285,7 +288,9 @@ def test_our_own_log_comes_back(tmp_path: Path) -> None:
 def test_our_own_bag_by_its_guess(tmp_path: Path) -> None:
     """`export ros` keeps the topics of the log, in our axes, beside those of REP-103. The log itself needs no map."""
     write_everything(tmp_path / "own.mcap", 12)
-    with pytest.raises(SeatrialError, match="is a log of seatrial: check, ident and export take it as it is"):
+    with pytest.raises(
+        SeatrialError, match="is a seatrial log and needs no import; check, ident and export read it directly"
+    ):
         guess_map(tmp_path / "own.mcap")
     with open_log(tmp_path / "own.mcap") as own:
         export_ros(own, tmp_path / "ros")
@@ -301,14 +306,14 @@ def test_our_own_bag_by_its_guess(tmp_path: Path) -> None:
 
 
 def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match="no topic /gps; there is: /fix, /imu/data, /name"):
+    with pytest.raises(SeatrialError, match="no topic /gps; the topics are: /fix, /imu/data, /name"):
         signals(bag, tmp_path, '{ name = "x", topic = "/gps", field = "x", unit = "m" }')
-    with pytest.raises(SeatrialError, match="/rpm has no 'rpm'; there is: data"):
+    with pytest.raises(SeatrialError, match="/rpm has no 'rpm'; the columns are: data"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", field = "rpm", unit = "m" }')
     with pytest.raises(SeatrialError, match=r"signal\[1\]\.field: missing"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", column = "data", unit = "m" }')
     (tmp_path / "bad.mcap").write_bytes(b"\x89MCAP0\r\n, and nothing more")
-    with pytest.raises(SeatrialError, match="cannot be read as a bag of ROS"):
+    with pytest.raises(SeatrialError, match="cannot be read as a ROS bag"):
         signals(tmp_path / "bad.mcap", tmp_path, '{ name = "x", topic = "/rpm", field = "data", unit = "m" }')
     assert not list((tmp_path / "logs").glob("*.mcap")) if (tmp_path / "logs").exists() else True
 
@@ -340,7 +345,7 @@ def test_a_bag_with_nothing_but_tf_for_its_pose(tmp_path: Path) -> None:
             command = types["std_msgs/msg/Float64"](0.01 * k)
             writer.write(drive, t_ns, STORE.serialize_cdr(command, "std_msgs/msg/Float64"))
     guess = guess_map(path)
-    assert guess.problem == "only n_left of the thrusters was recognised"
+    assert guess.problem == "only n_left of the thrusters was recognised; name the other side by hand"
     assert "caveat: a pose of /tf" in guess.text
     assert guess.text.count("/tf:odom:base_link") >= 3
     assert "odom:imu" not in guess.text.replace("base_link:imu", "")
@@ -352,7 +357,7 @@ def test_a_bag_with_nothing_but_tf_for_its_pose(tmp_path: Path) -> None:
     np.testing.assert_allclose(heading["value"], math.radians(-45.0), atol=1e-9)
     wrong = guess.text.replace("/tf:odom:base_link", "/tf:odom:boat")
     (tmp_path / "wrong.toml").write_text(wrong, encoding="utf-8")
-    with pytest.raises(SeatrialError, match="no transform /tf:odom:boat; there is"):
+    with pytest.raises(SeatrialError, match="no transform /tf:odom:boat; the topics are"):
         import_files(tmp_path / "wrong.toml", [path], out_dir=tmp_path)
 
 
@@ -366,7 +371,7 @@ def test_a_folder_without_metadata_and_a_file_without_its_end(bag: Path) -> None
         part.write_bytes(part.read_bytes()[:-40])
         tables = {table.topic: table for table in read_bag(part, SourceOptions())}
         assert len(tables["/imu/data"]) == N
-        assert "has no end" in tables["/imu/data"].remark
+        assert "is cut off" in tables["/imu/data"].remark
 
 
 def test_a_bag_that_was_not_closed_names_the_remedy(tmp_path: Path) -> None:
@@ -425,5 +430,7 @@ def test_a_wal_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
         assert len(table) == N // 2
         return
     for source in (path, path.parent):
-        with pytest.raises(SeatrialError, match="-wal: is not a file"):
+        with pytest.raises(
+            SeatrialError, match="-wal: is a symbolic link, not a file" if kind == "link" else "-wal: is not a file"
+        ):
             read_bag(source, SourceOptions())

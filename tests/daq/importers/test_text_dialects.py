@@ -88,7 +88,7 @@ def test_dates_have_their_pattern(
 def test_a_day_that_may_be_a_month_has_a_caveat(tmp_path: Path) -> None:
     _, _, text = imported(tmp_path, table("Date", lambda t: f"{t:%d/%m/%Y %H:%M:%S}{ms(t)}"))
     assert 'format = "%d/%m/%Y %H:%M:%S.%f"' in text
-    assert "# caveat: dates like '12/05/2024 09:00:00.000' are taken with the day first" in text
+    assert "# caveat: dates like '12/05/2024 09:00:00.000' are read with the day first" in text
 
 
 def test_days_of_excel_from_1904(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_local_times_over_a_change_of_the_clock_are_even(tmp_path: Path, sign: i
 
 @pytest.mark.parametrize("step", ["2024-05-12 03:00", "2024-03-30 03:00", "2024-03-31 14:00", "2024-03-31 03:20"])
 def test_a_step_of_an_hour_at_another_time_stays(tmp_path: Path, step: str) -> None:
-    with pytest.warns(SeatrialWarning, match=r"times step by \+1 h at row 101, .*: they are kept"):
+    with pytest.warns(SeatrialWarning, match=r"times step by \+1 h at row 101, .*: the times are kept"):
         t, _, _ = imported(tmp_path, stepped(1, datetime.fromisoformat(step)))
     assert t[100] - t[99] == pytest.approx(3600.1, abs=1e-3)
 
@@ -168,14 +168,14 @@ def test_a_comma_as_delimiter_and_decimal_mark_is_told(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     rows = table("time", lambda t: f"{(t - START).total_seconds():.1f}".replace(".", ","), ";", ",").replace(";", ",")
     source.write_text(rows)
-    with pytest.raises(SeatrialError, match="both its delimiter and its decimal mark"):
+    with pytest.raises(SeatrialError, match="both the delimiter and the decimal mark"):
         guess_map(source)
 
 
 def test_a_unit_of_time_that_cannot_be_is_not_taken(tmp_path: Path) -> None:
     t, _, text = imported(tmp_path, table("tow(msec)", lambda t: f"{345600 + (t - START).total_seconds():.3f}"))
     assert 'format = "s"' in text
-    assert "though its name has ms" in text
+    assert "although the name has ms" in text
     np.testing.assert_allclose(np.diff(t), 0.1, atol=1e-6)
 
 
@@ -295,7 +295,7 @@ DIALECTS: dict[str, tuple[str, float, int]] = {
     ),
     "minutes since the start": (table("time [min]", lambda t: f"{(t - START).total_seconds() / 60.0:.8f}"), 0.0, 0),
     "hours since the start": (table("Time (h)", lambda t: f"{(t - START).total_seconds() / 3600.0:.9f}"), 0.0, 0),
-    "shares of a day": (table("Time", lambda t: f"{(t.timestamp() % 86400.0) / 86400.0:.10f}"), 32400.0, 0),
+    "fractions of a day": (table("Time", lambda t: f"{(t.timestamp() % 86400.0) / 86400.0:.10f}"), 32400.0, 0),
     "date and time in one number": (
         table("stamp", lambda t: f"{t:%Y%m%d%H%M%S}.{t.microsecond // 100000}"), START.timestamp(), 0,
     ),
@@ -325,8 +325,8 @@ def test_a_dialect(tmp_path: Path, text: str, start: float, lacks: int) -> None:
 
 # Table -> what is said of it
 SAID = {
-    "short": (DIALECTS["a short line"][0], r"1 line left out; the first, line 52, has 3 cells where the header has 7$"),
-    "cut": (DIALECTS["a last line that is cut"][0], r"line 201, the last, is not whole and left out$"),
+    "short": (DIALECTS["a short line"][0], r"1 line left out; the first, line 52, has 3 cells, but the header has 7$"),
+    "cut": (DIALECTS["a last line that is cut"][0], r"line 201, the last, is cut off and left out$"),
     "cells": (DIALECTS["text in cells"][0], r"line 41, column 'x': 'OVERFLOW' is not a number; 3 such cells left out$"),
     "time": (DIALECTS["text in the time"][0], r"2 rows without a time left out, the first is row 60$"),
 }
@@ -352,9 +352,11 @@ REFUSED = {
         table("time", lambda t: f"{t:%H:%M:%S}:{t.microsecond // 1000}"), "is not a time of format",
     ),
     "a month in another language": (
-        table("Zeit", lambda t: f"{t:%d}. Mai {t:%Y %H:%M:%S}"), r"its pattern \(strptime\) as format of \[time\]$",
+        table("Zeit", lambda t: f"{t:%d}. Mai {t:%Y %H:%M:%S}"), r"its strptime pattern as format in \[time\]$",
     ),
-    "a DataFlash log as text": ("FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n", "import the .BIN of"),
+    "a DataFlash log as text": (
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n", "import the original .BIN",
+    ),
     "a third of short lines": (
         "\n".join([HEADER, *(row if k % 3 else "1,2,3" for k, row in enumerate(ROWS))]) + "\n", "no table of numbers",
     ),
@@ -370,4 +372,4 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path, text: str, line: str) ->
 def test_a_name_that_stands_twice_is_told(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     source.write_text("\n".join([f"{HEADER},x", *(f"{row},1" for row in ROWS)]) + "\n")
-    assert "# caveat: column 'x' is in the header 2 times: give each its name" in guess_map(source).text
+    assert "# caveat: column 'x' is 2 times in the header: name the columns in the map" in guess_map(source).text

@@ -78,7 +78,7 @@ def test_a_topic_without_times_is_left_out(tmp_path: Path) -> None:
 def test_a_file_in_which_the_reader_goes_back_for_ever_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "loop.ulg"
     path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffD" * 30_000)  # the last ones end beyond the file
-    with pytest.raises(SeatrialError, match="too much of it is damaged"):
+    with pytest.raises(SeatrialError, match="too much of the file is damaged"):
         guess_map(path)
 
 
@@ -140,6 +140,6 @@ def test_formats_that_multiply_are_refused_at_once(tmp_path: Path, kind: str) ->
     out = b"ULog\x01\x12\x35\x01" + bytes(8) + b"".join(message(b"F", text.encode()) for text in formats)
     (tmp_path / "run.ulg").write_bytes(out + message(b"A", struct.pack("<BH", 0, 0) + b"a0"))
     before = time.process_time()
-    with pytest.raises(SeatrialError, match="its formats make more than 200000 columns"):
+    with pytest.raises(SeatrialError, match="its formats define more than 200000 columns"):
         read_ulog(tmp_path / "run.ulg", SourceOptions())
     assert time.process_time() - before < 2.0

@@ -58,7 +58,7 @@ def imported(folder: Path, text: str, encoding: str = "utf-8") -> tuple[Path, st
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
 def test_a_table_of_one_direction(unit: str, encoding: str, tmp_path: Path) -> None:
     path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, unit), encoding)
-    assert "# caveat: 1000 us is taken for rest, 2000 us for full" in text
+    assert "# caveat: 1000 us is assumed to be rest, 2000 us full command" in text
     with open_log(path) as log:
         assert sorted(log.sources(Scalar)) == ["force", "n_cmd_thruster", "n_thruster"]
         force, command, speed = (log.table(Scalar, name)["value"] for name in sorted(log.sources(Scalar)))
@@ -72,8 +72,8 @@ def test_a_table_of_one_direction(unit: str, encoding: str, tmp_path: Path) -> N
 def test_the_curve_of_two_directions(tmp_path: Path) -> None:
     """The speed has no sign, so there is a static curve."""
     path, text = imported(tmp_path, stand(BOTH, 1500.0, 400.0))
-    assert "1500 us is taken for rest, 1900 us for full" in text
-    assert "a speed without a sign, though the thrust has one" in text
+    assert "1500 us is assumed to be rest, 1900 us full command" in text
+    assert "the speed has no sign, but the thrust has" in text
     result = characterise(ThrusterRequest([path], tmp_path / "out"), "test", QUIET)
     assert isinstance(result, ThrustCurveResult)
     ends = result.static.force_model[0], result.static.force_model[-1]
@@ -82,8 +82,8 @@ def test_the_curve_of_two_directions(tmp_path: Path) -> None:
 
 def test_a_load_cell_that_pulls_and_slow_rows(tmp_path: Path) -> None:
     path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, dt=0.5, sign=-1))
-    assert "the thrust is negative throughout: its sign is turned" in text
-    assert "rows 0.5 s apart tell no time constant" in text
+    assert "the thrust is negative throughout: its sign is changed" in text
+    assert "rows 0.5 s apart are too slow for a time constant" in text
     with open_log(path) as log:
         assert sorted(log.sources(Scalar)) == ["force", "n_cmd_thruster"]
         assert np.max(log.table(Scalar, "force")["value"]) == pytest.approx(FULL_N, abs=0.1)
