@@ -35,7 +35,8 @@ def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission
 
 # What never comes is not waited for as long as the command would; the devices are there when it starts.
 IMPATIENT = """
-import sys, seatrial
+import sys
+from seatrial import command_line
 from seatrial.bench.execution import autopilots, device_startup
 from seatrial.daq.acquisition import session
 device_startup.AWAIT_S = autopilots.LEAVE_S = session.WATCHDOG_S = 3.0

@@ -13,7 +13,7 @@ from benchmarks.acquisition import LOSS_RATE, record, soak
 from seatrial.daq.log.reader import open_log
 from seatrial.daq.samples import Ahrs, PortHealth
 
-SECONDS = 2.0
+SECONDS = 1.0
 
 
 def test_no_frame_is_lost_without_a_trace(tmp_path: Path) -> None:
