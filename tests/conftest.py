@@ -11,11 +11,13 @@ failed while the machine stood still is repeated (tests/stalls.py).
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
 import sys
 import tempfile
 import threading
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +123,17 @@ def group_of(nodeid: str) -> str:
 
 
 ORDER = {group: k for k, group in enumerate(("ports", "beside", *LONG))}
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Modules and tests stay until the end: nothing of them is looked through for garbage, now or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

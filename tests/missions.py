@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,9 +60,9 @@ def sail(boat: Boat, seconds: float, mission_seed: int, run: int = 1, kind: str 
     return simulate(boat, t, n, seconds, run), mission
 
 
-def push(bench: Bench, run: int = 0, kind: str = "all") -> tuple[Recording, Mission]:
-    """A bench plan, run."""
-    mission = bench_plan(kind, "thruster")
+def push(bench: Bench, run: int = 0, kind: str = "all", **plan: Any) -> tuple[Recording, Mission]:
+    """A bench plan, run; ``plan`` are the other arguments of `bench_plan`."""
+    mission = bench_plan(kind, "thruster", **plan)
     t, n = mission.setpoints()
     return simulate_bench(bench, t, n, mission.end, run), mission
 
@@ -131,9 +132,9 @@ def boat_log(path: Path, boat: Boat, seconds: float, mission_seed: int, run: int
     return write_log(path, "boat", recording.readings, mission)
 
 
-def bench_log(path: Path, bench: Bench, run: int = 0, kind: str = "all") -> Path:
+def bench_log(path: Path, bench: Bench, run: int = 0, kind: str = "all", **plan: Any) -> Path:
     """A bench plan, run and recorded at ``path``."""
-    recording, mission = push(bench, run, kind)
+    recording, mission = push(bench, run, kind, **plan)
     return write_log(path, "bench", recording.readings, mission)
 
 

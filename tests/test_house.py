@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import importlib.util
 import re
 import sys
@@ -21,11 +22,16 @@ MODULES_NAMED = ("seatrial.ident.workflows", "seatrial.daq.importers")
 
 
 @cache
-def tree_of(path: Path) -> ast.Module:
-    """Its syntax tree."""
-    return ast.parse(path.read_text(encoding="utf-8"))
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of its syntax tree. They stay: to look for garbage among them takes longer than to parse them."""
+    gc.disable()
+    try:
+        return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    finally:
+        gc.enable()
 
 
+@cache
 def files() -> list[Path]:
     """Every Python file of the project."""
     # Not through the links in seatrial/: each file once.
@@ -52,7 +58,7 @@ def imports(path: Path) -> list[tuple[str, str]]:
     """(module, name) of every import of our own, inside functions too."""
     return [
         (node.module, alias.name)
-        for node in ast.walk(tree_of(path))
+        for node in nodes_of(path)
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith(OWN)
         for alias in node.names
     ]
@@ -138,7 +144,7 @@ def test_no_file_imports_a_part_by_a_name_that_is_not_installed() -> None:
     """Only `seatrial` is installed. In the project's folder `import daq` works, too, and would load a module twice."""
     bare = []
     for path in files():
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.Import):
                 names = [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom):
@@ -157,7 +163,7 @@ def test_no_function_has_more_than_eight_parameters() -> None:
     """Outside the commands, whose parameters are their options."""
     wide = []
     for module, path in PRODUCT.items():
-        for node in ast.walk(tree_of(path)):
+        for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef) and not node.name.startswith("_"):
                 command = any("command" in ast.unparse(d) or "option" in ast.unparse(d) for d in node.decorator_list)
                 n = (
@@ -186,9 +192,9 @@ def test_a_workflow_enters_no_file_twice(command: str) -> None:
     assert [module for module in set(once) if once.count(module) > 1] == []
 
 
-def mentioned(tree: ast.AST) -> Iterator[str]:
+def mentioned(path: Path) -> Iterator[str]:
     """Modules that a file imports, or names in a text as "module" or "module:attribute"."""
-    for node in ast.walk(tree):
+    for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
@@ -199,7 +205,7 @@ def mentioned(tree: ast.AST) -> Iterator[str]:
 
 def test_every_module_is_used_by_another() -> None:
     """A module that only its own tests know is dead."""
-    used = {path: set(mentioned(tree_of(path))) for path in files()}
+    used = {path: set(mentioned(path)) for path in files()}
     behind = {source for names in faces().values() for source in names.values()}
     dead = []
     for module, path in PRODUCT.items():
@@ -231,7 +237,7 @@ def test_outputs_are_written_by_the_one_writer() -> None:
     writes = {
         module
         for module, path in PRODUCT.items()
-        for node in ast.walk(tree_of(path))
+        for node in nodes_of(path)
         if isinstance(node, ast.Call) and _writes(node)
     }
     assert writes == set(WRITERS)

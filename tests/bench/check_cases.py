@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,6 +56,7 @@ def mission(seed: int, actuators: bool = False) -> Mission:
     return actuator_plan(rig_of("boat")) if actuators else make_mission("mixed", SECONDS, seed)
 
 
+@lru_cache(maxsize=2)
 def sailed(seed: int, case: Case | None = None, actuators: bool = False) -> Recording:
     """The mission of a seed by the boat of that seed, with a fault or none."""
     plan, boat = mission(seed, actuators), draw_boat(seed, (), case.thruster if case else None)

@@ -43,7 +43,7 @@ IDENTIFIABLE = {"m_u", "m_v", "m_r", "d_v", "d_r", "d_uu", "d_vv", "d_rr", "V_x"
 @pytest.mark.slow
 def test_a_clean_boat_lacks_nothing_and_its_parameters_are_true() -> None:
     case = Case("none", 2, "clean")
-    found = diagnose_case(case)
+    found = diagnose_case(case, runs_of(case, (240.0, 120.0)))
     assert found.effects == ()
     assert found.rounds == ()
     z = z_scores(fit_summary(found.after.fit, {}).parameters, truth_of(case))
@@ -109,7 +109,7 @@ def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
 def test_the_bench_finds_its_thruster(seed: int) -> None:
     """Pole, thrust coefficients and delay within three standard errors and five percent."""
     bench = draw_bench(seed)
-    found = bench_channels_of(push(bench, run=1)[0])
+    found = bench_channels_of(push(bench, run=1, chirp_s=5.0, count=4)[0])
     channels = delayed_channels(found["n_cmd_thruster"]) | {"n": found["n_thruster"], "force": found["force"]}
     model = thruster_model()
     record = build_record(model, channels, name="bench", rate=THRUSTER_RATE)

@@ -120,7 +120,10 @@ def test_the_guard_reads_its_current(tmp_path: Path) -> None:
     assert "thrust is zero" in err
 
 
-@pytest.mark.parametrize("who", ["runner", "acquisition", "everything"])
+# Of the others: tests/bench/execution/test_stops.py and test_with_mocks.py. Here the watchdog has to speak DroneCAN.
+@pytest.mark.parametrize(
+    "who", ["acquisition", *(pytest.param(who, marks=pytest.mark.study) for who in ("runner", "everything"))]
+)
 def test_kill_9_ends_thrust(tmp_path: Path, who: str) -> None:
     with bench(tmp_path) as it:
         it.until_turning()

@@ -248,7 +248,7 @@ def test_a_check_is_answered_though_it_is_no_ground_station(tmp_path: Path) -> N
     assert "temperature_c 80 of thruster left by autopilot" in next(f["text"] for f in told if f["check"] == "limits")
 
 
-@pytest.mark.parametrize("kind", ["udp", "tcp"])
+@pytest.mark.parametrize("kind", ["udp", pytest.param("tcp", marks=pytest.mark.study)])
 def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: Path, kind: str) -> None:
     write_files(tmp_path, 4.0, kind)
     rig = load_rig(tmp_path / "rig.toml")

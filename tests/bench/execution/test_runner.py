@@ -86,7 +86,7 @@ def test_a_plan_whose_set_points_were_overtaken_says_so(standin: StandIn, tmp_pa
 
 
 def test_garbage_on_the_lines_is_counted_and_the_run_goes_on(standin: StandIn, tmp_path: Path) -> None:
-    short_mission(tmp_path)
+    short_mission(tmp_path, seconds=4.0)
     noise = random.Random(1)
     with running(tmp_path) as run:
         run.until_turning(standin)

@@ -35,7 +35,7 @@ from tests.bench.runs import (
 from tests.bench.standin import SLOW_ESC_S, TIMEOUT_S, StandIn, until
 
 
-@pytest.mark.parametrize("moment", range(4))
+@pytest.mark.parametrize("moment", [0, *(pytest.param(k, marks=pytest.mark.study) for k in (1, 2, 3))])
 def test_ctrl_c_at_any_moment_is_zero_at_once(standin: StandIn, tmp_path: Path, moment: int) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
@@ -84,7 +84,7 @@ def test_zero_is_repeated_for_half_a_second(standin: StandIn, tmp_path: Path) ->
     assert len({round(t, 2) for t in zeros}) > 0.5 * ZERO_FOR_S / REPEAT_S  # and not some at once
 
 
-@pytest.mark.parametrize("after", [0.3, 1.0])
+@pytest.mark.parametrize("after", [pytest.param(0.3, marks=pytest.mark.study), 1.0])
 def test_a_port_that_comes_back_gets_its_zero_though_the_run_has_ended(tmp_path: Path, after: float) -> None:
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
@@ -160,7 +160,11 @@ def test_ctrl_c_before_anything_moves(standin: StandIn, tmp_path: Path) -> None:
     open_log(run.log)
 
 
-@pytest.mark.parametrize(("number", "word"), [(signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")])
+# SIGHUP comes with a closed terminal, too.
+@pytest.mark.parametrize(
+    ("number", "word"),
+    [(signal.SIGTERM, "SIGTERM"), pytest.param(signal.SIGHUP, "SIGHUP", marks=pytest.mark.study)],
+)
 def test_other_signals_end_it_the_same_way(standin: StandIn, tmp_path: Path, number: signal.Signals, word: str) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
@@ -243,7 +247,8 @@ def test_a_hanging_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Pat
     open_log(run.log)
 
 
-@pytest.mark.parametrize("both", [False, True])
+# Of both: tests/bench/execution/test_watchdog.py, with an ESC that waits long.
+@pytest.mark.parametrize("both", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_kill_9_of_the_acquisition_is_zero_by_the_esc(standin: StandIn, tmp_path: Path, both: bool) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
@@ -313,7 +318,7 @@ def test_too_much_force_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> No
     ("key", "silence"),
     [
         ("temperature_c", {"temperature": math.nan}),
-        ("voltage_min_v", {"voltage": math.nan}),
+        pytest.param("voltage_min_v", {"voltage": math.nan}, marks=pytest.mark.study),
         ("force_n", {"calibration": ""}),
     ],
 )
@@ -346,7 +351,7 @@ def test_a_limited_quantity_that_falls_silent_ends_the_run_at_zero(standin: Stan
 
 
 def test_a_limit_may_be_left_unwatched_in_so_many_words(standin: StandIn, tmp_path: Path) -> None:
-    mission = short_mission(tmp_path)
+    mission = short_mission(tmp_path, seconds=2.0)
     standin.temperature = math.nan
     with standin.rig.open("a", encoding="utf-8") as file:
         file.write('unwatched = ["temperature_c"]\n')

@@ -88,7 +88,8 @@ def test_bench_steps_end_to_end(tmp_path: Path) -> None:
     assert len(spacing) == pytest.approx(50.0 * log.duration, rel=0.15)  # a busy machine starts late
 
 
-@pytest.mark.parametrize("everything", [False, True])
+# Of the runner alone: tests/bench/execution/test_stops.py.
+@pytest.mark.parametrize("everything", [pytest.param(False, marks=pytest.mark.study), True])
 def test_kill_9_stops_the_mock_thruster(tmp_path: Path, everything: bool) -> None:
     with mock(tmp_path, "bench") as devices:
         run = run_bench(tmp_path)

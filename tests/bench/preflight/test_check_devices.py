@@ -86,7 +86,7 @@ def test_a_boat_that_turns_most_of_the_time_is_judged_by_the_rest(tmp_path: Path
 
 
 def test_a_load_cell_that_is_saturated(tmp_path: Path) -> None:
-    readings = push(draw_bench(2))[0].readings
+    readings = push(draw_bench(2), kind="steps")[0].readings
     healthy = told(write_log(tmp_path / "healthy.mcap", "bench", readings))
     assert not healthy
     spoilt = [

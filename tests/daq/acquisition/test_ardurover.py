@@ -187,7 +187,10 @@ def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("FS_ACTION", 1.0), ("RC_OPTIONS", 34.0), pytest.param("MOT_THR_MIN", 40.0, marks=pytest.mark.study)],
+    [
+        ("FS_ACTION", 1.0),
+        *(pytest.param(*case, marks=pytest.mark.study) for case in (("RC_OPTIONS", 34.0), ("MOT_THR_MIN", 40.0))),
+    ],
 )
 def test_a_wrong_parameter_is_refused_or_ended(signed: tuple[Path, Rover], name: str, value: float) -> None:
     folder, rover = signed

@@ -18,11 +18,12 @@ from seatrial.daq.samples import Gnss
 from tests.daq.logs import N_ROUNDS, T0, is_prefix, recorder, tables
 
 
-def test_cut_anywhere(whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_cuts", [25, pytest.param(60, marks=pytest.mark.study)])
+def test_cut_anywhere(whole: Path, tmp_path: Path, n_cuts: int) -> None:
     data, everything = whole.read_bytes(), tables(open_log(whole))
     rng = random.Random(1)
     before = 0
-    for size in sorted([*range(0, 60, 7), *(rng.randrange(60, len(data)) for _ in range(60)), len(data) - 1]):
+    for size in sorted([*range(0, 60, 7), *(rng.randrange(60, len(data)) for _ in range(n_cuts)), len(data) - 1]):
         path = tmp_path / "cut.mcap"
         path.write_bytes(data[:size])
         if size < len(MCAP0_MAGIC):
@@ -42,11 +43,12 @@ def test_cut_anywhere(whole: Path, tmp_path: Path) -> None:
     )
 
 
-def test_one_wrong_bit_anywhere(whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_all", [50, pytest.param(150, marks=pytest.mark.study)])
+def test_one_wrong_bit_anywhere(whole: Path, tmp_path: Path, n_all: int) -> None:
     """A flipped bit ends in one line, or in rows that were written: never in a wrong number or a traceback."""
     data, everything = whole.read_bytes(), tables(open_log(whole))
     rng = random.Random(2)
-    n_read, n_all = 0, 150
+    n_read = 0
     for _ in range(n_all):
         at = rng.randrange(len(data))
         path = tmp_path / "flip.mcap"
@@ -64,10 +66,11 @@ def test_one_wrong_bit_anywhere(whole: Path, tmp_path: Path) -> None:
     assert n_read > 0.9 * n_all
 
 
-def test_any_damage_is_one_line_or_a_log(whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_trials", [60, pytest.param(160, marks=pytest.mark.study)])
+def test_any_damage_is_one_line_or_a_log(whole: Path, tmp_path: Path, n_trials: int) -> None:
     data, path, everything = whole.read_bytes(), tmp_path / "damaged.mcap", repr(tables(open_log(whole)))
     rng = random.Random(3)
-    for k in range(160):
+    for k in range(n_trials):
         at, length = rng.randrange(8, len(data)), rng.randrange(1, 400)
         other = rng.randrange(8, len(data))
         middle = [

@@ -84,7 +84,7 @@ def test_a_part_that_is_not_there_is_flagged(white: float, walk: float, lost: st
     assert not found.rejected
 
 
-@pytest.mark.parametrize("lost", ["walk", "white"])
+@pytest.mark.parametrize("lost", ["walk", pytest.param("white", marks=pytest.mark.study)])
 def test_what_is_as_large_as_its_limit_is_found(lost: str) -> None:
     """In 95 of 100 records; and the variance of white noise that is too small for it is right on the average."""
     dt, n, trials, missed, variances = 0.1, 400, 100, 0, []
@@ -107,7 +107,7 @@ def test_density_agrees_with_the_periodogram() -> None:
         assert np.mean(part) == pytest.approx(1.0, abs=0.15)
 
 
-@pytest.mark.parametrize("walk", [0.0, 0.1])
+@pytest.mark.parametrize("walk", [0.0, pytest.param(0.1, marks=pytest.mark.study)])
 def test_bands_of_the_density_hold_the_true_one_as_often_as_they_say(walk: float) -> None:
     """Beyond the first bands, where the trend is taken out and a window of few oscillations leaks."""
     rng, inside, dt, n = np.random.default_rng(11), [], 0.1, 4000

@@ -32,10 +32,10 @@ Run = Callable[..., Outcome]
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a bench run, and an estimation and a validation mission of one boat that lacks an effect."""
     folder = tmp_path_factory.mktemp("logs")
-    bench_log(folder / "bench.mcap", draw_bench(SEED))
+    bench_log(folder / "bench.mcap", draw_bench(SEED), chirp_s=5.0, count=4)
     boat = boat_with(EFFECT, SEED)
-    boat_log(folder / "estimation.mcap", boat, 200.0, 101, run=1)
-    boat_log(folder / "validation.mcap", boat, 140.0, 102, run=2)
+    boat_log(folder / "estimation.mcap", boat, 150.0, 101, run=1)
+    boat_log(folder / "validation.mcap", boat, 100.0, 102, run=2)
     return folder
 
 

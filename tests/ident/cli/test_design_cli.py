@@ -116,7 +116,9 @@ def test_sensors_measure_as_often_as_in_the_fitted_data(fitted: Path) -> None:
     assert {s.name: task.rate(s.name) for s in task.model.sensors} == {"attitude": 2.0, "gyro": 10.0, "position": 5.0}
 
 
-@pytest.mark.parametrize(("rate", "said"), [("1", False), ("10", False), ("100", True)])
+@pytest.mark.parametrize(
+    ("rate", "said"), [("1", False), pytest.param("10", False, marks=pytest.mark.study), ("100", True)]
+)
 def test_samples_of_a_sensor_are_not_taken_for_averages(
     fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rate: str, said: bool
 ) -> None:

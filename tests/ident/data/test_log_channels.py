@@ -164,7 +164,7 @@ def test_what_drives_the_boat_is_read_from_the_signals_their_hold_and_their_rate
 
 
 def test_a_log_is_read_once_for_its_signals_and_its_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 60.0, 3)
+    path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 30.0, 3)
     read: list[str] = []
     every = Log._read_tables
     monkeypatch.setattr(Log, "_read_table", lambda log, kind, topic, *rest: pytest.fail(f"{topic} by itself"))
@@ -185,20 +185,20 @@ def test_a_log_is_read_once_for_its_signals_and_its_devices(tmp_path: Path, monk
 def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 240.0, 3)
+    path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 120.0, 3)
     monkeypatch.setattr(loading, "MARGIN_S", 8.0)  # of a log as short as this
     whole = load_run(path, "estimation")
     read: list[int] = []
     pread = os.pread
     monkeypatch.setattr(os, "pread", lambda fd, n, at: read.append(n) or pread(fd, n, at))  # type: ignore[func-returns-value]
-    window = TimeWindow(150.0, 180.0)
+    window = TimeWindow(60.0, 90.0)
     part = load_run(path, "estimation", window, device_faults)
     assert part.device_faults == ()
     assert sum(read) < 0.6 * path.stat().st_size
     assert part.about["duration"] == pytest.approx(30.0)
-    assert (part.about["path"], part.about["sha256"]) == ("a.mcap[150:180]", "")
+    assert (part.about["path"], part.about["sha256"]) == ("a.mcap[60:90]", "")
     rows, wanted = (
-        make_record(horizontal_model(), replace(one.run, t_from=150.0, t_to=180.0), 10.0) for one in (part, whole)
+        make_record(horizontal_model(), replace(one.run, t_from=60.0, t_to=90.0), 10.0) for one in (part, whole)
     )
     assert rows.t.tolist() == wanted.t.tolist()
     np.testing.assert_allclose(rows.u, wanted.u, atol=1e-11)  # sums over less of the log
@@ -206,7 +206,7 @@ def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
         # The track begins at the first fix that is read, the heading within half a turn of north.
         begin = np.nanmean(found - y) if name in ("x", "y", "psi") else 0.0
         np.testing.assert_allclose(found, y + begin, rtol=0.0, atol=1e-3 if begin else 0.0, err_msg=name)
-    with pytest.raises(SeatrialError, match="240 s long, so no data are left from 300 s on"):
+    with pytest.raises(SeatrialError, match="120 s long, so no data are left from 300 s on"):
         load_run(path, "estimation", TimeWindow(300.0))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +63,9 @@ def fitted(logs: list[LoadedLog], effect: str) -> FittedModel:
     return fit_nominal_model(model, [one.run for one in logs], [])
 
 
-def short(name: str = "short") -> LogSegment:
-    return replace(sail(IndependentBoat(), 30.0, 3), name=name)
+@cache
+def short() -> LogSegment:
+    return replace(sail(IndependentBoat(), 30.0, 3), name="short")
 
 
 def placed(tmp_path: Path, *places: tuple[float, float]) -> list[Path]:

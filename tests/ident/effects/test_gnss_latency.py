@@ -134,7 +134,22 @@ CHAIN: dict[tuple[str, ...], dict[str, float]] = {
 }
 
 
-@pytest.mark.parametrize("names", CHAIN, ids=lambda names: "+".join(names) or "alone")
+# One of each way to make thrust, and the chain of four; `make study` runs the others, too.
+DEFAULT = {
+    (),
+    ("delay",),
+    ("lag",),
+    ("turn-loss",),
+    ("advance-ratio",),
+    ("delay", "lag", "dead-band", "thrust-linearity"),
+}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [pytest.param(names, marks=[pytest.mark.study] * (names not in DEFAULT)) for names in CHAIN],
+    ids=lambda names: "+".join(names) or "alone",
+)
 def test_a_late_fix_is_where_the_boat_was_whatever_makes_its_thrust(names: tuple[str, ...]) -> None:
     found = errors(("gnss-latency", *names), CHAIN[names])
     assert found[:2].max() < 2e-3
@@ -148,7 +163,7 @@ def test_a_late_fix_is_that_of_an_antenna_on_its_arm() -> None:
     assert found[2:].max() < 0.03
 
 
-@pytest.mark.parametrize("lag", [0.05, 0.1, 0.3])
+@pytest.mark.parametrize("lag", [0.05, pytest.param(0.1, marks=pytest.mark.study), 0.3])
 def test_a_lag_that_is_short_beside_the_latency_is_not_extrapolated(lag: float) -> None:
     """A quick state's rate, times several of its time constants, is not where it was."""
     assert errors(("gnss-latency", "lag"), {"T_lag": lag}, 0.4)[2:].max() < 0.1

@@ -187,7 +187,7 @@ def test_parameters_errors_add_what_drawing_them_gives() -> None:
     exact, sure = navigate(model, rows, without_gnss=gap), navigate(model, rows, without_gnss=gap, known=wide)
     rng = np.random.default_rng(5)
     drawn = []
-    for _ in range(60):
+    for _ in range(30):
         own = {n: model.values[n] * np.exp(s / model.values[n] * rng.normal()) for n, s in zip(names, sd, strict=True)}
         drawn.append(navigate(model.with_values(own), rows, smoothed=False, without_gnss=gap).run.x_pred)
     k = int(np.searchsorted(rows.t, 70.0)) - 1

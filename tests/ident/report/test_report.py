@@ -31,6 +31,12 @@ def small(diagnosis: dict[str, Any]) -> dict[str, Any]:
     return shortened(copy.deepcopy(diagnosis))
 
 
+@pytest.fixture(scope="module")
+def page(diagnosis: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Page:
+    """Its page."""
+    return Page(written(diagnosis, tmp_path_factory.mktemp("diagnosis")))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_loaded_from_anywhere(kind: str, tmp_path: Path) -> None:
     text = written(shortened(KINDS[kind]()), tmp_path)
@@ -81,8 +87,8 @@ def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tm
     assert len(ids) == len(set(ids))
 
 
-def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], tmp_path: Path) -> None:
-    words = " ".join(Page(written(diagnosis, tmp_path)).words.split())
+def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page) -> None:
+    words = " ".join(page.words.split())
     start = words.index(diagnosis["answer"])
     first = words[: words.index("Predicted 10 s ahead against measured", start)]
     row = diagnosis["errors"]["validation"]["horizon"]["psi"]
@@ -92,8 +98,8 @@ def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], tmp_pa
     assert "72 %" in first
 
 
-def test_figures_are_json_of_sound_arrays(diagnosis: dict[str, Any], tmp_path: Path) -> None:
-    figures = Page(written(diagnosis, tmp_path)).figures()
+def test_figures_are_json_of_sound_arrays(page: Page) -> None:
+    figures = page.figures()
     traces = [trace for figure in figures.values() for trace in figure["data"]]
     sizes = [len(numbers(trace["x"])) for trace in traces]
     assert sizes == [len(numbers(trace["y"])) for trace in traces]
@@ -101,8 +107,8 @@ def test_figures_are_json_of_sound_arrays(diagnosis: dict[str, Any], tmp_path: P
     assert max(sizes) <= 3100
 
 
-def test_angles_are_wrapped_and_their_lines_break_where_they_jump(diagnosis: dict[str, Any], tmp_path: Path) -> None:
-    figures = Page(written(diagnosis, tmp_path)).figures()
+def test_angles_are_wrapped_and_their_lines_break_where_they_jump(page: Page) -> None:
+    figures = page.figures()
     firsts = {name: (f["layout"].get("annotations") or [{}])[0].get("text", "") for name, f in figures.items()}
     headings = [figures[name] for name, title in firsts.items() if "Heading" in title and "fit" in title]
     assert len(headings) == 4  # predicted and simulated, two records
@@ -190,7 +196,6 @@ def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) 
     return new
 
 
-SHARE = 0.2  # of the places below the first level, drawn by a seed: a page each
 POOR = (KeyError, None, [], {}, "text", float("nan"), True, -1)
 
 
@@ -202,16 +207,18 @@ def refusal(result: dict[str, Any]) -> str:
     return ""
 
 
+# `share`: of the places below the first level, drawn by a seed, a page each.
+@pytest.mark.parametrize("share", [0.05, pytest.param(0.2, marks=pytest.mark.study)])
 @pytest.mark.parametrize("kind", ["diagnosis", "thruster"])
 def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: str, share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("seatrial.ident.report.page.PLOTLY", "report.js")  # not 1.5 MB for each of many pages
     result = shortened(KINDS[kind]())
     every, n_drawn, rng = places(result), 0, np.random.default_rng(7)
     poor = [value for value in POOR if value == value]  # JSON knows no NaN
     some = {path: poor if len(path) == 1 else [poor[rng.integers(len(poor))]] for path in every}
-    some = {path: values for path, values in some.items() if len(path) == 1 or rng.random() < SHARE}
+    some = {path: values for path, values in some.items() if len(path) == 1 or rng.random() < share}
     for path, value in ((path, value) for path, values in some.items() for value in values):
         poorer = changed(result, [(path, value)])
         if refused := refusal(poorer):

@@ -97,14 +97,13 @@ LIVELY = {
 }
 
 
-KINDS = ["chirp", *(pytest.param(k, marks=pytest.mark.study) for k in ("white", "long holds"))]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "trials"), [("chirp", 500), *(pytest.param(kind, 2500, marks=pytest.mark.study) for kind in LIVELY)]
+)
+def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str, trials: int) -> None:
     """Whether 31 lags are 31 looks or three hangs on the input: no bolder than by a quarter, no more than four times
     too careful, and chance on top of either."""
-    rng, trials = np.random.default_rng(8), 2500
+    rng = np.random.default_rng(8)
     p = np.array([
         cross_correlation("r", T, rng.normal(size=N), "n", T, LIVELY[kind](rng, N)).p for _ in range(trials)
     ])  # fmt: skip
@@ -141,11 +140,15 @@ def test_what_an_input_leaves_in_the_innovations_is_found_at_its_lag() -> None:
 COLOURS = {"slow": [1.0, -0.95], "fast": [1.0, 0.6], "oscillating": [1.0, -1.6, 0.9]}
 
 
-@pytest.mark.parametrize("colour", COLOURS)
-@pytest.mark.parametrize("kind", ["chirp", "long holds"])
-def test_innovations_that_remember_know_an_input_as_rarely_as_p_says(kind: str, colour: str) -> None:
+ALL = [pytest.param(kind, c, 600, marks=pytest.mark.study) for kind in ("chirp", "long holds") for c in COLOURS]
+
+
+@pytest.mark.parametrize(
+    ("kind", "colour", "trials"), [("chirp", "slow", 200), ("long holds", "oscillating", 200), *ALL]
+)
+def test_innovations_that_remember_know_an_input_as_rarely_as_p_says(kind: str, colour: str, trials: int) -> None:
     """As those of a receiver that wanders do, or of an estimator: taken for white, they know every input."""
-    rng, trials = np.random.default_rng(9), 600
+    rng = np.random.default_rng(9)
     e = signal.lfilter([1.0], COLOURS[colour], rng.normal(size=(trials, N + 200)))[:, 200:]
     found = [cross_correlation("r", T, own, "n", T, LIVELY[kind](rng, N)) for own in e]
     p, z = np.array([c.p for c in found]), np.array([c.z for c in found])

@@ -55,9 +55,9 @@ def sailed(seconds: float, seed: int) -> np.ndarray:
     return np.array(rows)
 
 
-def imported(folder: Path, name: str, tables: str, extra: str = "") -> Path:
+def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: float = 120.0) -> Path:
     """The boat's run as a log, by a map with these further tables and columns."""
-    rows = sailed(120.0, 1)
+    rows = sailed(seconds, 1)
     header = ["t", *COLUMNS, *extra.split()]
     rows = np.column_stack([rows, *(rows[:, 1] for _ in extra.split())])
     csv, text = folder / f"{name}.csv", MAP + tables
@@ -135,7 +135,7 @@ TABLES = "[scale]\nc1 = 12.0\nc2 = 0.0\n[geometry]\ny_left = -0.2\ny_right = 0.2
 
 
 def test_scale_and_geometry_in_the_map_give_kilograms(tmp_path: Path) -> None:
-    result, _, _ = fitted(imported(tmp_path, "run", TABLES))
+    result, _, _ = fitted(imported(tmp_path, "run", TABLES, seconds=60.0))
     rows = rows_of(result)
     assert codes(result) == []
     assert result["fit"]["scale"]["statistical_only"]

@@ -21,7 +21,7 @@ from tests.missions import boat_log, boat_with
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder, boat = tmp_path_factory.mktemp("logs"), boat_with(None, 5)
-    return boat_log(folder / "one.mcap", boat, 120, 1), boat_log(folder / "two.mcap", boat, 80, 2, 2)
+    return boat_log(folder / "one.mcap", boat, 90, 1), boat_log(folder / "two.mcap", boat, 80, 2, 2)
 
 
 THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")
