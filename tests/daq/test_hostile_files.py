@@ -62,7 +62,7 @@ def test_what_a_command_may_not_do_is_seen(tmp_path: Path, monkeypatch: pytest.M
         MISDEEDS[why](box)
         sys.exit(0)
 
-    monkeypatch.setattr(hostile_files.seatrial, "main", main)
+    monkeypatch.setattr(hostile_files.command_line, "main", main)
     found = run(Command(("info",), "out/x"), box, tmp_path / "cache")
     assert found.why.startswith(why)
     assert bool(found.why) == bool(why)
