@@ -19,7 +19,7 @@ from seatrial.ident.data.record import Record
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import fit
 from seatrial.ident.model.structure import Model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 
 ROOT = Path(__file__).parents[1]
@@ -98,7 +98,7 @@ def saved(record: Record, folder: Path) -> Path:
 
 def large() -> Model:
     """13 states, 27 parameters: the plane with current, disturbance forces and sensor offsets."""
-    full = for_diagnosis(horizontal_model("shaft"))
+    full = with_disturbances(horizontal_model("shaft"))
     return full.with_free(full.values)
 
 

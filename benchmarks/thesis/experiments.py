@@ -25,7 +25,7 @@ from seatrial.ident.experiment_design.optimal_design import (
 from seatrial.ident.experiment_design.task import DesignProblem
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.numerics.linear_algebra import Array
-from seatrial.ident.studies.cases import Delivered, repeats
+from seatrial.ident.studies.cases import RepeatStatistics, repeat_design
 
 Say = Callable[[str], None]
 SECONDS, GRID = 600.0, 0.2
@@ -109,7 +109,7 @@ def chapter_5(seed: int, evaluations: int, n_repeats: int, say: Say) -> tuple[li
     say("an upper bound for prediction error")
     bound = upper_bound(pe.made, evaluations=evaluations, seed=seed)
     say("repeats of the designed experiment")
-    delivered = repeats(pe.made, n_repeats, seed)
+    delivered = repeat_design(pe.made, n_repeats, seed)
     words = [*_words(oe, pe), *bound_words(pe, bound), *_errors(oe, pe), *_delivered(delivered, n_repeats)]
     return words, _part(oe, pe)
 
@@ -166,7 +166,7 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
     ]
 
 
-def _delivered(found: list[Delivered], n: int) -> list[str]:
+def _delivered(found: list[RepeatStatistics], n: int) -> list[str]:
     rows = [
         f"| `{d.name}` | {d.predicted:.2g} | {d.ratio:.2f} | {d.interval[0]:.2f} to {d.interval[1]:.2f} | "
         f"{100 * d.coverage:.0f} % | {d.outliers} |"

@@ -20,7 +20,7 @@ from benchmarks.thesis.fits import (
     yaw_experiment,
 )
 from seatrial.ident.estimation.maximum_likelihood import Fit
-from seatrial.ident.estimation.standard_errors import TOO_LONG
+from seatrial.ident.estimation.standard_errors import AUTOCORRELATED_TOO_LONG
 
 Say = Callable[[str], None]
 INTRODUCTION = """\
@@ -140,7 +140,12 @@ def _said(truth: Mapping[str, float], fits: Mapping[str, Fit]) -> list[str]:
         known = [n for n in fit.names if n in printed.UNITS]
         parts.append(f"{label} {tables.distance(fit, truth, known):.1f}")
     lines = [f"Largest distance from the truth, in reported standard errors: {', '.join(parts)}."]
-    if any(what == TOO_LONG for fit in fits.values() for _, what in fit.flags if not fit.options.process_noise):
+    if any(
+        what == AUTOCORRELATED_TOO_LONG
+        for fit in fits.values()
+        for _, what in fit.flags
+        if not fit.options.process_noise
+    ):
         lines += [
             "What process noise moved the boat by stays in OE's residuals until the end of the record: no error",
             "allows for that, and a robust error is not given. Those of PE hold.",

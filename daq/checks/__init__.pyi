@@ -13,5 +13,5 @@ from .findings import worst_first as worst_first
 from .held_values import held_signals as held_signals
 from .held_values import held_together as held_together
 from .held_values import is_measured as is_measured
-from .import_checks import lacks_too_much as lacks_too_much
+from .import_checks import too_many_rows_missing as too_many_rows_missing
 from .import_checks import unknown_times as unknown_times

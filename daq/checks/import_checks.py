@@ -28,7 +28,7 @@ def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
             yield Finding(WARNING, "rows-left-out", "time", name, text, _ADVICE["back"])
         for line in (lines or "").splitlines():
             n, n_rows, why, rate, topic = line.split(" ", 4)
-            level = FAULT if lacks_too_much(int(n), int(n_rows)) else WARNING
+            level = FAULT if too_many_rows_missing(int(n), int(n_rows)) else WARNING
             rows = f"{counted(int(n), 'row')} of {n_rows}"
             code, text = "rows-left-out", f"{rows} left out: times that ran back or repeated"
             if why == "stamps":
@@ -73,7 +73,7 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
     return [(begin, end) for begin, end in gaps if end - begin > SHORTEST_GAP_S]
 
 
-def lacks_too_much(n: int, n_rows: int) -> bool:
+def too_many_rows_missing(n: int, n_rows: int) -> bool:
     """Whether a log without ``n`` of a source's ``n_rows`` is no longer the recording."""
     return n >= FEWEST_LEFT_OUT and n > MOST_LEFT_OUT * n_rows
 

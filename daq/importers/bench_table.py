@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.importers.recognise import SIDES, Candidate, Taken, read_name
+from seatrial.daq.importers.recognise import SIDES, Candidate, MapSignal, read_name
 from seatrial.daq.importers.table import Column, Table
 
 COMMAND, SHAFT = "n_cmd_thruster", "n_thruster"
@@ -55,12 +55,12 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     threshold = REVERSE_SHARE * float(np.nanmax(np.abs(thrust)))
     is_forward, is_reverse = bool(np.nanmax(thrust) > threshold), bool(np.nanmin(thrust) < -threshold)
     caveats += ["the thrust is negative throughout: its sign is changed"] * (not is_forward)
-    force = Taken("force", (found.thrust,), unit, "", "" if is_forward else "sign = -1")
+    force = MapSignal("force", (found.thrust,), unit, "", "" if is_forward else "sign = -1")
     signals = [Candidate("force", 0, table, (force,), "; ".join(caveats))]
     is_reversed = is_forward and is_reverse
     speed = numbers.get(found.speed)
     extra, caveat = _scale(command, thrust if speed is None else speed, is_reversed)
-    signals.append(Candidate("command", 0, table, (Taken(COMMAND, (found.command,), "1", "", extra),), caveat))
+    signals.append(Candidate("command", 0, table, (MapSignal(COMMAND, (found.command,), "1", "", extra),), caveat))
     if speed is None:
         return signals
     top = float(np.nanmax(np.abs(speed)))
@@ -71,7 +71,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     elif step > SLOWEST_SHAFT_S:
         caveat = f"rows {step:.2g} s apart are too slow for a time constant; only a static thrust curve can be fitted"
         rank = 5
-    shaft = Taken(SHAFT, (found.speed,), "1", "", f'scale = {1.0 / top:.9g}, hold = "linear"')
+    shaft = MapSignal(SHAFT, (found.speed,), "1", "", f'scale = {1.0 / top:.9g}, hold = "linear"')
     return [*signals, Candidate("shaft", rank, table, (shaft,), caveat)]
 
 

@@ -25,16 +25,16 @@ from seatrial.daq.importers.clocks import DATES, Clock, clock_of, row_seconds
 from seatrial.daq.importers.import_map import GEOGRAPHIC
 from seatrial.daq.importers.input_hold import input_hold
 from seatrial.daq.importers.recognise import (
-    BEHIND,
     CAVEATS,
     DRIVES,
     NAMES,
     OUTPUT,
     SET_POINTS,
     SETPOINT,
+    UNCHOSEN_RANK,
     Candidate,
+    MapSignal,
     Name,
-    Taken,
     drive,
     message_candidates,
     quantity,
@@ -202,7 +202,7 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
-def _held_lines(candidates: Sequence[Candidate], taken: Sequence[Taken], clocks: Clocks) -> Iterator[str]:
+def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
     """Yield a line for each group of signals whose values the table holds from one measurement to the next."""
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
     for candidate in candidates:
@@ -268,7 +268,7 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
             elif letter in FORCES:
                 unit = stated if UNITS.get(stated, ("",))[0] == FORCES[letter] else FORCES[letter]
                 caveat = "" if unit == stated else f"{letter} is assumed to be the {LETTERS[letter]} in {unit}"
-                yield Candidate("force", 1, table, (Taken(letter, (column,), unit, "", 'role = "input"'),), caveat)
+                yield Candidate("force", 1, table, (MapSignal(letter, (column,), unit, "", 'role = "input"'),), caveat)
             continue
         found = drive(words, together.get(quantity(words), values), name.unit) if np.isfinite(values).any() else None
         if (
@@ -287,7 +287,7 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
     yield from _motion(table, row_seconds(table, clocks[id(table)]), names, numbers)
 
 
-def _with_hold(taken: Taken, t: Column | None, values: Column, words: frozenset[str]) -> tuple[Taken, str]:
+def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozenset[str]) -> tuple[MapSignal, str]:
     """Return an input with the hold that its values (n,) show, and a caveat about the hold."""
     if t is None or "hold = " in taken.extra:
         return taken, ""
@@ -329,7 +329,7 @@ def _in_frame(candidate: Candidate) -> Candidate:
     return candidate._replace(signals=tuple(ned), caveat=caveat)
 
 
-def _also(signal: Taken, key: str) -> Taken:
+def _also(signal: MapSignal, key: str) -> MapSignal:
     """Return a signal with a further key."""
     return signal._replace(extra=", ".join(part for part in (signal.extra, key) if part))
 
@@ -353,7 +353,7 @@ def _motion(
 
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
         if a in names and b in names:
-            taken = tuple(Taken(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
+            taken = tuple(MapSignal(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
             yield Candidate(group, rank, table, taken, caveat)
 
     capital = "x" in names and names["x"][0] == "X"
@@ -365,10 +365,10 @@ def _motion(
         top = float(np.nanmax(np.abs(numbers[both[0]]), initial=0.0))
         unit = names["lat"][1].unit or ("degE7" if top > 1e4 else "deg")
         extra = f'units = ["{unit}", "{unit}"]' if unit != "deg" else ""
-        signals = (Taken("x", both, "", "north", extra), Taken("y", both, "", "east", extra))
+        signals = (MapSignal("x", both, "", "north", extra), MapSignal("y", both, "", "east", extra))
         if unit == "deg" and top > 90.0:
             caveat = f"{top:.7g} is not a latitude in degrees; the format may be ddmm.mmmm"
-            yield Candidate("position", BEHIND, table, signals, caveat)
+            yield Candidate("position", UNCHOSEN_RANK, table, signals, caveat)
         else:
             yield Candidate("position", 1, table, signals)
     plain = names["vx"][1].plain if "vx" in names else ""
@@ -391,21 +391,26 @@ def _motion(
             both = (column, names["course"][0])
             course, also = _angle_unit(names["course"][1], numbers[both[1]])
             units = f'units = ["{speed}", "{course}"]'
-            signals = (Taken("vx", both, "", "velocity_north", units), Taken("vy", both, "", "velocity_east", units))
+            signals = (
+                MapSignal("vx", both, "", "velocity_north", units),
+                MapSignal("vy", both, "", "velocity_east", units),
+            )
             yield Candidate("velocity", 1, table, signals, "; ".join(part for part in (caveat, also) if part))
         elif "u" not in names:
-            yield Candidate("body", 2, table, (Taken("speed", (column,), speed),), caveat)
+            yield Candidate("body", 2, table, (MapSignal("speed", (column,), speed),), caveat)
     if "psi" in names:
         column, name = names["psi"]
         unknown = numbers[column] == UNKNOWN_CDEG
         numbers = {**numbers, column: np.where(unknown, np.nan, numbers[column])}
         unit, caveat = _angle_unit(name, numbers[column])
         extra = f", missing = {UNKNOWN_CDEG}" if unknown.any() else ""
-        yield Candidate("heading", 0, table, (Taken("psi", (column,), unit, "", f'angle = "unwrap"{extra}'),), caveat)
+        yield Candidate(
+            "heading", 0, table, (MapSignal("psi", (column,), unit, "", f'angle = "unwrap"{extra}'),), caveat
+        )
     if "r" in names:
         column, name = names["r"]
         unit, caveat = (name.unit, "") if name.unit else _rate_unit(t, numbers, column, names)
-        yield Candidate("rate", 0, table, (Taken("r", (column,), unit),), caveat)
+        yield Candidate("rate", 0, table, (MapSignal("r", (column,), unit),), caveat)
 
 
 def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
@@ -486,7 +491,7 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         by_parameters = bool(functions) and f"SERVO{node}_TRIM" in p
         extra, caveat = _pulses(p, node) if by_parameters else (OUTPUT, CAVEATS["RCOut"])
         extra = 'role = "input", hold = "sampled"' if known else extra
-        taken = Taken(name, ("n" if known else "pwm",), "1", "", extra)
+        taken = MapSignal(name, ("n" if known else "pwm",), "1", "", extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
     shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_node_of)
     # All controllers get the same scale, so that equal speeds stay equal.
@@ -495,7 +500,7 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         node = _node_of(table)[0]
         name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
         caveat = f"controller {node} is assumed to be {name}, {top:.5g} rev/min (electrical for a VESC) full speed"
-        taken = Taken(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
+        taken = MapSignal(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
         yield Candidate("drive", 1, table, (taken,), caveat)
 
 
@@ -528,7 +533,7 @@ def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
 # The choice
 
 
-def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[Taken], list[str]]:
+def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[MapSignal], list[str]]:
     """Return the chosen signals, and the lines of the map: the best candidates, then the others as comments."""
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -541,13 +546,13 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
         return c.rank + 2 * bool(single), -len(c.table)
 
     quantities: dict[str, frozenset[str]] = {}  # quantity of the chosen thrusters, by group
-    taken: dict[str, Taken] = {}
+    taken: dict[str, MapSignal] = {}
     has_force = any(s.name in ("f_left", "f_right") for c in candidates for s in c.signals)
     found: dict[str, tuple[str, str]] = {}  # line and caveat of each signal
     others: list[str] = []
     for candidate in sorted(candidates, key=order):
         names = {signal.name for signal in candidate.signals}
-        free = candidate.rank < BEHIND and not names & set(taken) and not (names == {"speed"} and "u" in taken)
+        free = candidate.rank < UNCHOSEN_RANK and not names & set(taken) and not (names == {"speed"} and "u" in taken)
         free &= not (candidate.group == "drive" and (has_force or candidate.table.vehicle not in (None, *BOATS)))
         free &= not candidate.quantity or quantities.get(candidate.group, candidate.quantity) == candidate.quantity
         clock = clocks[id(candidate.table)]
@@ -561,7 +566,7 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
             if free:
                 taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
             else:
-                reason = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= BEHIND else ""
+                reason = f"  # {candidate.caveat}" if candidate.caveat and candidate.rank >= UNCHOSEN_RANK else ""
                 others.append(f"  # {line},{reason}")
     places = {name: k for k, name in enumerate(NAMES)}
     lines, last_caveat = [], ""
@@ -572,7 +577,7 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
     return list(taken.values()), lines + (["  # also in the source:", *others] if others else [])
 
 
-def _line(table: Table, signal: Taken, clock: Clock, main: Clock) -> str:
+def _line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> str:
     """Return one signal of the map as an inline table of TOML."""
     keys = [f"name = {_quoted(signal.name)}"]
     if table.topic:
@@ -603,7 +608,7 @@ def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: C
             except SeatrialError:
                 continue
             if np.isfinite(values).any():
-                line = _line(table, Taken("NAME", (column,), "1"), Clock(), Clock())
+                line = _line(table, MapSignal("NAME", (column,), "1"), Clock(), Clock())
                 lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
     if not lines:
         return []
@@ -611,7 +616,7 @@ def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: C
     return ["  # not recognised:", *lines[:MOST_LISTED], *more]
 
 
-def _problem(taken: Sequence[Taken], tables: Sequence[Table]) -> str:
+def _problem(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:
     """Return the reason why no fit is possible; "" if a fit should be possible."""
     if any(table.vehicle not in (None, *BOATS) for table in tables):
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import lacks_too_much, unknown_times
+from seatrial.daq.checks import too_many_rows_missing, unknown_times
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.import_map import ImportMap, Piece, Source, load_import_map
 from seatrial.daq.importers.missing_inputs import gap_lines
@@ -93,7 +93,7 @@ def import_files(
 
 def _spoils(row: RowsLeftOut) -> bool:
     """Return whether so many rows are left out that the rest does not represent the recording."""
-    return lacks_too_much(row.n, row.n_rows)
+    return too_many_rows_missing(row.n, row.n_rows)
 
 
 def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:

@@ -10,7 +10,9 @@ import numpy as np
 from seatrial.daq.importers.table import Column, Table
 from seatrial.daq.importers.units import UNITS
 
-BEHIND = 5  # added to the rank of set-points and of the truth of a simulator; a candidate of this rank is not chosen
+UNCHOSEN_RANK = (
+    5  # added to the rank of set-points and of the truth of a simulator; a candidate of this rank is not chosen
+)
 
 
 class Candidate(NamedTuple):
@@ -19,12 +21,12 @@ class Candidate(NamedTuple):
     group: str  # position, velocity, body, heading, ...; only the best candidate of a group is chosen
     rank: int  # lower is better: a sensor before an estimate, an estimate before the truth of a simulator
     table: Table
-    signals: tuple[Taken, ...]
+    signals: tuple[MapSignal, ...]
     caveat: str = ""
     quantity: frozenset[str] = frozenset()  # of thrusters: left and right must have the same; empty: no condition
 
 
-class Taken(NamedTuple):
+class MapSignal(NamedTuple):
     """Signal of a candidate, as in a map."""
 
     name: str  # in models
@@ -34,7 +36,7 @@ class Taken(NamedTuple):
     extra: str = ""  # further keys, as TOML
 
 
-Row = tuple[str, int, tuple[Taken, ...]]  # group, rank and signals of a candidate
+Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a candidate
 
 
 def _vector(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
@@ -42,20 +44,20 @@ def _vector(group: str, names: str, fields: str, unit: str, rank: int, extra: st
     return (
         group,
         rank,
-        tuple(Taken(n, (f,), unit, "", extra) for n, f in zip(names.split(), fields.split(), strict=True)),
+        tuple(MapSignal(n, (f,), unit, "", extra) for n, f in zip(names.split(), fields.split(), strict=True)),
     )
 
 
 def _heading(prefix: str, rank: int, names: str = "x y z w") -> Row:
     """Return a row with the heading of a quaternion; `names` are its fields x, y, z and w behind `prefix`."""
     fields = tuple(f"{prefix}{axis}" for axis in names.split())
-    return "heading", rank, (Taken("psi", fields, "", "yaw", 'angle = "unwrap"'),)
+    return "heading", rank, (MapSignal("psi", fields, "", "yaw", 'angle = "unwrap"'),)
 
 
 def _fix(lat: str, lon: str, unit: str, rank: int) -> Row:
     """Return a row with the position of a fix from the fields of latitude and longitude."""
     extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
-    signals = (Taken("x", (lat, lon), "", "north", extra), Taken("y", (lat, lon), "", "east", extra))
+    signals = (MapSignal("x", (lat, lon), "", "north", extra), MapSignal("y", (lat, lon), "", "east", extra))
     return "position", rank, signals
 
 
@@ -285,7 +287,7 @@ def message_candidates(table: Table) -> list[Candidate]:
     for group, rank, signals in rows:
         known = [np.isfinite(table.columns[c]).any() for s in signals for c in s.columns if c in table.columns]
         if len(known) == sum(len(s.columns) for s in signals) and all(known):
-            behind = BEHIND if SETPOINT.search(table.topic) else 0
+            behind = UNCHOSEN_RANK if SETPOINT.search(table.topic) else 0
             found.append(Candidate(group, rank + behind, table, signals, CAVEATS.get(kind, "")))
     return found
 
@@ -347,7 +349,7 @@ def quantity(words: frozenset[str]) -> frozenset[str]:
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 
 
-def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken, str] | None:
+def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSignal, str] | None:
     """Recognise a column of commands, shaft speeds or forces of a thruster.
 
     Parameters
@@ -378,7 +380,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
     forces = words & {"force", "thrust", "f"}
     if unit in _FORCE_UNITS or (not unit and forces and top > 1.0):
         caveat = "" if unit else f"its numbers, up to {top:.3g}, are assumed to be newtons"
-        return "force", Taken(f"f{side}" if side else "X", (), unit or "N", "", 'role = "input"'), caveat
+        return "force", MapSignal(f"f{side}" if side else "X", (), unit or "N", "", 'role = "input"'), caveat
     speed = bool(unit in _SPEED_UNITS or words & _SPEEDS)
     role, caveat = 'role = "input"', ""
     if speed and not words & _COMMANDS:
@@ -388,8 +390,12 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, Taken,
     if wraps.any():
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
-    def found(unit: str, extra: str, *caveats: str) -> tuple[str, Taken, str]:
-        return "drive", Taken(f"n{side}", (), unit, "", extra), "; ".join(part for part in (*caveats, caveat) if part)
+    def found(unit: str, extra: str, *caveats: str) -> tuple[str, MapSignal, str]:
+        return (
+            "drive",
+            MapSignal(f"n{side}", (), unit, "", extra),
+            "; ".join(part for part in (*caveats, caveat) if part),
+        )
 
     if unit == "%":
         small = f'its numbers are at most {top:.3g}; if they are fractions, not per cent, give unit = "1"'

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.daq.checks import lacks_too_much
+from seatrial.daq.checks import too_many_rows_missing
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.importers.import_map import DAY_COUNTS, GPS_UNITS, TIME_UNITS, TimeColumn
 from seatrial.daq.importers.table import Column, Table
@@ -151,7 +151,7 @@ def dated(table: Table, date: str, time: str) -> list[str]:
 
 def _may_lack(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
     """Return whether so few rows are without a time that they may be left out; with more, the format is wrong."""
-    return lenient and len(untimed) < len(t) and not lacks_too_much(len(untimed), len(t))
+    return lenient and len(untimed) < len(t) and not too_many_rows_missing(len(untimed), len(t))
 
 
 def _continued(t: Column, form: str) -> Column:

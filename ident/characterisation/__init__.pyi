@@ -4,7 +4,7 @@ from .sensor_noise import band_spectrum as band_spectrum
 from .sensor_noise import estimate_noise as estimate_noise
 from .sensor_noise import noise_model as noise_model
 from .sensor_noise import welch as welch
-from .thrust_curve import FALLS as FALLS
+from .thrust_curve import REVERSED_LOAD_CELL as REVERSED_LOAD_CELL
 from .thrust_curve import Curve as Curve
 from .thrust_curve import Levels as Levels
 from .thrust_curve import Quadratic as Quadratic
@@ -23,7 +23,7 @@ from .thrust_curve import total as total
 from .thruster import THRUSTER_RATE as THRUSTER_RATE
 from .thruster import check_signs as check_signs
 from .thruster import directions as directions
-from .thruster import fit_on_a_copy as fit_on_a_copy
+from .thruster import fit_with_delay_on_grid as fit_with_delay_on_grid
 from .thruster import shaft_guess as shaft_guess
 from .thruster import steady_thrust as steady_thrust
 from .thruster import thruster_channels as thruster_channels

@@ -31,7 +31,7 @@ LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
 MIN_SAMPLES = 20  # of the force at one level
 REVERSED = -0.5  # correlation of the force with n|n|; noise gives more, a load cell with the wrong sign about -1
 BEYOND_ERROR = 5.0  # standard errors between the smallest and the largest level; chance hardly ever gives more
-FALLS = (
+REVERSED_LOAD_CELL = (
     "the force falls as the command rises: the load cell is reversed; change the sign of newton_per_count in the rig, "
     "or of the force's scale in the import map, and make the log again"
 )

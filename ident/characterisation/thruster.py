@@ -12,12 +12,12 @@ from dataclasses import replace
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.characterisation.thrust_curve import FALLS, MIN_SAMPLES, falls
-from seatrial.ident.checks import check_shafts, spoils_a_fit
+from seatrial.ident.characterisation.thrust_curve import MIN_SAMPLES, REVERSED_LOAD_CELL, falls
+from seatrial.ident.checks import check_shafts, invalidates_fit
 from seatrial.ident.data import Channel, LoadedLog, LogSegment, Record
 from seatrial.ident.estimation import EstimationOptions, Fit, Likelihood, fit
 from seatrial.ident.model import Model
-from seatrial.ident.models import START_POLES, delay_step, delayed_channels, on_a_copy, thruster_model
+from seatrial.ident.models import START_POLES, delay_step, delayed_channels, pace_with_copy_at, thruster_model
 from seatrial.ident.numerics import Array, LagData, fit_first_order_lag
 
 THRUSTER_RATE = 50.0  # Hz, rows of a record with load cell and shaft speed
@@ -29,7 +29,7 @@ LEAST_SPEED = 0.05  # of full speed; smaller speeds may be noise
 N_SEARCHES = 3  # searches over the dead zone, each with the other parameters of the fit before
 
 
-def fit_on_a_copy(
+def fit_with_delay_on_grid(
     model: Model, records: list[Record], again: Callable[[Model], list[Record]], options: EstimationOptions
 ) -> tuple[Fit, list[Record]]:
     """Fit a thruster model, then fit it again with the delay on one of the delayed copies of the command.
@@ -56,7 +56,7 @@ def fit_on_a_copy(
     """
     plain = replace(options, reml=False)
     fitted = fit_thruster(model, records, plain)
-    step = on_a_copy(fitted.model.values["tau"], delay_step(model))
+    step = pace_with_copy_at(fitted.model.values["tau"], delay_step(model))
     if step:
         exact = thruster_model(step, force="thrust" in model.provides)
         records = again(exact)
@@ -218,13 +218,13 @@ def check_signs(loaded: LoadedLog, name: str) -> None:
     """
     c, where = loaded.run.channels, loaded.about["path"]
     for f in check_shafts({n: c[n] for n in (f"n_cmd_{name}", f"n_{name}") if n in c}):
-        if spoils_a_fit(f):
+        if invalidates_fit(f):
             raise SeatrialError(f"{where}: {f.where}: {f.text} [{f.code}]; {f.advice}")
     if "force" in c and f"n_{name}" in c:
         seen = np.isfinite(c["force"].value)
         n = np.interp(c["force"].t[seen], c[f"n_{name}"].t, c[f"n_{name}"].value)
         if falls(n, c["force"].value[seen]):
-            raise SeatrialError(f"{where}: {FALLS}")
+            raise SeatrialError(f"{where}: {REVERSED_LOAD_CELL}")
 
 
 def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:

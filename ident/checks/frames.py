@@ -16,7 +16,7 @@ correct log if three conditions hold:
 
 For mock boats the share across the heading is 0.01 to 0.15; for their mirror images it is 0.35 to 0.5.
 
-A mirror is a sign between two signals. All signs together show which signal is wrong (`culprit`).
+A mirror is a sign between two signals. All signs together show which signal is wrong (`mirrored_signals`).
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
     axes = _axes(tracks) if len(tracks) == 2 else None
     if len(tracks) == 2:
         signs["position", "velocity"] = -1 if axes in MIRRORS else 1
-    wrong = culprit(signs)
+    wrong = mirrored_signals(signs)
     if wrong is not None and wrong != ("thrusters",):  # `seatrial.ident.checks.motion` checks each thruster
         yield _mirrored(wrong, courses)
         return
@@ -195,7 +195,7 @@ def course(c: Channels, w: Windows) -> Course | None:
     return Course(int(_prefers(across[-1], across[1])), angle[1] if turned else 0.0)
 
 
-def culprit(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
+def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     """Return the signals that are mirrored.
 
     Parameters

@@ -92,7 +92,7 @@ class ShaftResponse:
 
 
 @dataclass(frozen=True)
-class PushResponseCurve:
+class ThrustResponseCurve:
     """Measured motion and the motion that the thrust is expected to cause."""
 
     title: str
@@ -134,7 +134,7 @@ class CheckEvidence:
     rig: str | None  # name of the rig in the log; None if the log has no rig
     intervals: tuple[SampleIntervals, ...] = ()
     shafts: tuple[ShaftResponse, ...] = ()
-    push: tuple[PushResponseCurve, ...] = ()
+    push: tuple[ThrustResponseCurve, ...] = ()
     sensors: tuple[SensorPair, ...] = ()
     signals: tuple[SignalCurve, ...] = ()
 
@@ -207,7 +207,7 @@ def _shafts(c: Channels) -> list[ShaftResponse]:
     ]
 
 
-def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
+def push(c: Channels, sides: Mapping[str, float]) -> list[ThrustResponseCurve]:
     """Return yaw rate and surge speed as measured and as expected from the thrust.
 
     Parameters
@@ -225,7 +225,7 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
     forces = thruster_forces(c, sides)
     if forces is None:
         return []
-    found: list[PushResponseCurve] = []
+    found: list[ThrustResponseCurve] = []
     if forces.side.any():
         r = best_turn_rate(c, forces.edges)
         if r is not None:
@@ -237,12 +237,12 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[PushResponseCurve]:
 
 def _response_curve(
     title: str, unit: str, forces: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
-) -> PushResponseCurve:
+) -> ThrustResponseCurve:
     """Return the motion y (n,) beside the response to f (n,) by the best of the lags [s]."""
     measured = np.isfinite(y)  # a course is NaN while the boat is too slow
     filled = fill_gaps(forces.t, y)
     expected = delayed_forces(filled, f, lags) if np.ptp(f) > 0.0 else np.full(y.size, np.nan)
-    return PushResponseCurve(title, unit, forces.t[measured], y[measured], expected[measured])
+    return ThrustResponseCurve(title, unit, forces.t[measured], y[measured], expected[measured])
 
 
 def sensors(c: Channels) -> list[SensorPair]:
@@ -302,7 +302,7 @@ INPUT_WARNINGS = ("input-missing", "rpm-max-missing")  # warnings of the device 
 COPIED_SHARE, MIN_TRIPLES = 0.5, 50
 
 
-def spoils_a_fit(finding: Finding) -> bool:
+def invalidates_fit(finding: Finding) -> bool:
     """Return whether the result of a fit to a log with this finding is meaningless."""
     return finding.level == FAULT and finding.code in SPOILING
 

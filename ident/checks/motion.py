@@ -52,7 +52,7 @@ class RegressionEffect(NamedTuple):
         return np.where(significant, np.sign(self.size), 0.0)
 
 
-class PushResponse(NamedTuple):
+class ThrustResponse(NamedTuple):
     """Effects of the thrusters on yaw rate and surge speed."""
 
     names: tuple[str, ...]  # of the thrusters
@@ -94,7 +94,7 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
         yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), text)
 
 
-def _verdict(found: PushResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
+def _verdict(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
     """Yield the faults. ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected, 0 unknown."""
     if found.moment > 0 and (surge < 0).any() and not (surge > 0).any() and not (yaw < 0).any():
         yield half_turn("the boat turns as expected, but moves opposite to its heading when the thrust is forward")
@@ -145,7 +145,7 @@ def _most(effect: RegressionEffect) -> Array:
     return np.where(effect.t != 0, bound / size[clear].max(), 1.0)
 
 
-def thrust_responses(c: Channels, sides: Mapping[str, float]) -> PushResponse | None:
+def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse | None:
     """Regress yaw rate and surge speed on the thrust of each thruster.
 
     Parameters
@@ -157,7 +157,7 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> PushResponse | 
 
     Returns
     -------
-    PushResponse or None
+    ThrustResponse or None
         None if the log is too short, or has no thrust or no sensor of the yaw rate.
     """
     forces = thruster_forces(c, sides)
@@ -167,7 +167,7 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> PushResponse | 
     if rate is None:
         return None
     yaw = _effect(rate, forces.f, [], YAW_LAGS)
-    return PushResponse(forces.names, yaw, _surge(c, forces.t, forces.edges, forces.f), _moment(forces, rate))
+    return ThrustResponse(forces.names, yaw, _surge(c, forces.t, forces.edges, forces.f), _moment(forces, rate))
 
 
 def best_turn_rate(c: Channels, edges: Array) -> Array | None:

@@ -19,13 +19,13 @@ from seatrial.ident.cli.options import (
     MODEL,
     Lines,
     LiveLine,
+    check_output,
     command_line,
     despite_option,
     estimation_of,
     force_option,
     horizon_option,
     mean_order_option,
-    not_there,
     out_option,
     parse_names,
     parse_priors,
@@ -138,7 +138,7 @@ ident.add_command(navigate)
     "--out",
     "output",
     type=click.Path(dir_okay=False, path_type=Path),
-    callback=not_there,
+    callback=check_output,
     help="File to write; without it, the text is printed.",
 )
 @force_option
@@ -387,7 +387,7 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
     Example:
       seatrial ident study surge yaw --replicates 500 --out study
     """
-    from seatrial.ident.report import as_text, write_study_docs, write_study_page
+    from seatrial.ident.report import study_as_text, write_study_docs, write_study_page
     from seatrial.ident.results import AIMS
     from seatrial.ident.workflows.study import StudyRequest, run_studies
 
@@ -395,7 +395,7 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
     request = StudyRequest(models, out=out, method=estimator, bounded=not unbounded, **how)
     result = run_studies(request, command_line(), Lines(err=True))
     write_study_page(result, AIMS, out / "report.html")
-    click.echo(as_text(result), nl=False)
+    click.echo(study_as_text(result), nl=False)
     if docs is not None:
         write_study_docs(result, docs)
         click.echo(f"written: {docs}")

@@ -110,7 +110,7 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def force_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--force`` to a command; ``not_there`` reads its value from the context."""
+    """Add ``--force`` to a command; ``check_output`` reads its value from the context."""
     help_ = "Replace existing results."
     return click.option("--force", is_flag=True, expose_value=False, is_eager=True, callback=_force, help=help_)(f)
 
@@ -119,7 +119,7 @@ def _force(context: click.Context, _parameter: click.Parameter, force: bool) -> 
     context.meta["force"] = force
 
 
-def not_there(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
+def check_output(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
     """Check the file or folder of ``--out`` (click callback).
 
     Raises
@@ -143,7 +143,7 @@ def out_option(default: str) -> Callable[..., Any]:
     """Add ``--out``, with this default folder, and ``--force`` to a command."""
     words = "Folder for the results."
     how: dict[str, Any] = {"type": FOLDER, "default": Path(default), "show_default": True, "help": words}
-    return lambda f: click.option("--out", callback=not_there, **how)(force_option(f))
+    return lambda f: click.option("--out", callback=check_output, **how)(force_option(f))
 
 
 def _trust(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:

@@ -483,7 +483,7 @@ def load_all(
     Returns
     -------
     estimation, validation : list
-        The logs, each as its parts between gaps (`known_pieces`), with unique names.
+        The logs, each as its parts between gaps (`usable_parts`), with unique names.
 
     Raises
     ------
@@ -494,14 +494,14 @@ def load_all(
     if same:
         name = sorted(same)[0].name
         raise SeatrialError(f"{name}: the same log to fit and to validate proves nothing; give another")
-    estimation = [(p, part) for p in logs for part in known_pieces(load_run(p, "estimation", window, device_faults))]
-    validation = [(p, part) for p in validate for part in known_pieces(load_run(p, "validation", WHOLE, device_faults))]
+    estimation = [(p, part) for p in logs for part in usable_parts(load_run(p, "estimation", window, device_faults))]
+    validation = [(p, part) for p in validate for part in usable_parts(load_run(p, "validation", WHOLE, device_faults))]
     files = [p for p, _ in (*estimation, *validation)]
-    named = share_frame(told_apart([part for _, part in (*estimation, *validation)], files))
+    named = share_frame(with_unique_names([part for _, part in (*estimation, *validation)], files))
     return named[: len(estimation)], named[len(estimation) :]
 
 
-def known_pieces(log: LoadedLog) -> list[LoadedLog]:
+def usable_parts(log: LoadedLog) -> list[LoadedLog]:
     """Cut a log at times without a sample of any sensor, and at times in which an input is unknown.
 
     Parameters
@@ -529,7 +529,7 @@ def known_pieces(log: LoadedLog) -> list[LoadedLog]:
 
 
 def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
-    """Cut a log only at times without a sample of any sensor, as `known_pieces` does.
+    """Cut a log only at times without a sample of any sensor, as `usable_parts` does.
 
     Raises
     ------
@@ -618,14 +618,14 @@ def load_runs(
     reference
         Origin of x and y, as for `share_frame`.
     cut
-        Whether to cut the logs at their gaps (`known_pieces`).
+        Whether to cut the logs at their gaps (`usable_parts`).
     """
     whole = [(p, load_run(p, role, window, device_faults)) for p in logs]
-    loaded = [(p, part) for p, log in whole for part in (known_pieces(log) if cut else [log])]
-    return share_frame(told_apart([log for _, log in loaded], [p for p, _ in loaded]), reference)
+    loaded = [(p, part) for p, log in whole for part in (usable_parts(log) if cut else [log])]
+    return share_frame(with_unique_names([log for _, log in loaded], [p for p, _ in loaded]), reference)
 
 
-def told_apart(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
+def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
     """Give each log a unique name.
 
     Parameters

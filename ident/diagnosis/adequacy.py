@@ -25,9 +25,9 @@ import numpy as np
 from seatrial.ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
-from seatrial.ident.experiment_design import not_commanded
+from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
-from seatrial.ident.models import READINGS, THRUST_LOSSES
+from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
 # Largest criterion (2 ln L less the penalty of the parameters) of the remaining score tests beside an identified
 # effect, whose true form is not exactly that of the catalogue: absolute, and as a share of what the effects explain
@@ -219,7 +219,7 @@ def _worded(score: Score) -> str:
         return f"that {curve.force} follows {curve.variable}"
     if score.kind is EffectKind.RESONANT:
         return f"that {curve.force} oscillates after {curve.variable}"
-    titles = {r.name: f"the error of {r.name}" for r in READINGS} | {r.name: r.title for r in THRUST_LOSSES}
+    titles = {r.name: f"the error of {r.name}" for r in SENSOR_ERRORS} | {r.name: r.title for r in THRUST_LOSSES}
     force = titles.get(curve.force, curve.force)
     return f"that {force} depends on {' and '.join(v for v in (curve.variable, curve.second) if v)}"
 
@@ -341,7 +341,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
         for competitor in others[:1]:
             lines.append(f"To distinguish {effect.title} from {titles[competitor]}: {effect.experiment}.")
             named = {q.effect.name for q in search_round.refits if q.effect.kind is EffectKind.CATALOGUE}
-            if {effect.name, competitor} <= named and not not_commanded(diagnosis.before.model):
+            if {effect.name, competitor} <= named and not reason_without_mission(diagnosis.before.model):
                 lines.append(
                     f"`seatrial mission design MODEL --discriminate {effect.name},{competitor}` generates the mission."
                 )

@@ -34,8 +34,8 @@ from seatrial.ident.diagnosis.score_test import (
 from seatrial.ident.effects import EFFECT, FORCES, harmonics, input_response_effects
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import FittedModel, RecordEvaluation
-from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter, Residual, curve_name
-from seatrial.ident.models import products_of, readings_of, residuals_of, size_of, thrust_losses_of, variables_of
+from seatrial.ident.model import DisturbanceChannel, Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
+from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, size_of, thrust_losses_of, variables_of
 from seatrial.ident.numerics import Array, wrap
 from seatrial.ident.validation import SpectralPeak, spectral_peak
 
@@ -118,7 +118,7 @@ class TrajectoryLinearisation:
         change[:, index] = 0.0  # the decay of the state itself is not an effect on the boat
         return change
 
-    def relative(self, residual: Residual) -> Array:
+    def relative(self, residual: DisturbanceChannel) -> Array:
         """Return d(rates, outputs) / d relative change of a residual, Array (n_rows, n_states + n_outputs).
 
         The difference is exact, because the change enters linearly.
@@ -211,7 +211,7 @@ class TrajectoryLinearisation:
             Spline bases of the variables, by default those of this record (see `generic_features`).
         """
         table = generic_features(self.model, self.own, self.x, among, self.values)
-        for residual in (*residuals_of(self.model), *readings_of(self.model), *thrust_losses_of(self.model)):
+        for residual in (*residuals_of(self.model), *sensor_errors_of(self.model), *thrust_losses_of(self.model)):
             direction = self.relative(residual) if residual.relative else self.state(residual.state)
             touched = np.flatnonzero(direction.any(axis=0))
             direction = direction[:, touched]

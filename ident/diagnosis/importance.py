@@ -16,8 +16,8 @@ import numpy as np
 from seatrial.ident.data import Record
 from seatrial.ident.diagnosis.acceptance import comparison
 from seatrial.ident.diagnosis.results import EffectImportance, Refit, Round
-from seatrial.ident.engine import quickly
-from seatrial.ident.estimation import FIT_ERRORS, ROUGH, FittedModel, Unseen, fit_and_evaluate
+from seatrial.ident.engine import quick_compilation
+from seatrial.ident.estimation import FIT_ERRORS, ROUGH_SEARCH, FittedModel, ValidationData, fit_and_evaluate
 from seatrial.ident.model import Effect, Model
 
 
@@ -27,7 +27,7 @@ def effect_importance(
     chosen: Sequence[Refit],
     rounds: Sequence[Round],
     records: Sequence[Record],
-    unseen: Unseen,
+    unseen: ValidationData,
 ) -> tuple[EffectImportance, ...]:
     """Compute the importance of each chosen effect, largest first (``by_importance``).
 
@@ -98,7 +98,7 @@ def fit_without(
     chosen: Sequence[Refit],
     effect: Effect,
     records: Sequence[Record],
-    unseen: Unseen,
+    unseen: ValidationData,
 ) -> FittedModel:
     """Fit the model with all chosen effects except one, exactly.
 
@@ -183,7 +183,7 @@ def _with(
     after: FittedModel,
     before: FittedModel,
     records: Sequence[Record],
-    unseen: Unseen,
+    unseen: ValidationData,
     *,
     exact: bool = False,
 ) -> FittedModel:
@@ -195,5 +195,5 @@ def _with(
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     if exact:
         return fit_and_evaluate(model, records, unseen)
-    with quickly(sum(r.n_rows for r in records)):
-        return fit_and_evaluate(model, records, unseen, settings=ROUGH)
+    with quick_compilation(sum(r.n_rows for r in records)):
+        return fit_and_evaluate(model, records, unseen, settings=ROUGH_SEARCH)

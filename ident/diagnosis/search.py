@@ -51,26 +51,26 @@ from seatrial.ident.diagnosis.score_test import (
     score_threshold,
 )
 from seatrial.ident.effects import NonparametricForce, catalogue, input_response_effects, nonparametric_effect, shape
-from seatrial.ident.engine import quickly
+from seatrial.ident.engine import quick_compilation
 from seatrial.ident.estimation import (
     AT_BOUND,
     FIT_ERRORS,
-    ROUGH,
+    ROUGH_SEARCH,
     VAGUE,
     FittedModel,
-    Unseen,
+    ValidationData,
     between_runs,
-    blocks_of,
     cross_validated,
+    cut_into_blocks,
     fit_and_evaluate,
     fit_with_rescaling,
-    lacking_inputs,
-    nominal,
-    superset,
+    missing_inputs,
+    nominal_model,
     validated_in_blocks,
     validation_records,
+    with_all_candidates,
     without_absent_sensors,
-    without_untold_sensors,
+    without_unknown_noise,
 )
 from seatrial.ident.model import Effect, EffectKind, ForceCurve, Model, Parameter
 from seatrial.ident.models import residuals_of, scale_priors, size_of, variables_of
@@ -201,7 +201,7 @@ def diagnose(
             f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
             "the horizontal model instead"
         )
-    full = nominal(model)
+    full = nominal_model(model)
     requested = catalogue() if effects is None else effects
     candidates = {n: e for n, e in requested.items() if full.accepts(e)}
     accepted = set(candidates)
@@ -209,11 +209,11 @@ def diagnose(
     usable = [r for r in validation if r.name not in {f.record for f in failed}]
     if _far_apart([*estimation, *usable]):
         candidates = {n: e for n, e in candidates.items() if not e.fixed_point}
-    everything, candidates = superset(full, candidates, [*estimation, *usable])
+    everything, candidates = with_all_candidates(full, candidates, [*estimation, *usable])
     untested = accepted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
     runs = [make_record(everything, r, rate) for r in usable]
-    runs = without_untold_sensors(full, records, runs)
+    runs = without_unknown_noise(full, records, runs)
     full = without_absent_sensors(full, records)
     reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
     before, unseen = _first_fit(full, records, runs)
@@ -277,7 +277,7 @@ def _refused(
         if effect in [u.effect for u in found]:
             continue
         reason = model.refusal(effect)
-        lacking = ((run, lacking_inputs(model, effect, run)) for run in runs if reason is None)
+        lacking = ((run, missing_inputs(model, effect, run)) for run in runs if reason is None)
         reason = next((f"{run.name} lacks its input {min(names)}" for run, names in lacking if names), reason)
         if reason is not None:
             found.append(UntestedCandidate(effect, reason))
@@ -293,7 +293,7 @@ def _short_data(scores: Sequence[Score], stage: FittedModel) -> ShortData | None
     return ShortData(sum(r.duration for r in stage.records), needed, len(short), len(scores))
 
 
-def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, Unseen]:
+def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, ValidationData]:
     """Fit the nominal model, and return the data that validate it.
 
     These are the validation runs, or blocks in time of the estimation runs if no validation run can be evaluated.
@@ -301,7 +301,7 @@ def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[
     stage = fit_with_rescaling(full, records, runs)
     if stage.validation:
         return stage, runs
-    blocks = blocks_of(records, stage.estimation, full.block)
+    blocks = cut_into_blocks(records, stage.estimation, full.block)
     return cross_validated(stage, blocks), blocks
 
 
@@ -362,7 +362,7 @@ class _Search:
     """Forward selection and backward elimination: their data, and the rounds so far."""
 
     def __init__(
-        self, records: Sequence[Record], unseen: Unseen, candidates: Mapping[str, Effect], reporter: Reporter
+        self, records: Sequence[Record], unseen: ValidationData, candidates: Mapping[str, Effect], reporter: Reporter
     ) -> None:
         self.records, self.unseen, self.candidates, self.reporter = records, unseen, dict(candidates), reporter
         self.rounds: list[Round] = []
@@ -539,7 +539,7 @@ class _Search:
         def refit(pair: tuple[Effect, Score]) -> Refit | UntestedCandidate:
             return self._refit(current, *pair)
 
-        with ThreadPoolExecutor(2) as pool, quickly(self.n):
+        with ThreadPoolExecutor(2) as pool, quick_compilation(self.n):
             for found in pool.map(refit, tried):
                 if isinstance(found, Refit):
                     refits.append(found)
@@ -557,7 +557,7 @@ class _Search:
         best, reason = None, ""
         for start in _starts(effect, score):
             try:
-                stage = fit_and_evaluate(current.fit.model + start, self.records, self.unseen, settings=ROUGH)
+                stage = fit_and_evaluate(current.fit.model + start, self.records, self.unseen, settings=ROUGH_SEARCH)
                 gain = 2 * (stage.fit.log_posterior - current.fit.log_posterior)
                 total, t = comparison(current, stage, effect).gain
             except FIT_ERRORS as problem:

@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 
 from seatrial.ident.model import (
+    DisturbanceChannel,
     Effect,
     EffectKind,
     ForceCurve,
     Input,
     Model,
     Parameter,
-    Residual,
     Signals,
     State,
     ThrusterPair,
     Variable,
     curve_name,
 )
-from seatrial.ident.models import TIME, readings_of, residuals_of, thrust_losses_of, unit_over, variables_of
+from seatrial.ident.models import TIME, residuals_of, sensor_errors_of, thrust_losses_of, unit_over, variables_of
 from seatrial.ident.numerics import Array
 
 N_KNOTS, N_HARMONICS = 9, 3
@@ -107,7 +107,7 @@ def _rounded_abs(z: Any) -> Any:
     return abs(z) + (ROUNDING - abs(z)) ** 2 / (2 * ROUNDING) * (abs(z) < ROUNDING)
 
 
-def _basis(residual: Residual, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
+def _basis(residual: DisturbanceChannel, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
     """Return the basis functions of the variable.
 
     For a relative residual, their values at zero are subtracted: a constant factor belongs to the scale of the thrust.
@@ -118,7 +118,7 @@ def _basis(residual: Residual, z: Any, angle: bool, span: tuple[float, float]) -
     return [b - b0 for b, b0 in zip(basis, spline_basis(0.0, angle, span), strict=True)]
 
 
-def partition(model: Model, curve: ForceCurve) -> tuple[Residual, list[Variable]]:
+def partition(model: Model, curve: ForceCurve) -> tuple[DisturbanceChannel, list[Variable]]:
     """Return the residual of a curve and its variable, or the two variables of a product.
 
     Raises
@@ -126,7 +126,7 @@ def partition(model: Model, curve: ForceCurve) -> tuple[Residual, list[Variable]
     ValueError
         If the model lacks the residual or a variable.
     """
-    residuals = {r.name: r for r in (*residuals_of(model), *readings_of(model), *thrust_losses_of(model))}
+    residuals = {r.name: r for r in (*residuals_of(model), *sensor_errors_of(model), *thrust_losses_of(model))}
     variables = {v.name: v for v in (*variables_of(model), TIME)}
     of = [curve.variable, curve.second] if curve.second else [curve.variable]
     required = [(curve.force, list(residuals)), *((v, list(variables)) for v in of)]
@@ -343,7 +343,7 @@ def _thrust(pair: ThrusterPair) -> Signal:
     return read
 
 
-def _per_drive(force: Residual, unit: str) -> tuple[str, float, float]:
+def _per_drive(force: DisturbanceChannel, unit: str) -> tuple[str, float, float]:
     """Return unit and scale of a coefficient of force per drive, and the scale of the drive.
 
     ``unit`` is the unit of the drive. A drive without a unit is thrust relative to full thrust.
@@ -352,7 +352,7 @@ def _per_drive(force: Residual, unit: str) -> tuple[str, float, float]:
     return unit_over(force.unit, unit), force.scale / full, full
 
 
-def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effect:
+def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str) -> Effect:
     """Return the first-order lagged response to w [``unit``]: ``F += sum_k t_k (z_k - w)``,
     ``z_k' = (w - z_k) / T_k``.
     """
@@ -399,7 +399,7 @@ def lagged_response(force: Residual, of: str, drive: Signal, unit: str) -> Effec
     )
 
 
-def resonant_response(force: Residual, of: str, drive: Signal, unit: str) -> Effect:
+def resonant_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str) -> Effect:
     """Return the resonant response to w [``unit``]: ``F += a (z - w) + b z' / omega``, z a
     second-order mode driven by w.
     """

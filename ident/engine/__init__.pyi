@@ -1,10 +1,10 @@
 from .batched_experiments import batch_for as batch_for
-from .batched_experiments import contest_for as contest_for
+from .batched_experiments import discrimination_batch_for as discrimination_batch_for
 from .batched_experiments import extremes as extremes
 from .ekf_graph import EkfGraphs as EkfGraphs
-from .filter_kernels import Programs as Programs
-from .filter_kernels import programs_for as programs_for
-from .jit import quickly as quickly
+from .filter_kernels import FilterKernels as FilterKernels
+from .filter_kernels import filter_kernels_for as filter_kernels_for
+from .jit import quick_compilation as quick_compilation
 from .kernel import ArenaPool as ArenaPool
 from .kernel import Kernel as Kernel
 from .row_operators import NOWHERE as NOWHERE

@@ -54,7 +54,9 @@ def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> Experim
         return _batches.setdefault(key, ExperimentBatch(model, free, covariance))
 
 
-def contest_for(model: Model, free: Sequence[str], truth: Model, *, covariance: bool) -> DiscriminationBatch:
+def discrimination_batch_for(
+    model: Model, free: Sequence[str], truth: Model, *, covariance: bool
+) -> DiscriminationBatch:
     """Return the kernel that fits one model to the data of another model, for T-optimal discrimination.
 
     Parameters

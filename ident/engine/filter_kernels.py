@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from seatrial.ident.engine.filter_plans import Plans
     from seatrial.ident.engine.loop_plan import Plan
 
-_known: WeakValueDictionary[str, Programs] = WeakValueDictionary()  # by ``Programs.key``
+_known: WeakValueDictionary[str, FilterKernels] = WeakValueDictionary()  # by ``FilterKernels.key``
 # by the id of the model, so that the model is traced only once
-_by_model: dict[tuple[int, bool, bool], tuple[ref[Model], ref[Programs]]] = {}
+_by_model: dict[tuple[int, bool, bool], tuple[ref[Model], ref[FilterKernels]]] = {}
 # Only the most recent kernels stay alive. A search with refits makes hundreds of them, of some megabytes each.
-_recent: deque[Programs] = deque(maxlen=12)
+_recent: deque[FilterKernels] = deque(maxlen=12)
 _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
 
-def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> Programs:
+def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> FilterKernels:
     """Return the kernels of a model. Models that differ only in parameter values share them.
 
     Parameters
@@ -40,7 +40,7 @@ def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False)
 
     Returns
     -------
-    Programs
+    FilterKernels
         Kernels, compiled or loaded on first use.
     """
     with _lock:
@@ -48,7 +48,7 @@ def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False)
         known_model, programs = _by_model.get(at, (None, None))
         kernels = programs() if programs and known_model and known_model() is model else None
         if kernels is None:
-            new = Programs(model, covariance, joseph)
+            new = FilterKernels(model, covariance, joseph)
             kernels = _known.setdefault(new.key, new)
             _by_model[at] = ref(model, lambda _: _by_model.pop(at, None)), ref(kernels)
         if kernels in _recent:
@@ -57,7 +57,7 @@ def programs_for(model: Model, *, covariance: bool = True, joseph: bool = False)
         return kernels
 
 
-class Programs:
+class FilterKernels:
     """Kernels of one model, by name. `filter_plans.Plans` describes what each kernel computes."""
 
     def __init__(self, model: Model, covariance: bool, joseph: bool) -> None:

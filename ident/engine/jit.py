@@ -21,7 +21,8 @@ except ImportError:  # llvmlite has no wheel for this machine; kernels are inter
 AVAILABLE = llvm is not None
 OPTIMISE = 1  # level of the IR passes; -O2 takes longer and its code is slower
 CODEGEN = 2  # level of the code generation
-# Level of both for `quickly`: compilation takes a third of the time, and the code takes three quarters longer to run
+# Level of both for `quick_compilation`: compilation takes a third of the time, and the code takes three quarters longer
+# to run
 QUICK = 0
 QUICK_ROWS = 10_000  # rows in the records of a model; with more rows, quick compilation costs more than it saves
 # Scheduler of the instructions in a block. The default scheduler favours instructions that can run in parallel. The
@@ -63,7 +64,7 @@ _quickly: list[object] = []
 
 
 @contextmanager
-def quickly(n_rows: int) -> Iterator[None]:
+def quick_compilation(n_rows: int) -> Iterator[None]:
     """Compile kernels quickly, with less optimisation, inside this context. The setting applies to all threads.
 
     Use it for models that are fitted only once. Above `QUICK_ROWS` rows, the context has no effect.

@@ -18,7 +18,7 @@ import numpy as np
 from seatrial.ident.data import Record
 from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation, expected_gain, solve_step
 from seatrial.ident.estimation.likelihood import Likelihood
-from seatrial.ident.estimation.maximum_likelihood import ROUGH, fit
+from seatrial.ident.estimation.maximum_likelihood import ROUGH_SEARCH, fit
 from seatrial.ident.model import Model, Parameter
 from seatrial.ident.numerics import Array
 
@@ -151,4 +151,4 @@ def _adapted(model: Model, block: Record, values: Array) -> Array:
     if not own:
         return values
     held = model.with_values(dict(zip(model.values, values.tolist(), strict=True)))
-    return np.asarray(fit(held.with_free(own), [block], settings=ROUGH).record_values[0])
+    return np.asarray(fit(held.with_free(own), [block], settings=ROUGH_SEARCH).record_values[0])

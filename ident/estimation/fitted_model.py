@@ -17,7 +17,7 @@ from seatrial.ident.estimation.multistart import best_of_starts
 from seatrial.ident.estimation.smoother import SmoothedStates, smoothed_states
 from seatrial.ident.model import Effect, EffectKind, Model, Parameter, ParameterOrigin, outlier_notes
 from seatrial.ident.model import with_outlier_model as with_outliers
-from seatrial.ident.models import for_diagnosis, forces_of, rescale, residuals_of, size_of
+from seatrial.ident.models import forces_of, rescale, residuals_of, size_of, with_disturbances
 from seatrial.ident.numerics import NORMAL_MAD, Array, noise_from_differences
 from seatrial.ident.reporter import QUIET, Reporter
 
@@ -30,7 +30,7 @@ RESCALING_RATIO = 2.0  # priors are scaled again if estimated and assumed force 
 AS_LIKELY = 2.0  # a refit may lose this much ln L by its new priors; if it loses more, its search failed
 FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # raised if a model cannot be evaluated on a record
 
-Unseen = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
+ValidationData = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def fit_nominal_model(
     Parameters
     ----------
     model
-        Its ``nominal`` form is fitted.
+        Its ``nominal_model`` form is fitted.
     estimation, validation
         Logs for the fit, and logs that judge it.
     options
@@ -136,11 +136,11 @@ def fit_nominal_model(
     reporter
         Receives a line of progress.
     """
-    full = nominal(model)
+    full = nominal_model(model)
     records = [make_record(full, r, rate) for r in estimation]
     unseen, failed = validation_records(full, validation, rate)
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
-    unseen = without_untold_sensors(full, records, unseen)
+    unseen = without_unknown_noise(full, records, unseen)
     full = without_absent_sensors(full, records)
     stage = fit_with_rescaling(full, records, unseen, options)
     return replace(stage, failed=(*failed, *stage.failed))
@@ -165,10 +165,10 @@ def validation_records(
 def fit_with_rescaling(
     full: Model,
     records: Sequence[Record],
-    unseen: Unseen,
+    unseen: ValidationData,
     options: EstimationOptions | None = None,
 ) -> FittedModel:
-    """Fit the model of `nominal`, and fit it again if its priors turn out to be wrong.
+    """Fit the model of `nominal_model`, and fit it again if its priors turn out to be wrong.
 
     A second fit follows if the boat's estimated size differs from the assumed one, or if the innovations contradict the
     declared noise of the sensors. If that fit fails, does not converge or is much less likely than the first, it is
@@ -177,7 +177,7 @@ def fit_with_rescaling(
     Parameters
     ----------
     full
-        The model of `nominal`.
+        The model of `nominal_model`.
     records, unseen
         Estimation and validation data.
     options
@@ -241,7 +241,7 @@ def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:
 def fit_and_evaluate(
     model: Model,
     records: Sequence[Record],
-    unseen: Unseen,
+    unseen: ValidationData,
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
 ) -> FittedModel:
@@ -293,7 +293,7 @@ def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
     return replace(stage, validation=views, cross_validated=True)
 
 
-def blocks_of(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
+def cut_into_blocks(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
     """Cut records into blocks in time.
 
     Parameters
@@ -370,7 +370,7 @@ def validated_in_blocks(stage: FittedModel) -> FittedModel:
     if stage.cross_validated or not stage.validation:
         return stage
     model = stage.fit.model
-    blocks = blocks_of([v.record for v in stage.validation], stage.validation, model.block)
+    blocks = cut_into_blocks([v.record for v in stage.validation], stage.validation, model.block)
     own = [p for p in model.parameters if p.free and p.per_record]
     parameters = [replace(p, segment=i) for i in range(len(stage.validation)) for p in own]
     values = leave_one_block_out(model, blocks, np.array([v.values for v in stage.validation]), parameters)
@@ -381,7 +381,7 @@ def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
     return RecordEvaluation(model, record.for_model(model), values)
 
 
-def nominal(model: Model) -> Model:
+def nominal_model(model: Model) -> Model:
     """Return the model with disturbance forces and sensor offsets, scaled to its size.
 
     A model that has them already is only scaled. A model without forces or kinematic residuals is returned unchanged.
@@ -389,26 +389,26 @@ def nominal(model: Model) -> Model:
     if not (forces_of(model) or residuals_of(model)):
         return model
     present = any(e.kind is EffectKind.DISTURBANCE for e in model.effects)
-    return rescale(model if present else for_diagnosis(model), size_of(model))
+    return rescale(model if present else with_disturbances(model), size_of(model))
 
 
-def superset(
-    nominal: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
+def with_all_candidates(
+    nominal_model: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
 ) -> tuple[Model, dict[str, Effect]]:
     """Return the model with all candidates whose inputs exist in all runs, and these candidates by name.
 
     One record of this model then serves all candidates.
     """
-    everything, kept = nominal, {}
+    everything, kept = nominal_model, {}
     for name, effect in candidates.items():
-        if not any(lacking_inputs(nominal, effect, run) for run in runs):
+        if not any(missing_inputs(nominal_model, effect, run) for run in runs):
             everything, kept[name] = everything + effect, effect
     return everything, kept
 
 
-def lacking_inputs(nominal: Model, effect: Effect, run: LogSegment) -> set[str]:
+def missing_inputs(nominal_model: Model, effect: Effect, run: LogSegment) -> set[str]:
     """Return the inputs of an effect that a run lacks and that cannot be derived from its channels."""
-    derived = {"t", "work"} if nominal.provides and "n" in nominal.provides else {"t"}
+    derived = {"t", "work"} if nominal_model.provides and "n" in nominal_model.provides else {"t"}
     return {i.tap_of or i.name for i in effect.inputs} - derived - set(run.channels)
 
 
@@ -417,7 +417,7 @@ def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
     return model.replace_parameters(*[model.parameter(n).fixed() for n in _absent_noise(model, records)])
 
 
-def without_untold_sensors(model: Model, records: Sequence[Record], unseen: Sequence[Record]) -> list[Record]:
+def without_unknown_noise(model: Model, records: Sequence[Record], unseen: Sequence[Record]) -> list[Record]:
     """Return the validation records without samples of sensors that no estimation record has.
 
     The noise of such a sensor is not estimated, and a guess of it would judge the model. If its noise is fixed to a

@@ -24,7 +24,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import Record
 from seatrial.ident.estimation.fitted_model import FIT_ERRORS
 from seatrial.ident.estimation.likelihood import Likelihood
-from seatrial.ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
+from seatrial.ident.estimation.maximum_likelihood import ROUGH_SEARCH, Fit, SearchSettings, fit
 from seatrial.ident.estimation.standard_errors import AT_BOUND, VAGUE
 from seatrial.ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
 from seatrial.ident.numerics import Array
@@ -396,7 +396,7 @@ def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShif
     found: list[ParameterShift] = []
     for name, larger in tried:
         try:
-            alone = fit(larger.with_free({name, *own}), [record.for_model(larger)], settings=ROUGH)
+            alone = fit(larger.with_free({name, *own}), [record.for_model(larger)], settings=ROUGH_SEARCH)
         except FIT_ERRORS:
             continue
         unit, (value, value_error) = larger.parameter(name).unit, alone.estimate(name)

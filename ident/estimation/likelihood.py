@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import InitialCondition, Prepared, Preparer, Record, initial_condition
-from seatrial.ident.engine import ArenaPool, Kernel, Programs, programs_for
+from seatrial.ident.engine import ArenaPool, FilterKernels, Kernel, filter_kernels_for
 from seatrial.ident.model import LIKELY, Model, robust_weight
 from seatrial.ident.numerics import Array
 
@@ -182,9 +182,9 @@ class Likelihood:
         self._index = {p.name: i for i, p in enumerate(model.parameters)}
 
     @cached_property
-    def _programs(self) -> Programs:
+    def _programs(self) -> FilterKernels:
         """Compiled programs of the model."""
-        return programs_for(self.model, covariance=self.process_noise, joseph=self._joseph)
+        return filter_kernels_for(self.model, covariance=self.process_noise, joseph=self._joseph)
 
     def value(self, record: Record, values: Array) -> float:
         """Return the log-likelihood of a record with all its constants."""

@@ -12,11 +12,11 @@ import numpy as np
 from seatrial.ident.data import Record
 from seatrial.ident.estimation.fisher_scoring import Iterations, Optimum, Problem, maximise, refine_lbfgsb
 from seatrial.ident.estimation.likelihood import Likelihood
-from seatrial.ident.estimation.output_error import free_start
+from seatrial.ident.estimation.output_error import with_free_initial_states
 from seatrial.ident.estimation.restricted_likelihood import apply_reml
 from seatrial.ident.estimation.standard_errors import (
-    COLOURED,
-    TOO_LONG,
+    AUTOCORRELATED_TOO_LONG,
+    COLOURED_P_VALUE,
     Sandwich,
     Uncertainty,
     assess,
@@ -90,7 +90,8 @@ class SearchSettings:
         evaluations, which the many rough fits of a diagnosis avoid.
     initial_state
         For output error only. ``free``: the initial state of each record is estimated
-        (``seatrial.ident.estimation.output_error.free_start``). ``given``: it is that of the model, taken as exact.
+        (``seatrial.ident.estimation.output_error.with_free_initial_states``). ``given``: it is that of the model, taken
+        as exact.
     joseph
         Whether to use Joseph's form of the covariance update, for an initial state that is uncertain by many orders of
         magnitude.
@@ -111,10 +112,10 @@ class SearchSettings:
 
 
 # For the fits of candidates in a diagnosis. The model that is kept is fitted again with the default settings.
-ROUGH = SearchSettings(tolerance=0.02, robust_errors=False)
+ROUGH_SEARCH = SearchSettings(tolerance=0.02, robust_errors=False)
 
 
-CLOSE_ENOUGH = 1e-2  # a search has converged if the expected gain in log-posterior of one more step is smaller
+MAX_GAIN_LEFT = 1e-2  # a search has converged if the expected gain in log-posterior of one more step is smaller
 
 
 @dataclass(frozen=True)
@@ -259,7 +260,7 @@ def fit(
         raise ValueError("no records to estimate from")
     model, begin = options.with_mean_order(model), dict[str, float]()
     if not options.process_noise and settings.initial_state == "free":
-        model, begin = free_start(model, records)
+        model, begin = with_free_initial_states(model, records)
     own = {segment_name(p.name, i) for p in model.parameters if p.per_record for i in range(len(records))}
     begin |= {n: v for n, v in (start or {}).items() if n in own}
     model = model.with_values({n: v for n, v in (start or {}).items() if n not in own})
@@ -281,7 +282,7 @@ def fit(
     coloured = options.process_noise and _coloured(problem, robust)
     if coloured or (not options.process_noise and settings.robust_errors):
         lost = np.isfinite(known.errors) & np.isnan(robust.errors)
-        too_long = [(problem.names[i], TOO_LONG) for i in np.flatnonzero(lost).tolist()]
+        too_long = [(problem.names[i], AUTOCORRELATED_TOO_LONG) for i in np.flatnonzero(lost).tolist()]
         known = replace(known, flags=(*known.flags, *too_long))
     known = widened(known, robust.least) if coloured else known
     return _report(problem, optimum, known, robust.errors, coloured, options, prior_part, time.process_time() - began)
@@ -366,7 +367,7 @@ def _coloured(problem: Problem, robust: Sandwich) -> bool:
     """
     noise = problem.model.noise_parameters
     p = np.array([p for p, q in zip(robust.p.tolist(), problem.parameters, strict=True) if q.name not in noise])
-    return bool((p * np.isfinite(p).sum() < COLOURED).any())
+    return bool((p * np.isfinite(p).sum() < COLOURED_P_VALUE).any())
 
 
 def _with_outliers(
@@ -447,7 +448,7 @@ def _report(
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
     plain = np.abs(problem.slopes(optimum.z)) * np.sqrt(np.diag(known.P + known.spread))
     inflation = np.where(np.isfinite(plain), np.fmax(known.errors / plain, 1.0), 1.0)
-    converged = abs(optimum.gain_left) < CLOSE_ENOUGH
+    converged = abs(optimum.gain_left) < MAX_GAIN_LEFT
     message = (
         f"converged in {optimum.iterations} iterations"
         if converged

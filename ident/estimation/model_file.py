@@ -18,7 +18,7 @@ from seatrial.ident.effects import catalogue, input_response_effects, nonparamet
 from seatrial.ident.estimation.homogeneity import BETWEEN, between_runs_effect
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.parameter_covariance import ParameterCovariance
-from seatrial.ident.estimation.thrust_scale import scale_of
+from seatrial.ident.estimation.thrust_scale import thrust_scale_of
 from seatrial.ident.model import (
     Effect,
     EffectKind,
@@ -47,7 +47,7 @@ from seatrial.ident.models import (
     is_own_model,
     load_effects,
     own_model,
-    remember,
+    remember_trusted_file,
     scale_priors,
     sensor_bias,
     size_of,
@@ -220,7 +220,7 @@ def _is_sized(effect: Effect, own: Mapping[str, Effect]) -> bool:
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
     """Return the table with the provenance of thrust and arm; None if the model has no forces of its own."""
-    scale, table = scale_of(model), tomlkit.table()
+    scale, table = thrust_scale_of(model), tomlkit.table()
     for line in scale.caveats:
         table.add(tomlkit.comment(line))
     facts = {"thrust": scale.thrust, "arm": scale.arm}
@@ -249,7 +249,7 @@ def _copied(path: Path, file: Path) -> Path:
         place = path.parent / f"{file.stem}_{file_digest(file)}.py"
     if not place.exists():
         write_output(place, text, force=False)
-    remember(place)
+    remember_trusted_file(place)
     return place
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data import Preparer, Record, initial_condition
-from seatrial.ident.engine import Kernel, programs_for
+from seatrial.ident.engine import Kernel, filter_kernels_for
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.model import Model, Parameter, segment_name
 from seatrial.ident.numerics import Array
@@ -82,7 +82,7 @@ def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_
     return replace(model, states=tuple(states), parameters=model.parameters + tuple(parameters))
 
 
-def free_start(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str, float]]:
+def with_free_initial_states(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str, float]]:
     """Return the model that output error estimates, with the initial state of each record free.
 
     A state that starts from a measurement gets a free parameter ``x0_NAME`` for each record, which starts at that
@@ -176,7 +176,7 @@ def predict_ahead(
 
 def _kernel(model: Model) -> Kernel:
     """Return the compiled simulation of the model."""
-    return programs_for(model, covariance=False).simulate
+    return filter_kernels_for(model, covariance=False).simulate
 
 
 def _values(model: Model, values: Array | None) -> Array:

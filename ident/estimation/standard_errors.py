@@ -35,8 +35,10 @@ MAX_BLOCKS, MIN_BLOCKS = 40, 12  # numbers of blocks of rows, over all records t
 # Block length in correlation lengths. Such blocks miss an eighteenth of the variance, for which it is corrected.
 BLOCK_LENGTH = 9.0
 MOST_MISSED = 0.5  # largest share of the variance that this correction assumes to be missing
-COLOURED = 0.001  # residuals are coloured below this p value of the information matrix test over all parameters
-TOO_LONG = "its residuals are autocorrelated for too long to allow a robust standard error"  # flag of a parameter
+COLOURED_P_VALUE = 0.001  # residuals are coloured below this p value of the information matrix test over all parameters
+AUTOCORRELATED_TOO_LONG = (
+    "its residuals are autocorrelated for too long to allow a robust standard error"  # flag of a parameter
+)
 
 
 @dataclass(frozen=True)

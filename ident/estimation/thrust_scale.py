@@ -102,7 +102,7 @@ class ThrustScale:
         return " ".join([*times, over])
 
 
-def scale_of(model: Model) -> ThrustScale:
+def thrust_scale_of(model: Model) -> ThrustScale:
     """Return the provenance of the force scale of a vehicle's model.
 
     It is that of the thrust curve, and of the arms if the model has a yaw equation.
@@ -120,7 +120,7 @@ def scale_of(model: Model) -> ThrustScale:
     return ThrustScale(thrust, arm, exact)
 
 
-def pose_scale(model: Model) -> Model:
+def free_unknown_scale(model: Model) -> Model:
     """Return the model with the scale of forces free as far as the data can determine it.
 
     - If c2 was not given, it gets a wide prior around zero.
@@ -183,7 +183,7 @@ class ReportedUnits:
 
 def reported_units(model: Model) -> ReportedUnits:
     """Return the units in which the values of a model are reported."""
-    scale, p = scale_of(model), model.values
+    scale, p = thrust_scale_of(model), model.values
     thrust = p["c1"] + p["c2"] if scale.relative else 1.0
     if not scale.relative_yaw:
         return ReportedUnits(scale, thrust)
@@ -259,7 +259,7 @@ class ReportedEstimates:
         return np.asarray(found)
 
 
-def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
+def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     """Return parameters whose data contradict the prior that was given for this boat.
 
     Returns
@@ -290,7 +290,7 @@ def against_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     return found
 
 
-def least_inertia(fit: Fit, length: float | None = None) -> float | None:
+def least_yaw_inertia(fit: Fit, length: float | None = None) -> float | None:
     """Return the least moment of inertia in yaw [kg m2] that a rigid body with the estimated mass can have.
 
     It is the larger of two values: a bar that reaches from thruster to thruster, and a hull whose radius of gyration is
@@ -301,7 +301,7 @@ def least_inertia(fit: Fit, length: float | None = None) -> float | None:
     float or None
         None if the arms or masses are unknown.
     """
-    scale, values = scale_of(fit.model), fit.model.values
+    scale, values = thrust_scale_of(fit.model), fit.model.values
     if not {"m_u", "m_r"} <= set(values) or scale.relative or scale.relative_yaw or scale.arm is None:
         return None
     across = 0.5 * abs(fit.estimate("y_right")[0] - fit.estimate("y_left")[0]) / np.sqrt(3.0)

@@ -6,7 +6,7 @@ from .discrimination import separation as separation
 from .excitation import SHAFT_POLE as SHAFT_POLE
 from .excitation import StepInput as StepInput
 from .excitation import ThrusterResponse as ThrusterResponse
-from .excitation import not_commanded as not_commanded
+from .excitation import reason_without_mission as reason_without_mission
 from .information import InformationSegment as InformationSegment
 from .information import planned_record as planned_record
 from .information import segment_information as segment_information
@@ -30,4 +30,4 @@ from .task import REST_S as REST_S
 from .task import DesignLimits as DesignLimits
 from .task import DesignProblem as DesignProblem
 from .task import ParameterPrior as ParameterPrior
-from .task import believed as believed
+from .task import prior_from_fit as prior_from_fit

@@ -95,9 +95,11 @@ class HypothesisPair:
         ``u``, ``u_true``: inputs (n_rows, n_inputs, n) of the fitted and of the true model. ``values``: parameters (n,
         n_parameters) of the fitted model.
         """
-        from seatrial.ident.engine import contest_for  # imported late, since it loads CasADi
+        from seatrial.ident.engine import discrimination_batch_for  # imported late, since it loads CasADi
 
-        kernel = contest_for(self.fitted, self.free, self.truth, covariance=self.task.process_noise).unexplained
+        kernel = discrimination_batch_for(
+            self.fitted, self.free, self.truth, covariance=self.task.process_noise
+        ).unexplained
         width, n, t = kernel.plan.width, u.shape[2], self.task.t
         mask = sensor_mask(self.fitted, t.size, self.task.every)
         h = np.append(np.diff(t), 0.0)

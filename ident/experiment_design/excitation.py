@@ -26,7 +26,7 @@ COMMANDED = {"n", "f", "X", "N"}  # inputs that thrusters produce: shaft speeds 
 COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # inputs of models of surge alone, and of yaw alone
 
 
-def not_commanded(model: Model) -> str:
+def reason_without_mission(model: Model) -> str:
     """Return the reason for which no mission can be designed for a model.
 
     Parameters

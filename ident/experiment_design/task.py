@@ -15,7 +15,7 @@ from seatrial.ident.experiment_design.excitation import StepInput, ThrusterRespo
 from seatrial.ident.experiment_design.information import Experiments, prior_information
 from seatrial.ident.experiment_design.track_extent import TrackExtent, in_current
 from seatrial.ident.model import Model, ParameterOrigin
-from seatrial.ident.numerics import Array, breaks_a_constraint
+from seatrial.ident.numerics import Array, violates_constraint
 
 GRID = 0.2  # s between rows of a search
 REST_S = 5.0  # before the steps: the boat comes to rest, and the log shows the noise of the sensors
@@ -335,7 +335,7 @@ class DesignProblem:
         if not self.limits.concern_the_track:
             return self.judge(command)
         value = np.full(command.shape[2], SINGULAR)
-        if breaks_a_constraint(least):  # every command within the limits is better
+        if violates_constraint(least):  # every command within the limits is better
             violation = self.broken(command)
             kept = violation == 0.0
             if kept.any():
@@ -441,7 +441,7 @@ class DesignProblem:
         return total
 
 
-def believed(saved: SavedModel) -> ParameterPrior:
+def prior_from_fit(saved: SavedModel) -> ParameterPrior:
     """Return the prior from a fitted model: the covariance of its shared parameters with a standard error."""
     fitted = saved.covariance(dynamic_parameters(saved.model))
     return ParameterPrior(fitted.names, covariance=fitted.covariance)

@@ -23,7 +23,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.engine import VectorisedModel
-from seatrial.ident.estimation import SavedModel, scale_of
+from seatrial.ident.estimation import SavedModel, thrust_scale_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
 from seatrial.ident.numerics import Array
 
@@ -328,7 +328,7 @@ def _remarks(c: Content) -> list[str]:
             f"The output noise includes their variance. It is correlated over these times: {lasting}.",
             "A filter that assumes white noise should use samples that far apart, or keep the states.",
         ]
-    if ratios := scale_of(c.saved.model).caveats:
+    if ratios := thrust_scale_of(c.saved.model).caveats:
         lines += ["", *ratios]
     per_record = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
     if per_record:

@@ -12,6 +12,7 @@ from .parameter import segment_name as segment_name
 from .parameter import tap_name as tap_name
 from .structure import HISTORY_STEP as HISTORY_STEP
 from .structure import PARAMETERS as PARAMETERS
+from .structure import DisturbanceChannel as DisturbanceChannel
 from .structure import Effect as Effect
 from .structure import EffectKind as EffectKind
 from .structure import ForceCurve as ForceCurve
@@ -21,7 +22,6 @@ from .structure import Model as Model
 from .structure import ModelFunction as ModelFunction
 from .structure import ModelKind as ModelKind
 from .structure import Output as Output
-from .structure import Residual as Residual
 from .structure import Sensor as Sensor
 from .structure import Signals as Signals
 from .structure import StartGrid as StartGrid

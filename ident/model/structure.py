@@ -205,7 +205,7 @@ class ForceCurve:
     Attributes
     ----------
     force : str
-        Name of the ``Residual``, for example ``X``.
+        Name of the ``DisturbanceChannel``, for example ``X``.
     variable : str
         Name of the ``Variable``, for example ``u``.
     second : str
@@ -325,7 +325,7 @@ class StartGrid:
 
 
 @dataclass(frozen=True)
-class Residual:
+class DisturbanceChannel:
     """Quantity of a model to which an unexplained part can be added: a force on the hull or load cell, or a sensor
     output.
 
@@ -403,7 +403,7 @@ class Model:
     effects: tuple[Effect, ...] = field(default=())
     source: str = ""  # text from which `make_model` builds the model again: "horizontal", "FILE.py:NAME"
     # for the diagnosis: unexplained quantities, the variables they may depend on, and products of two variables
-    residuals: tuple[Residual, ...] = ()
+    residuals: tuple[DisturbanceChannel, ...] = ()
     variables: tuple[Variable, ...] = ()
     products: tuple[tuple[str, str], ...] = ()
     block: float = 5.0  # s, length of the blocks over which scores are summed: several correlation times of residuals

@@ -68,7 +68,7 @@ ERRORS = (
     NavigationError("velocity", "vxy", ("vx", "vy"), VELOCITIES, 0.05, "m/s", 3.0, 0.15),
     NavigationError("position", "xy", ("x", "y"), ("position",), 0.1, "m", 3.0, 0.45),
 )
-LASTING = frozenset(sensor for e in ERRORS for sensor in e.sensors)
+SENSORS_WITH_CORRELATED_ERRORS = frozenset(sensor for e in ERRORS for sensor in e.sensors)
 INITIAL_ERROR_RATIO = 2.0  # standard deviation of an initial error, relative to its typical standard deviation
 N_LATER_SAMPLES = 5  # later samples of a shaft speed, one step each, for ages up to 0.5 s; one earlier sample is added
 

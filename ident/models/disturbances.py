@@ -2,7 +2,7 @@
 
 The disturbance states keep prediction intervals calibrated while an effect is missing from the model. The smoother
 turns them into residual forces. The diagnosis starts from the forces and measurement errors of a model, and from the
-variables on which they may depend (`residuals_of`, `readings_of`, `variables_of`).
+variables on which they may depend (`residuals_of`, `sensor_errors_of`, `variables_of`).
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from seatrial.ident.model import (
+    DisturbanceChannel,
     Effect,
     EffectKind,
     Model,
     Parameter,
     ParameterRole,
-    Residual,
     Signals,
     State,
     ThrusterPair,
@@ -40,7 +40,7 @@ def adder(name: str) -> Callable[[Signals, Any], None]:
 
 
 HULL = tuple(
-    Residual(name, unit, f"b_{name}", scale, f"the force {name}", adder(name), requires=("hull",))
+    DisturbanceChannel(name, unit, f"b_{name}", scale, f"the force {name}", adder(name), requires=("hull",))
     for name, unit, scale in (("X", "N", 10.0), ("Y", "N", 10.0), ("N", "N m", 2.0))
 )
 
@@ -55,8 +55,8 @@ def _reader(name: str) -> Callable[[Signals, Any], None]:
 
 
 # Sensor errors and their variables: a compass errs with heading and motor currents, inertial sensors err with motion
-READINGS = tuple(
-    Residual(
+SENSOR_ERRORS = tuple(
+    DisturbanceChannel(
         name,
         unit,
         f"bias_{name}",
@@ -89,7 +89,7 @@ def _factor(*sides: str) -> Callable[[Signals, Any], None]:
 
 # Thrust losses, for example of a stalled propeller. They act on surge and yaw together, unlike a curve of one force
 THRUST_LOSSES = tuple(
-    Residual(
+    DisturbanceChannel(
         name,
         "",
         "",
@@ -266,7 +266,7 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
     )
 
 
-def for_diagnosis(model: Model) -> Model:
+def with_disturbances(model: Model) -> Model:
     """Return the model with disturbance forces and sensor biases.
 
     The white process noise of the velocities is fixed at a negligible value.
@@ -279,20 +279,20 @@ def for_diagnosis(model: Model) -> Model:
     return out.replace_parameters(*quiet)
 
 
-def residuals_of(model: Model) -> tuple[Residual, ...]:
+def residuals_of(model: Model) -> tuple[DisturbanceChannel, ...]:
     """Return the quantities to which an unexplained part can be added. Return () for a model
     that cannot be diagnosed.
     """
     return model.residuals or (HULL if "hull" in model.provides else ())
 
 
-def readings_of(model: Model) -> tuple[Residual, ...]:
+def sensor_errors_of(model: Model) -> tuple[DisturbanceChannel, ...]:
     """Return the sensor channels that may have errors beyond their modelled biases."""
     states = {s.name for s in model.states}
-    return tuple(r for r in READINGS if r.state in states) if "hull" in model.provides else ()
+    return tuple(r for r in SENSOR_ERRORS if r.state in states) if "hull" in model.provides else ()
 
 
-def thrust_losses_of(model: Model) -> tuple[Residual, ...]:
+def thrust_losses_of(model: Model) -> tuple[DisturbanceChannel, ...]:
     """Return the thrusts of a vehicle that may decrease in turns."""
     return THRUST_LOSSES if {"hull", "f"} <= set(model.provides) else ()
 

@@ -268,13 +268,13 @@ def shift_in_time(s: Signals, quantity: str) -> None:
     position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
     for side in SIDES:
         name = f"{quantity}_{side}"
-        taps = copies_of(s, name)
+        taps = available_taps(s, name)
         weights = delay_weights(position - taps[0], len(taps))
         past = sum(w * getattr(s.u, tap_name(name, k)) for w, k in zip(weights, taps, strict=True))
         (s.n if quantity == "n" else s.f)[side] = past
 
 
-def copies_of(s: Signals, name: str) -> list[int]:
+def available_taps(s: Signals, name: str) -> list[int]:
     """Return the shifts of the copies of an input that the model has, in steps of
     ``HISTORY_STEP``, in ascending order.
     """

@@ -50,11 +50,11 @@ from typing import Any
 import numpy as np
 
 from seatrial.ident.model import (
+    DisturbanceChannel,
     Hold,
     Model,
     Parameter,
     ParameterRole,
-    Residual,
     Signals,
     State,
     Variable,
@@ -180,8 +180,10 @@ STAMP_ERROR_SD = Parameter(
     role=ParameterRole.DISTURBANCE,
 )
 RESIDUALS = (
-    Residual("X", "N", "b_X", 10.0, "the force X", adder("X"), of=("u", "r", "psi", "t"), requires=("nomoto",)),
-    Residual(
+    DisturbanceChannel(
+        "X", "N", "b_X", 10.0, "the force X", adder("X"), of=("u", "r", "psi", "t"), requires=("nomoto",)
+    ),
+    DisturbanceChannel(
         "r_ref",
         "rad/s",
         "b_r_ref",

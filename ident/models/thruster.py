@@ -20,13 +20,13 @@ import numpy as np
 
 from seatrial.ident.data import Channel
 from seatrial.ident.model import (
+    DisturbanceChannel,
     Input,
     Model,
     ModelKind,
     Output,
     Parameter,
     ParameterRole,
-    Residual,
     Sensor,
     Signals,
     StartGrid,
@@ -74,10 +74,10 @@ def _accelerate(s: Signals, extra: Any) -> None:
     s.rate["n"] = s.rate["n"] + extra
 
 
-UNEXPLAINED_FORCE = Residual(
+UNEXPLAINED_FORCE = DisturbanceChannel(
     "F", "N", "b_f", 5.0, "the force on the load cell", adder("force"), "thrust", place="bench", requires=("bench",)
 )
-UNEXPLAINED_RATE = Residual(
+UNEXPLAINED_RATE = DisturbanceChannel(
     "n_dot", "1/s", "b_n", 0.5, "the acceleration of the shaft", _accelerate, "rate", place="bench", requires=("bench",)
 )
 
@@ -114,7 +114,7 @@ def delay_step(model: Model) -> float:
     return model.parameter("tau").bounds[1] / (sum(i.tap_of == COMMAND for i in model.inputs) - 1)
 
 
-def on_a_copy(tau: float, step: float) -> str:
+def pace_with_copy_at(tau: float, step: float) -> str:
     """Return the ``pace`` of a thruster model in which one of the copies of the command has exactly the delay ``tau``.
 
     Return an empty text if the delay is shorter than half of ``step``.
@@ -143,7 +143,8 @@ def thruster_model(
     Parameters
     ----------
     pace : str
-        ``slow`` for delays beyond 0.6 s. Otherwise the delay [s] between copies of the command as text (``on_a_copy``).
+        ``slow`` for delays beyond 0.6 s. Otherwise the delay [s] between copies of the command as text
+        (``pace_with_copy_at``).
         Empty: ``step`` is used.
     force : bool
         Whether the bench has a load cell.

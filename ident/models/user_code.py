@@ -72,7 +72,7 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
         raise SeatrialError(f"{named_by}: {place}: no such Python file; the model was made with it, so put it there")
     normal_path = Path(os.path.normpath(path))
     if _TRUST.get():
-        remember(normal_path)
+        remember_trusted_file(normal_path)
         return normal_path
     if not path.resolve().is_relative_to(folder):
         reason = "is not in its folder"
@@ -96,7 +96,7 @@ def known_file() -> Path:
     return Path(chosen) if chosen else Path.home() / ".local" / "state" / "seatrial" / "known-code"
 
 
-def remember(path: Path) -> None:
+def remember_trusted_file(path: Path) -> None:
     """Store the hash of a Python file that the user trusts. Models that name the file are run from then on.
 
     If the hash cannot be written, the file stays unknown, without an error.

@@ -11,7 +11,7 @@ from .pattern_search import Evaluate as Evaluate
 from .pattern_search import EvaluateAbove as EvaluateAbove
 from .pattern_search import PatternSearch as PatternSearch
 from .pattern_search import SearchResult as SearchResult
-from .pattern_search import breaks_a_constraint as breaks_a_constraint
+from .pattern_search import violates_constraint as violates_constraint
 from .signal_processing import NORMAL_MAD as NORMAL_MAD
 from .signal_processing import SECOND_DIFFERENCE as SECOND_DIFFERENCE
 from .signal_processing import LagData as LagData

@@ -35,7 +35,7 @@ def penalised_objective(value: Array, violation: Array) -> Array:
     return np.where(violation > 0, -VIOLATION_PENALTY * (1.0 + violation), value)
 
 
-def breaks_a_constraint(merit: float) -> bool:
+def violates_constraint(merit: float) -> bool:
     """Return whether a merit of `penalised_objective` is that of a point that violates a constraint."""
     return merit <= -VIOLATION_PENALTY
 

@@ -99,7 +99,7 @@ def _errors(result: DesignResult) -> Section:
             [
                 Cell(p.name, "symbol strong" if p.chosen else "symbol"),
                 Cell(formatting.plain(p.value), "num"),
-                Cell(formatting.tidy(p.unit), "nowrap"),
+                Cell(formatting.typeset_unit(p.unit), "nowrap"),
                 Cell(formatting.plain(p.before), "num"),
                 Cell(formatting.plain(p.after), "num"),
                 Cell("> 100 %" if share is not None and share > 1 else formatting.percent(share, 1), "num"),

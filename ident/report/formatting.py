@@ -62,13 +62,13 @@ def degrees_for(unit: str) -> tuple[float, str]:
     """
     found = _RADIANS.match(unit)
     if found is None:
-        return 1.0, tidy(unit)
+        return 1.0, typeset_unit(unit)
     square = bool(found.group(2))
     shown = unit[: found.end(1)] + ("deg2" if square else "deg") + unit[found.end() :]
-    return DEGREES**2 if square or unit.startswith("(rad)^2") else DEGREES, tidy(shown)
+    return DEGREES**2 if square or unit.startswith("(rad)^2") else DEGREES, typeset_unit(shown)
 
 
-def tidy(unit: str) -> str:
+def typeset_unit(unit: str) -> str:
     """Return a unit in typeset form: ``kg m2/s`` -> ``kg m²/s``, ``sqrt(s)`` -> ``√s``.
 
     The dimensionless units ``1`` and ``-`` become an empty text.

@@ -225,7 +225,7 @@ def _row(row: ParameterStudy) -> list[Cell | str]:
         f"{_between(row, 'coverage', 100.0, 1)} %",
         str(row.at_bound),
     ]
-    value = f"{formatting.short(formatting.plain(row.truth, 4))} {formatting.tidy(row.unit)}".strip()
+    value = f"{formatting.short(formatting.plain(row.truth, 4))} {formatting.typeset_unit(row.unit)}".strip()
     certain = [miss for miss in row.misses if "chance" not in miss]
     return [
         Cell(row.name, "symbol"),
@@ -395,7 +395,7 @@ def _line(r: ParameterStudy) -> tuple[str, ...]:
     )
 
 
-def as_text(result: StudyResult) -> str:
+def study_as_text(result: StudyResult) -> str:
     """Return the tables and the answer of a study as text for a terminal."""
     lines = []
     for study in result.studies:

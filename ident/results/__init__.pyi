@@ -17,6 +17,7 @@ from .commands import DesignedParameter as DesignedParameter
 from .commands import DesignResult as DesignResult
 from .commands import DesignTrack as DesignTrack
 from .commands import Discrimination as Discrimination
+from .commands import FitContext as FitContext
 from .commands import GnssFixes as GnssFixes
 from .commands import GnssOutage as GnssOutage
 from .commands import Information as Information
@@ -28,7 +29,6 @@ from .commands import NavigatedRecord as NavigatedRecord
 from .commands import NavigationResult as NavigationResult
 from .commands import NoiseResult as NoiseResult
 from .commands import ParameterStudy as ParameterStudy
-from .commands import Posed as Posed
 from .commands import PositionEllipse as PositionEllipse
 from .commands import SegmentInformation as SegmentInformation
 from .commands import SpectrumBands as SpectrumBands

@@ -20,9 +20,9 @@ from seatrial.ident.estimation import (
     FittedModel,
     HomogeneityTest,
     ThrustScale,
-    against_priors,
-    least_inertia,
-    scale_of,
+    contradicted_priors,
+    least_yaw_inertia,
+    thrust_scale_of,
 )
 from seatrial.ident.model import Model
 from seatrial.ident.results.parts import (
@@ -36,7 +36,7 @@ from seatrial.ident.results.parts import (
     ResultWarning,
 )
 from seatrial.ident.results.tables import format_number
-from seatrial.ident.validation import FEWEST, OUTLYING, ChannelResiduals
+from seatrial.ident.validation import FEWEST, OUTLIER_SDS, ChannelResiduals
 
 NAMES = {
     "x": "north",
@@ -223,8 +223,8 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
     length : float, optional
         Length of the hull [m]; None if it is unknown.
     """
-    warnings = scale_warnings(scale_of(fit.model))
-    for p, value, widths in against_priors(fit):
+    warnings = scale_warnings(thrust_scale_of(fit.model))
+    for p, value, widths in contradicted_priors(fit):
         mean, sd = p.prior or (math.nan, math.nan)
         if p.name in fit.model.noises:
             text = (
@@ -239,7 +239,7 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
-    least = least_inertia(fit, length)
+    least = least_yaw_inertia(fit, length)
     if least is not None and fit.estimate("m_r")[0] < least:
         text = (
             f"m_r is {fit.estimate('m_r')[0]:.3g} kg m2, but a rigid body with this mass has at least {least:.2g} "
@@ -259,7 +259,7 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
     pole : float or None
         Assumed pole of the shafts between command and model [1/s]; None if the model contains the shafts.
     """
-    warnings = scale_warnings(scale_of(model))
+    warnings = scale_warnings(thrust_scale_of(model))
     forces = [i.name for i in model.inputs if i.unit in ("N", "N m")]
     if forces:
         text = (
@@ -308,7 +308,7 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
     for r in residuals:
         if r.tests.outliers and r.channel not in robust:
             lines.append(
-                f"{r.record}: {r.tests.outliers} of {r.e.size} innovations of {r.channel} are beyond {OUTLYING:g} "
+                f"{r.record}: {r.tests.outliers} of {r.e.size} innovations of {r.channel} are beyond {OUTLIER_SDS:g} "
                 f"standard deviations, the largest at {r.tests.largest:.2g}: outliers, or an event that the model "
                 "lacks. --robust gives outliers little weight."
             )

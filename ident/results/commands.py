@@ -62,7 +62,7 @@ from seatrial.ident.validation import PredictionEvaluation
 
 
 @dataclass(frozen=True)
-class Posed:
+class FitContext:
     """Context of a fit: what is reported with the estimates but was fixed before the fit.
 
     Attributes
@@ -89,7 +89,7 @@ def vehicle_result(
     made: Provenance,
     profiles: Sequence[Profile],
     homogeneity: Sequence[HomogeneityTest],
-    posed: Posed,
+    posed: FitContext,
 ) -> VehicleResult:
     """Return the result of a vehicle fit and its evaluation.
 
@@ -97,7 +97,7 @@ def vehicle_result(
     ----------
     made : Provenance
         Logs, command line, time and software version.
-    posed : Posed
+    posed : FitContext
         Initial values, notes and unused signals from before the fit.
     """
     reported = ReportedEstimates(stage.fit)
@@ -142,7 +142,7 @@ def thruster_result(
     made: Provenance,
     profiles: Sequence[Profile],
     static: StaticForce | None,
-    posed: Posed,
+    posed: FitContext,
     calibration: float | None,
 ) -> ThrusterResult:
     """Return the result of a thruster fit and its evaluation.
@@ -153,7 +153,7 @@ def thruster_result(
         Logs, command line, time and software version.
     static : StaticForce or None
         Measured and fitted static thrust; None if the logs have no force.
-    posed : Posed
+    posed : FitContext
         Initial values and notes from before the fit.
     calibration : float or None
         Relative standard uncertainty of the load cell's force; None if the rig does not give it.

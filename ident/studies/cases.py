@@ -388,7 +388,7 @@ def _measured(levels: Array, step: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Delivered:
+class RepeatStatistics:
     """Errors of one parameter over the repeats of a designed mission.
 
     Attributes
@@ -428,7 +428,7 @@ def designed_case(designed: Design, name: str = "designed") -> Case:
     return Case(name, model, SampledInputs.linear(fine.t, u), fine.every)
 
 
-def repeats(made: Design, n: int, seed: int) -> list[Delivered]:
+def repeat_design(made: Design, n: int, seed: int) -> list[RepeatStatistics]:
     """Simulate a designed mission with process and measurement noise and fit it, n times.
 
     Parameters
@@ -442,7 +442,7 @@ def repeats(made: Design, n: int, seed: int) -> list[Delivered]:
 
     Returns
     -------
-    list of Delivered
+    list of RepeatStatistics
         Errors of each estimated parameter.
     """
     case = designed_case(made)
@@ -451,7 +451,7 @@ def repeats(made: Design, n: int, seed: int) -> list[Delivered]:
     return [_delivered(made, name, np.array([row["d"][name] for row in good])) for name in made.task.learned]
 
 
-def _delivered(made: Design, name: str, d: Array) -> Delivered:
+def _delivered(made: Design, name: str, d: Array) -> RepeatStatistics:
     """Return the errors of one parameter, from the errors d (n,) in the coordinate of the estimator."""
     p, predicted = made.task.model.parameter(name), made.predicted[name]
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate
@@ -459,7 +459,7 @@ def _delivered(made: Design, name: str, d: Array) -> Delivered:
     n = int(regular.sum())
     low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
     ratio = float(np.std(z[regular], ddof=1))
-    return Delivered(
+    return RepeatStatistics(
         name,
         predicted,
         len(z),

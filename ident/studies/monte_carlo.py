@@ -41,9 +41,9 @@ from seatrial.ident.estimation import (
     SearchSettings,
     considered_information,
     fit,
-    free_start,
     simulate_stochastic,
     solve_step,
+    with_free_initial_states,
 )
 from seatrial.ident.model import Model, Parameter
 from seatrial.ident.numerics import Array, scaled_inverse
@@ -178,7 +178,7 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
     began = time.process_time()
     if method == "output-error":
         true_values |= {f"x0_{s.name}": float(x) for s, x in zip(model.states, x0, strict=True)}
-        model = free_start(model, [record])[0]
+        model = with_free_initial_states(model, [record])[0]
     true_values = {n: true_values[n] for n in model.values}
     options = EstimationOptions(reml=case.reml, method=method)
     found = fit(model, [record], options, SearchSettings(threads=1), start=start)

@@ -16,7 +16,7 @@ from .prediction_errors import PredictionErrors as PredictionErrors
 from .prediction_errors import horizon_errors as horizon_errors
 from .prediction_errors import pooled_errors as pooled_errors
 from .prediction_errors import prediction_change_by_record as prediction_change_by_record
-from .whiteness import OUTLYING as OUTLYING
+from .whiteness import OUTLIER_SDS as OUTLIER_SDS
 from .whiteness import SpectralPeak as SpectralPeak
 from .whiteness import WhitenessDiagnostics as WhitenessDiagnostics
 from .whiteness import autocorrelation as autocorrelation

@@ -13,7 +13,7 @@ import numpy as np
 
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, Record
 from seatrial.ident.estimation import FittedModel, Likelihood, RecordEvaluation, parameter_uncertainty
-from seatrial.ident.model import Model, Residual
+from seatrial.ident.model import DisturbanceChannel, Model
 from seatrial.ident.numerics import Array
 from seatrial.ident.validation import calibration
 from seatrial.ident.validation.calibration import Calibration, Forecast
@@ -343,7 +343,7 @@ class SmoothedForce:
     sd: Array
 
 
-def smoothed_forces(stage: FittedModel, forces: Sequence[Residual]) -> tuple[SmoothedForce, ...]:
+def smoothed_forces(stage: FittedModel, forces: Sequence[DisturbanceChannel]) -> tuple[SmoothedForce, ...]:
     """Return the smoothed disturbance forces of the estimation data.
 
     Parameters

@@ -29,7 +29,7 @@ MAX_DENSITY_RATIO = 2.0  # spectral density of an octave over that of white nois
 MAX_LAGS = 30  # of the regression on past innovations
 MIN_BINS = 8  # of the lowest band, which begins at frequency zero
 BLOCK_ROWS = 65536  # rows of the regression that are computed at once
-OUTLYING = 6.0  # standard deviations; one in 5e8 normal innovations is larger
+OUTLIER_SDS = 6.0  # standard deviations; one in 5e8 normal innovations is larger
 N_LAGS = 25  # of the reported autocorrelation
 LAGS_OF_INPUT = np.linspace(0.0, 3.0, 31)  # s, lags of the correlation of innovations with an input
 SAMPLES_PER_LAG = 20  # smallest number of samples for each lag of the Ljung-Box statistic
@@ -58,7 +58,7 @@ class Whiteness:
     normal
         p value of the normality test of D'Agostino and Pearson, NaN with fewer than 20 samples.
     outliers
-        Number of innovations beyond `OUTLYING` standard deviations.
+        Number of innovations beyond `OUTLIER_SDS` standard deviations.
     largest
         Largest absolute innovation.
     """
@@ -121,7 +121,7 @@ def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Wh
         frequency[1:],
         cumulative,
         float(stats.normaltest(e).pvalue) if n >= 20 else float("nan"),
-        int(np.sum(np.abs(e) > OUTLYING)),
+        int(np.sum(np.abs(e) > OUTLIER_SDS)),
         float(np.abs(e).max()),
     )
 

@@ -20,13 +20,19 @@ from seatrial.ident.checks import (
     check_copies,
     check_signals,
     estimated,
+    invalidates_fit,
     log_evidence,
     smoothed,
-    spoils_a_fit,
 )
 from seatrial.ident.data import Channel, LoadedLog
 from seatrial.ident.model import INF, Model
-from seatrial.ident.models import ESTIMATOR_ERROR, LASTING, NOISE, estimator_error, navigation_errors
+from seatrial.ident.models import (
+    ESTIMATOR_ERROR,
+    NOISE,
+    SENSORS_WITH_CORRELATED_ERRORS,
+    estimator_error,
+    navigation_errors,
+)
 from seatrial.ident.numerics import rounding_step
 from seatrial.ident.report import write_check_page
 
@@ -105,7 +111,7 @@ def with_findings(
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
     found = [*log.device_faults, *check_signals(log.own_channels, sides), *more]
     reported = [f for f in found if f.level != OK]
-    refused = [f for f in reported if spoils_a_fit(f)]
+    refused = [f for f in reported if invalidates_fit(f)]
     if refused and not despite_faults:
         first, where = refused[0], "" if refused[0].where == name else f"{refused[0].where}: "
         rest = f" ({counted(len(refused) - 1, 'more fault')})" if len(refused) > 1 else ""
@@ -113,7 +119,7 @@ def with_findings(
             f"{name}: {where}{first.text} [{first.code}]{rest}; "
             f"{first.advice}. `seatrial check` lists all findings; --despite-faults fits the log unchanged"
         )
-    rows = [f._asdict() | {"spoils": spoils_a_fit(f)} for f in reported]
+    rows = [f._asdict() | {"spoils": invalidates_fit(f)} for f in reported]
     return replace(log, about=log.about | {"findings": rows})
 
 
@@ -176,7 +182,7 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
     samples may be equal, so the noise would be underestimated, and the forces would follow the rounding steps.
     """
     usual, states = {p.name: p.value for p in NOISE.values()}, ESTIMATOR_ERROR in {e.name for e in model.effects}
-    lasting = {o.name for s in model.sensors if states and s.name in LASTING for o in s.outputs}
+    lasting = {o.name for s in model.sensors if states and s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs}
     smooth = {name for log in logs for name in smoothed(log.run.channels)} - lasting
     part = dict.fromkeys(smooth, 1.0) | dict.fromkeys(lasting, LEAST_WHITE)
     least: dict[str, float] = {}

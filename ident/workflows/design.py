@@ -31,21 +31,21 @@ from seatrial.ident.experiment_design import (
     ThrusterResponse,
     Track,
     baseline_signals,
-    believed,
     design,
     discriminate,
     monte_carlo,
-    not_commanded,
     planned_record,
     predicted_errors,
     predicted_track,
+    prior_from_fit,
+    reason_without_mission,
     row_spacing,
     separation,
 )
 from seatrial.ident.model import Model, Parameter
 from seatrial.ident.models import make_model
 from seatrial.ident.numerics import Array, scaled_pseudo_inverse
-from seatrial.ident.report import tidy, write_design_page
+from seatrial.ident.report import typeset_unit, write_design_page
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
     Baseline,
@@ -321,7 +321,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     is_path = source.endswith((".toml", ".json")) or ("/" in source and Path(source).is_dir())
     saved = load_model(Path(source)) if is_path else None
     model = saved.model if saved is not None else make_model(source)
-    if why := not_commanded(model):
+    if why := reason_without_mission(model):
         raise SeatrialError(f"no mission can be designed for model {model.name}: {why}")
     unknown = set(request.rates) - {s.name for s in model.sensors}
     if unknown:
@@ -349,7 +349,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     if saved is None:
         task = replace(task, belief=ParameterPrior(task.learned, request.spread))
     else:
-        belief = believed(saved)
+        belief = prior_from_fit(saved)
         earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
         task = replace(
             task, belief=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity,
@@ -500,7 +500,7 @@ def _answer(
         after = np.inf if p.after is None else p.after
         share = abs(after / p.value) if p.value else np.inf
         of_value = f" ({100 * share:.2g} %)" if share < 1 else ""
-        parts.append(f"{p.name} ±{format_number(after)} {tidy(p.unit)}{of_value}")
+        parts.append(f"{p.name} ±{format_number(after)} {typeset_unit(p.unit)}{of_value}")
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     duration = made.task.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
@@ -523,7 +523,7 @@ def design_summary(result: DesignResult) -> Sequence[str]:
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))
         lines.append(
-            f"  {p.name:<8} {p.value:10.4g} {tidy(p.unit):<8} ± {before:>8} -> {after}"
+            f"  {p.name:<8} {p.value:10.4g} {typeset_unit(p.unit):<8} ± {before:>8} -> {after}"
             f"   ({result.baseline}: {baseline})"
         )
     lines.append("")

@@ -17,7 +17,13 @@ from seatrial.ident.models import effects_for
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import DiagnosisResult, diagnosis_result, estimation_warnings, provenance
 from seatrial.ident.workflows.check import check_first, with_noise_floors
-from seatrial.ident.workflows.model_inputs import check_ahead, in_one_frame, model_of_logs, unused_lines, unused_signals
+from seatrial.ident.workflows.model_inputs import (
+    check_horizon,
+    in_one_frame,
+    model_of_logs,
+    unused_lines,
+    unused_signals,
+)
 from seatrial.ident.workflows.output import sensor_rates, validity, write_all
 from seatrial.ident.workflows.vehicle_model import considered_notes
 
@@ -84,7 +90,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     # The search compares maxima of the plain likelihood of a first-order filter. REML and a second-order filter do not
     # change what is found, and the blind tests were made without them.
     plain = replace(saved.model, second_order=False)
-    check_ahead(horizon, loaded, unseen)
+    check_horizon(horizon, loaded, unseen)
     loaded, unseen = in_one_frame(plain, loaded, unseen, saved.origin)
     model, runs, validation_runs, usual_rate = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
     unused = unused_signals(model, loaded, unseen)

@@ -16,13 +16,13 @@ from seatrial.ident.estimation import (
     fit,
     load_model,
     reported_units,
-    scale_of,
+    thrust_scale_of,
     without_absent_sensors,
 )
 from seatrial.ident.experiment_design import (
     InformationSegment,
     characteristic_steps,
-    not_commanded,
+    reason_without_mission,
     segment_information,
 )
 from seatrial.ident.model import Model
@@ -42,7 +42,7 @@ from seatrial.ident.results import (
     scale_warnings,
     write_result,
 )
-from seatrial.ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
+from seatrial.ident.workflows.model_inputs import as_logged, known_curve, saved_frame_warnings, with_derived_signals
 
 NOTABLE_GROWTH = 1.2  # the answer names a segment if a standard error would grow by this factor without it
 LARGE_ERROR = 0.5  # standard error / value from which a parameter is poorly known
@@ -106,7 +106,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     curve = known_curve(request.thruster)
     logs = load_runs(request.logs, "judged", request.window, saved.origin)
     assumed = saved_frame_warnings(saved.model, logs, saved.origin)
-    loaded = [completed(log, saved.model.source, curve) for log in logs]
+    loaded = [with_derived_signals(log, saved.model.source, curve) for log in logs]
     model = as_logged(saved.model, loaded[0].holds)
     records = [make_record(model, log.run, request.rate) for log in loaded]
     model = without_absent_sensors(model, records)
@@ -131,7 +131,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
             for r in records
             for row in record_inputs(model, r)
         ),
-        warnings=(*scale_warnings(scale_of(saved.model)), *assumed),
+        warnings=(*scale_warnings(thrust_scale_of(saved.model)), *assumed),
         notes=tuple(_notes(parameters, records, model)),
     )
     out.mkdir(parents=True, exist_ok=True)
@@ -254,7 +254,7 @@ def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record], m
     ]
     notes += [f"{p.name}: these logs contain no information about it." for p in parameters if p.se is None]
     poor = ",".join(p.name for p in parameters if not p.known)
-    if poor and not not_commanded(model):
+    if poor and not reason_without_mission(model):
         notes.append(
             "To design the most informative mission for the poorly known parameters: seatrial mission design MODEL "
             f"--criterion Ds --parameters {poor}"

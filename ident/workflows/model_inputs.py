@@ -91,7 +91,7 @@ def complete(
     return found, held
 
 
-def completed(log: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
+def with_derived_signals(log: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
     """Return a log with the derived signals that a model ``source`` may need (see ``complete``)."""
     found, held = complete(log.run.channels, log.holds, source, curve, log.about["path"])
     return replace(log, run=replace(log.run, channels=found), holds=held)
@@ -204,7 +204,7 @@ def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
 def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
     """Return a line on the signals that the model's thrust is computed from; empty if the thrust itself is an input.
 
-    ``loaded``: logs with derived signals (``completed``).
+    ``loaded``: logs with derived signals (``with_derived_signals``).
     """
     if "n_state" in model.provides:
         return (
@@ -310,7 +310,7 @@ def model_of_logs(
         runs, validation_runs = (thruster_runs(part, model, thruster) for part in (loaded, unseen))
         return model, runs, validation_runs, THRUSTER_RATE
     curve = known_curve(_curve_path(thruster, model_path))
-    loaded, unseen = ([completed(x, model.source, curve) for x in part] for part in (loaded, unseen))
+    loaded, unseen = ([with_derived_signals(x, model.source, curve) for x in part] for part in (loaded, unseen))
     _check_thrust_inputs(model, model_path, loaded, unseen)
     model = _with_logged_sensors(model, model_path, loaded, unseen)
     return model, [x.run for x in loaded], [x.run for x in unseen], 10.0
@@ -362,7 +362,7 @@ def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
             raise SeatrialError(f"--profile {name}: it is given, not estimated; estimated are {', '.join(model.free)}")
 
 
-def check_ahead(horizon: float | None, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog] = ()) -> None:
+def check_horizon(horizon: float | None, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog] = ()) -> None:
     """Raise SeatrialError if the prediction horizon [s] is longer than all logs that the model is evaluated on.
 
     These are the validation logs (``unseen``), or the estimation logs if there are no others.

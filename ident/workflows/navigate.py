@@ -42,7 +42,7 @@ from seatrial.ident.results import (
     record_inputs,
     write_result,
 )
-from seatrial.ident.workflows.model_inputs import as_logged, completed, known_curve, saved_frame_warnings
+from seatrial.ident.workflows.model_inputs import as_logged, known_curve, saved_frame_warnings, with_derived_signals
 
 Columns = list[tuple[str, str, Array]]  # name, unit, values
 
@@ -111,7 +111,7 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         own = share_frame(parts_with_sensors(load_run(path, "navigated", request.window)), reference)
         reference = reference or own[0].origin
         for log, outages in zip(own, _outages_of(own, request.gnss_outages), strict=True):
-            loaded.append(completed(log, saved.model.source, curve))
+            loaded.append(with_derived_signals(log, saved.model.source, curve))
             done, t0 = _navigate(model, loaded[-1], known, request, outages)
             parts.append((done, t0, gnss_outages(done)))
             tables.append(_columns(done, t0))

@@ -22,7 +22,7 @@ from seatrial.ident.data import Channel, LoadedLog, ahrs_channels, load_runs
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
-from seatrial.ident.validation import OUTLYING
+from seatrial.ident.validation import OUTLIER_SDS
 
 FORMAT = "seatrial-noise 2"
 WARNING = "Such numbers do not describe the noise, so do not put them into a filter."
@@ -64,10 +64,10 @@ class NoiseEstimate:
         """
         f, found = self.fit, []
         size = np.abs(f.innovations)
-        beyond, k = int(np.sum(size > OUTLYING)), int(np.argmax(size))
+        beyond, k = int(np.sum(size > OUTLIER_SDS)), int(np.argmax(size))
         if beyond or f.heavy_tailed:
             tails = (
-                f"{beyond} of {f.n} innovations beyond {OUTLYING:g} standard deviations"
+                f"{beyond} of {f.n} innovations beyond {OUTLIER_SDS:g} standard deviations"
                 if beyond
                 else (f"heavy tails (kurtosis {f.kurtosis:.2g})")
             )

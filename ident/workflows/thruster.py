@@ -14,7 +14,7 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError, counted
 from seatrial.ident.characterisation import (
-    FALLS,
+    REVERSED_LOAD_CELL,
     THRUSTER_RATE,
     Curve,
     Levels,
@@ -27,8 +27,8 @@ from seatrial.ident.characterisation import (
     falls,
     find_levels,
     fit_curve,
-    fit_on_a_copy,
     fit_quadratic,
+    fit_with_delay_on_grid,
     hold_advice,
     save_curve,
     shaft_guess,
@@ -46,7 +46,7 @@ from seatrial.ident.numerics import Array, mean_error, steady_segments
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
-    Posed,
+    FitContext,
     StaticForce,
     ThrustCurveResult,
     ThrusterResult,
@@ -59,7 +59,7 @@ from seatrial.ident.results import (
 )
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import with_findings
-from seatrial.ident.workflows.model_inputs import check_ahead, check_names
+from seatrial.ident.workflows.model_inputs import check_horizon, check_names
 from seatrial.ident.workflows.output import write_all
 
 SETTLED_S, AVERAGED_S = 1.0, 0.6  # time after a change of command, and time at its end over which is averaged
@@ -117,7 +117,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         asked = {"--robust": options.outlier_model, "--profile": profiles, "--horizon": horizon is not None}
         _refuse(request.logs[0], [option for option, is_given in asked.items() if is_given])
         return static_curve(loaded, request, command, reporter)
-    check_ahead(horizon, loaded)
+    check_horizon(horizon, loaded)
     name = name or thruster_name(loaded[0])
     for x in loaded:
         check_signs(x, name)
@@ -130,7 +130,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         model = thruster_model("slow", force=has_force)
         records = [_record(model, x, name) for x in loaded]
     reporter.progress(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
-    fitted, records = fit_on_a_copy(model, records, lambda m: [_record(m, x, name) for x in loaded], options)
+    fitted, records = fit_with_delay_on_grid(model, records, lambda m: [_record(m, x, name) for x in loaded], options)
     views = tuple(RecordEvaluation(fitted.model, r, v) for r, v in zip(records, fitted.record_values, strict=True))
     stage = FittedModel(fitted.model, fitted, views, ())
     evaluation = evaluate(stage, horizon)
@@ -143,7 +143,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         provenance(loaded, command),
         [profile(fitted, records, p) for p in profiles],
         _static(fitted, records, loaded, name) if has_force else None,
-        Posed(model.values, [*drifts, *stage.outlier_notes]),
+        FitContext(model.values, [*drifts, *stage.outlier_notes]),
         calibration,
     )
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
@@ -245,7 +245,7 @@ def static_curve(
             advice = hold_advice(channels[names[0]], channels["force"], request.settle)
             raise ValueError(f"{levels.n.size} steady commands are too few for a curve, which takes four; {advice}")
         if falls(levels.n, levels.force, float(levels.error.max())):
-            raise ValueError(FALLS)
+            raise ValueError(REVERSED_LOAD_CELL)
     except ValueError as problem:
         raise SeatrialError(f"{where}: {problem}") from problem
     curve, quadratic = fit_curve(levels), fit_quadratic(levels)

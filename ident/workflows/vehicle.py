@@ -6,7 +6,7 @@ from seatrial.ident.checks import device_faults
 from seatrial.ident.data import load_all
 from seatrial.ident.estimation import fit_nominal_model, homogeneity_test, profile
 from seatrial.ident.reporter import Reporter
-from seatrial.ident.results import Posed, VehicleResult, provenance, vehicle_result
+from seatrial.ident.results import FitContext, VehicleResult, provenance, vehicle_result
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import check_first
 from seatrial.ident.workflows.model_inputs import unused_lines
@@ -46,7 +46,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         provenance([*loaded, *unseen], command),
         profiles,
         homogeneity,
-        Posed(
+        FitContext(
             problem.model.values,
             [*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
             problem.unused,

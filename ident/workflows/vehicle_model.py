@@ -12,8 +12,8 @@ from seatrial.ident.estimation import (
     EstimationOptions,
     apply_rig_geometry,
     fix_parameters,
-    nominal,
-    pose_scale,
+    free_unknown_scale,
+    nominal_model,
     set_initial_values,
     set_priors,
     with_effects,
@@ -23,13 +23,13 @@ from seatrial.ident.models import is_own_model, thrust_calibration
 from seatrial.ident.results import UnusedSignal
 from seatrial.ident.workflows.check import with_estimator_errors, with_noise_floors
 from seatrial.ident.workflows.model_inputs import (
-    check_ahead,
+    check_horizon,
     check_names,
     choose_model,
-    completed,
     require_one_frame,
     thrust_from,
     unused_signals,
+    with_derived_signals,
 )
 
 SLOW_INPUT_S = 0.015  # s: if samples of an output are farther apart, the times of its changes are uncertain
@@ -183,8 +183,8 @@ def vehicle_problem(
     curve, source = load_curve(request.thruster) if request.thruster is not None else None, request.model
     if curve is not None and source == "auto":
         source = "horizontal:force"
-    loaded, unseen = ([completed(x, source, curve) for x in part] for part in (loaded, unseen))
-    check_ahead(request.estimation.horizon, loaded, unseen)
+    loaded, unseen = ([with_derived_signals(x, source, curve) for x in part] for part in (loaded, unseen))
+    check_horizon(request.estimation.horizon, loaded, unseen)
     source, sampled = with_sampled_inputs(source, loaded)
     model = choose_model(source, [*loaded, *unseen])
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
@@ -199,10 +199,10 @@ def vehicle_problem(
     require_one_frame(model, [*loaded, *unseen])
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
-    model = pose_scale(model)
+    model = free_unknown_scale(model)
     model, floors = with_noise_floors(model, loaded)
     notes += considered_notes(model)
-    check_names(nominal(model), request.profiles, len(loaded))
+    check_names(nominal_model(model), request.profiles, len(loaded))
     segments, validation = ([x.run for x in part] for part in (loaded, unseen))
     unused = unused_signals(model, loaded, unseen)
     return VehicleProblem(

@@ -13,7 +13,7 @@ from benchmarks.thesis import printed, tables
 from benchmarks.thesis.__main__ import main
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part, write_figures
 from benchmarks.thesis.fits import at_rest, surge_experiment, yaw_experiment
-from seatrial.ident.estimation.standard_errors import TOO_LONG
+from seatrial.ident.estimation.standard_errors import AUTOCORRELATED_TOO_LONG
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log
 
@@ -31,7 +31,7 @@ def test_prediction_error_finds_the_truth_and_output_error_claims_too_much(make,
         assert robust > 2 * one.oe.estimate(mass)[1]
     else:  # a push stays in the position for good: no error allows for that
         assert np.isnan(robust)
-        assert (mass, TOO_LONG) in one.oe.flags
+        assert (mass, AUTOCORRELATED_TOO_LONG) in one.oe.flags
     head, _, *rows = tables.tables_3_and_4(one, paper)
     assert "paper OE" in head
     assert len(rows) == 3

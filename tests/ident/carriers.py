@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from seatrial.ident.model.structure import Effect, Model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import SENSORS, horizontal_model
 from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.nomoto import nomoto_model
@@ -25,4 +25,4 @@ def vehicle_for(effect: Effect) -> Model:
 
 def carrier(effect: Effect) -> Model:
     """The same with disturbance forces; a bench for what is found on one."""
-    return for_diagnosis(thruster_model(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))
+    return with_disturbances(thruster_model(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))

@@ -19,7 +19,7 @@ from seatrial.ident.estimation.model_file import SavedModel
 from seatrial.ident.export.codegen import without_nuisance
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import ForceCurve, Input, Model, Output, Sensor, State, plain_model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.nomoto import nomoto_model
@@ -86,9 +86,9 @@ MODELS = {
     "shaft with every effect": with_effects("shaft"),
     "force with every effect": with_effects("force"),
     "general": horizontal_model("general"),
-    "as fitted": for_diagnosis(horizontal_model("shaft")) + catalogue()["pendulum"],
-    "measured attitude": for_diagnosis(kinematic_model(yaw=True)),
-    "without sway": for_diagnosis(nomoto_model(sampled=True)) + catalogue()["sideslip"],
+    "as fitted": with_disturbances(horizontal_model("shaft")) + catalogue()["pendulum"],
+    "measured attitude": with_disturbances(kinematic_model(yaw=True)),
+    "without sway": with_disturbances(nomoto_model(sampled=True)) + catalogue()["sideslip"],
     "thruster": thruster_model(),
     "surge": surge_model("shaft", "both"),
     "yaw": yaw_model("both"),

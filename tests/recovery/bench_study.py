@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from seatrial.ident.characterisation.thruster import THRUSTER_RATE, fit_on_a_copy
+from seatrial.ident.characterisation.thruster import THRUSTER_RATE, fit_with_delay_on_grid
 from seatrial.ident.data.record import Channel, LogSegment, Record, build_record
 from seatrial.ident.diagnosis.results import Diagnosis
 from seatrial.ident.diagnosis.search import diagnose
@@ -31,7 +31,7 @@ from seatrial.mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_ef
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
 from tests.recovery.resumable import read, resume
-from tests.recovery.tables import as_markdown, as_text
+from tests.recovery.tables import as_markdown, study_as_text
 
 OUT = Path("build/bench_recovery.jsonl")
 DOCS = Path(__file__).parents[2] / "docs" / "recovery-bench.md"
@@ -72,7 +72,7 @@ def diagnose_bench(case: BenchCase) -> Diagnosis:
     def records(model: Model) -> list[Record]:
         return [build_record(model, bench_run(found[0], 1, model).channels, name="run 1", rate=THRUSTER_RATE)]
 
-    model = fit_on_a_copy(thruster_model(), records(thruster_model()), records, EstimationOptions())[0].model
+    model = fit_with_delay_on_grid(thruster_model(), records(thruster_model()), records, EstimationOptions())[0].model
     return diagnose(model, [bench_run(found[0], 1, model)], [bench_run(found[1], 2, model)], rate=THRUSTER_RATE)
 
 
@@ -217,7 +217,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
         return 130
-    print(report(rows, as_text))
+    print(report(rows, study_as_text))
     if given.docs:
         scales = ",".join(f"{s:g}" for s in given.scales)
         command = f"python -m tests.recovery.bench_study --seed {given.seed} --seeds {given.seeds} --scales {scales}"

@@ -13,8 +13,8 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import (
     FittedModel,
     fit_and_evaluate,
-    nominal,
-    superset,
+    nominal_model,
+    with_all_candidates,
     without_absent_sensors,
 )
 from seatrial.ident.model.structure import Effect
@@ -32,8 +32,8 @@ def oracle(case: Case, runs: Sequence[LogSegment]) -> FittedModel | None:
     if any(name not in known for name in case.truths):
         return None
     effects = {name: _near_the_truth(known[name], case) for name in case.truths}
-    base = nominal(model_of(case))
-    everything, kept = superset(base, effects, runs)
+    base = nominal_model(model_of(case))
+    everything, kept = with_all_candidates(base, effects, runs)
     records = [make_record(everything, r, RATE) for r in runs]
     model = without_absent_sensors(base, records)
     for effect in kept.values():

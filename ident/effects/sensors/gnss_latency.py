@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
-from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, copies_of
+from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, available_taps
 
 N_PAST = 5  # number of earlier samples of each input
 
@@ -48,7 +48,7 @@ def delay_shaft(s: Signals) -> None:
     half, earlier = s.p.tau_gnss / 2, {}
     for side in SIDES:
         name = f"n_{side}"
-        taps = copies_of(s, name)
+        taps = available_taps(s, name)
         copies = [getattr(s.u, tap_name(name, k)) for k in taps]
         copies += N_PAST * copies[-1:]  # before the oldest copy, the input is assumed constant
         for i, k in enumerate(taps):

@@ -174,7 +174,7 @@ def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
         if half is not None:
             traces.append(drawing.band(row.t, middle, drawing.Z95 * half, limit, color=color, opacity=0.16))
         traces.append(drawing.line_trace(row.t, middle, name, limit, color=color, dash=dash))
-    title = formatting.titled(row.force) + formatting.bracket(formatting.tidy(row.unit))
+    title = formatting.titled(row.force) + formatting.bracket(formatting.typeset_unit(row.unit))
     return drawing.Panel(title, traces) if traces else None
 
 

@@ -19,7 +19,7 @@ from seatrial.daq.importers.import_map import load_import_map
 from seatrial.daq.importers.write_log import replacing
 from seatrial.daq.log.reader import open_log
 from seatrial.daq.samples import Scalar
-from seatrial.ident.checks import spoils_a_fit
+from seatrial.ident.checks import invalidates_fit
 from tests.bench.check_cases import findings
 from tests.daq.csv_files import EXAMPLES, values, write
 
@@ -417,7 +417,7 @@ def test_shuffled_rows_are_a_fault(folder: Path) -> None:
     assert CliRunner().invoke(cli.import_, [str(csv_map), *map(str, files), "--force"]).exit_code != 0
     (found,) = [f for f in findings(folder / "run.mcap") if f.code == "rows-left-out"]
     assert found.level == "fault"
-    assert spoils_a_fit(found)
+    assert invalidates_fit(found)
 
 
 def test_two_clocks_in_one_column_are_a_fault(folder: Path) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seatrial.ident.checks.frames import Relation, _reversed, culprit
+from seatrial.ident.checks.frames import Relation, _reversed, mirrored_signals
 from seatrial.ident.checks.log_checks import check_copies, check_signals
 from seatrial.ident.checks.sensors import sensor_matches
 from seatrial.ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
@@ -33,21 +33,21 @@ def signs(*mirrored: str, known: tuple[Relation, ...] = ALL) -> Mapping[Relation
 
 @pytest.mark.parametrize("one", ["heading", "gyro", "position", "velocity", "thrusters"])
 def test_one_mirror_is_named(one: str) -> None:
-    assert culprit(signs(one)) == (one,)
+    assert mirrored_signals(signs(one)) == (one,)
 
 
 def test_two_of_one_device_are_named_and_nothing_where_all_agree() -> None:
-    assert culprit(signs()) is None
-    assert culprit({}) is None
-    assert culprit(signs("heading", "gyro")) == ("gyro", "heading")
-    assert culprit(signs("position", "velocity")) == ("position", "velocity")
+    assert mirrored_signals(signs()) is None
+    assert mirrored_signals({}) is None
+    assert mirrored_signals(signs("heading", "gyro")) == ("gyro", "heading")
+    assert mirrored_signals(signs("position", "velocity")) == ("position", "velocity")
 
 
 def test_what_cannot_be_told_apart_is_named_together() -> None:
-    assert culprit(signs("heading", known=(("position", "heading"),))) == ("heading", "position")
+    assert mirrored_signals(signs("heading", known=(("position", "heading"),))) == ("heading", "position")
     known: tuple[Relation, ...] = (("position", "heading"), ("heading", "gyro"))
-    assert culprit(signs("position", known=known)) == ("gyro", "heading", "position")
-    assert culprit(signs("gyro", known=known)) == ("gyro",)
+    assert mirrored_signals(signs("position", known=known)) == ("gyro", "heading", "position")
+    assert mirrored_signals(signs("gyro", known=known)) == ("gyro",)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seatrial.ident.checks import spoils_a_fit
+from seatrial.ident.checks import invalidates_fit
 from seatrial.ident.checks.inputs import check_inputs
 from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.data import Channel
@@ -21,7 +21,7 @@ def log(*groups: tuple[str, ...]) -> dict[str, Channel]:
 
 def faults(c: dict[str, Channel]) -> list[str]:
     found = [f for f in check_signals(c, SIDES) if f.level == "fault"]
-    assert all(spoils_a_fit(f) for f in found)
+    assert all(invalidates_fit(f) for f in found)
     return [f.code for f in found]
 
 
@@ -37,7 +37,7 @@ def test_inputs_that_never_change_are_a_fault(
 ) -> None:
     (found,) = check_inputs(constant(log(*sensors, inputs), inputs, value))
     assert (found.code, found.level) == ("inputs-constant", "fault")
-    assert spoils_a_fit(found)
+    assert invalidates_fit(found)
 
 
 @pytest.mark.parametrize("inputs", [COMMANDS, SHAFTS])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seatrial.ident.checks import spoils_a_fit
+from seatrial.ident.checks import invalidates_fit
 from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.data import Channel
 
@@ -20,7 +20,7 @@ def test_a_clock_that_was_not_set_yet(jump: float, words: str) -> None:
     (found,) = check_signals(c, {})
     assert (found.code, found.level) == ("times-jump", "fault")
     assert words in found.text
-    assert spoils_a_fit(found)
+    assert invalidates_fit(found)
 
 
 def test_a_pause_of_an_hour_is_none() -> None:

@@ -14,7 +14,7 @@ from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_m
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import load_model
-from seatrial.ident.experiment_design.task import COAST_S, REST_S, believed
+from seatrial.ident.experiment_design.task import COAST_S, REST_S, prior_from_fit
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
 
@@ -141,7 +141,7 @@ def test_the_default_number_of_steps_leaves_each_the_shortest() -> None:
 
 @pytest.mark.study
 def test_a_fitted_model_brings_what_it_knows(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    belief = believed(load_model(fitted))
+    belief = prior_from_fit(load_model(fitted))
     assert belief.names == ("m_u",)
     assert belief.covariance == pytest.approx(np.array([[0.19**2]]))
     out = tmp_path / "next.toml"

@@ -13,7 +13,7 @@ from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.samples import Ahrs
 from seatrial.ident.checks.log_checks import check_log, log_evidence
 from seatrial.ident.data.gaps import clock_of, parts_between, silent_times
-from seatrial.ident.data.loading import TimeWindow, known_pieces, load_all, load_run, load_runs
+from seatrial.ident.data.loading import TimeWindow, load_all, load_run, load_runs, usable_parts
 from seatrial.ident.data.record import Channel, LeftOut, make_record
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, record, rig_of, sail
@@ -70,7 +70,7 @@ def test_a_finding_names_the_part_it_is_of(tmp_path: Path) -> None:
 
 def test_a_short_gap_and_a_short_part_are_no_runs(tmp_path: Path) -> None:
     whole = load_run(log_with_gap(tmp_path / "short.mcap", 50.0), "judged")
-    assert known_pieces(whole) == [whole]
+    assert usable_parts(whole) == [whole]
     path = log_with_gap(tmp_path / "run.mcap", DAY, n_last=400)
     with pytest.warns(
         SeatrialWarning, match="its parts are used as separate runs; 1 part shorter than 10 s is left out"

@@ -16,7 +16,7 @@ from seatrial.ident.data.loading import FrameOrigin, LoadedLog, load_all, load_r
 from seatrial.ident.data.record import LogSegment, make_record
 from seatrial.ident.diagnosis.search import _refused
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal
+from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal_model
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.model_file import load_model, save_model
 from seatrial.ident.estimation.prior_knowledge import with_effects
@@ -112,7 +112,7 @@ def test_the_logs_of_one_command_count_from_the_first_fix_of_the_first(tmp_path:
 
 def test_a_frame_of_another_place_does_not_change_a_fit(tmp_path: Path) -> None:
     """The state starts at the first position, and only a fixed point knows where that is."""
-    model, (path,) = nominal(horizontal_model()), placed(tmp_path, (0.0, 0.0))
+    model, (path,) = nominal_model(horizontal_model()), placed(tmp_path, (0.0, 0.0))
     one = load_run(path, "estimation")
     assert one.origin is not None
     far = FrameOrigin(one.origin.latitude + 0.05, one.origin.longitude - 0.05, "another")
@@ -138,10 +138,10 @@ def test_logs_far_apart_keep_their_own_origins_and_refuse_a_common_point(tmp_pat
     require_one_frame(plain, logs)
     with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, but mooring has one position"):
         require_one_frame(moored, logs)
-    untested = _refused(nominal(plain), catalogue(), [one.run for one in logs])
+    untested = _refused(nominal_model(plain), catalogue(), [one.run for one in logs])
     assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
     assert "fixed point over ground" in untested[0].reason
-    assert not _refused(nominal(plain), catalogue(), [logs[0].run])
+    assert not _refused(nominal_model(plain), catalogue(), [logs[0].run])
 
 
 def test_positions_without_latitude_and_longitude_are_taken_for_one_frame_with_a_warning(tmp_path: Path) -> None:

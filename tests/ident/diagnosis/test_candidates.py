@@ -19,7 +19,7 @@ from seatrial.ident.diagnosis.candidates import (
 )
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.model.structure import Effect, EffectKind, Model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.scaling import VesselScale, scale_priors
 from tests.ident.carriers import carrier
@@ -29,7 +29,7 @@ N_ROWS = 60
 
 
 def base_for(effect: Effect | None = None) -> Model:
-    return for_diagnosis(horizontal_model()) if effect is None else carrier(effect)
+    return with_disturbances(horizontal_model()) if effect is None else carrier(effect)
 
 
 def with_all_inputs(model: Model) -> Model:

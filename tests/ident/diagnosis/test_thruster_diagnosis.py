@@ -24,7 +24,7 @@ from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.fitted_model import reset_collapsed_noise
 from seatrial.ident.model.structure import ForceCurve, Model
 from seatrial.ident.models.catalogue import make_model
-from seatrial.ident.models.disturbances import for_diagnosis, residuals_of, variables_of
+from seatrial.ident.models.disturbances import residuals_of, variables_of, with_disturbances
 from seatrial.ident.models.thruster import delayed_channels, thruster_model
 from seatrial.mocks.plant.bench import draw_bench, make_effect
 from tests.missions import bench_log
@@ -42,11 +42,11 @@ def rates(model: Model, values: dict[str, float], n: float, command: float, **st
 
 
 def with_effect(name: str) -> Model:
-    return for_diagnosis(thruster_model(n_delays=9)) + catalogue()[name]
+    return with_disturbances(thruster_model(n_delays=9)) + catalogue()[name]
 
 
 def test_a_bench_model_says_what_may_be_unexplained() -> None:
-    model = for_diagnosis(thruster_model(n_delays=9))
+    model = with_disturbances(thruster_model(n_delays=9))
     assert [(r.name, r.state, r.unit) for r in residuals_of(model)] == [("F", "b_f", "N"), ("n_dot", "b_n", "1/s")]
     assert [v.name for v in variables_of(model)] == ["n", "n_ref", "slip", "t"]
     assert [r.name for r in residuals_of(thruster_model(force=False))] == ["n_dot"]
@@ -58,7 +58,7 @@ def test_a_bench_model_says_what_may_be_unexplained() -> None:
 
 
 def test_residuals_enter_where_their_states_do() -> None:
-    model = for_diagnosis(thruster_model(n_delays=9))
+    model = with_disturbances(thruster_model(n_delays=9))
     for force, variable in (("F", "n"), ("n_dot", "slip")):
         effect = nonparametric_effect(model, ForceCurve(force, variable), (-1.0, 1.0))
         flat = {p.name: 0.25 for p in effect.parameters}  # a table of one value all along
@@ -70,7 +70,7 @@ def test_residuals_enter_where_their_states_do() -> None:
 
 
 def test_the_effects_do_what_their_formulas_say() -> None:
-    base = rates(for_diagnosis(thruster_model(n_delays=9)), {}, 0.5, 0.9)
+    base = rates(with_disturbances(thruster_model(n_delays=9)), {}, 0.5, 0.9)
     a, c1, c2 = 2.794, 40.05, 1.11
     late = rates(with_effect("second-lag"), {"k_lag": 1.0, "T_late": 0.1}, 0.5, 0.9, n_late=0.7)
     assert late["n'"] == pytest.approx(a * (0.7 - 0.5))
@@ -99,7 +99,7 @@ def test_the_effects_do_what_their_formulas_say() -> None:
 
 
 def test_the_variables_of_a_row_are_the_models_own() -> None:
-    model = for_diagnosis(thruster_model()).with_values({"tau": 0.2, "d": 0.1})
+    model = with_disturbances(thruster_model()).with_values({"tau": 0.2, "d": 0.1})
     t = np.arange(0.0, 6.0, 0.02)
     command = Channel(t, np.where(t > 1.0, 0.6, np.where(t > 0.5, 0.05, 0.0)))
     n = Channel(t, np.clip(t - 1.2, 0.0, 0.6))

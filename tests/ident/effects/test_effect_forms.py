@@ -14,15 +14,15 @@ from seatrial.ident.effects.environment.waves import EFFECT as WAVES
 from seatrial.ident.effects.environment.waves import FORCES, waves_at
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
-from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal
+from seatrial.ident.estimation.fitted_model import fit_and_evaluate, fit_nominal_model, nominal_model
 from seatrial.ident.model.structure import Model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
 
 def model_with(name: str, **values: float) -> Model:
-    return (for_diagnosis(horizontal_model()) + catalogue()[name]).with_values(values)
+    return (with_disturbances(horizontal_model()) + catalogue()[name]).with_values(values)
 
 
 def rates(model: Model, **x: float) -> dict[str, float]:
@@ -103,7 +103,7 @@ def test_waves_are_seen_in_the_innovations_and_fitted() -> None:
     start = replace(
         WAVES, parameters=tuple(p.at(score.scan.get(p.name, score.step.get(p.name, p.value))) for p in WAVES.parameters)
     )
-    model = nominal(horizontal_model()) + start
+    model = nominal_model(horizontal_model()) + start
     after = fit_and_evaluate(model, [make_record(model, runs["waves"], 10.0)], [])
     assert after.fit.log_posterior - before.fit.log_posterior > 100.0
     assert after.fit.estimate("f_wave")[0] == pytest.approx(0.45, abs=0.1)

@@ -18,11 +18,11 @@ from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.components import antenna, current_walk, estimator_error, telemetry_age, thrust_calibration
 from seatrial.ident.models.disturbances import (
     disturbance_of,
-    for_diagnosis,
-    readings_of,
     residuals_of,
     sensor_bias,
+    sensor_errors_of,
     thrust_losses_of,
+    with_disturbances,
 )
 from seatrial.ident.models.horizontal import SENSORS
 
@@ -37,8 +37,8 @@ def all_effects(base: Model) -> list[Effect]:
     if not {"n", "n_input"} & set(base.provides):  # of given thrust
         found.append(thrust_calibration(base))
     found += [nonparametric_effect(base, ForceCurve(r.name, "u"), (-1.0, 1.5)) for r in residuals_of(base)]
-    whole = for_diagnosis(base)  # with the offsets that errors of readings go with
-    found += [nonparametric_effect(whole, ForceCurve(r.name, "r"), (-1.0, 1.0)) for r in readings_of(whole)]
+    whole = with_disturbances(base)  # with the offsets that errors of readings go with
+    found += [nonparametric_effect(whole, ForceCurve(r.name, "r"), (-1.0, 1.0)) for r in sensor_errors_of(whole)]
     found += [nonparametric_effect(base, ForceCurve(r.name, "r"), (-1.0, 1.0)) for r in thrust_losses_of(base)]
     return [e for e in found if base.accepts(e)]
 

@@ -13,7 +13,7 @@ from seatrial.ident.diagnosis.results import Diagnosis
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.diagnosis.search import diagnose, score_all
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
+from seatrial.ident.estimation.fitted_model import fit_with_rescaling, nominal_model, with_all_candidates
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.scaling import scale_priors, size_of
@@ -40,9 +40,9 @@ def found_on(boat: IndependentBoat, gyro: bool = True) -> Diagnosis:
 
 def scores_of(boat: IndependentBoat, gyro: bool = True) -> tuple[list[Score], list[Score]]:
     """All score tests of the first round, best first, and those that pass."""
-    run, full = sail(boat, SECONDS[0], 12, gyro), nominal(model_of(boat, gyro))
+    run, full = sail(boat, SECONDS[0], 12, gyro), nominal_model(model_of(boat, gyro))
     wanted = {n: e for n, e in catalogue().items() if full.accepts(e)}
-    everything, candidates = superset(full, wanted, [run])
+    everything, candidates = with_all_candidates(full, wanted, [run])
     records = [make_record(everything, run, 10.0)]
     stage = fit_with_rescaling(full, records, ())
     size = size_of(stage.fit.model)

@@ -21,7 +21,7 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.outlier_density import with_outlier_model
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.catalogue import make_model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.engine.test_kernel import operations, points
 from tests.ident.toys import turning
@@ -46,7 +46,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "turning": turning,
     "robust": lambda: with_outlier_model(turning()),
     "second order": lambda: replace(make_model("horizontal:shaft"), second_order=True),
-    "with disturbance forces": lambda: for_diagnosis(horizontal_model("shaft")),
+    "with disturbance forces": lambda: with_disturbances(horizontal_model("shaft")),
 }
 
 

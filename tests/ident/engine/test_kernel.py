@@ -11,7 +11,7 @@ import pytest
 
 from seatrial.ident.data.record import Preparer
 from seatrial.ident.engine import jit
-from seatrial.ident.engine.filter_kernels import Programs, programs_for
+from seatrial.ident.engine.filter_kernels import FilterKernels, filter_kernels_for
 from seatrial.ident.engine.kernel import Arena, Kernel
 from seatrial.ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero
 from seatrial.ident.engine.loop_plan import Gram, Plan, stage
@@ -96,7 +96,7 @@ def data_of(kernel: Kernel, seed: int = 0) -> tuple[int, np.ndarray, dict[str, n
 @needs_llvm
 @pytest.mark.parametrize("name", ["value", "forward", "tangent", "filter", "simulate"])
 def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
-    programs: Programs = programs_for(turning(), covariance=name != "simulate")
+    programs: FilterKernels = filter_kernels_for(turning(), covariance=name != "simulate")
     fast: Kernel = getattr(programs, name)
     slow = Kernel(fast.plan, compiled=False)
     chosen = [0, 1, 2, 4, 5, 6, 7, 8, 3]
@@ -220,12 +220,12 @@ def bad_model(rate: object) -> Model:
 @pytest.mark.parametrize("rate", [math.sin, float, lambda a: np.array([0.0, float(a)])[1]])
 def test_numbers_made_of_symbols_are_named(rate: object) -> None:
     with pytest.raises(ValueError, match="model bad: the rate of the state a has lost its symbols"):
-        programs_for(bad_model(rate))
+        filter_kernels_for(bad_model(rate))
 
 
 def test_missing_and_misshapen_results_are_named() -> None:
     with pytest.raises(ValueError, match="model bad: the rate of the state a is not a scalar"):
-        programs_for(bad_model(lambda a: ca.vertcat(a, a)))
+        filter_kernels_for(bad_model(lambda a: ca.vertcat(a, a)))
     model = plain_model(
         "empty",
         f=lambda x, u, p: {},
@@ -236,13 +236,13 @@ def test_missing_and_misshapen_results_are_named() -> None:
         parameters=(Parameter("e", 1.0),),
     )
     with pytest.raises(ValueError, match="model empty gives no rate of the state a"):
-        programs_for(model)
+        filter_kernels_for(model)
 
 
 def test_models_that_differ_in_values_share_their_kernels() -> None:
     model = turning()
-    assert programs_for(model) is programs_for(model.with_values({"m": 5.0}))
-    assert programs_for(model) is not programs_for(model, joseph=True)
+    assert filter_kernels_for(model) is filter_kernels_for(model.with_values({"m": 5.0}))
+    assert filter_kernels_for(model) is not filter_kernels_for(model, joseph=True)
 
 
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_llvm), False])

@@ -21,7 +21,7 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.model.outlier_density import with_outlier_model
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.surge import surge_model
@@ -60,10 +60,10 @@ KEYS = """
 from seatrial.ident.engine.kernel_cache import kernel_key
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.models.components import current_walk, estimator_error
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import SENSORS, horizontal_model
 sensors = tuple(SENSORS)
-model = for_diagnosis(horizontal_model("shaft", sensors) + current_walk() + estimator_error(sensors))
+model = with_disturbances(horizontal_model("shaft", sensors) + current_walk() + estimator_error(sensors))
 for effect in catalogue().values():
     if model.accepts(effect):
         print(effect.name, kernel_key(model + effect, True, False))
@@ -108,7 +108,7 @@ def test_a_kernel_that_was_found_again_still_has_its_plan(tmp_path: Path, monkey
         monkeypatch.setattr(filter_kernels, "_known", {})
         likelihood = Likelihood(turning())
         likelihood.value(turning_record(), values_of(turning()))
-        plans.append(filter_kernels.programs_for(turning()).value)
+        plans.append(filter_kernels.filter_kernels_for(turning()).value)
     made, found = plans
     assert made is not found
     assert found.layout == made.layout
@@ -190,10 +190,10 @@ def test_all_models_and_effects_can_be_found_again() -> None:
         thruster_model(),
         horizontal_model(),
         kinematic_model(),
-        for_diagnosis(horizontal_model("force")),
+        with_disturbances(horizontal_model("force")),
     ):
         assert key(model), model.name
-    full = for_diagnosis(horizontal_model())
+    full = with_disturbances(horizontal_model())
     without = [e.name for e in catalogue().values() if full.accepts(e) and key(full + e) is None]
     assert without == []
 
@@ -205,7 +205,7 @@ def test_a_kernel_made_in_a_hurry_gives_the_same_numbers(tmp_path: Path, monkeyp
     for place, n_rows in (("careful", jit.QUICK_ROWS + 1), ("quick", jit.QUICK_ROWS)):  # quick code only for few rows
         monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / place))
         monkeypatch.setattr(filter_kernels, "_known", WeakValueDictionary())
-        with jit.quickly(n_rows):
+        with jit.quick_compilation(n_rows):
             found.append(Likelihood(turning()).scores(record, values))
     careful, quick = found
     np.testing.assert_allclose(quick.value, careful.value, rtol=1e-12)

@@ -15,7 +15,7 @@ from seatrial.ident.estimation.cross_validation import (
     leave_one_block_out,
     time_blocks,
 )
-from seatrial.ident.estimation.fitted_model import blocks_of, fit_and_evaluate, validated_in_blocks
+from seatrial.ident.estimation.fitted_model import cut_into_blocks, fit_and_evaluate, validated_in_blocks
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import fit
 from seatrial.ident.model.parameter import Parameter
@@ -101,7 +101,7 @@ def charging() -> Effect:
 
 def test_a_block_begins_where_the_states_of_an_effect_have_been(data: list[Record]) -> None:
     plain = fit_and_evaluate(MODEL, data, [])
-    blocks = blocks_of(data, plain.estimation, MODEL.block)
+    blocks = cut_into_blocks(data, plain.estimation, MODEL.block)
     stage = fit_and_evaluate(MODEL + charging(), data, blocks)
     assert all("z" not in r.start for r in blocks.records)
     for view, of in zip(stage.validation, blocks.of, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from seatrial.ident.estimation import fisher_scoring
-from seatrial.ident.estimation.maximum_likelihood import CLOSE_ENOUGH
+from seatrial.ident.estimation.maximum_likelihood import MAX_GAIN_LEFT
 from seatrial.ident.estimation.standard_errors import flat_coordinates
 from seatrial.ident.model.parameter import INF, Parameter
 from tests.ident.stepped import steps
@@ -97,7 +97,7 @@ def test_what_a_correction_promises_and_no_step_gains_is_not_left_to_gain(start:
     bounds = fisher_scoring.Bounds(np.full(1, -INF), np.full(1, INF), np.zeros(1, dtype=bool))
     top = fisher_scoring.maximise(ridge, np.array([start]), bounds, max_iterations=60, tolerance=1e-6)
     assert abs(top.z[0]) < 1e-9
-    assert 0.0 < top.gain_left < CLOSE_ENOUGH
+    assert 0.0 < top.gain_left < MAX_GAIN_LEFT
 
 
 def running_away(z: np.ndarray) -> fisher_scoring.Evaluation:

@@ -12,7 +12,7 @@ from seatrial.ident.data.record import Record
 from seatrial.ident.estimation import fisher_scoring, maximum_likelihood
 from seatrial.ident.estimation.fisher_scoring import Problem
 from seatrial.ident.estimation.likelihood import Likelihood
-from seatrial.ident.estimation.maximum_likelihood import ROUGH, Fit, SearchSettings, fit
+from seatrial.ident.estimation.maximum_likelihood import ROUGH_SEARCH, Fit, SearchSettings, fit
 from seatrial.ident.estimation.parameter_covariance import parameter_uncertainty
 from seatrial.ident.model.parameter import INF, Parameter, ParameterOrigin
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
@@ -61,7 +61,9 @@ def test_a_shared_parameter_at_its_bound_stays_there_whatever_the_number_of_reco
     bounded = replace(turning().parameter("m"), bounds=(18.6, 60.0), value=30.0)
     model = turning().replace_parameters(bounded).with_free(("m",))
     for n in (2, 6):
-        assert fit(model, records(n), settings=ROUGH).model.parameter("m").value == pytest.approx(18.6, rel=1e-12)
+        assert fit(model, records(n), settings=ROUGH_SEARCH).model.parameter("m").value == pytest.approx(
+            18.6, rel=1e-12
+        )
 
 
 def test_it_is_a_maximum(found: Fit) -> None:

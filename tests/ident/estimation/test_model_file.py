@@ -21,7 +21,7 @@ from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fi
 from seatrial.ident.estimation.model_file import load_model, save_model
 from seatrial.ident.model.structure import ForceCurve, Model
 from seatrial.ident.models.catalogue import make_model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.scaling import VesselScale, rescale, scale_priors, size_of
 from tests.missions import boat_with, channels_of, sail
@@ -80,7 +80,7 @@ def test_a_fitted_model_comes_back(tmp_path: Path, found: Fit) -> None:
 
 @pytest.mark.parametrize("propulsion", ["shaft", "force"])
 def test_effects_come_back_with_their_values(tmp_path: Path, found: Fit, propulsion: str) -> None:
-    model = for_diagnosis(horizontal_model(propulsion))  # type: ignore[arg-type]
+    model = with_disturbances(horizontal_model(propulsion))  # type: ignore[arg-type]
     chosen = [e for e in catalogue().values() if model.accepts(e)]
     assert len(chosen) > 15
     for effect in chosen:
@@ -175,7 +175,7 @@ def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
 def test_what_is_considered_comes_back(tmp_path: Path, found: Fit) -> None:
     arm = replace(horizontal_model().parameter("y_left"), prior=(-0.15, 0.01), considered=True)
     for p in (arm, replace(arm, considered=False)):
-        model = for_diagnosis(horizontal_model()).replace_parameters(p)
+        model = with_disturbances(horizontal_model()).replace_parameters(p)
         back = load_model(saved(tmp_path / "model.toml", with_model(found, model))).model
         assert back.considered == model.considered == (("y_left",) if p.considered else ())
         assert back.parameter("y_left").prior == p.prior
@@ -184,7 +184,7 @@ def test_what_is_considered_comes_back(tmp_path: Path, found: Fit) -> None:
 def test_priors_come_back(tmp_path: Path, found: Fit) -> None:
     """Those that a user gave, and those of an effect for a large boat; disturbance forces get their size anew."""
     size = VesselScale(20.0, 3.0)
-    model = for_diagnosis(horizontal_model()) + scale_priors(catalogue()["yaw-bias"], size)
+    model = with_disturbances(horizontal_model()) + scale_priors(catalogue()["yaw-bias"], size)
     given = replace(model.parameter("m_r"), prior=(600.0, 50.0)), replace(model.parameter("d_u"), prior=(0.5, 2.0))
     model = rescale(model.replace_parameters(*given), size)
     path = saved(tmp_path / "model.toml", with_model(found, model))

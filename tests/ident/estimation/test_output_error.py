@@ -12,7 +12,13 @@ from scipy.integrate import solve_ivp
 from seatrial.ident.data.record import Record
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, SearchSettings, fit
-from seatrial.ident.estimation.output_error import free_start, output_error, predict_ahead, simulate, with_initial_state
+from seatrial.ident.estimation.output_error import (
+    output_error,
+    predict_ahead,
+    simulate,
+    with_free_initial_states,
+    with_initial_state,
+)
 from seatrial.ident.models.yaw import yaw_model
 from tests.ident.toys import turning, turning_record, values_of
 
@@ -170,9 +176,9 @@ def test_starts_of_each_record_begin_at_its_first_samples() -> None:
 
 def test_a_start_that_is_known_stays_and_a_guess_is_a_prior() -> None:
     known = replace(turning(), states=tuple(replace(s, sd0=0.0, x0=0.2, from_output="") for s in turning().states))
-    assert free_start(known, []) == (known, {})
+    assert with_free_initial_states(known, []) == (known, {})
     guessed = replace(turning(), states=(turning().states[0], replace(turning().states[1], x0=0.2, sd0="sd0")))
-    model, begin = free_start(guessed, [])
+    model, begin = with_free_initial_states(guessed, [])
     assert (model.parameter("x0_r").prior, begin) == ((0.2, 0.3), {})
     assert "x0_psi" not in model.values  # a parameter of the model's own already
 

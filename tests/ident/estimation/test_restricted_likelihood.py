@@ -10,7 +10,7 @@ from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Sear
 from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.thruster import thruster_model
 from seatrial.ident.studies.cases import make_case
@@ -61,7 +61,7 @@ def test_the_memory_of_a_disturbance_belongs_to_the_noise() -> None:
     found = thruster_model(n_delays=9).noise_parameters
     assert {"tau_f", "q_f", "s_n", "e_n", "e_f"} <= found
     assert not found & {"a", "tau", "c1", "c2", "bias"}
-    full = for_diagnosis(horizontal_model())
+    full = with_disturbances(horizontal_model())
     assert {"tau_b", "q_X", "q_Y", "q_N"} <= full.noise_parameters
     assert not full.noise_parameters & {"m_u", "d_u", "d_uu", "m_v", "d_v", "m_r", "d_r", "d_rr", "V_x", "V_y"}
 

@@ -9,7 +9,14 @@ from scipy.signal import lfilter
 from seatrial.ident.data.record import Record
 from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
-from seatrial.ident.estimation.standard_errors import TOO_LONG, Sandwich, Uncertainty, assess, sandwich, widened
+from seatrial.ident.estimation.standard_errors import (
+    AUTOCORRELATED_TOO_LONG,
+    Sandwich,
+    Uncertainty,
+    assess,
+    sandwich,
+    widened,
+)
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
 
@@ -171,6 +178,6 @@ def test_a_fit_whose_residuals_remember_too_long_says_so() -> None:
     plain = fit(line(), [record], settings=SearchSettings(robust_errors=False))
     found = fit(line(), [record])
     assert found.coloured
-    assert ("mean", TOO_LONG) in found.flags
+    assert ("mean", AUTOCORRELATED_TOO_LONG) in found.flags
     assert np.isnan(found.robust_errors[0])
     assert found.errors[0] > 2.5 * plain.errors[0]

@@ -12,10 +12,10 @@ from seatrial.ident.estimation.maximum_likelihood import Fit, fit
 from seatrial.ident.estimation.thrust_scale import (
     ReportedEstimates,
     ThrustScale,
-    against_priors,
-    least_inertia,
-    pose_scale,
-    scale_of,
+    contradicted_priors,
+    free_unknown_scale,
+    least_yaw_inertia,
+    thrust_scale_of,
 )
 from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.models.horizontal import horizontal_model
@@ -46,23 +46,23 @@ def test_units_of_ratios(unit: str, thrust: str, both: str) -> None:
 
 
 def test_what_nobody_gave_is_left_to_the_data() -> None:
-    posed = pose_scale(horizontal_model())
+    posed = free_unknown_scale(horizontal_model())
     assert [posed.parameter(n).free for n in ("c1", "c2", "y_arm")] == [False, True, True]
     assert posed.parameter("c2").prior == (0.0, pytest.approx(4.005))
     assert "y_left" not in posed.values
-    scale = scale_of(posed)
+    scale = thrust_scale_of(posed)
     assert (scale.relative, scale.relative_yaw, scale.statistical) == (True, True, False)
 
     model = horizontal_model()
     known = [model.parameter(n).known(v, 0.0, GIVEN) for n, v in (("c1", 12.0), ("c2", 0.0), ("y_left", -0.2))]
-    posed = pose_scale(model.replace_parameters(*known))
+    posed = free_unknown_scale(model.replace_parameters(*known))
     assert posed.values["y_right"] == 0.2
-    assert scale_of(posed) == ThrustScale(GIVEN, GIVEN, True)
+    assert thrust_scale_of(posed) == ThrustScale(GIVEN, GIVEN, True)
     uncertain = replace(known[0], prior=(12.0, 1.0), considered=True)
-    assert scale_of(model.replace_parameters(uncertain)).statistical is False
+    assert thrust_scale_of(model.replace_parameters(uncertain)).statistical is False
 
     weighed = model.replace_parameters(model.parameter("m_u").known(12.0, 1.0, PRIOR))
-    assert scale_of(pose_scale(weighed)).thrust is ParameterOrigin.ESTIMATED
+    assert thrust_scale_of(free_unknown_scale(weighed)).thrust is ParameterOrigin.ESTIMATED
 
 
 @pytest.fixture(scope="module")
@@ -91,23 +91,23 @@ def test_the_error_of_a_ratio_knows_of_the_thrust_s_own(fitted: Fit) -> None:
 
 
 def test_an_estimate_far_from_its_prior_is_found(fitted: Fit) -> None:
-    assert against_priors(fitted) == []
+    assert contradicted_priors(fitted) == []
     i = fitted.names.index("m_u")
     value, _ = fitted.estimate("m_u")
     usual = replace(fitted.parameters[i], prior=(0.7 * value, 0.06 * value))  # a positive one goes by its logarithm
     parameters = tuple(usual if k == i else p for k, p in enumerate(fitted.parameters))
-    assert against_priors(replace(fitted, parameters=parameters)) == []  # the structure's own: nobody said it
+    assert contradicted_priors(replace(fitted, parameters=parameters)) == []  # the structure's own: nobody said it
     told = replace(usual, origin=ParameterOrigin.PRIOR)
     parameters = tuple(told if k == i else p for k, p in enumerate(fitted.parameters))
-    ((p, _, widths),) = against_priors(replace(fitted, parameters=parameters))
+    ((p, _, widths),) = contradicted_priors(replace(fitted, parameters=parameters))
     assert (p.name, widths) == ("m_u", pytest.approx(np.log(1 / 0.7) * 0.7 / 0.06, rel=0.2))
 
 
 def test_a_yaw_inertia_below_a_bar_between_the_thrusters_cannot_be(fitted: Fit) -> None:
-    assert least_inertia(fitted) is None  # nobody gave thrust and arms
+    assert least_yaw_inertia(fitted) is None  # nobody gave thrust and arms
     names = ("c1", "c2", "y_left", "y_right")
     known = [replace(fitted.model.parameter(n), origin=GIVEN, free=False) for n in names]
     sure = replace(fitted, model=fitted.model.replace_parameters(*known))
     mass = sure.estimate("m_u")[0]
-    assert least_inertia(sure) == pytest.approx(mass * 0.15**2 / 3)
-    assert least_inertia(sure, 10.0) == pytest.approx(mass * 1.5**2)
+    assert least_yaw_inertia(sure) == pytest.approx(mass * 0.15**2 / 3)
+    assert least_yaw_inertia(sure, 10.0) == pytest.approx(mass * 1.5**2)

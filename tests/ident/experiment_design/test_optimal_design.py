@@ -32,7 +32,7 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.surge import surge_model
 from seatrial.ident.models.yaw import yaw_model
 from seatrial.ident.numerics.pattern_search import penalised_objective
-from seatrial.ident.studies.cases import repeats
+from seatrial.ident.studies.cases import repeat_design
 from seatrial.ident.workflows.design import beyond_validity
 from tests.ident.toys import follower, values_of
 
@@ -350,7 +350,7 @@ def small_design() -> Design:
 
 @pytest.mark.study
 def test_repeats_deliver_what_the_design_predicted() -> None:
-    found = repeats(small_design(), 24, seed=3)
+    found = repeat_design(small_design(), 24, seed=3)
     assert [one.name for one in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
     for one in found:
         assert one.n >= 22

@@ -23,7 +23,7 @@ from seatrial.ident.export.formats import TARGETS, export
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.model.structure import Output, Sensor, State, plain_model
 from seatrial.ident.models.components import estimator_error
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.kinematic import kinematic_model
 from seatrial.ident.models.nomoto import nomoto_model
@@ -113,7 +113,7 @@ def test_a_step_is_the_engines_own() -> None:
 
 
 def test_parameters_can_be_replaced_and_are_the_boats() -> None:
-    text = export(saved(for_diagnosis(horizontal_model())), "python")
+    text = export(saved(with_disturbances(horizontal_model())), "python")
     _, space = run_python(text, Path())
     x, u = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.5, 0.5]
     heavy = space["f"](x, u, {**space["P"], "m_u": 2 * space["P"]["m_u"]})[3]
@@ -131,7 +131,7 @@ def test_the_same_model_is_the_same_text(target: str, name: str) -> None:
 
 @pytest.mark.parametrize("target", TARGETS)
 def test_the_header_says_what_a_reader_needs(target: str) -> None:
-    model = for_diagnosis(horizontal_model())
+    model = with_disturbances(horizontal_model())
     for name in ("delay", "battery-sag", "current-drift"):
         model = model + catalogue()[name]
     text = export(saved(model), target)
@@ -157,7 +157,7 @@ def test_the_header_says_what_a_reader_needs(target: str) -> None:
 
 def test_unexplained_forces_left_out_are_process_noise_of_the_same_strength() -> None:
     """The speed of a free body pushed by the force for a while spreads like the white noise that replaces it."""
-    model = for_diagnosis(horizontal_model(current=False))
+    model = with_disturbances(horizontal_model(current=False))
     c = content(saved(model))
     q, tau, m = (model.values[n] for n in ("q_X", "tau_b", "m_u"))
     rng, dt, n = np.random.default_rng(0), 0.05, 4000
@@ -245,7 +245,7 @@ def test_what_is_right_as_a_ratio_only_is_said_to_be(target: str) -> None:
 
 
 def test_offsets_of_a_measured_attitude_are_left_out_like_all_others() -> None:
-    model = for_diagnosis(kinematic_model(yaw=True))
+    model = with_disturbances(kinematic_model(yaw=True))
     assert content(saved(model)).states == ("x", "y", "u", "v", "r")
     text = export(saved(model), "python")
     left = "Left out, as a controller does not need them: bias_psi, bias_r, b_X, b_Y, b_N, bias_ax, bias_ay"

@@ -20,7 +20,7 @@ from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry
 from seatrial.ident.model.parameter import ParameterOrigin
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.components import antenna, current_walk, estimator_error, thrust_calibration
-from seatrial.ident.models.disturbances import for_diagnosis
+from seatrial.ident.models.disturbances import with_disturbances
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.missions import boat_with, channels_of, sail
 
@@ -30,7 +30,7 @@ def outputs(model, x, u):
 
 
 def test_the_antenna_of_the_rig_is_the_effect_lever_arm_at_a_known_place() -> None:
-    base = for_diagnosis(make_model("horizontal:shaft"))
+    base = with_disturbances(make_model("horizontal:shaft"))
     arm = catalogue()["lever-arm"]
     x, u = np.random.default_rng(3).normal(size=(20, len(base.states))), np.full((20, 2), 0.4)
     here = outputs(base + antenna(0.4, -0.2), x, u)
@@ -62,7 +62,9 @@ def test_a_factor_of_a_given_thrust_is_as_more_thrust(source: str, n_inputs: int
 
 
 def test_a_current_that_wanders_makes_the_position_less_certain() -> None:
-    still, walk = (for_diagnosis(make_model(s)) for s in ("horizontal:shaft", "horizontal:shaft:random-walk-current"))
+    still, walk = (
+        with_disturbances(make_model(s)) for s in ("horizontal:shaft", "horizontal:shaft:random-walk-current")
+    )
     assert "q_V" in walk.free
     record = build_record(walk, channels_of(sail(boat_with(None, 1), 40.0, 1)[0]))
     certain, open_ = (
@@ -80,7 +82,9 @@ def test_an_option_that_is_not_there_is_one_line() -> None:
 def test_all_come_back_from_a_model_file(tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
     base = make_model("horizontal:shaft:random-walk-current")
-    full = for_diagnosis(base + antenna(0.3, 0.1) + estimator_error([s.name for s in base.sensors])).with_free(["m_r"])
+    full = with_disturbances(base + antenna(0.3, 0.1) + estimator_error([s.name for s in base.sensors])).with_free(
+        ["m_r"]
+    )
     record = build_record(full, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
     save_model(path, fit(full, [record], settings=SearchSettings(max_iterations=2)), validity={}, provenance={})
     model = load_model(path).model
@@ -163,7 +167,7 @@ def test_the_errors_of_an_estimator_begin_with_what_they_integrate() -> None:
 def test_errors_of_an_older_form_are_named(tmp_path: Path) -> None:
     """Their A_vxy was that of all of it: read as its own part, a navigation filter would trust what it should not."""
     path, sensors = tmp_path / "model.toml", ("attitude", "gyro", "position", "ground_velocity")
-    base = for_diagnosis(horizontal_model("shaft", sensors) + estimator_error(sensors)).with_free(["m_r"])
+    base = with_disturbances(horizontal_model("shaft", sensors) + estimator_error(sensors)).with_free(["m_r"])
     record = build_record(base, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
     save_model(path, fit(base, [record], settings=SearchSettings(max_iterations=1)), validity={}, provenance={})
     rows = path.read_text(encoding="utf-8").split("[[parameter]]")

@@ -12,7 +12,7 @@ from benchmarks.thesis.boat import sail
 from seatrial import command_line
 from seatrial.ident.data.record import Channel, LogSegment, build_record
 from seatrial.ident.diagnosis.search import diagnose
-from seatrial.ident.estimation.fitted_model import fit_nominal_model, nominal
+from seatrial.ident.estimation.fitted_model import fit_nominal_model, nominal_model
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.catalogue import make_model
@@ -120,11 +120,11 @@ def test_it_finds_a_boat_that_rolls_where_three_degrees_do_not() -> None:
 
 
 def test_unexplained_forces_are_those_that_it_has() -> None:
-    names = {s.name for s in nominal(kinematic_model()).states}
+    names = {s.name for s in nominal_model(kinematic_model()).states}
     assert {"b_X", "b_Y", "bias_psi", "bias_r", "bias_ax", "bias_ay"} <= names
     assert "b_N" not in names
-    assert "q_N" not in nominal(kinematic_model()).values
-    assert "b_N" in {s.name for s in nominal(kinematic_model(yaw=True)).states}
+    assert "q_N" not in nominal_model(kinematic_model()).values
+    assert "b_N" in {s.name for s in nominal_model(kinematic_model(yaw=True)).states}
 
 
 @pytest.mark.parametrize("source", ["kinematic:shaft", "kinematic:force:yaw:no-current"])

@@ -13,7 +13,7 @@ from seatrial.ident.diagnosis.search import score_all
 from seatrial.ident.effects.nonparametric import input_response_effects, nonparametric_effect
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.engine.vectorised_model import VectorisedModel
-from seatrial.ident.estimation.fitted_model import fit_with_rescaling, nominal, superset
+from seatrial.ident.estimation.fitted_model import fit_with_rescaling, nominal_model, with_all_candidates
 from seatrial.ident.model.structure import ForceCurve
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.scaling import VesselScale, dimension, rescale, scale_priors, size_of
@@ -138,7 +138,7 @@ def test_the_response_to_an_input_has_its_thrust_once(propulsion: str) -> None:
 
 
 def test_products_have_the_unit_of_their_coefficient() -> None:
-    model = nominal(horizontal_model())
+    model = nominal_model(horizontal_model())
     wanted = {
         ("X", "u", "v"): "kg/m",
         ("X", "u", "r"): "kg",
@@ -168,7 +168,7 @@ def test_units_of_diffusions_and_of_ratios_are_read() -> None:
 
 
 def test_resizing_twice_is_resizing_once() -> None:
-    model = nominal(horizontal_model())
+    model = nominal_model(horizontal_model())
     once = rescale(model, VesselScale(8.0, 30.0))
     assert rescale(once, VesselScale(8.0, 30.0)) == once
     assert once.parameter("q_N").value == pytest.approx(8 * 30 * model.parameter("q_N").value, rel=1e-9)
@@ -180,9 +180,9 @@ def _scores(scale: float) -> tuple[dict[str, Score], float]:
     for side in ("left", "right"):
         n = found.pop(f"n_{side}")
         found[f"f_{side}"] = Channel(n.t, scale * (40.05 * n.value * abs(n.value) + 1.11 * n.value**2))
-    run, full = LogSegment("run", found), nominal(horizontal_model("force"))
+    run, full = LogSegment("run", found), nominal_model(horizontal_model("force"))
     wanted = {n: e for n, e in catalogue().items() if n in ("yaw-bias", "lift", "lever-arm", "coulomb")}
-    everything, kept = superset(full, wanted, [run])
+    everything, kept = with_all_candidates(full, wanted, [run])
     rows = [make_record(everything, run, 10.0)]
     stage = fit_with_rescaling(full, rows, ())
     size = size_of(stage.fit.model)

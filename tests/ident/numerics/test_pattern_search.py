@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from seatrial.ident.experiment_design.criteria import SINGULAR, Criterion
-from seatrial.ident.numerics.pattern_search import PatternSearch, breaks_a_constraint
+from seatrial.ident.numerics.pattern_search import PatternSearch, violates_constraint
 
 
 def bowl(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +39,7 @@ def test_points_that_cannot_be_better_need_not_be_evaluated_and_the_way_is_the_s
 
     def above(z: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
         value, violation = limited(z)
-        if breaks_a_constraint(least):
+        if violates_constraint(least):
             return np.where(violation > 0.0, np.nan, value), violation
         return value, np.where(value > least, violation, 0.0)
 
@@ -48,8 +48,8 @@ def test_points_that_cannot_be_better_need_not_be_evaluated_and_the_way_is_the_s
     two = PatternSearch(limited, *bounds, seed=3, above=above).run(start, 4000)
     np.testing.assert_array_equal(one.z, two.z)
     assert one.history == two.history
-    assert breaks_a_constraint(one.history[0][1])
-    assert not breaks_a_constraint(one.history[-1][1])
+    assert violates_constraint(one.history[0][1])
+    assert not violates_constraint(one.history[-1][1])
 
 
 def test_the_same_seed_takes_the_same_way() -> None:

@@ -15,7 +15,7 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.model.outlier_density import with_outlier_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.report.page import write_report
-from seatrial.ident.results.commands import Posed, vehicle_result
+from seatrial.ident.results.commands import FitContext, vehicle_result
 from seatrial.ident.results.diagnosis import diagnosis_result
 from seatrial.ident.results.parts import Provenance
 from seatrial.ident.results.result_file import read_result, to_json, write_result
@@ -49,7 +49,7 @@ def test_a_vehicles_result(segments: list[LogSegment], tmp_path: Path, monkeypat
     stage = fit_nominal_model(model, segments[:1], segments[1:])
     evaluation = evaluate(stage)
     no_more_computing(monkeypatch)
-    result = vehicle_result(stage, evaluation, MADE, [], [], Posed(model.values, stage.outlier_notes))
+    result = vehicle_result(stage, evaluation, MADE, [], [], FitContext(model.values, stage.outlier_notes))
     write_result(result, tmp_path / "result.json")
     write_report(result, tmp_path / "report.html")
     assert to_json(read_result(tmp_path / "result.json")) == to_json(result)

@@ -21,7 +21,7 @@ from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.estimation.stochastic_simulation import SampledInputs, simulate_stochastic
 from seatrial.ident.model.parameter import INF, Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
-from seatrial.ident.report.study_page import as_text
+from seatrial.ident.report.study_page import study_as_text
 from seatrial.ident.reporter import QUIET
 from seatrial.ident.studies.cases import CASES, make_case
 from seatrial.ident.studies.monte_carlo import (
@@ -189,7 +189,7 @@ def test_fits_that_failed_or_did_not_converge_are_in_the_verdict() -> None:
     ):
         one = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
         assert says in study.study_answer(one)
-        text = as_text(msgspec.structs.replace(result, studies=(one,)))
+        text = study_as_text(msgspec.structs.replace(result, studies=(one,)))
         assert ("left out of the table: " in text) == bool(failed + unconverged)
     assert study.study_answer(none) == "none: no replicate can be judged: 1 did not converge."
 

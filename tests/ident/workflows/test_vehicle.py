@@ -16,7 +16,7 @@ from seatrial.ident.estimation.fitted_model import fit_nominal_model
 from seatrial.ident.estimation.prior_knowledge import apply_rig_geometry, fix_parameters
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.ident.workflows.model_inputs import choose_model, completed, thrust_from
+from seatrial.ident.workflows.model_inputs import choose_model, thrust_from, with_derived_signals
 from seatrial.ident.workflows.output import sensor_rates, validity
 from tests.ident.rolling import Fitted
 from tests.ident.rolling import sail as rolling_sail
@@ -86,7 +86,7 @@ def test_the_thrust_follows_the_best_that_all_logs_have(
     ],
 )
 def test_commands_are_not_called_measured_speeds(names: tuple[str, ...], way: PropulsionInput, says: str) -> None:
-    log = completed(replace(loaded(*names, *AHRS, *GNSS), propulsion=way), "nomoto", None)
+    log = with_derived_signals(replace(loaded(*names, *AHRS, *GNSS), propulsion=way), "nomoto", None)
     assert says in thrust_from(make_model("nomoto"), [log])
     assert thrust_from(horizontal_model("force"), [log]) == ""
 
@@ -102,7 +102,7 @@ def test_shaft_speeds_that_a_map_lets_hold_are_named(source: str, hold: str, hin
         for n, c in log.run.channels.items()
     }
     log = replace(log, run=replace(log.run, channels=found), holds={**log.holds, "n_left": hold, "n_right": hold})
-    said = thrust_from(make_model("nomoto"), [completed(log, "nomoto", None)])
+    said = thrust_from(make_model("nomoto"), [with_derived_signals(log, "nomoto", None)])
     assert ('hold = "linear" of the map' in said) == hinted
 
 

@@ -12,7 +12,7 @@ import pytest
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data.loading import along_track
-from seatrial.ident.estimation.fitted_model import nominal
+from seatrial.ident.estimation.fitted_model import nominal_model
 from seatrial.ident.estimation.model_file import load_model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
@@ -239,10 +239,10 @@ def test_options_of_models(source: str, problem: str) -> None:
 def test_only_a_hull_gets_unexplained_forces() -> None:
     for source in ("surge:shaft:both", "yaw:both"):
         model = make_model(source)
-        assert nominal(model) is model
+        assert nominal_model(model) is model
         assert make_model(model.source).values == model.values
-    assert "disturbance" in {e.name for e in nominal(horizontal_model()).effects}
-    assert "b_n" in {s.name for s in nominal(make_model("thruster")).states}  # on the bench, of the shaft
+    assert "disturbance" in {e.name for e in nominal_model(horizontal_model()).effects}
+    assert "b_n" in {s.name for s in nominal_model(make_model("thruster")).states}  # on the bench, of the shaft
 
 
 def test_speed_along_the_track_has_a_sign() -> None:
