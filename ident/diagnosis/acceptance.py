@@ -160,18 +160,18 @@ def validation_gain(before: FittedModel, after: FittedModel) -> tuple[float, flo
     return float(per_block.sum()), _t(per_block)
 
 
-def validation_mismatches(stage: FittedModel) -> tuple[ValidationMismatch, ...]:
+def validation_mismatches(fitted: FittedModel) -> tuple[ValidationMismatch, ...]:
     """Return the validation runs whose one-step errors are larger than the model claims.
 
     The lower end of the 95 % interval of the ratio has to exceed ``MISMATCH``. The channel with the largest lower end
     is reported, and the parameter change that would explain the errors.
     """
     found = []
-    for v in () if stage.cross_validated else stage.validation:
-        errors = pooled_calibration([one_step_calibration(stage.model, v.run)])
+    for v in () if fitted.cross_validated else fitted.validation:
+        errors = pooled_calibration([one_step_calibration(fitted.model, v.run)])
         name = max(errors, key=lambda n: errors[n].low, default=None)
         if name is not None and errors[name].low > MISMATCH:
-            shift = parameter_shift(stage.fit, v.record, v.values)
+            shift = parameter_shift(fitted.fit, v.record, v.values)
             found.append(ValidationMismatch(v.record.name, name, errors[name].scale, shift))
     return tuple(found)
 

@@ -96,7 +96,7 @@ def assess_alternatives(
         # the remaining criterion has to be small compared with all effects and with this effect
         own_limit = max(MAX_REMAINING_CRITERION, search_round.chosen.criterion)
         rest = [s for s in left if s.criterion(n) > min(limit, own_limit)]
-        stage = search_round.chosen.stage if after is None else after
+        fitted = search_round.chosen.fitted if after is None else after
         reasons = [
             *_left(rest, n),
             *_many(left),
@@ -104,7 +104,7 @@ def assess_alternatives(
             *_tables(chosen, search_round),
         ]
         reasons += [*_form(chosen, search_round.chosen), *_competing(search_round)]
-        reasons += [*_own(search_round.chosen.effect, stage), *_place(search_round.chosen.effect, stage)]
+        reasons += [*_own(search_round.chosen.effect, fitted), *_place(search_round.chosen.effect, fitted)]
         reasons += [
             *_untested(search_round.chosen.effect, untested),
             *_not_fitted(search_round),
@@ -112,8 +112,10 @@ def assess_alternatives(
         ]
         reasons += [*_unpredictive(importance.get(search_round.chosen.effect.name)), *reservations]
         others = [q.effect.name for q in _close(search_round)]
-        unseen = {*untested, *taken_up}
-        others += [name for name in search_round.chosen.effect.alternatives if name in unseen and name not in others]
+        unexamined = {*untested, *taken_up}
+        others += [
+            name for name in search_round.chosen.effect.alternatives if name in unexamined and name not in others
+        ]
         name = search_round.chosen.effect.name
         found.append(EffectAttribution(name, "ambiguous" if reasons else "identified", tuple(reasons), tuple(others)))
     return tuple(found)
@@ -154,13 +156,13 @@ def _form(chosen: Sequence[Refit], refit: Refit) -> list[str]:
     return [f"it may only correct the formula of {related[0].title}"] if related else []
 
 
-def _own(effect: Effect, stage: FittedModel) -> list[str]:
+def _own(effect: Effect, fitted: FittedModel) -> list[str]:
     """Return the reason that a parameter of the effect is at its bound, or that its size is not significant."""
-    fit = stage.fit
+    fit = fitted.fit
     by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
     for p in effect.parameters:
         if p.per_record:
-            by_name |= {q.full_name: q for q in (replace(p, segment=run) for run in range(len(stage.records)))}
+            by_name |= {q.full_name: q for q in (replace(p, segment=run) for run in range(len(fitted.records)))}
     of_effect = {i: by_name[name] for i, name in enumerate(fit.names) if name in by_name}
     stuck = {name for name, flag in fit.flags if flag == AT_BOUND}
     for p in of_effect.values():
@@ -181,19 +183,19 @@ def _reported(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
     return reported.scale.name(p.full_name, p.unit), *estimate, reported.scale.unit(p.unit)
 
 
-def _place(effect: Effect, stage: FittedModel) -> list[str]:
+def _place(effect: Effect, fitted: FittedModel) -> list[str]:
     """Return the reason that the position of an effect (for example the fixed end of a line) is not determined.
 
     A small track determines the direction to the position. The prior determines its distance, so all positions along
     that direction fit equally well.
     """
-    fit, scan = stage.fit, effect.scan
+    fit, scan = fitted.fit, effect.scan
     points = [p for p in effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
     at = [fit.names.index(p.name) for p in points if p.name in fit.names]
     if not points or len(at) < len(points):
         return []
     axes = [p.name[0] for p in points]  # north x or east y
-    track = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in stage.records]) for axis in axes]
+    track = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in fitted.records]) for axis in axes]
     away = math.sqrt(sum(float(np.nanmean((y - fit.values[i]) ** 2)) for y, i in zip(track, at, strict=True)))
     if REACH * float(np.linalg.norm(fit.errors[at])) < away:
         return []

@@ -403,19 +403,19 @@ def _has_inputs(path: TrajectoryLinearisation, effect: Effect) -> bool:
 
 
 def normal_equations(
-    stage: FittedModel, records: Sequence[Record], candidates: Sequence[Effect], fitted: Sequence[Parameter]
+    fitted: FittedModel, records: Sequence[Record], candidates: Sequence[Effect], free_parameters: Sequence[Parameter]
 ) -> tuple[NormalEquations, list[ColumnIndex]]:
     """Return the normal equations of the fitted parameters and of every candidate, over all records.
 
     Parameters
     ----------
-    stage
+    fitted
         The fitted model.
     records
         Estimation data with the inputs of all candidates.
     candidates
         Parametric candidates.
-    fitted
+    free_parameters
         Fitted parameters, which get the first columns.
 
     Returns
@@ -428,25 +428,25 @@ def normal_equations(
     Parts of a long record are processed one after the other, each of whole blocks. The memory therefore does not grow
     with the length of the record.
     """
-    model = stage.model
+    model = fitted.model
     paths = [
         TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
-        for r, v in zip(records, stage.estimation, strict=True)
+        for r, v in zip(records, fitted.estimation, strict=True)
     ]
     by_record = [variables(model, p.own, p.x, p.values) for p in paths]
     among = spline_bases(model, {name: np.concatenate([v[name] for v in by_record]) for name in by_record[0]})
     normal: NormalEquations | None = None
     places: list[ColumnIndex] = []
-    for i, (path, view) in enumerate(zip(paths, stage.estimation, strict=True)):
-        indices, carried = [j for j, p in enumerate(fitted) if p.segment in (None, i)], list[Array]()
+    for i, (path, view) in enumerate(zip(paths, fitted.estimation, strict=True)):
+        indices, carried = [j for j, p in enumerate(free_parameters) if p.segment in (None, i)], list[Array]()
         for rows in whole_blocks(path.own.t, model.block):
             part = path.part(slice(rows.start, rows.stop + 1))  # and the row at which the last interval ends
-            along = np.stack([part.parameter(fitted[j].name) for j in indices], axis=2)
+            along = np.stack([part.parameter(free_parameters[j].name) for j in indices], axis=2)
             columns = all_columns(part, candidates, among)
             carrier = SensitivityFilter(view.run, path.own, part.jacobian, rows)
             g, slim = propagate_sensitivities(carrier, along, columns, carried)
             if normal is None:
-                places, total = place(slim, len(fitted), len(records))
+                places, total = place(slim, len(free_parameters), len(records))
                 normal = NormalEquations([str(k) for k in range(total)])
             at = indices + [k for where in places for k in where.of_record(i)]
             normal.add(at, g, carrier.e, block_index(carrier.t, model.block))
@@ -454,14 +454,14 @@ def normal_equations(
     return normal, places
 
 
-def wave_peak_score(stage: FittedModel) -> Score | None:
+def wave_peak_score(fitted: FittedModel) -> Score | None:
     """Return the score of the candidate ``waves`` for a fitted model, None if no spectral peak is significant.
 
     ``step`` and ``scan`` of the score are the initial values of the refit. The p value of the peak is also the
     block-robust p value. The peak is an average over segments of time, and the comparison with neighbouring bins makes
     it valid for coloured innovations.
     """
-    peaks = [peak for view in stage.estimation for peak in _peak(stage.model, view)]
+    peaks = [peak for view in fitted.estimation for peak in _peak(fitted.model, view)]
     low, high = next(p.bounds for p in EFFECT.parameters if p.name == "f_wave")
     # resampled channels have a peak at 5 Hz, which is outside the band of waves
     best = min((peak for peak in peaks if low <= peak.frequency <= high), key=lambda peak: peak.p, default=None)
@@ -469,7 +469,7 @@ def wave_peak_score(stage: FittedModel) -> Score | None:
         return None
     df = len(EFFECT.parameters)
     lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
-    size = size_of(stage.model)
+    size = size_of(fitted.model)
     step = {f"A_{force}": INITIAL_WAVE_SIZE * usual * size.of(unit) for force, (unit, usual) in FORCES.items()}
     return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})
 

@@ -27,7 +27,7 @@ def effect_importance(
     chosen: Sequence[Refit],
     rounds: Sequence[Round],
     records: Sequence[Record],
-    unseen: ValidationData,
+    validation_data: ValidationData,
 ) -> tuple[EffectImportance, ...]:
     """Compute the importance of each chosen effect, largest first (``by_importance``).
 
@@ -41,7 +41,7 @@ def effect_importance(
         Rounds of the search, whose refits are used again if they have the right effects.
     records
         Estimation data.
-    unseen
+    validation_data
         Validation data.
 
     Returns
@@ -52,16 +52,16 @@ def effect_importance(
     """
     if not chosen:
         return ()
-    fitted = {frozenset(_added(before, q.stage)): q.stage for r in rounds for q in r.refits}
-    fitted |= {frozenset[str](): before}
+    known_fits = {frozenset(_added(before, q.fitted)): q.fitted for r in rounds for q in r.refits}
+    known_fits |= {frozenset[str](): before}
     added = _added(before, after)
     found = []
     for refit in chosen:
         left_out = left_out_with(refit.effect, chosen)
         kept = [c for c in chosen if c.effect.name not in left_out]
         try:
-            stage = fitted.get(frozenset(added - left_out)) or _with(kept, after, before, records, unseen)
-            found.append(_importance(refit, stage, after, alone=len(left_out) == 1))
+            fitted = known_fits.get(frozenset(added - left_out)) or _with(kept, after, before, records, validation_data)
+            found.append(_importance(refit, fitted, after, alone=len(left_out) == 1))
         except FIT_ERRORS as problem:
             unknown = float("nan")
             found.append(EffectImportance(refit.effect.name, unknown, unknown, untested=str(problem)))
@@ -76,7 +76,7 @@ def _importance(refit: Refit, without: FittedModel, after: FittedModel, *, alone
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
     compared = comparison(without, after, refit.effect)
     # if the effect was added last, the search has already compared these models
-    if refit.stage is after and alone and refit.prediction is not None:
+    if refit.fitted is after and alone and refit.prediction is not None:
         gain_and_t, prediction = (refit.validation_gain, refit.t), refit.prediction
     else:
         gain_and_t, prediction = compared.gain, compared.prediction
@@ -98,7 +98,7 @@ def fit_without(
     chosen: Sequence[Refit],
     effect: Effect,
     records: Sequence[Record],
-    unseen: ValidationData,
+    validation_data: ValidationData,
 ) -> FittedModel:
     """Fit the model with all chosen effects except one, exactly.
 
@@ -112,7 +112,7 @@ def fit_without(
         Effect to leave out.
     records
         Estimation data.
-    unseen
+    validation_data
         Validation data.
 
     Raises
@@ -121,7 +121,7 @@ def fit_without(
         If the fit fails.
     """
     kept = [c for c in chosen if c.effect is not effect]
-    return _with(kept, after, before, records, unseen, exact=True) if kept else before
+    return _with(kept, after, before, records, validation_data, exact=True) if kept else before
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
@@ -173,9 +173,9 @@ def _place(
     return min(lighter, default=len(order))
 
 
-def _added(before: FittedModel, stage: FittedModel) -> set[str]:
+def _added(before: FittedModel, fitted: FittedModel) -> set[str]:
     """Return the names of the effects that a model has in addition to those of ``before``."""
-    return {e.name for e in stage.fit.model.effects} - {e.name for e in before.fit.model.effects}
+    return {e.name for e in fitted.fit.model.effects} - {e.name for e in before.fit.model.effects}
 
 
 def _with(
@@ -183,7 +183,7 @@ def _with(
     after: FittedModel,
     before: FittedModel,
     records: Sequence[Record],
-    unseen: ValidationData,
+    validation_data: ValidationData,
     *,
     exact: bool = False,
 ) -> FittedModel:
@@ -194,6 +194,6 @@ def _with(
         model = model + refit.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
     if exact:
-        return fit_and_evaluate(model, records, unseen)
+        return fit_and_evaluate(model, records, validation_data)
     with quick_compilation(sum(r.n_rows for r in records)):
-        return fit_and_evaluate(model, records, unseen, settings=ROUGH_SEARCH)
+        return fit_and_evaluate(model, records, validation_data, settings=ROUGH_SEARCH)

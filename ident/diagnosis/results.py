@@ -42,7 +42,7 @@ class Refit:
     ----------
     effect
         The added effect.
-    stage
+    fitted
         The fitted model.
     gain
         Gain on the estimation data, 2 d ln L with priors.
@@ -65,7 +65,7 @@ class Refit:
     """
 
     effect: Effect
-    stage: FittedModel
+    fitted: FittedModel
     gain: float
     df: int
     criterion: float

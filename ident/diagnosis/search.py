@@ -216,12 +216,12 @@ def diagnose(
     runs = without_unknown_noise(full, records, runs)
     full = without_absent_sensors(full, records)
     reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
-    before, unseen = _first_fit(full, records, runs)
+    before, validation_data = _first_fit(full, records, runs)
     size, in_catalogue = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
     candidates = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
     candidates |= between_runs(before.fit)
-    search = _Search(records, unseen, candidates, reporter)
+    search = _Search(records, validation_data, candidates, reporter)
     current, passed = search.forward(before, max_effects)
     reporter.progress("computing the importance of the effects found")
     current, weights, removed = search.backward_elimination(before, current)
@@ -284,13 +284,13 @@ def _refused(
     return tuple(found)
 
 
-def _short_data(scores: Sequence[Score], stage: FittedModel) -> ShortData | None:
+def _short_data(scores: Sequence[Score], fitted: FittedModel) -> ShortData | None:
     """Return the number of candidates that could not pass for any size because of too few blocks of time."""
     short = [s for s in scores if s.blocks < s.least_blocks]
     if not short:
         return None
-    needed = max(s.least_blocks for s in short) * stage.model.block
-    return ShortData(sum(r.duration for r in stage.records), needed, len(short), len(scores))
+    needed = max(s.least_blocks for s in short) * fitted.model.block
+    return ShortData(sum(r.duration for r in fitted.records), needed, len(short), len(scores))
 
 
 def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, ValidationData]:
@@ -298,11 +298,11 @@ def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[
 
     These are the validation runs, or blocks in time of the estimation runs if no validation run can be evaluated.
     """
-    stage = fit_with_rescaling(full, records, runs)
-    if stage.validation:
-        return stage, runs
-    blocks = cut_into_blocks(records, stage.estimation, full.block)
-    return cross_validated(stage, blocks), blocks
+    fitted = fit_with_rescaling(full, records, runs)
+    if fitted.validation:
+        return fitted, runs
+    blocks = cut_into_blocks(records, fitted.estimation, full.block)
+    return cross_validated(fitted, blocks), blocks
 
 
 def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
@@ -315,20 +315,20 @@ def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
     seconds = sum(r.duration for r in after.records)
     if seconds < MIN_BLOCKS * after.model.block:
         reasons.append(f"the estimation data are short ({seconds:.0f} s)")
-    unseen = sum(v.record.duration for v in after.validation)
-    if unseen < MIN_VALIDATION_BLOCKS * after.model.block:
-        reasons.append(f"the validation data are short ({unseen:.0f} s)")
+    validation_data = sum(v.record.duration for v in after.validation)
+    if validation_data < MIN_VALIDATION_BLOCKS * after.model.block:
+        reasons.append(f"the validation data are short ({validation_data:.0f} s)")
     return reasons
 
 
 def score_all(
-    stage: FittedModel, records: Sequence[Record], candidates: Mapping[str, Effect]
+    fitted: FittedModel, records: Sequence[Record], candidates: Mapping[str, Effect]
 ) -> tuple[list[Score], list[Score]]:
     """Compute all score tests on a fitted model.
 
     Parameters
     ----------
-    stage
+    fitted
         The fitted model.
     records
         Estimation data with the inputs of all candidates.
@@ -340,14 +340,14 @@ def score_all(
     tuple of list of Score
         All scores, best first, and those that pass. Of a scanned effect only the best score is returned.
     """
-    model = stage.model
+    model = fitted.model
     # A parameter at its bound cannot change to explain a part of a candidate, so it is not projected out.
-    stuck = {n for n, flag in stage.fit.flags if flag in (AT_BOUND, VAGUE)}
-    fitted = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
-    normal, places = normal_equations(stage, records, list(candidates.values()), fitted)
-    at = np.array([stage.fit.estimate(p.name, p.segment or 0)[0] for p in fitted])
-    scores = score_tests(normal, prior_terms(fitted, at), places)
-    waves = wave_peak_score(stage) if "waves" in candidates else None
+    stuck = {n for n, flag in fitted.fit.flags if flag in (AT_BOUND, VAGUE)}
+    free_parameters = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
+    normal, places = normal_equations(fitted, records, list(candidates.values()), free_parameters)
+    at = np.array([fitted.fit.estimate(p.name, p.segment or 0)[0] for p in free_parameters])
+    scores = score_tests(normal, prior_terms(free_parameters, at), places)
+    waves = wave_peak_score(fitted) if "waves" in candidates else None
     scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)
     scores.sort(key=lambda s: -s.criterion(n))
@@ -362,16 +362,25 @@ class _Search:
     """Forward selection and backward elimination: their data, and the rounds so far."""
 
     def __init__(
-        self, records: Sequence[Record], unseen: ValidationData, candidates: Mapping[str, Effect], reporter: Reporter
+        self,
+        records: Sequence[Record],
+        validation_data: ValidationData,
+        candidates: Mapping[str, Effect],
+        reporter: Reporter,
     ) -> None:
-        self.records, self.unseen, self.candidates, self.reporter = records, unseen, dict(candidates), reporter
+        self.records, self.validation_data, self.candidates, self.reporter = (
+            records,
+            validation_data,
+            dict(candidates),
+            reporter,
+        )
         self.rounds: list[Round] = []
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # of all candidates on the last model
         self.untried: list[Score] = []  # scores that passed when the largest number of effects had been added
         self.n = sum(r.n_rows for r in records)
 
-    def scored(self, stage: FittedModel) -> tuple[list[Score], list[Score]]:
+    def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
         """Return all scores on a model, and those that pass.
 
         Raises
@@ -380,12 +389,12 @@ class _Search:
             If the residuals of the model cannot be tested.
         """
         try:
-            self.scores, passed = score_all(stage, self.records, self.candidates)
+            self.scores, passed = score_all(fitted, self.records, self.candidates)
             return self.scores, passed
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
-            message = f"the residuals of model {stage.model.name} cannot be tested"
-            raise ValueError(f"{names}: {message}: {problem}; the fit {stage.fit.message}") from problem
+            message = f"the residuals of model {fitted.model.name} cannot be tested"
+            raise ValueError(f"{names}: {message}: {problem}; the fit {fitted.fit.message}") from problem
 
     def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
         """Add effects one after the other; return the last model and the scores that pass on it."""
@@ -405,7 +414,7 @@ class _Search:
             self.rounds.append(found)
             if found.chosen is None:
                 return current, passed
-            current, unknown = found.chosen.stage, unknown or found.chosen.unknown
+            current, unknown = found.chosen.fitted, unknown or found.chosen.unknown
             self.candidates.pop(found.chosen.effect.name, None)
 
     def backward_elimination(
@@ -421,7 +430,7 @@ class _Search:
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
-            weights = effect_importance(before, current, chosen, self.rounds, self.records, self.unseen)
+            weights = effect_importance(before, current, chosen, self.rounds, self.records, self.validation_data)
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
             curves = {c.effect.name for c in chosen if c.unknown}
@@ -435,7 +444,7 @@ class _Search:
             effect = next(c.effect for c in chosen if c.effect.name == idle.effect)
             self.reporter.progress(f"fitting without {effect.title}, which is not worth its parameters")
             try:
-                current = fit_without(before, current, chosen, effect, self.records, self.unseen)
+                current = fit_without(before, current, chosen, effect, self.records, self.validation_data)
             except FIT_ERRORS as problem:
                 stuck[idle.effect] = str(problem)
                 continue
@@ -508,23 +517,23 @@ class _Search:
         """
         again = current.fit.model + rough.effect
         reason = ""
-        for begin in (rough.stage.fit.model, again, again.with_values(_half_values(rough.effect))):
+        for begin in (rough.fitted.fit.model, again, again.with_values(_half_values(rough.effect))):
             try:
-                stage = fit_and_evaluate(begin, self.records, self.unseen)
-                compared = comparison(current, stage, rough.effect)
+                fitted = fit_and_evaluate(begin, self.records, self.validation_data)
+                compared = comparison(current, fitted, rough.effect)
                 (gain, t), prediction = compared.gain, compared.prediction
             except FIT_ERRORS as problem:
                 reason = str(problem)
                 continue
-            if stage.fit.converged or not current.fit.converged:
+            if fitted.fit.converged or not current.fit.converged:
                 assert self.nominal is not None
-                total = prediction if current is self.nominal else Comparison(self.nominal, stage).prediction
+                total = prediction if current is self.nominal else Comparison(self.nominal, fitted).prediction
                 exact = replace(
-                    rough, stage=stage, validation_gain=gain, t=t, prediction=prediction, total=total,
+                    rough, fitted=fitted, validation_gain=gain, t=t, prediction=prediction, total=total,
                     by_inputs=compared.by_inputs if rough.unknown else None,
                 )  # fmt: skip
                 return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
-            reason = f"the fit with it did not converge: it {stage.fit.message}"
+            reason = f"the fit with it did not converge: it {fitted.fit.message}"
         raise ValueError(reason)
 
     def _refit_all(
@@ -557,14 +566,16 @@ class _Search:
         best, reason = None, ""
         for start in _starts(effect, score):
             try:
-                stage = fit_and_evaluate(current.fit.model + start, self.records, self.unseen, settings=ROUGH_SEARCH)
-                gain = 2 * (stage.fit.log_posterior - current.fit.log_posterior)
-                total, t = comparison(current, stage, effect).gain
+                fitted = fit_and_evaluate(
+                    current.fit.model + start, self.records, self.validation_data, settings=ROUGH_SEARCH
+                )
+                gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
+                total, t = comparison(current, fitted, effect).gain
             except FIT_ERRORS as problem:
                 reason = reason or str(problem)
                 continue
             df = sum(_degrees(effect, p, len(self.records)) for p in effect.parameters if p.free)
-            found = Refit(effect, stage, gain, df, gain - df * float(np.log(self.n)), total, t)
+            found = Refit(effect, fitted, gain, df, gain - df * float(np.log(self.n)), total, t)
             best = found if best is None or found.gain > best.gain else best
             if best.gain > -MAX_LOSS:
                 break
@@ -609,7 +620,7 @@ def _explains_more(difference: Refit, other: Refit) -> bool:
     if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
         return False
     try:
-        compared = comparison(other.stage, difference.stage, difference.effect)
+        compared = comparison(other.fitted, difference.fitted, difference.effect)
         gain, t = compared.gain
     except FIT_ERRORS:
         return False
@@ -662,21 +673,21 @@ def _start(parameter: Parameter, score: Score, scan: Mapping[str, float], share:
     return parameter.at(value)
 
 
-def _unknown(score: Score, stage: FittedModel) -> Effect:
+def _unknown(score: Score, fitted: FittedModel) -> Effect:
     """Return the nonparametric effect of a score, with priors scaled to the size of the boat."""
     assert score.curve is not None
-    size, tested = size_of(stage.fit.model), (score.kind, score.curve)
-    for effect in input_response_effects(stage.model):
+    size, tested = size_of(fitted.fit.model), (score.kind, score.curve)
+    for effect in input_response_effects(fitted.model):
         if (effect.kind, effect.curve) == tested:
             return scale_priors(effect, size)
-    return scale_priors(nonparametric_effect(stage.model, score.curve, _span(stage, score.curve)), size)
+    return scale_priors(nonparametric_effect(fitted.model, score.curve, _span(fitted, score.curve)), size)
 
 
-def _span(stage: FittedModel, curve: ForceCurve) -> tuple[float, float]:
+def _span(fitted: FittedModel, curve: ForceCurve) -> tuple[float, float]:
     """Return the interval of a curve's variable: 1 % to 99 % of its values, or a full turn for angles and products."""
-    if curve.second or curve.variable in {v.name for v in variables_of(stage.model) if v.angle}:
+    if curve.second or curve.variable in {v.name for v in variables_of(fitted.model) if v.angle}:
         return -np.pi, np.pi
-    found = [variables(stage.model, v.record, v.run.x_filt, v.values) for v in stage.estimation]
+    found = [variables(fitted.model, v.record, v.run.x_filt, v.values) for v in fitted.estimation]
     z = np.concatenate([by_name[curve.variable] for by_name in found])
     low, high = np.percentile(z, [1, 99])
     return float(low), float(high)
@@ -695,14 +706,14 @@ def _shapes(
     first = next((j.effect for j in judgements if j.attribution == "ambiguous"), None)
     for search_round, r in ((s, s.chosen) for s in chosen if s.chosen is not None):
         if r.unknown:
-            found.append(_drawn(r.effect, r.stage))
+            found.append(_drawn(r.effect, r.fitted))
         elif r.effect.name == first and (likely := _likely_curve(search_round)):
             try:
                 effect = _unknown(likely, current)
                 found.append(_drawn(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
             except FIT_ERRORS as problem:
                 undrawn = f"{r.effect.title}: {problem}"
-        current = r.stage
+        current = r.fitted
     drawn: dict[tuple[str, str], NonparametricForce] = {}
     for s in found:
         if s is not None:  # the first curve of a variable is complete; later curves lack the part of added effects
@@ -716,7 +727,7 @@ def _likely_curve(search_round: Round) -> Score | None:
     return next((s for s in curves if s.curve is not None and not s.curve.second), None)
 
 
-def _drawn(effect: Effect, stage: FittedModel) -> NonparametricForce | None:
+def _drawn(effect: Effect, fitted: FittedModel) -> NonparametricForce | None:
     """Return the curve of a nonparametric effect with its standard errors, None if it cannot be drawn."""
-    f = stage.fit
+    f = fitted.fit
     return shape(f.model, effect, f.model.values, f.names, f.covariance)

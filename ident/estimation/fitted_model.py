@@ -138,12 +138,12 @@ def fit_nominal_model(
     """
     full = nominal_model(model)
     records = [make_record(full, r, rate) for r in estimation]
-    unseen, failed = validation_records(full, validation, rate)
+    validation_data, failed = validation_records(full, validation, rate)
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
-    unseen = without_unknown_noise(full, records, unseen)
+    validation_data = without_unknown_noise(full, records, validation_data)
     full = without_absent_sensors(full, records)
-    stage = fit_with_rescaling(full, records, unseen, options)
-    return replace(stage, failed=(*failed, *stage.failed))
+    fitted = fit_with_rescaling(full, records, validation_data, options)
+    return replace(fitted, failed=(*failed, *fitted.failed))
 
 
 def validation_records(
@@ -165,7 +165,7 @@ def validation_records(
 def fit_with_rescaling(
     full: Model,
     records: Sequence[Record],
-    unseen: ValidationData,
+    validation_data: ValidationData,
     options: EstimationOptions | None = None,
 ) -> FittedModel:
     """Fit the model of `nominal_model`, and fit it again if its priors turn out to be wrong.
@@ -178,7 +178,7 @@ def fit_with_rescaling(
     ----------
     full
         The model of `nominal_model`.
-    records, unseen
+    records, validation_data
         Estimation and validation data.
     options
         Plain maximum likelihood by default.
@@ -195,19 +195,19 @@ def fit_with_rescaling(
     ValueError, ArithmeticError
         If no refit can be evaluated.
     """
-    stage = fit_and_evaluate(full, records, unseen, options)
-    assumed, found, noise_revised = size_of(full), size_of(stage.fit.model), without_contradicted_noise(full, stage)
+    fitted = fit_and_evaluate(full, records, validation_data, options)
+    assumed, found, noise_revised = size_of(full), size_of(fitted.fit.model), without_contradicted_noise(full, fitted)
     again = noise_revised
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
     if not all(1 / RESCALING_RATIO < ratio < RESCALING_RATIO for ratio in ratios):
         again = rescale(again, found)
     if again is full:
-        return stage
-    first, refits = stage.fit, list[FittedModel]()
+        return fitted
+    first, refits = fitted.fit, list[FittedModel]()
     shared = {p.name: float(v) for p, v in zip(first.parameters, first.values, strict=True) if p.segment is None}
     for initial in (again, again.with_values(shared)):
         try:
-            refits.append(fit_and_evaluate(initial, records, unseen, options))
+            refits.append(fit_and_evaluate(initial, records, validation_data, options))
         except FIT_ERRORS:
             if initial is not again and not refits:
                 raise
@@ -216,10 +216,10 @@ def fit_with_rescaling(
             return refits[-1]
     best = max(refits, key=lambda refit: (refit.fit.converged, refit.fit.log_posterior))
     lost = first.converged and not best.fit.converged
-    return stage if lost and noise_revised is full else best
+    return fitted if lost and noise_revised is full else best
 
 
-def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:
+def without_contradicted_noise(full: Model, fitted: FittedModel) -> Model:
     """Return the model with the declared noise of the sensors as priors if the innovations of a channel contradict it.
 
     If noise that is declared too small were kept fixed, random errors would look like an effect, and the standard
@@ -228,7 +228,7 @@ def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:
     sensitive to outliers.
     """
     declared, ratios = list[Parameter](), list[float]()
-    for e, o in zip(np.concatenate([v.run.standardised for v in stage.estimation]).T, full.outputs, strict=True):
+    for e, o in zip(np.concatenate([v.run.standardised for v in fitted.estimation]).T, full.outputs, strict=True):
         if o.noise and not full.parameter(o.noise).free and np.isfinite(e).any():
             declared.append(full.parameter(o.noise))
             ratios.append(NORMAL_MAD * float(np.nanmedian(np.abs(e))))
@@ -241,7 +241,7 @@ def without_contradicted_noise(full: Model, stage: FittedModel) -> Model:
 def fit_and_evaluate(
     model: Model,
     records: Sequence[Record],
-    unseen: ValidationData,
+    validation_data: ValidationData,
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
 ) -> FittedModel:
@@ -251,7 +251,7 @@ def fit_and_evaluate(
     ----------
     model
         The model, with its initial values. A rough search (without robust errors) tries no other initial values.
-    records, unseen
+    records, validation_data
         Estimation and validation data. A validation record that cannot be evaluated is named in ``failed``.
     options, settings
         See `seatrial.ident.estimation.maximum_likelihood.fit`.
@@ -268,18 +268,18 @@ def fit_and_evaluate(
     def fitted_from(start: Mapping[str, float]) -> Fit:
         return fit(initial, rows, options, settings, start=start)
 
-    fitted = fitted_from({})
+    full_fit = fitted_from({})
     if model.start_grid is not None and settings.robust_errors:
-        fitted = best_of_starts(fitted, records, fitted_from)
+        full_fit = best_of_starts(full_fit, records, fitted_from)
     model = with_outliers(model) if options.outlier_model else model
-    views = tuple(_view(fitted.model, r, fitted.record_values[i]) for i, r in enumerate(records))
-    if not isinstance(unseen, TimeBlocks):
-        judged, failed = _adapted(fitted, unseen, replace(settings, robust_errors=False))
-        return FittedModel(model, fitted, views, tuple(judged), tuple(failed))
-    return cross_validated(FittedModel(model, fitted, views, ()), unseen)
+    views = tuple(_view(full_fit.model, r, full_fit.record_values[i]) for i, r in enumerate(records))
+    if not isinstance(validation_data, TimeBlocks):
+        judged, failed = _adapted(full_fit, validation_data, replace(settings, robust_errors=False))
+        return FittedModel(model, full_fit, views, tuple(judged), tuple(failed))
+    return cross_validated(FittedModel(model, full_fit, views, ()), validation_data)
 
 
-def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
+def cross_validated(fitted: FittedModel, blocks: TimeBlocks) -> FittedModel:
     """Return the fit judged on blocks in time of its estimation records, each with the estimates from the others.
 
     Raises
@@ -287,10 +287,10 @@ def cross_validated(stage: FittedModel, blocks: TimeBlocks) -> FittedModel:
     ValueError
         If a block cannot be evaluated.
     """
-    fitted, blocks = stage.fit, _with_own_starts(stage, blocks)
-    values = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
-    views = tuple(_view(fitted.model, r, v) for r, v in zip(blocks.records, values, strict=True))
-    return replace(stage, validation=views, cross_validated=True)
+    full_fit, blocks = fitted.fit, _with_own_starts(fitted, blocks)
+    values = leave_one_block_out(full_fit.model, blocks, full_fit.record_values, full_fit.parameters)
+    views = tuple(_view(full_fit.model, r, v) for r, v in zip(blocks.records, values, strict=True))
+    return replace(fitted, validation=views, cross_validated=True)
 
 
 def cut_into_blocks(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
@@ -308,15 +308,15 @@ def cut_into_blocks(records: Sequence[Record], views: Sequence[RecordEvaluation]
     return time_blocks(records, block, [_starts_anywhere(v) for v in views])
 
 
-def _with_own_starts(stage: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
+def _with_own_starts(fitted: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
     """Return the blocks with initial states for all states of the fitted model, including those of its effects.
 
     Initial states at rest would be wrong wherever a record is cut.
     """
     known = [r.start for r in blocks.records]
-    if all(s.name in start for s in stage.fit.model.states for start in known):
+    if all(s.name in start for s in fitted.fit.model.states for start in known):
         return blocks
-    own = [_starts_anywhere(v) for v in stage.estimation]
+    own = [_starts_anywhere(v) for v in fitted.estimation]
     starts = [{**own[i], **start} for i, start in zip(blocks.of, known, strict=True)]
     records = (replace(r, start=start) for r, start in zip(blocks.records, starts, strict=True))
     return replace(blocks, records=tuple(records))
@@ -330,33 +330,33 @@ def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
 
 
 def _adapted(
-    fitted: Fit, unseen: Sequence[Record], settings: SearchSettings
+    full_fit: Fit, validation_data: Sequence[Record], settings: SearchSettings
 ) -> tuple[list[RecordEvaluation], list[FailedRun]]:
     """Return the validation records with their per-record parameters (the current) estimated, and those that failed.
 
     All records are fitted at once. If that fails, they are fitted one by one.
     """
-    model = fitted.model
+    model = full_fit.model
     own = [p.name for p in model.parameters if p.free and p.per_record]
-    if not unseen:
+    if not validation_data:
         return [], []
     try:
         if own:
-            adapted = fit(model.with_free(own), [r.for_model(model) for r in unseen], settings=settings)
-            return [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(unseen)], []
-        views = [_view(model, r, fitted.record_values[0]) for r in unseen]
+            adapted = fit(model.with_free(own), [r.for_model(model) for r in validation_data], settings=settings)
+            return [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(validation_data)], []
+        views = [_view(model, r, full_fit.record_values[0]) for r in validation_data]
         for v in views:
             if not np.isfinite(v.ll).all():
                 raise ValueError(f"record {v.record.name}: the likelihood of model {model.name} cannot be evaluated")
         return views, []
     except FIT_ERRORS as problem:
-        if len(unseen) == 1:
-            return [], [FailedRun(unseen[0].name, str(problem))]
-    parts = [_adapted(fitted, [r], settings) for r in unseen]
+        if len(validation_data) == 1:
+            return [], [FailedRun(validation_data[0].name, str(problem))]
+    parts = [_adapted(full_fit, [r], settings) for r in validation_data]
     return [v for views, _ in parts for v in views], [f for _, failed in parts for f in failed]
 
 
-def validated_in_blocks(stage: FittedModel) -> FittedModel:
+def validated_in_blocks(fitted: FittedModel) -> FittedModel:
     """Return the fit judged on blocks in time of its validation records.
 
     An effect with per-record parameters must be judged this way: the values for a block come from the other blocks of
@@ -367,14 +367,14 @@ def validated_in_blocks(stage: FittedModel) -> FittedModel:
     ValueError
         If a block cannot be evaluated.
     """
-    if stage.cross_validated or not stage.validation:
-        return stage
-    model = stage.fit.model
-    blocks = cut_into_blocks([v.record for v in stage.validation], stage.validation, model.block)
+    if fitted.cross_validated or not fitted.validation:
+        return fitted
+    model = fitted.fit.model
+    blocks = cut_into_blocks([v.record for v in fitted.validation], fitted.validation, model.block)
     own = [p for p in model.parameters if p.free and p.per_record]
-    parameters = [replace(p, segment=i) for i in range(len(stage.validation)) for p in own]
-    values = leave_one_block_out(model, blocks, np.array([v.values for v in stage.validation]), parameters)
-    return replace(stage, validation=tuple(_view(model, r, v) for r, v in zip(blocks.records, values, strict=True)))
+    parameters = [replace(p, segment=i) for i in range(len(fitted.validation)) for p in own]
+    values = leave_one_block_out(model, blocks, np.array([v.values for v in fitted.validation]), parameters)
+    return replace(fitted, validation=tuple(_view(model, r, v) for r, v in zip(blocks.records, values, strict=True)))
 
 
 def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
@@ -417,7 +417,7 @@ def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
     return model.replace_parameters(*[model.parameter(n).fixed() for n in _absent_noise(model, records)])
 
 
-def without_unknown_noise(model: Model, records: Sequence[Record], unseen: Sequence[Record]) -> list[Record]:
+def without_unknown_noise(model: Model, records: Sequence[Record], validation_data: Sequence[Record]) -> list[Record]:
     """Return the validation records without samples of sensors that no estimation record has.
 
     The noise of such a sensor is not estimated, and a guess of it would judge the model. If its noise is fixed to a
@@ -427,7 +427,7 @@ def without_unknown_noise(model: Model, records: Sequence[Record], unseen: Seque
     dropped = {o.name for o in model.outputs if o.noise in unknown}
     return [
         replace(r, y=np.where([name in dropped for name in r.outputs], np.nan, r.y)) if dropped & set(r.outputs) else r
-        for r in unseen
+        for r in validation_data
     ]
 
 

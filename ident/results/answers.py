@@ -372,11 +372,13 @@ def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknow
     return [ResultWarning(code="frame-assumed", text=text)]
 
 
-def frames_assumed(stage: FittedModel) -> list[ResultWarning]:
+def frames_assumed(fitted: FittedModel) -> list[ResultWarning]:
     """Return the frame warnings of a fit to several logs; empty if there is one log only."""
-    records = {r.name: r for r in (*stage.records, *(v.record for v in stage.validation if not stage.cross_validated))}
+    records = {
+        r.name: r for r in (*fitted.records, *(v.record for v in fitted.validation if not fitted.cross_validated))
+    }
     unplaced = [name for name, r in records.items() if "x" in r.outputs and r.meta.get(ORIGIN) is None]
-    return frame_warnings(stage.fit.model, unplaced if len(records) > 1 else ())
+    return frame_warnings(fitted.fit.model, unplaced if len(records) > 1 else ())
 
 
 def not_converged(fit: Fit) -> str | None:

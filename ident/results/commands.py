@@ -84,7 +84,7 @@ class FitContext:
 
 
 def vehicle_result(
-    stage: FittedModel,
+    fitted: FittedModel,
     evaluation: PredictionEvaluation,
     made: Provenance,
     profiles: Sequence[Profile],
@@ -100,28 +100,28 @@ def vehicle_result(
     posed : FitContext
         Initial values, notes and unused signals from before the fit.
     """
-    reported = ReportedEstimates(stage.fit)
+    reported = ReportedEstimates(fitted.fit)
     homogeneity = [homogeneity_reported(a, reported) for a in homogeneity]
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
     searchable = bool(residuals_of(evaluation.model))
     prediction = prediction_fit(evaluation)
     fit_answer = vehicle_answer(prediction, errors, evaluation.horizon, residuals, cross, searchable=searchable)
-    answer = not_converged(stage.fit) or " ".join([fit_answer, *(homogeneity_sentence(a) for a in homogeneity)])
+    answer = not_converged(fitted.fit) or " ".join([fit_answer, *(homogeneity_sentence(a) for a in homogeneity)])
     return VehicleResult(
         **msgspec.structs.asdict(made),
         answer=faults_first(made) + answer,
         prediction=prediction,
         warnings=(
             *check_warnings(made),
-            *late_sensor_warnings(made, stage.fit.model),
-            *frames_assumed(stage),
-            *estimation_warnings(stage.fit, stage.records, posed.length),
-            *failed_run_warnings(stage.failed),
+            *late_sensor_warnings(made, fitted.fit.model),
+            *frames_assumed(fitted),
+            *estimation_warnings(fitted.fit, fitted.records, posed.length),
+            *failed_run_warnings(fitted.failed),
         ),
         notes=_notes(posed.notes, evaluation, calibration),
-        fit=fit_summary(stage.fit, posed.start),
-        failed_runs=failed_runs(stage.failed),
+        fit=fit_summary(fitted.fit, posed.start),
+        failed_runs=failed_runs(fitted.failed),
         horizon_seconds=evaluation.horizon,
         errors=errors,
         calibration=calibration,
@@ -137,7 +137,7 @@ def vehicle_result(
 
 
 def thruster_result(
-    stage: FittedModel,
+    fitted: FittedModel,
     evaluation: PredictionEvaluation,
     made: Provenance,
     profiles: Sequence[Profile],
@@ -158,19 +158,19 @@ def thruster_result(
     calibration : float or None
         Relative standard uncertainty of the load cell's force; None if the rig does not give it.
     """
-    bands, ways = calibration_tables(evaluation), directions(stage.records)
+    bands, ways = calibration_tables(evaluation), directions(fitted.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
-        answer=not_converged(stage.fit)
-        or thruster_answer(stage.fit, static is not None, ways, calibration, smallest_command(stage.records)),
+        answer=not_converged(fitted.fit)
+        or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest_command(fitted.records)),
         warnings=(
             *(thruster_warnings(ways) if static is not None else ()),
-            *estimation_warnings(stage.fit, stage.records),
-            *failed_run_warnings(stage.failed),
+            *estimation_warnings(fitted.fit, fitted.records),
+            *failed_run_warnings(fitted.failed),
         ),
         notes=_notes(posed.notes, evaluation, bands),
-        fit=fit_summary(stage.fit, posed.start, calibration if static is not None else 0.0),
-        failed_runs=failed_runs(stage.failed),
+        fit=fit_summary(fitted.fit, posed.start, calibration if static is not None else 0.0),
+        failed_runs=failed_runs(fitted.failed),
         horizon_seconds=evaluation.horizon,
         errors=error_tables(evaluation),
         calibration=bands,
@@ -180,7 +180,7 @@ def thruster_result(
         residuals=residual_rows(evaluation),
         cross=cross_correlations(evaluation),
         static=static,
-        profiles=tuple(profile_curve(p, ReportedEstimates(stage.fit)) for p in profiles),
+        profiles=tuple(profile_curve(p, ReportedEstimates(fitted.fit)) for p in profiles),
     )
 
 

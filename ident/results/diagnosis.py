@@ -316,7 +316,7 @@ def _listed(titles: Sequence[str]) -> str:
 
 def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
     """Return the smoothed disturbance forces without and, if effects were added, with the effects."""
-    before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
+    before, after = (ReportedEstimates(fitted.fit) for fitted in (diagnosis.before, diagnosis.after))
     changed = bool(diagnosis.effects)
     return tuple(
         parts.ResidualForce(
@@ -386,22 +386,22 @@ def _refit(r: Refit) -> parts.Refit:
         t=r.t,
         prediction=None if r.prediction is None else prediction_change(r.prediction, "validation"),
         outcome=cast(parts.RefitOutcome, r.outcome.value),
-        parameters=_own(r, r.stage),
+        parameters=_own(r, r.fitted),
     )
 
 
-def _own(r: Refit, stage: FittedModel) -> tuple[parts.EffectParameter, ...]:
+def _own(r: Refit, fitted: FittedModel) -> tuple[parts.EffectParameter, ...]:
     """Return the estimates of an effect's parameters.
 
     For an effect that differs between runs, return the differences from the first run.
     """
-    reported, rows = ReportedEstimates(stage.fit), []
+    reported, rows = ReportedEstimates(fitted.fit), []
     for p in r.effect.parameters:
-        runs = stage.fit.records if p.per_record else ("",)
+        runs = fitted.fit.records if p.per_record else ("",)
         found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
         if r.effect.kind is EffectKind.BETWEEN_RUNS:
             k = reported.factor(p.unit)
-            differences = run_differences(stage.fit, p.name)
+            differences = run_differences(fitted.fit, p.name)
             found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]
         name, unit = reported.scale.name(p.name, p.unit), reported.scale.unit(p.unit)
         rows += [
@@ -449,7 +449,7 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
 
 def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
     """Return the shared free parameters of the model before and after the effects were added."""
-    before, after = (ReportedEstimates(stage.fit) for stage in (diagnosis.before, diagnosis.after))
+    before, after = (ReportedEstimates(fitted.fit) for fitted in (diagnosis.before, diagnosis.after))
     scale, rows = before.scale, []
     for p in before.fit.model.parameters:
         if p.free and not p.per_record:

@@ -191,12 +191,12 @@ class PredictionEvaluation:
         return {role: evaluation for role, evaluation in both.items() if evaluation is not None}
 
 
-def evaluate(stage: FittedModel, horizon: float | None = None) -> PredictionEvaluation:
+def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEvaluation:
     """Evaluate the predictions of a fitted model on every record.
 
     Parameters
     ----------
-    stage
+    fitted
         The fitted model with its evaluated records.
     horizon
         Prediction horizon [s], by default that of the model.
@@ -206,23 +206,25 @@ def evaluate(stage: FittedModel, horizon: float | None = None) -> PredictionEval
     PredictionEvaluation
         Errors, calibration and residual tests.
     """
-    seconds, likelihood = horizon or stage.model.horizon, Likelihood(stage.model)
+    seconds, likelihood = horizon or fitted.model.horizon, Likelihood(fitted.model)
     return PredictionEvaluation(
-        stage.model,
+        fitted.model,
         seconds,
-        _evaluated(stage, stage.estimation, True, seconds, likelihood),
-        _evaluated(stage, stage.validation, False, seconds, likelihood) if stage.validation else None,
-        tuple(r for v in stage.estimation for r in residual_tests(stage.model, v.record, v.run.standardised)),
+        _evaluated(fitted, fitted.estimation, True, seconds, likelihood),
+        _evaluated(fitted, fitted.validation, False, seconds, likelihood) if fitted.validation else None,
+        tuple(r for v in fitted.estimation for r in residual_tests(fitted.model, v.record, v.run.standardised)),
     )
 
 
 def _evaluated(
-    stage: FittedModel, views: Sequence[RecordEvaluation], fitted: bool, seconds: float, likelihood: Likelihood
+    fitted: FittedModel, views: Sequence[RecordEvaluation], is_estimation: bool, seconds: float, likelihood: Likelihood
 ) -> SetEvaluation:
     """Evaluate one set of records; ``fitted`` means that the model was fitted to them."""
-    model = stage.model
+    model = fitted.model
     simulated = [
-        simulation_run(model, v.record, v.values, likelihood, parameter_uncertainty(stage.fit, i if fitted else None))
+        simulation_run(
+            model, v.record, v.values, likelihood, parameter_uncertainty(fitted.fit, i if is_estimation else None)
+        )
         for i, v in enumerate(views)
     ]
     errors_ahead = [horizon_errors(model, v.record, v.values, v.run.x_filt, seconds) for v in views]
@@ -343,20 +345,20 @@ class SmoothedForce:
     sd: Array
 
 
-def smoothed_forces(stage: FittedModel, forces: Sequence[DisturbanceChannel]) -> tuple[SmoothedForce, ...]:
+def smoothed_forces(fitted: FittedModel, forces: Sequence[DisturbanceChannel]) -> tuple[SmoothedForce, ...]:
     """Return the smoothed disturbance forces of the estimation data.
 
     Parameters
     ----------
-    stage
+    fitted
         The fitted model with its evaluated records.
     forces
         Disturbance forces; each has a state in the model.
     """
-    states = [s.name for s in stage.model.states]
+    states = [s.name for s in fitted.model.states]
     return tuple(
         SmoothedForce(v.record.name, f.name, f.unit, v.record.t, v.smoothed.x[:, i], v.smoothed.sd[:, i])
-        for v in stage.estimation
+        for v in fitted.estimation
         for f in forces
         for i in [states.index(f.state)]
     )

@@ -55,7 +55,7 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
 
 
 def check_first(
-    loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], model: Model, despite_faults: bool
+    loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], model: Model, despite_faults: bool
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
     """Check the estimation logs and the validation logs of a fit.
 
@@ -77,7 +77,7 @@ def check_first(
         At the first fault that makes a fit meaningless (frames, signs, units, sides, time, frozen signals), unless
         ``despite_faults``.
     """
-    logs = [*loaded, *unseen]
+    logs = [*loaded, *validation_logs]
     copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
     checked = []
     for log in logs:

@@ -84,18 +84,20 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     SeatrialError
         If model or logs cannot be used, or if the logs have faults that make a fit meaningless.
     """
-    loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
+    loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file
     saved = load_model(request.model)
     # The search compares maxima of the plain likelihood of a first-order filter. REML and a second-order filter do not
     # change what is found, and the blind tests were made without them.
     plain = replace(saved.model, second_order=False)
-    check_horizon(horizon, loaded, unseen)
-    loaded, unseen = in_one_frame(plain, loaded, unseen, saved.origin)
-    model, runs, validation_runs, usual_rate = model_of_logs(plain, request.model, loaded, unseen, request.thruster)
-    unused = unused_signals(model, loaded, unseen)
+    check_horizon(horizon, loaded, validation_logs)
+    loaded, validation_logs = in_one_frame(plain, loaded, validation_logs, saved.origin)
+    model, runs, validation_runs, usual_rate = model_of_logs(
+        plain, request.model, loaded, validation_logs, request.thruster
+    )
+    unused = unused_signals(model, loaded, validation_logs)
     unused_signals_lines = unused_lines(unused) if model.kind is ModelKind.VEHICLE else []
-    loaded, unseen = check_first(loaded, unseen, model, request.despite_faults)
+    loaded, validation_logs = check_first(loaded, validation_logs, model, request.despite_faults)
     for line in unused_signals_lines:
         reporter.warning(line)
     model, floors = with_noise_floors(model, loaded)
@@ -112,7 +114,7 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     result = diagnosis_result(
         found,
         evaluate_diagnosis(found, horizon),
-        provenance([*loaded, *unseen], command),
+        provenance([*loaded, *validation_logs], command),
         warnings=estimation_warnings(found.after.fit, found.after.records, loaded[0].vehicle.get("length")),
         notes=[*floors, *considered_notes(found.after.fit.model), *found.after.outlier_notes],
         model_path=str(request.model),

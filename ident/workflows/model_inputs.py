@@ -247,7 +247,7 @@ def as_logged(model: Model, holds: Mapping[str, str]) -> Model:
 
 
 def in_one_frame(
-    model: Model, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], reference: FrameOrigin | None
+    model: Model, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], reference: FrameOrigin | None
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
     """Return the logs with x and y from one origin: that of a saved model, if it has one.
 
@@ -256,7 +256,7 @@ def in_one_frame(
     SeatrialError
         If the model has a fixed point and the logs have no common frame (``require_one_frame``).
     """
-    placed = share_frame([*loaded, *unseen], reference)
+    placed = share_frame([*loaded, *validation_logs], reference)
     require_one_frame(model, placed, reference)
     return placed[: len(loaded)], placed[len(loaded) :]
 
@@ -291,7 +291,11 @@ def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: Fra
 
 
 def model_of_logs(
-    model: Model, model_path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog], thruster: str | None
+    model: Model,
+    model_path: Path,
+    loaded: Sequence[LoadedLog],
+    validation_logs: Sequence[LoadedLog],
+    thruster: str | None,
 ) -> tuple[Model, list[LogSegment], list[LogSegment], float]:
     """Return the saved model adapted to the logs, the runs for estimation and validation, and the usual rate [Hz].
 
@@ -307,13 +311,15 @@ def model_of_logs(
         If model and logs do not go together.
     """
     if model.kind is ModelKind.BENCH:
-        runs, validation_runs = (thruster_runs(part, model, thruster) for part in (loaded, unseen))
+        runs, validation_runs = (thruster_runs(part, model, thruster) for part in (loaded, validation_logs))
         return model, runs, validation_runs, THRUSTER_RATE
     curve = known_curve(_curve_path(thruster, model_path))
-    loaded, unseen = ([with_derived_signals(x, model.source, curve) for x in part] for part in (loaded, unseen))
-    _check_thrust_inputs(model, model_path, loaded, unseen)
-    model = _with_logged_sensors(model, model_path, loaded, unseen)
-    return model, [x.run for x in loaded], [x.run for x in unseen], 10.0
+    loaded, validation_logs = (
+        [with_derived_signals(x, model.source, curve) for x in part] for part in (loaded, validation_logs)
+    )
+    _check_thrust_inputs(model, model_path, loaded, validation_logs)
+    model = _with_logged_sensors(model, model_path, loaded, validation_logs)
+    return model, [x.run for x in loaded], [x.run for x in validation_logs], 10.0
 
 
 def _curve_path(thruster: str | None, model: Path) -> Path | None:
@@ -327,10 +333,12 @@ def _curve_path(thruster: str | None, model: Path) -> Path | None:
     return Path(thruster)
 
 
-def _check_thrust_inputs(model: Model, path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]) -> None:
+def _check_thrust_inputs(
+    model: Model, path: Path, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
+) -> None:
     """Raise SeatrialError if a log lacks an input of the model that a static thrust curve would give."""
     thrusts = [i.name for i in model.inputs if i.name in CURVE_INPUTS]
-    for log in (*loaded, *unseen):
+    for log in (*loaded, *validation_logs):
         lost = [n for n in thrusts if n not in log.run.channels]
         if lost:
             raise SeatrialError(
@@ -339,9 +347,11 @@ def _check_thrust_inputs(model: Model, path: Path, loaded: Sequence[LoadedLog], 
             )
 
 
-def _with_logged_sensors(model: Model, path: Path, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]) -> Model:
+def _with_logged_sensors(
+    model: Model, path: Path, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
+) -> Model:
     """Return a vehicle model with its inputs held as in the logs. Raise SeatrialError if no log has a sensor of it."""
-    logs = [*loaded, *unseen]
+    logs = [*loaded, *validation_logs]
     present = [n for n, s in SENSORS.items() if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]
     lost = [s.name for s in model.sensors if s.name in SENSORS and s.name not in present]
     if len(lost) == len(model.sensors):
@@ -362,12 +372,14 @@ def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
             raise SeatrialError(f"--profile {name}: it is given, not estimated; estimated are {', '.join(model.free)}")
 
 
-def check_horizon(horizon: float | None, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog] = ()) -> None:
+def check_horizon(
+    horizon: float | None, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog] = ()
+) -> None:
     """Raise SeatrialError if the prediction horizon [s] is longer than all logs that the model is evaluated on.
 
     These are the validation logs (``unseen``), or the estimation logs if there are no others.
     """
-    longest = max(unseen or loaded, key=lambda x: float(x.about["duration"])).about
+    longest = max(validation_logs or loaded, key=lambda x: float(x.about["duration"])).about
     if horizon is not None and not horizon < longest["duration"]:
         raise SeatrialError(
             f"--horizon {horizon:g}: {longest['path']}, the longest log to judge by, "

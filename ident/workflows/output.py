@@ -63,25 +63,25 @@ def write_all(
     write_report(result, out / "report.html")
 
 
-def validity(stage: FittedModel) -> dict[str, tuple[float, float]]:
+def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
     """Return the range of each velocity state and input in the estimation data.
 
     The range of a state is from its 1 % to its 99 % quantile, that of an input from its minimum to its maximum.
     """
     found: dict[str, tuple[float, float]] = {}
-    views = stage.estimation
-    for i, state in enumerate(stage.model.states):
+    views = fitted.estimation
+    for i, state in enumerate(fitted.model.states):
         if state.name in ("u", "v", "r"):
             z = np.concatenate([v.run.x_filt[:, i] for v in views])
             found[state.name] = (float(np.percentile(z, 1)), float(np.percentile(z, 99)))
-    for j, name, _ in shown_inputs(stage.model):
+    for j, name, _ in shown_inputs(fitted.model):
         z = np.concatenate([v.record.u[:, j] for v in views])
         # A yaw rate can be both input and state; the range of the state is kept.
         found.setdefault(name, (float(z.min()), float(z.max())))
     return found
 
 
-def sensor_rates(stage: FittedModel) -> dict[str, float]:
+def sensor_rates(fitted: FittedModel) -> dict[str, float]:
     """Return the rate [Hz] of each sensor in the estimation data.
 
     Notes
@@ -90,8 +90,8 @@ def sensor_rates(stage: FittedModel) -> dict[str, float]:
     the rate of the rows, because its estimated noise is that of a row.
     """
     found: dict[str, float] = {}
-    for sensor in stage.model.sensors:
-        records = [v.record for v in stage.estimation]
+    for sensor in fitted.model.sensors:
+        records = [v.record for v in fitted.estimation]
         seen = [r.t[np.isfinite(r.y[:, r.outputs.index(sensor.outputs[0].name)])] for r in records]
         between = np.concatenate([np.diff(t) for t in seen])
         if between.size:

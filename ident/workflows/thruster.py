@@ -130,24 +130,24 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         model = thruster_model("slow", force=has_force)
         records = [_record(model, x, name) for x in loaded]
     reporter.progress(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
-    fitted, records = fit_with_delay_on_grid(model, records, lambda m: [_record(m, x, name) for x in loaded], options)
-    views = tuple(RecordEvaluation(fitted.model, r, v) for r, v in zip(records, fitted.record_values, strict=True))
-    stage = FittedModel(fitted.model, fitted, views, ())
-    evaluation = evaluate(stage, horizon)
+    fit, records = fit_with_delay_on_grid(model, records, lambda m: [_record(m, x, name) for x in loaded], options)
+    views = tuple(RecordEvaluation(fit.model, r, v) for r, v in zip(records, fit.record_values, strict=True))
+    fitted = FittedModel(fit.model, fit, views, ())
+    evaluation = evaluate(fitted, horizon)
     if profiles:
         reporter.progress(f"profile likelihood of {', '.join(profiles)}")
     calibration = _calibration(loaded)
     result = thruster_result(
-        stage,
+        fitted,
         evaluation,
         provenance(loaded, command),
-        [profile(fitted, records, p) for p in profiles],
-        _static(fitted, records, loaded, name) if has_force else None,
-        FitContext(model.values, [*drifts, *stage.outlier_notes]),
+        [profile(fit, records, p) for p in profiles],
+        _static(fit, records, loaded, name) if has_force else None,
+        FitContext(model.values, [*drifts, *fitted.outlier_notes]),
         calibration,
     )
     ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
-    write_all(request.out, result, fitted, ranges, calibration=calibration)
+    write_all(request.out, result, fit, ranges, calibration=calibration)
     return result
 
 

@@ -27,9 +27,9 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     SeatrialError
         If the logs cannot be read, lack signals that the model needs, or have faults that make a fit meaningless.
     """
-    loaded, unseen = load_all(request.logs, request.validation, request.window, device_faults)
-    problem = vehicle_problem(request, loaded, unseen)
-    loaded, unseen = check_first(loaded, unseen, problem.model, request.despite_faults)
+    loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
+    problem = vehicle_problem(request, loaded, validation_logs)
+    loaded, validation_logs = check_first(loaded, validation_logs, problem.model, request.despite_faults)
     if problem.thrust:
         reporter.progress(problem.thrust)
     for line in [*problem.notes, *unused_lines(problem.unused)]:
@@ -43,7 +43,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     result = vehicle_result(
         fitted,
         evaluation,
-        provenance([*loaded, *unseen], command),
+        provenance([*loaded, *validation_logs], command),
         profiles,
         homogeneity,
         FitContext(

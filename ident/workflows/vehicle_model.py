@@ -171,7 +171,7 @@ def considered_notes(model: Model) -> list[str]:
 
 
 def vehicle_problem(
-    request: VehicleRequest, loaded: Sequence[LoadedLog], unseen: Sequence[LoadedLog]
+    request: VehicleRequest, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> VehicleProblem:
     """Return the model and the data of a vehicle fit.
 
@@ -183,10 +183,12 @@ def vehicle_problem(
     curve, source = load_curve(request.thruster) if request.thruster is not None else None, request.model
     if curve is not None and source == "auto":
         source = "horizontal:force"
-    loaded, unseen = ([with_derived_signals(x, source, curve) for x in part] for part in (loaded, unseen))
-    check_horizon(request.estimation.horizon, loaded, unseen)
+    loaded, validation_logs = (
+        [with_derived_signals(x, source, curve) for x in part] for part in (loaded, validation_logs)
+    )
+    check_horizon(request.estimation.horizon, loaded, validation_logs)
     source, sampled = with_sampled_inputs(source, loaded)
-    model = choose_model(source, [*loaded, *unseen])
+    model = choose_model(source, [*loaded, *validation_logs])
     model, notes = apply_rig_geometry(model, loaded[0].rig, loaded[0].vehicle)
     notes = [*sampled, *notes]
     if not is_own_model(source):
@@ -196,15 +198,15 @@ def vehicle_problem(
         model, calibration_notes = with_calibration(model, curve, user_defined=is_own_model(source))
         notes += calibration_notes
     model = with_effects(model, request.effects)
-    require_one_frame(model, [*loaded, *unseen])
+    require_one_frame(model, [*loaded, *validation_logs])
     model = set_initial_values(set_priors(model, request.priors), request.initial)
     model, fixed_notes = fix_parameters(model, request.thruster if curve is None else None, request.fixed)
     model = free_unknown_scale(model)
     model, floors = with_noise_floors(model, loaded)
     notes += considered_notes(model)
     check_names(nominal_model(model), request.profiles, len(loaded))
-    segments, validation = ([x.run for x in part] for part in (loaded, unseen))
-    unused = unused_signals(model, loaded, unseen)
+    segments, validation = ([x.run for x in part] for part in (loaded, validation_logs))
+    unused = unused_signals(model, loaded, validation_logs)
     return VehicleProblem(
         model, segments, validation, [*notes, *fixed_notes, *floors], thrust_from(model, loaded), unused
     )

@@ -29,7 +29,7 @@ class View:
     ll: np.ndarray
 
 
-def stage(**by_run: np.ndarray) -> Any:
+def fitted(**by_run: np.ndarray) -> Any:
     """A model with these log-likelihoods, one a second, on each run."""
     views = [
         View(SimpleNamespace(name=n, t=100.0 + np.arange(ll.size), duration=ll.size - 1.0), ll)
@@ -41,7 +41,7 @@ def stage(**by_run: np.ndarray) -> Any:
 def test_the_gain_is_over_all_runs_and_its_error_over_blocks_of_ten_seconds() -> None:
     rng = np.random.default_rng(1)
     one, two = rng.normal(0.3, 1.0, (2, 200))
-    gain, t = validation_gain(stage(one=np.zeros(200), two=np.zeros(200)), stage(one=one, two=two))
+    gain, t = validation_gain(fitted(one=np.zeros(200), two=np.zeros(200)), fitted(one=one, two=two))
     blocks = np.concatenate([one.reshape(20, 10).sum(1), two.reshape(20, 10).sum(1)])
     assert gain == pytest.approx(one.sum() + two.sum())
     student = blocks.mean() / (blocks.std(ddof=1) / 40**0.5)
@@ -54,7 +54,7 @@ def test_chance_passes_as_seldom_in_few_blocks_as_in_many(n_blocks: int) -> None
     rng, found = np.random.default_rng(n_blocks), []
     for _ in range(2000):
         ll = np.repeat(rng.normal(size=n_blocks), 10 if n_blocks == 24 else 5)  # long enough for blocks of ten seconds
-        found.append(validation_gain(stage(run=np.zeros(ll.size)), stage(run=ll))[1])
+        found.append(validation_gain(fitted(run=np.zeros(ll.size)), fitted(run=ll))[1])
     assert np.mean(np.array(found) > 2.0) == pytest.approx(0.0228, abs=0.011)
 
 
@@ -62,19 +62,19 @@ def test_a_few_blocks_that_lose_much_are_not_taken_for_outliers() -> None:
     """Two turning circles that a model predicts worse, among forty blocks that gain a little."""
     ll = np.full(400, 0.5)
     ll[150:170] = -80.0
-    gain, t = validation_gain(stage(run=np.zeros(400)), stage(run=ll))
+    gain, t = validation_gain(fitted(run=np.zeros(400)), fitted(run=ll))
     assert gain < 0
     assert not refit(gain=gain, t=t).validated
 
 
 def test_only_the_runs_that_both_models_have_are_compared() -> None:
-    gain, _ = validation_gain(stage(a=np.zeros(50), b=np.zeros(50)), stage(a=np.full(50, 1.0)))
+    gain, _ = validation_gain(fitted(a=np.zeros(50), b=np.zeros(50)), fitted(a=np.full(50, 1.0)))
     assert gain == pytest.approx(50.0)
 
 
 def test_what_is_not_finite_is_an_error() -> None:
     with pytest.raises(ValueError, match="not finite"):
-        validation_gain(stage(a=np.zeros(50)), stage(a=np.full(50, np.nan)))
+        validation_gain(fitted(a=np.zeros(50)), fitted(a=np.full(50, np.nan)))
 
 
 def change(ratio: float, low: float, high: float) -> PredictionChange:

@@ -182,7 +182,7 @@ def test_a_line_whose_fixed_end_is_not_located_is_not_sure(errors: tuple[float, 
     line = refit("tether", 800.0, fit=fit, parameters=parameters, scan=dict.fromkeys(ends, (0.0, 12.0)))
     track = SimpleNamespace(outputs=("psi", "x", "y"), y=np.array([[0.1, -1.4, -5.1], [0.2, 10.3, 8.4], [np.nan] * 3]))
     stage = cast(Any, SimpleNamespace(fit=fit, records=[track]))
-    (found,) = of(one_round(replace(line, stage=stage)))
+    (found,) = of(one_round(replace(line, fitted=stage)))
     assert found.attribution == attribution
 
 
@@ -193,7 +193,7 @@ def test_what_else_is_scanned_is_no_place(name: str) -> None:
     n = len(effect.parameters)
     fit = a_fit(tuple(p.name for p in effect.parameters), np.ones(n), 0.01 * np.eye(n))
     stage = cast(Any, SimpleNamespace(fit=fit, records=[]))
-    (found,) = of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, stage=stage)))
+    (found,) = of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=stage)))
     assert found.attribution == "identified"
 
 
@@ -357,7 +357,7 @@ def test_a_parameter_of_each_run_is_told_as_those_of_all_are() -> None:
         fit = a_fit(("V_dx@0", "V_dx@1"), values, np.eye(2))
         one = refit("current-drift", 800.0, fit=fit, parameters=drift)
         stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
-        (found,) = of(one_round(replace(one, stage=stage)))
+        (found,) = of(one_round(replace(one, fitted=stage)))
         assert found.attribution == attribution
     assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2",)
 

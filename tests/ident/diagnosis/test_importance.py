@@ -62,12 +62,12 @@ def test_an_effect_without_which_nothing_can_be_fitted_has_no_weight(monkeypatch
         raise ValueError("x0")
 
     one, before = chosen("wind"), stage(0.0)
-    one = replace(one, stage=stage(900.0, one))
-    other = replace(chosen("lift"), stage=stage(930.0, one, chosen("lift")), prediction=cast(Any, "fell"))
+    one = replace(one, fitted=stage(900.0, one))
+    other = replace(chosen("lift"), fitted=stage(930.0, one, chosen("lift")), prediction=cast(Any, "fell"))
     monkeypatch.setattr(importance, "_with", fails)
     monkeypatch.setattr(importance, "comparison", lambda *_: SimpleNamespace(error_ratio=1.2))
     rounds = [Round((), (), (c,), c) for c in (one, other)]
-    lift, wind = effect_importance(before, other.stage, [one, other], rounds, [], [])
+    lift, wind = effect_importance(before, other.fitted, [one, other], rounds, [], [])
     assert (lift.effect, lift.gain, lift.untested) == ("lift", 60.0, None)
     assert (wind.effect, wind.untested, wind.pays) == ("wind", "x0", False)
     assert np.isnan([wind.gain, wind.error, wind.t]).all()
