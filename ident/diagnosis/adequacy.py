@@ -330,7 +330,7 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     - Tests passed and no candidate was confirmed on the validation data: the experiment of the best candidate.
     """
     lines = []
-    by_name = {j.effect: j for j in diagnosis.judgements}
+    by_name = {j.effect: j for j in diagnosis.attributions}
     for search_round in diagnosis.rounds:
         if search_round.chosen is None or search_round.chosen.effect.name not in by_name:
             if not diagnosis.effects and search_round.refits and search_round.refits[0].effect.experiment:

@@ -357,13 +357,13 @@ class Diagnosis:
         Fitted model without and with the effects.
     rounds
         Rounds of the search.
-    left
+    remaining
         Scores that still pass at the end, best first.
-    shapes
+    curves
         Curves of the nonparametric effects, and of the residual in place of the first ambiguous effect.
-    judgements
+    attributions
         Attribution of each effect, the most important first.
-    weights
+    importances
         Importance of each effect, the most important first.
     removed
         Effects that were added and removed again.
@@ -371,39 +371,39 @@ class Diagnosis:
         Validation runs that could not be evaluated.
     mismatches
         Validation runs with larger errors than the model claims.
-    short
+    short_data
         Candidates that could not pass because the data are short, None if all could.
-    undrawn
+    curve_failure
         Reason why the curve of the first ambiguous effect could not be fitted, None if there is no such failure.
-    refused
+    untestable
         User-defined candidates and candidates at a fixed point that could not be tested.
     scores
         Last scores of all candidates.
-    untried
+    untried_scores
         Scores that passed when the largest number of effects had been added.
     """
 
     before: FittedModel
     after: FittedModel
     rounds: tuple[Round, ...]
-    left: tuple[Score, ...]
-    shapes: tuple[NonparametricForce, ...]
-    judgements: tuple[EffectAttribution, ...] = ()
-    weights: tuple[EffectImportance, ...] = ()
+    remaining: tuple[Score, ...]
+    curves: tuple[NonparametricForce, ...]
+    attributions: tuple[EffectAttribution, ...] = ()
+    importances: tuple[EffectImportance, ...] = ()
     removed: tuple[RemovedEffect, ...] = ()
     failed_runs: tuple[FailedRun, ...] = ()
     mismatches: tuple[ValidationMismatch, ...] = ()
-    short: ShortData | None = None
-    undrawn: str | None = None
-    refused: tuple[UntestedCandidate, ...] = ()
+    short_data: ShortData | None = None
+    curve_failure: str | None = None
+    untestable: tuple[UntestedCandidate, ...] = ()
     scores: tuple[Score, ...] = ()
-    untried: tuple[Score, ...] = ()
+    untried_scores: tuple[Score, ...] = ()
 
     @property
     def effects(self) -> tuple[Refit, ...]:
         """Refits of the selected effects, the most important first."""
         chosen = {r.chosen.effect.name: r.chosen for r in self.rounds if r.chosen is not None}
-        return tuple(chosen[w.effect] for w in self.weights)
+        return tuple(chosen[w.effect] for w in self.importances)
 
     @property
     def untested(self) -> tuple[UntestedCandidate, ...]:

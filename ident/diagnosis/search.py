@@ -237,21 +237,21 @@ def diagnose(
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _shapes(before, kept, judgements, records)
     return Diagnosis(
-        before,
-        current,
-        tuple(search.rounds),
-        tuple(passed),
-        tuple(shapes),
-        judgements,
-        weights,
-        tuple(removed),
-        (*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
-        validation_mismatches(current),
-        _short_data(search.scores, before),
-        undrawn,
-        _refused(full, requested, [*estimation, *usable]),
-        tuple(search.scores),
-        tuple(search.untried),
+        before=before,
+        after=current,
+        rounds=tuple(search.rounds),
+        remaining=tuple(passed),
+        curves=tuple(shapes),
+        attributions=judgements,
+        importances=weights,
+        removed=tuple(removed),
+        failed_runs=(*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
+        mismatches=validation_mismatches(current),
+        short_data=_short_data(search.scores, before),
+        curve_failure=undrawn,
+        untestable=_refused(full, requested, [*estimation, *usable]),
+        scores=tuple(search.scores),
+        untried_scores=tuple(search.untried),
     )
 
 

@@ -80,7 +80,7 @@ def diagnosis_result(
     """
     before, after = evaluation.before, evaluation.after
     with_effects, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
-    factors = {s.unit: reported.factor(s.unit) for s in diagnosis.shapes}
+    factors = {s.unit: reported.factor(s.unit) for s in diagnosis.curves}
     errors, role = error_tables(after, before, evaluation.changes), after.judged
     prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
@@ -134,7 +134,7 @@ def diagnosis_result(
         rounds=tuple(_round(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
         effects=_effects(diagnosis),
         remaining_candidates=tuple(
-            parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.left
+            parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
         ),
         nonparametric_effects=tuple(
             parts.NonparametricCurve(
@@ -148,7 +148,7 @@ def diagnosis_result(
                 sd=factors[s.unit] * s.sd,
                 band=factors[s.unit] * s.band,
             )
-            for s in diagnosis.shapes
+            for s in diagnosis.curves
         ),
         parameters_before_after=_moved(diagnosis),
         recommended_experiment=None if recommended is None else recommended.replace("MODEL", model_path),
@@ -201,7 +201,7 @@ def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> s
 
 def _too_short(diagnosis: Diagnosis) -> str:
     """Return the sentence on data that are too short to test all candidates; empty if all were tested."""
-    short = diagnosis.short
+    short = diagnosis.short_data
     return (
         ""
         if short is None
@@ -276,10 +276,10 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     its prediction is the only evidence for a curve.
     """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
-    for r, judged in zip(diagnosis.effects, diagnosis.judgements, strict=True):
+    for r, judged in zip(diagnosis.effects, diagnosis.attributions, strict=True):
         titles[judged.attribution].append(r.effect.title)
     identified, ambiguous, nonparametric = titles.values()
-    if nonparametric and diagnosis.judgements[0].attribution == "nonparametric":
+    if nonparametric and diagnosis.attributions[0].attribution == "nonparametric":
         found = f"The model lacks {_listed(nonparametric)}" if fell else _resembles(nonparametric)
         rest = [*identified, *(f"an effect that resembles {title}" for title in ambiguous)]
         return f"{found}, and also {_listed(rest)}" if rest else found
@@ -300,9 +300,9 @@ def _resembles(titles: Sequence[str]) -> str:
 
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
     """Return why the name of an effect is uncertain, and whether --max-effects ended the search; None if neither."""
-    reasons = [reason for j in diagnosis.judgements if j.attribution == "ambiguous" for reason in j.reasons]
+    reasons = [reason for j in diagnosis.attributions if j.attribution == "ambiguous" for reason in j.reasons]
     sentences = [f"The name is uncertain: {reasons[0]}."] if reasons else []
-    if diagnosis.left and diagnosis.untried:
+    if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         limit = "the limit set by --max-effects"
         sentences.append(f"The search ended with {many}, {limit}; not tried: {_left(diagnosis)}.")
@@ -337,7 +337,7 @@ def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
     """Return the round of a search in which no candidate passed, with all its score tests."""
     tested = _round(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
-    if (short := diagnosis.short) is not None:
+    if (short := diagnosis.short_data) is not None:
         why += f"; {short.seconds:.0f} s of data are too short to test {short.untestable} of {short.candidates}"
     return msgspec.structs.replace(tested, why=why)
 
@@ -419,7 +419,7 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
         for search_round in diagnosis.rounds
         if search_round.chosen is not None
     }
-    for r, judged, weight in zip(diagnosis.effects, diagnosis.judgements, diagnosis.weights, strict=True):
+    for r, judged, weight in zip(diagnosis.effects, diagnosis.attributions, diagnosis.importances, strict=True):
         e = r.effect
         rows.append(
             parts.EffectRow(
@@ -470,16 +470,16 @@ def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
 def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
     """Return warnings about candidates and effects that could not be tested."""
     texts = [f"Not tested, because it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
-    texts += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.refused]
+    texts += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
     texts += [
         f"The importance of {r.effect.title} is unknown, because the model without it could not be fitted: "
         f"{w.untested}."
-        for r, w in zip(diagnosis.effects, diagnosis.weights, strict=True)
+        for r, w in zip(diagnosis.effects, diagnosis.importances, strict=True)
         if w.untested is not None
     ]
     found = [parts.ResultWarning(code="effect-untested", text=text) for text in texts]
-    if diagnosis.undrawn is not None:
-        text = f"No nonparametric curve could be fitted in place of {diagnosis.undrawn}."
+    if diagnosis.curve_failure is not None:
+        text = f"No nonparametric curve could be fitted in place of {diagnosis.curve_failure}."
         found.append(parts.ResultWarning(code="curve-not-drawn", text=text))
     return found
 
@@ -505,13 +505,13 @@ def _removal_reason(removed: RemovedEffect) -> str:
 
 def _left(diagnosis: Diagnosis) -> str:
     """List the first candidates that still pass the score test."""
-    return ", ".join(s.name for s in diagnosis.left[:4])
+    return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:
     """Return the notes on remaining candidates, removed effects, mismatches and flagged parameters."""
     notes = []
-    if diagnosis.left and not diagnosis.untried:
+    if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
             notes.append(f"Candidates that still pass the score test after the last effect: {_left(diagnosis)}.")
         elif diagnosis.removed:

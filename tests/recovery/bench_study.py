@@ -87,8 +87,8 @@ def run_case(case: BenchCase) -> Row:
     return row | {
         "cpu": round(time.process_time() - began, 2),
         "found": [r.effect.name for r in found.effects],
-        "attribution": [j.attribution for j in found.judgements],
-        "remaining_candidates": [s.name for s in found.left],
+        "attribution": [j.attribution for j in found.attributions],
+        "remaining_candidates": [s.name for s in found.remaining],
         "before": free_errors(found.before),
         "after": free_errors(found.after),
     }

@@ -77,9 +77,9 @@ def test_what_a_mixture_would_miss_most_comes_first() -> None:
     first = next(r.chosen for r in found.rounds if r.chosen is not None)
     assert first.effect.name == "delay"
     assert found.effects[0].effect.name == "turning-resistance"
-    assert [w.effect for w in found.weights] == [r.effect.name for r in found.effects]
-    assert found.weights[0].error > found.weights[1].error
-    assert {j.effect for j in found.judgements} == {r.effect.name for r in found.effects}
+    assert [w.effect for w in found.importances] == [r.effect.name for r in found.effects]
+    assert found.importances[0].error > found.importances[1].error
+    assert {j.effect for j in found.attributions} == {r.effect.name for r in found.effects}
 
 
 @pytest.mark.study

@@ -155,13 +155,15 @@ def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
     scores = [Score("wind", 900.0, df, 5.0, {}, {}, blocks=12) for df in (1, 4, 8)]
     short = search._short_data(scores, blank(records=[blank(duration=60.0)], model=blank(block=5.0)))
     assert short == ShortData(60.0, 105.0, 2, 3)
-    answer = diagnosis_answer(Diagnosis(blank(), blank(cross_validated=False), (), (), (), short=short), None, 10.0)
+    answer = diagnosis_answer(
+        Diagnosis(blank(), blank(cross_validated=False), (), (), (), short_data=short), None, 10.0
+    )
     assert answer == (
         "No effect was found, but 60 s of estimation data are too short to test 2 of 3 candidates: give 105 s or more."
     )
     missed = ValidationMismatch("run 2", "x", 3.0, None)
     answer = diagnosis_answer(
-        Diagnosis(blank(), blank(cross_validated=False), (), (), (), short=short, mismatches=(missed,)), None, 10.0
+        Diagnosis(blank(), blank(cross_validated=False), (), (), (), short_data=short, mismatches=(missed,)), None, 10.0
     )
     assert answer.endswith("too short to test 2 of 3 candidates: give 105 s or more.")
     assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
@@ -188,7 +190,7 @@ def test_a_curve_without_a_name_is_a_likeness_where_it_does_not_predict_better(f
 def test_a_search_in_which_nothing_passes_says_what_was_tested() -> None:
     scores = tuple(Score(f"effect{k}", 3.0, 1, 2.0, {}, {}, threshold=12.0) for k in range(40))
     short = ShortData(60.0, 105.0, 3, 40)
-    one = _quiet_round(Diagnosis(blank(), blank(), (), (), (), scores=scores, short=short))
+    one = _quiet_round(Diagnosis(blank(), blank(), (), (), (), scores=scores, short_data=short))
     assert (one.tested, one.passed, one.chosen) == (40, 0, None)
     assert len(one.candidates) > 10
     assert one.why == "no candidate passes the score tests; 60 s of data are too short to test 3 of 40"
@@ -202,11 +204,11 @@ def test_a_search_that_may_add_no_more_says_what_it_left(monkeypatch: pytest.Mon
     assert mine.untried == [score]
     chosen = refit("hump", 900.0)
     after = blank(fit=blank(flags=()))
-    found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried=(score,))
+    found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
     said = "The search ended with 1 effect, the limit set by --max-effects; not tried: wind."
     assert diagnosis_caveat(found) == said  # on the screen, too
     assert said not in _notes(found)
-    doubted = replace(found, judgements=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
+    doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
     assert diagnosis_caveat(doubted) == f"The name is uncertain: a lag resembles it. {said}"
 
 
@@ -392,7 +394,7 @@ def test_the_picture_of_a_doubt_is_left_out_where_it_cannot_be_fitted(monkeypatc
         (),
         judged,
         (EffectImportance("hump", NAN, NAN, untested="y0"),),
-        undrawn=undrawn,
+        curve_failure=undrawn,
     )
     assert [(w.code, w.text.rpartition(": ")[2]) for w in _untested_warnings(found)] == [
         ("effect-untested", "y0."),
@@ -416,7 +418,7 @@ def test_a_candidate_of_the_users_own_that_cannot_be_tested_is_named() -> None:
         ("sail", f"it needs the signal 'sail_area', which model {model.name} does not have"),
         ("twice", f"model {model.name} has m_u already"),
     ]
-    found = Diagnosis(blank(), blank(), (), (), (), refused=refused)
+    found = Diagnosis(blank(), blank(), (), (), (), untestable=refused)
     (first, *_) = _untested_warnings(found)
     assert (first.code, first.text) == ("effect-untested", "Not tested: a tide (tue/run lacks its input tide).")
 
@@ -519,7 +521,7 @@ def test_a_validation_run_with_more_on_board_is_said() -> None:
 @pytest.mark.study
 def test_one_log_is_cross_validated_and_the_answer_says_so() -> None:
     found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=240.0), [], effects=FEW)
-    assert [(j.effect, j.attribution) for j in found.judgements] == [("mismatch", "identified")]
+    assert [(j.effect, j.attribution) for j in found.attributions] == [("mismatch", "identified")]
     assert found.cross_validated
     assert len(found.after.validation) == 5
     values = {v.record.name: v.values[list(v.model.values).index("eps_LR")] for v in found.after.validation}
@@ -530,8 +532,8 @@ def test_one_log_is_cross_validated_and_the_answer_says_so() -> None:
 @pytest.mark.slow
 def test_a_minute_of_data_is_never_sure() -> None:
     found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=60.0), [], effects=FEW)
-    assert [(j.effect, j.attribution) for j in found.judgements] == [("mismatch", "ambiguous")]
-    assert "short" in found.judgements[0].reasons[-1]
+    assert [(j.effect, j.attribution) for j in found.attributions] == [("mismatch", "ambiguous")]
+    assert "short" in found.attributions[0].reasons[-1]
 
 
 @pytest.mark.slow
@@ -545,7 +547,7 @@ def test_many_short_runs_work_as_two(n: int) -> None:
         low, high = 320.0 * k / n, 320.0 * (k + 1) / n
         runs.append(LogSegment(f"part{k}", channels, low, high))
     found = diagnose(horizontal_model(), runs, segments(boat), effects=FEW)
-    assert [(j.effect, j.attribution) for j in found.judgements] == [("mismatch", "identified")]
+    assert [(j.effect, j.attribution) for j in found.attributions] == [("mismatch", "identified")]
     assert found.untested == ()
 
 

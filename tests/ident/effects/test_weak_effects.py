@@ -145,7 +145,7 @@ def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
     boat, gyro, name, truth = FOUND[case]
     found = found_on(boat, gyro)
     assert [q.effect.name for q in found.effects] == [name]
-    assert found.judgements[0].attribution == ("nonparametric" if name.startswith("unknown") else "identified")
+    assert found.attributions[0].attribution == ("nonparametric" if name.startswith("unknown") else "identified")
     for parameter, (value, error) in estimates(found, list(truth)).items():
         assert value == pytest.approx(truth[parameter], abs=4 * error), parameter
         assert error < max(0.15 * abs(truth[parameter]), 0.1) or parameter.endswith("_tether"), parameter
@@ -157,7 +157,7 @@ def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
 @pytest.mark.study
 def test_a_drawn_thrust_loss_is_that_of_the_boat() -> None:
     """Over the yaw rates that the boat has: none on a straight course, half of the thrust in the tightest turns."""
-    (curve,) = found_on(IndependentBoat(loss=stalled("left"))).shapes
+    (curve,) = found_on(IndependentBoat(loss=stalled("left"))).curves
     assert (curve.force, curve.variable, curve.unit) == ("T_left", "r", "")
     wanted = [-0.5 * min(abs(r) / 0.8, 1.0) ** 2 for r in curve.grid]
     assert curve.value == pytest.approx(wanted, abs=0.06)
