@@ -144,7 +144,7 @@ def _bandwidth(signal: BaselineSignal) -> str:
 
 
 def _errors(oe: Experiment, pe: Experiment) -> list[str]:
-    names = pe.made.task.learned
+    names = pe.made.task.observed_parameters
     best = max(pe.found.values(), key=lambda r: r.value)
     fine = pe.judge.finer
     at = np.searchsorted(pe.judge.t, fine.t + 1e-9, side="right") - 1

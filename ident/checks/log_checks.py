@@ -110,8 +110,8 @@ class SensorPair:
     unit: str
     names: tuple[str, str]  # of both sensors, for the legend
     t: Array  # (n,) [s]
-    one: Array  # (n,), by the first sensor
-    other: Array  # (n,), by the second sensor
+    first: Array  # (n,), by the first sensor
+    second: Array  # (n,), by the second sensor
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class CheckEvidence:
     rig: str | None  # name of the rig in the log; None if the log has no rig
     intervals: tuple[SampleIntervals, ...] = ()
     shafts: tuple[ShaftResponse, ...] = ()
-    push: tuple[ThrustResponseCurve, ...] = ()
+    thrust_response: tuple[ThrustResponseCurve, ...] = ()
     sensors: tuple[SensorPair, ...] = ()
     signals: tuple[SignalCurve, ...] = ()
 

@@ -89,7 +89,7 @@ def assess_alternatives(
     for search_round in rounds:
         if search_round.chosen is None:
             continue
-        if search_round.chosen.unknown:
+        if search_round.chosen.nonparametric:
             close = tuple(q.effect.name for q in _close(search_round))
             found.append(EffectAttribution(search_round.chosen.effect.name, "nonparametric", (), close))
             continue
@@ -230,10 +230,10 @@ def _tables(chosen: Sequence[Refit], search_round: Round) -> list[str]:
     """Return the reasons that a nonparametric curve was added beside the effect, or would gain more than the effect."""
     assert search_round.chosen is not None
     curve = search_round.chosen.effect.nonparametric_of
-    beside = [c.effect for c in chosen if c.unknown and not c.effect.is_table_of(curve)]
+    beside = [c.effect for c in chosen if c.nonparametric and not c.effect.is_table_of(curve)]
     reasons = [f"{effect.title} had to be added beside it" for effect in beside]
     better = [
-        q for q in search_round.refits if q.unknown and q.accepted and q.criterion > search_round.chosen.criterion
+        q for q in search_round.refits if q.nonparametric and q.accepted and q.criterion > search_round.chosen.criterion
     ]
     return reasons + [f"{q.effect.title} would explain more" for q in better[:1]]
 
@@ -251,7 +251,9 @@ def _close(search_round: Round) -> list[Refit]:
     others = [
         q
         for q in search_round.refits
-        if q is not search_round.chosen and not q.unknown and q.criterion > (best if name in q.effect.nests else least)
+        if q is not search_round.chosen
+        and not q.nonparametric
+        and q.criterion > (best if name in q.effect.nests else least)
     ]
     return sorted(others, key=lambda q: -q.criterion)
 
@@ -304,7 +306,7 @@ def _unpredictive(weight: EffectImportance | None) -> list[str]:
     """Return the reason that the prediction is no better with the effect, or that this could not be tested."""
     if weight is not None and weight.untested is not None:
         return [f"the prediction without it could not be tested: {weight.untested}"]
-    if weight is None or weight.predicts:
+    if weight is None or weight.improves_prediction:
         return []
     horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
     return [f"the prediction{horizon} is no better with it"]

@@ -140,14 +140,16 @@ def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) ->
     effects that were selected before it, and precedes less important effects that were selected after it. If a
     parametric effect is one form of a curve, the curve precedes the effect, which is then only a part of the curve.
     """
-    curves = {c.effect.name for c in chosen if c.unknown}
+    curves = {c.effect.name for c in chosen if c.nonparametric}
     whole = {
         table.effect.name: c.effect.name
         for c in chosen
         for table in chosen
         if table.effect.is_table_of(c.effect.parametric_form_of)
     }
-    found = sorted(found, key=lambda w: np.inf if np.isnan(w.error) else -w.error)  # unknown importance last
+    found = sorted(
+        found, key=lambda w: np.inf if np.isnan(w.error_ratio) else -w.error_ratio
+    )  # unknown importance last
     order = [w.effect for w in found if w.effect not in curves]
     for w in found:
         if w.effect in curves:
@@ -169,7 +171,7 @@ def _place(
     if table.effect in whole:
         return order.index(whole[table.effect])
     behind = set(search[search.index(table.effect) + 1 :]) & set(order)
-    lighter = [order.index(w.effect) for w in found if w.effect in behind and w.error < table.error]
+    lighter = [order.index(w.effect) for w in found if w.effect in behind and w.error_ratio < table.error_ratio]
     return min(lighter, default=len(order))
 
 

@@ -101,12 +101,12 @@ class Refit:
         better = better or (self.by_inputs is not None and self.by_inputs.verdict == "fell" and helps(self.by_inputs))
         if self.total is not None and self.total.verdict == "fell":
             better = better or helps(self.prediction)
-        return self.validated and not worse and (better or not self.unknown)
+        return self.validated and not worse and (better or not self.nonparametric)
 
     @property
-    def unknown(self) -> bool:
+    def nonparametric(self) -> bool:
         """Return whether the effect is nonparametric."""
-        return self.effect.kind.unknown
+        return self.effect.kind.nonparametric
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class Round:
         return next((o for o in order if o in found), Outcome.UNTESTED)
 
     @property
-    def why(self) -> str:
+    def explanation(self) -> str:
         """Sentence for reports: why an effect was added, or why no effect was added."""
         if self.chosen is not None:
             gain, t = self.chosen.validation_gain, self.chosen.t
@@ -242,7 +242,7 @@ class EffectImportance:
         Name of the effect.
     gain
         2 d ln L on the estimation data if the effect is added last.
-    error
+    error_ratio
         Ratio of the prediction error three seconds ahead without the effect to that with it
         (``seatrial.ident.diagnosis.importance``). It is the geometric mean over the channels of the validation data, or
         of the estimation data if there are no validation data.
@@ -256,32 +256,32 @@ class EffectImportance:
 
     effect: str
     gain: float
-    error: float
+    error_ratio: float
     validation_gain: float = float("nan")
     t: float = float("nan")
     prediction: PredictionChange | None = None
     untested: str | None = None
 
     @property
-    def pays(self) -> bool:
+    def supported(self) -> bool:
         """Return whether the effect is worth its parameters beside the other effects.
 
         The validation data support the effect, either significantly or with a better prediction. The prediction is not
         worse with the effect, and its size matters.
         """
         worse = self.prediction is not None and self.prediction.verdict == "rose"
-        matters = self.predicts or helps(self.prediction) or self.error > MATERIAL_ERROR_RATIO
-        supported = self.validation_gain > 0 and self.t > (T_PREDICTING if self.predicts else T_VALIDATION)
+        matters = self.improves_prediction or helps(self.prediction) or self.error_ratio > MATERIAL_ERROR_RATIO
+        supported = self.validation_gain > 0 and self.t > (T_PREDICTING if self.improves_prediction else T_VALIDATION)
         return supported and matters and not worse
 
     @property
-    def predicts(self) -> bool:
+    def improves_prediction(self) -> bool:
         """Return whether the prediction is better with the effect.
 
         The interval of the change over the horizon decides. If it shows no change, the error three seconds ahead by
         inputs alone decides.
         """
-        return predicts(self.prediction, self.error)
+        return predicts(self.prediction, self.error_ratio)
 
 
 def helps(prediction: PredictionChange | None) -> bool:

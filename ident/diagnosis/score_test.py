@@ -172,9 +172,9 @@ class Score:
         return int(np.ceil(stats.chi2.isf(P_BLOCK, self.df)))
 
     @property
-    def generic(self) -> bool:
+    def nonparametric(self) -> bool:
         """Return whether the candidate is nonparametric."""
-        return self.kind.unknown
+        return self.kind.nonparametric
 
     @property
     def p(self) -> float:
@@ -504,7 +504,7 @@ def score_threshold(score: Score, among: Sequence[Score]) -> float:
     `ALPHA` is split equally between parametric and nonparametric candidates. All tests of one kind in ``among`` share
     it (Bonferroni).
     """
-    n_tests = sum(s.generic == score.generic for s in among)
+    n_tests = sum(s.nonparametric == score.nonparametric for s in among)
     return float(stats.chi2.isf(ALPHA / 2 / n_tests, score.df))
 
 

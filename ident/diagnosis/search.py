@@ -403,7 +403,7 @@ class _Search:
             scores, passed = self.scored(current)
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
             least = MIN_GAIN_RATIO_AFTER_CURVE * largest
-            tried = [s for s in passed if not s.generic and s.criterion(self.n) > least] if unknown else passed
+            tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
             if len(self.rounds) >= max_effects or not tried:
                 self.untried = tried
                 return current, passed
@@ -414,7 +414,7 @@ class _Search:
             self.rounds.append(found)
             if found.chosen is None:
                 return current, passed
-            current, unknown = found.chosen.fitted, unknown or found.chosen.unknown
+            current, unknown = found.chosen.fitted, unknown or found.chosen.nonparametric
             self.candidates.pop(found.chosen.effect.name, None)
 
     def backward_elimination(
@@ -433,9 +433,11 @@ class _Search:
             weights = effect_importance(before, current, chosen, self.rounds, self.records, self.validation_data)
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
-            curves = {c.effect.name for c in chosen if c.unknown}
-            idle_curves = {w.effect for w in tested if not (w.predicts or helps(w.prediction))} & curves
-            idle = min((w for w in tested if not w.pays or w.effect in idle_curves), key=lambda w: w.t, default=None)
+            curves = {c.effect.name for c in chosen if c.nonparametric}
+            idle_curves = {w.effect for w in tested if not (w.improves_prediction or helps(w.prediction))} & curves
+            idle = min(
+                (w for w in tested if not w.supported or w.effect in idle_curves), key=lambda w: w.t, default=None
+            )
             if idle is None and removed and chosen and Comparison(before, current).prediction.verdict == "rose":
                 idle = next((w for w in tested if w.effect == chosen[-1].effect.name), None)
             if idle is None:
@@ -449,12 +451,14 @@ class _Search:
                 stuck[idle.effect] = str(problem)
                 continue
             removed.append(RemovedEffect(effect, idle.validation_gain, idle.t, idle.prediction))
-            if not effect.kind.unknown:  # the last score tests include every parametric effect that the model lacks
+            if (
+                not effect.kind.nonparametric
+            ):  # the last score tests include every parametric effect that the model lacks
                 self.candidates[effect.name] = effect
 
     def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
         """Refit the best candidates that passed, and choose the refit to add."""
-        specific = [s for s in passed if not s.generic]
+        specific = [s for s in passed if not s.nonparametric]
         # If the best criterion is negative, no candidate is dropped: a refit can gain more than its score.
         if specific and (best := specific[0].criterion(self.n)) > 0:
             specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * best]
@@ -470,7 +474,7 @@ class _Search:
         # A nonparametric candidate competes only if its score is high compared with the best accepted parametric
         # refit, or if that effect is one form of the same curve.
         least = max(0.5 * most, most - 50)
-        generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.generic]
+        generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.nonparametric]
         unknown = [s for s, same_curve in generic if s.criterion(self.n) > least or same_curve][:N_NONPARAMETRIC]
         self._refit_all(current, [(_unknown(s, current), s) for s in unknown], refits, untested)
         names = tuple(s.name for s in passed)
@@ -530,7 +534,7 @@ class _Search:
                 total = prediction if current is self.nominal else Comparison(self.nominal, fitted).prediction
                 exact = replace(
                     rough, fitted=fitted, validation_gain=gain, t=t, prediction=prediction, total=total,
-                    by_inputs=compared.by_inputs if rough.unknown else None,
+                    by_inputs=compared.by_inputs if rough.nonparametric else None,
                 )  # fmt: skip
                 return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
             reason = f"the fit with it did not converge: it {fitted.fit.message}"
@@ -604,7 +608,7 @@ def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
 
 def _tied(first: Refit, second: Refit) -> bool:
     """Return whether the likelihood cannot distinguish two effects."""
-    parametric = not (first.unknown or second.unknown or first.effect.kind is EffectKind.BETWEEN_RUNS)
+    parametric = not (first.nonparametric or second.nonparametric or first.effect.kind is EffectKind.BETWEEN_RUNS)
     return parametric and abs(first.criterion - second.criterion) < INDISTINGUISHABLE
 
 
@@ -705,7 +709,7 @@ def _shapes(
     chosen = [r for r in rounds if r.chosen is not None]
     first = next((j.effect for j in judgements if j.attribution == "ambiguous"), None)
     for search_round, r in ((s, s.chosen) for s in chosen if s.chosen is not None):
-        if r.unknown:
+        if r.nonparametric:
             found.append(_drawn(r.effect, r.fitted))
         elif r.effect.name == first and (likely := _likely_curve(search_round)):
             try:

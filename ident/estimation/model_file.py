@@ -173,7 +173,7 @@ def save_model(
         document["second_order"] = True
     if fit.options.reml:
         document["reml"] = True
-    unlisted = {e.name: _curve_table(e) for e in model.effects if e.kind.unknown}
+    unlisted = {e.name: _curve_table(e) for e in model.effects if e.kind.nonparametric}
     if unlisted:
         document["curves"] = unlisted
     if effects_file is not None:
@@ -215,7 +215,7 @@ def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str
 
 def _is_sized(effect: Effect, own: Mapping[str, Effect]) -> bool:
     """Return whether the effect is scaled to the size of the boat (``scale_priors``). User-defined effects are not."""
-    return (effect.name in catalogue() and effect.name not in own) or effect.kind.unknown
+    return (effect.name in catalogue() and effect.name not in own) or effect.kind.nonparametric
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
@@ -397,7 +397,7 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
     """Raise ValueError if lagged or resonant coefficients in the file have another unit than they have now."""
     units = {p.name: p.unit for p in effect.parameters} if effect.kind is not EffectKind.NONPARAMETRIC else {}
     for row in rows:
-        if effect.kind.unknown and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
+        if effect.kind.nonparametric and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
             now = units[row["name"]] or "1"
             raise ValueError(f"parameter {row['name']} is in {row['unit'] or '1'}, now in {now}: fit the model again")
 

@@ -155,7 +155,7 @@ class DiscriminationDesign:
     task: DesignProblem
     levels: Array  # (n_steps, n_channels)
     durations: Array  # (n_steps,) [s]
-    apart: tuple[float, float]  # T after refits: b is true and a is fitted; a is true and b is fitted
+    separation: tuple[float, float]  # T after refits: b is true and a is fitted; a is true and b is fitted
     found: SearchResult = field(repr=False)
 
     @property
@@ -166,7 +166,7 @@ class DiscriminationDesign:
     @property
     def clear(self) -> bool:
         """Return whether a fit is expected to prefer the true model, whichever of the two it is."""
-        return min(self.apart) > RELIABLE_T
+        return min(self.separation) > RELIABLE_T
 
 
 def _both(model_a: Model, model_b: Model, task: DesignProblem) -> tuple[HypothesisPair, HypothesisPair]:
@@ -240,7 +240,7 @@ def discriminate(
             np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)) for k in range(0, command.shape[2], 32)
         ]
         T = np.concatenate(parts)
-        return np.where(np.isfinite(T), np.log(np.maximum(T, 1e-12)), SINGULAR), task.broken(command)
+        return np.where(np.isfinite(T), np.log(np.maximum(T, 1e-12)), SINGULAR), task.violation(command)
 
     found = search_design(task.steps, judge, evaluations, task.seed, None, progress, n_start=128)
     if found.violation > 0:
@@ -249,4 +249,4 @@ def discriminate(
         )
     levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
     made = DiscriminationDesign(task, levels, durations, (0.0, 0.0), found)
-    return replace(made, apart=separation(model_a, model_b, task, made.command))
+    return replace(made, separation=separation(model_a, model_b, task, made.command))

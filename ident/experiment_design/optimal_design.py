@@ -75,8 +75,8 @@ class Design:
 
     def _by_name(self, information: Array) -> dict[str, float]:
         """Return the standard errors of the parameters `task.learned` by an information matrix (q, q)."""
-        q = len(self.task.learned)
-        return dict(zip(self.task.learned, errors_of(information)[:q].tolist(), strict=True))
+        q = len(self.task.observed_parameters)
+        return dict(zip(self.task.observed_parameters, errors_of(information)[:q].tolist(), strict=True))
 
 
 def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
@@ -98,16 +98,21 @@ def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
     -----
     The information is that of prediction error with all sensors at their rates, and with unknown noise parameters.
     """
-    fine, q = task.finer, len(task.learned)
+    fine, q = task.finer, len(task.observed_parameters)
     model = fine.observed(task.model)
     u = fine.actuation.inputs(command[:, :, None])[:, :, 0]
     record = planned_record(model, fine.t, u, fine.every)
-    free = [*task.learned, *[p.name for p in model.parameters if p.free and p.name not in task.learned]]
+    free = [
+        *task.observed_parameters,
+        *[p.name for p in model.parameters if p.free and p.name not in task.observed_parameters],
+    ]
     inflation = np.array([task.inflation.get(n, 1.0) for n in free])
     F = prediction_information(model, record, free=free) / np.outer(inflation, inflation)
     F = F + prior_information([model.parameter(n) for n in free])
-    F[:q, :q] = F[:q, :q] - prior_information([model.parameter(n) for n in task.learned]) + task.prior[:q, :q]
-    return dict(zip(task.learned, errors_of(F)[:q].tolist(), strict=True))
+    F[:q, :q] = (
+        F[:q, :q] - prior_information([model.parameter(n) for n in task.observed_parameters]) + task.prior[:q, :q]
+    )
+    return dict(zip(task.observed_parameters, errors_of(F)[:q].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -199,7 +204,7 @@ def design(
     levels = np.clip(levels.round(LEVEL_DIGITS), -n_max, n_max)
     rounded = task.actuation.limited(levels[:, :, None], durations[:, None])
     (value,), (singular,) = task.criterion_of(rounded)
-    (beyond,) = task.broken(rounded)
+    (beyond,) = task.violation(rounded)
     if value <= SINGULAR or singular > 0:
         raise SeatrialError(_uninformative(task, float(singular)))
     if beyond > 10.0**-LEVEL_DIGITS:
@@ -289,7 +294,7 @@ def search_design(
 
 def _uninformative(task: DesignProblem, singular: float) -> str:
     """Return the message for a design without information about some parameters; ``singular``: share of samples."""
-    names = ", ".join(task.chosen or task.learned)
+    names = ", ".join(task.chosen or task.observed_parameters)
     where = (
         f" in all of the {task.robust} parameter samples (singular in {100 * singular:.0f} %)" if task.robust else ""
     )

@@ -110,7 +110,7 @@ class DesignProblem:
         Limits of the mission.
     slew
         Largest rate of change of a command [1/s].
-    belief
+    prior_distribution
         Prior of the parameters. By default it is uniform within ``PRIOR_HALFWIDTH``.
     earlier : Array (k, k)
         Information of earlier logs about the parameters ``belief.names``.
@@ -140,7 +140,7 @@ class DesignProblem:
     rates: Mapping[str, float] = field(default_factory=dict)
     limits: DesignLimits = field(default_factory=DesignLimits)
     slew: float = np.inf
-    belief: ParameterPrior | None = None
+    prior_distribution: ParameterPrior | None = None
     earlier: Array | None = None
     inflation: Mapping[str, float] = field(default_factory=dict)
     validity: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -211,14 +211,17 @@ class DesignProblem:
         return replace(self, grid=self.grid / max(1, round(most * self.grid)))
 
     @cached_property
-    def learned(self) -> tuple[str, ...]:
+    def observed_parameters(self) -> tuple[str, ...]:
         """Names of the shared dynamic parameters that the sensors observe."""
         return self._visible(dynamic_parameters(self.model))
 
     @cached_property
     def free(self) -> tuple[str, ...]:
         """Names of ``learned`` and of the per-record nuisance parameters that the sensors observe."""
-        return (*self.learned, *self._visible([p.name for p in self.model.parameters if p.free and p.per_record]))
+        return (
+            *self.observed_parameters,
+            *self._visible([p.name for p in self.model.parameters if p.free and p.per_record]),
+        )
 
     def _visible(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return the parameters with non-zero information, on which at least one output depends."""
@@ -236,16 +239,16 @@ class DesignProblem:
         It has the priors of nuisance parameters, and the information of earlier logs. Without earlier logs it has the
         priors of parameters that the bench or the user gives. The information of earlier logs includes these priors.
         """
-        q = len(self.learned)
+        q = len(self.observed_parameters)
         prior = np.zeros((len(self.free), len(self.free)))
         prior[q:, q:] = prior_information([self.model.parameter(n) for n in self.free[q:]])
-        if self.earlier is not None and self.belief is not None:
-            shared = [n for n in self.belief.names if n in self.learned]
-            rows = [self.learned.index(n) for n in shared]
-            earlier_rows = [self.belief.names.index(n) for n in shared]
+        if self.earlier is not None and self.prior_distribution is not None:
+            shared = [n for n in self.prior_distribution.names if n in self.observed_parameters]
+            rows = [self.observed_parameters.index(n) for n in shared]
+            earlier_rows = [self.prior_distribution.names.index(n) for n in shared]
             prior[np.ix_(rows, rows)] += self.earlier[np.ix_(earlier_rows, earlier_rows)]
         else:  # for example a thrust curve from the bench, which no mission can identify
-            of_learned = [self.model.parameter(n) for n in self.learned]
+            of_learned = [self.model.parameter(n) for n in self.observed_parameters]
             given = np.array([p.provenance is not ESTIMATED for p in of_learned], dtype=float)
             prior[:q, :q] = prior_information(of_learned) * given
         return prior
@@ -253,12 +256,12 @@ class DesignProblem:
     @cached_property
     def measure(self) -> Criterion:
         """Criterion of the chosen parameters. Raises SeatrialError if one of them is not observed."""
-        chosen = self.chosen or self.learned
-        unobserved = [n for n in chosen if n not in self.learned]
+        chosen = self.chosen or self.observed_parameters
+        unobserved = [n for n in chosen if n not in self.observed_parameters]
         if unobserved:
             raise SeatrialError(
                 f"{unobserved[0]!r} cannot be estimated with model {self.model.name} from these sensors; "
-                f"choose from {', '.join(self.learned)}"
+                f"choose from {', '.join(self.observed_parameters)}"
             )
         return Criterion(
             self.criterion, tuple(self.free.index(n) for n in chosen), characteristic_steps(self.model, self.free)
@@ -295,7 +298,9 @@ class DesignProblem:
     def belief_or_box(self) -> ParameterPrior:
         """Prior ``belief``; without it the default box of the observed parameters that are estimated."""
         known = self.model.parameter
-        return self.belief or ParameterPrior(tuple(n for n in self.learned if known(n).provenance is ESTIMATED))
+        return self.prior_distribution or ParameterPrior(
+            tuple(n for n in self.observed_parameters if known(n).provenance is ESTIMATED)
+        )
 
     def samples(self, n: int, purpose: int) -> Array:
         """Return parameters (n, n_parameters) drawn from the prior; ``purpose`` selects the random stream."""
@@ -313,7 +318,7 @@ class DesignProblem:
         return in_current(self.experiments.model, self.samples(n, purpose), self.limits.current, rng)
 
     @cached_property
-    def reach(self) -> TrackExtent:
+    def track_extent(self) -> TrackExtent:
         """Track extent of the nominal boat and of sampled boats with process noise, all from the same start."""
         nominal = self.experiments.values
         return TrackExtent(self.model, self.t_whole, np.vstack([nominal, self.boats(N_TRACKS, 2)]), [self.seed, 30])
@@ -325,7 +330,7 @@ class DesignProblem:
     def judge(self, command: Array) -> tuple[Array, Array]:
         """Return criterion (n,) and violation of the limits (n,) of commands (n_rows, n_channels, n)."""
         value, singular = self.criterion_of(command)
-        return value, self.broken(command) + singular
+        return value, self.violation(command) + singular
 
     def judge_above(self, command: Array, least: float) -> tuple[Array, Array]:
         """Return the same as `judge` for a search that only asks whether commands are better than the merit ``least``.
@@ -336,7 +341,7 @@ class DesignProblem:
             return self.judge(command)
         value = np.full(command.shape[2], SINGULAR)
         if violates_constraint(least):  # every command within the limits is better
-            violation = self.broken(command)
+            violation = self.violation(command)
             kept = violation == 0.0
             if kept.any():
                 value[kept], violation[kept] = self.criterion_of(command[:, :, kept])
@@ -344,7 +349,7 @@ class DesignProblem:
         value, violation = self.criterion_of(command)
         better = (value > least) & (violation == 0.0)
         if better.any():
-            violation[better] = self.broken(command[:, :, better])
+            violation[better] = self.violation(command[:, :, better])
         return value, violation
 
     def criterion_of(self, command: Array) -> tuple[Array, Array]:
@@ -391,7 +396,7 @@ class DesignProblem:
         """
         return self.measure(self.information(u, values) + self.prior)
 
-    def broken(self, command: Array) -> Array:
+    def violation(self, command: Array) -> Array:
         """Return the violation of the limits by commands (n_rows, n_channels, n).
 
         The violation (n,) is the sum of the relative excesses over all limits; 0 if all limits are kept.
@@ -408,7 +413,7 @@ class DesignProblem:
 
         ``command``: commands (n_rows, n_channels, n).
         """
-        parts = [self.reach(self.whole_inputs(some)) for some in self._slices(command, self.t_whole.size, 1)]
+        parts = [self.track_extent(self.whole_inputs(some)) for some in self._slices(command, self.t_whole.size, 1)]
         low, high = (np.concatenate(side) for side in zip(*parts, strict=True))
         return low.min(axis=1), high.max(axis=1)
 

@@ -234,7 +234,7 @@ class EffectKind(StrEnum):
     SENSOR_OFFSET = "sensor-offset"  # a random-walk offset or a latency of a sensor, for the filter
 
     @property
-    def unknown(self) -> bool:
+    def nonparametric(self) -> bool:
         """Return whether no catalogue has a name for the effect."""
         return self in (EffectKind.NONPARAMETRIC, EffectKind.LAGGED, EffectKind.RESONANT)
 

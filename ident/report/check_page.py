@@ -118,7 +118,7 @@ def _facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str
 
 def _count(log: CheckEvidence) -> int:
     """Return the approximate number of traces that the curves of a log need."""
-    return sum(len(rows) for rows in (log.intervals, log.shafts, log.push, log.sensors, log.signals)) + 2
+    return sum(len(rows) for rows in (log.intervals, log.shafts, log.thrust_response, log.sensors, log.signals)) + 2
 
 
 def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
@@ -219,7 +219,7 @@ def _section(
 def _thrust_response(log: CheckEvidence, limit: int) -> list[Panel]:
     """Return a panel for each motion: measured, and expected from the thrust."""
     panels = []
-    for row in log.push:
+    for row in log.thrust_response:
         factor, unit = formatting.degrees_for(row.unit)
         traces = [
             dots(row.t, factor * row.measured, "measured", limit),
@@ -261,7 +261,7 @@ def _sensors(log: CheckEvidence, limit: int) -> list[Panel]:
     for row in log.sensors:
         factor, unit = formatting.degrees_for(row.unit)
         first, second = row.names
-        traces = [dots(row.t, factor * row.one, first, limit), line_trace(row.t, factor * row.other, second, limit)]
+        traces = [dots(row.t, factor * row.first, first, limit), line_trace(row.t, factor * row.second, second, limit)]
         panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
     return panels
 

@@ -81,7 +81,7 @@ def diagnosis_result(
     before, after = evaluation.before, evaluation.after
     with_effects, reported = after if diagnosis.effects else None, ReportedEstimates(diagnosis.after.fit)
     factors = {s.unit: reported.factor(s.unit) for s in diagnosis.curves}
-    errors, role = error_tables(after, before, evaluation.changes), after.judged
+    errors, role = error_tables(after, before, evaluation.changes), after.headline_set
     prediction = prediction_change(evaluation.changes[role], role) if diagnosis.effects else None
     failed = not_converged(diagnosis.before.fit) or not_converged(diagnosis.after.fit)
     calibration = calibration_tables(after)
@@ -193,7 +193,11 @@ def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> s
             f"one step ahead, but the prediction is as good without {them}."
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
-    why = "the validation data do not support the effects that were added" if last.chosen is not None else last.why
+    why = (
+        "the validation data do not support the effects that were added"
+        if last.chosen is not None
+        else last.explanation
+    )
     if min(s.p for s in last.scores) > CHANCE_P:
         return f"The data show no missing effect: {_passed(last)} passed the score test, but {why}."
     return f"The residuals contradict the model, but no candidate explains them: {why}."
@@ -356,7 +360,7 @@ def _round(search_round: Round) -> parts.Round:
                 df=s.df,
                 p=s.p,
                 p_block=finite(s.p_block),
-                generic=s.generic,
+                generic=s.nonparametric,
                 threshold=s.threshold,
                 passed=s.name in search_round.passed,
             )
@@ -370,7 +374,7 @@ def _round(search_round: Round) -> parts.Round:
             for u in search_round.untested
         ),
         chosen=search_round.chosen.effect.name if search_round.chosen else None,
-        why=search_round.why,
+        why=search_round.explanation,
     )
 
 
@@ -440,7 +444,7 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 reasons=tuple(judged.reasons),
                 not_excluded=tuple(judged.not_excluded),
                 parameters=_own(r, diagnosis.after),
-                error_ratio_without=finite(weight.error),
+                error_ratio_without=finite(weight.error_ratio),
                 gain_last=finite(weight.gain),
             )
         )
@@ -517,7 +521,7 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
         elif diagnosis.removed:
             notes.append(f"Candidates that pass the score test of the model without effects: {_left(diagnosis)}.")
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
-        why = diagnosis.rounds[-1].why
+        why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [
         f"{r.effect.title} was added and removed again: {_removal_reason(r)} (d ln L of the validation data "

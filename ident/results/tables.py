@@ -189,11 +189,11 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
 
     None if no channel is predicted over the horizon.
     """
-    found = evaluation.sets[evaluation.judged].explained
+    found = evaluation.sets[evaluation.headline_set].explained
     if not found.channels:
         return None
     low, high = finite(1 - found.high), finite(1 - found.low)
-    return PredictionFit(role=evaluation.judged, fit=1 - found.ratio, low=low, high=high)
+    return PredictionFit(role=evaluation.headline_set, fit=1 - found.ratio, low=low, high=high)
 
 
 def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChange | None:

@@ -448,7 +448,9 @@ def repeat_design(made: Design, n: int, seed: int) -> list[RepeatStatistics]:
     case = designed_case(made)
     rows = [row for k in range(0, n, BATCH) for row in run_replicates(case, range(k, min(k + BATCH, n)), seed)]
     good = [row for row in rows if row.get("converged")]
-    return [_delivered(made, name, np.array([row["d"][name] for row in good])) for name in made.task.learned]
+    return [
+        _delivered(made, name, np.array([row["d"][name] for row in good])) for name in made.task.observed_parameters
+    ]
 
 
 def _delivered(made: Design, name: str, d: Array) -> RepeatStatistics:

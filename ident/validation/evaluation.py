@@ -180,7 +180,7 @@ class PredictionEvaluation:
     residuals: tuple[ChannelResiduals, ...]
 
     @property
-    def judged(self) -> Literal["estimation", "validation"]:
+    def headline_set(self) -> Literal["estimation", "validation"]:
         """Name of the set that headlines report: validation if validation data exist, else estimation."""
         return "estimation" if self.validation is None else "validation"
 

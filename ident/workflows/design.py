@@ -274,7 +274,7 @@ def designed_mission(
         ),
     )
     units, model = reported_units(made.task.model), made.task.model
-    factors = {name: units.factor(model.parameter(name).unit) for name in made.task.learned}
+    factors = {name: units.factor(model.parameter(name).unit) for name in made.task.observed_parameters}
     predicted, before = (
         {k: float(f"{v * factors[k]:.4g}") for k, v in errors.items() if np.isfinite(v)}
         for errors in (made.predicted, made.before)
@@ -347,7 +347,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     if not dynamic_parameters(model):
         raise SeatrialError(f"model {model.name} has no free parameters to estimate")
     if saved is None:
-        task = replace(task, belief=ParameterPrior(task.learned, request.spread))
+        task = replace(task, prior_distribution=ParameterPrior(task.observed_parameters, request.spread))
     else:
         belief = prior_from_fit(saved)
         earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
@@ -362,7 +362,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
 
 def _chosen(task: DesignProblem) -> tuple[str, ...]:
     """Return the parameters of the criterion."""
-    return task.chosen or task.learned
+    return task.chosen or task.observed_parameters
 
 
 def _between(task: DesignProblem, request: DesignRequest, reporter: Reporter) -> tuple[Design, Discrimination]:
@@ -383,8 +383,8 @@ def _between(task: DesignProblem, request: DesignRequest, reporter: Reporter) ->
     first, second = request.between
     row = Discrimination(
         effects=(first, second),
-        if_second=made.apart[0],
-        if_first=made.apart[1],
+        if_second=made.separation[0],
+        if_first=made.separation[1],
         clear=made.clear,
         random=np.array(random_criteria),
     )
@@ -475,7 +475,7 @@ def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedPa
             value=p.value * units.factor(p.unit), before=reported(before, p), after=reported(after, p),
             form=reported(made.errors, p), baseline=reported(baseline, p), chosen=p.name in chosen,
         )
-        for p in (model.parameter(name) for name in made.task.learned)
+        for p in (model.parameter(name) for name in made.task.observed_parameters)
     )  # fmt: skip
 
 

@@ -68,7 +68,7 @@ def checked_log() -> CheckEvidence:
         intervals=(SampleIntervals("ahrs", t[1:], late, 0.02),
                    SampleIntervals("tide", t[1::50], np.full(10, 5.0), None)),
         shafts=(ShaftResponse("left", t, np.roll(told, 3), t[::60], told[::60], 48.0),),
-        push=(ThrustResponseCurve("yaw rate", "rad/s", t, noisy, -r),),
+        thrust_response=(ThrustResponseCurve("yaw rate", "rad/s", t, noisy, -r),),
         sensors=(SensorPair("yaw rate", "rad/s", ("of the heading, over 1 s", "of the gyro"), t, r, noisy),),
         signals=(SignalCurve("psi", "rad", t, heading, True),
                  SignalCurve("ax", "m/s2", t, rng.normal(size=t.size), False)),

@@ -78,7 +78,7 @@ def test_what_a_mixture_would_miss_most_comes_first() -> None:
     assert first.effect.name == "delay"
     assert found.effects[0].effect.name == "turning-resistance"
     assert [w.effect for w in found.importances] == [r.effect.name for r in found.effects]
-    assert found.importances[0].error > found.importances[1].error
+    assert found.importances[0].error_ratio > found.importances[1].error_ratio
     assert {j.effect for j in found.attributions} == {r.effect.name for r in found.effects}
 
 

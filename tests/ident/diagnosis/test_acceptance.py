@@ -139,10 +139,10 @@ def test_every_condition_counts(given: dict[str, Any], accepted: bool) -> None:
 )
 def test_what_pays_and_what_predicts(prediction: Any, error: float, predicts: bool, pays: bool) -> None:
     weight = EffectImportance("wind", 100.0, error, 30.0, 4.0, prediction)
-    assert (weight.predicts, weight.pays) == (predicts, pays)
-    assert replace(weight, t=1.9).pays is (predicts and pays)  # a better prediction is support as well
-    assert not replace(weight, t=0.9).pays
-    assert not EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction).pays
+    assert (weight.improves_prediction, weight.supported) == (predicts, pays)
+    assert replace(weight, t=1.9).supported is (predicts and pays)  # a better prediction is support as well
+    assert not replace(weight, t=0.9).supported
+    assert not EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction).supported
 
 
 @pytest.mark.parametrize(
@@ -160,5 +160,7 @@ def test_a_round_that_added_nothing_says_how_far_the_best_came(outcomes: Any, of
     refits = tuple(replace(refit(), outcome=o) for o in outcomes)
     one = Round((), (), refits, None)
     assert one.outcome is of_round
-    assert ("wind" in one.why) is (of_round in (Outcome.WORSE_PREDICTION, Outcome.SMALL))  # names whom it is about
-    assert ("small compared with the effects found" in one.why) is (of_round is Outcome.SMALL)
+    assert ("wind" in one.explanation) is (
+        of_round in (Outcome.WORSE_PREDICTION, Outcome.SMALL)
+    )  # names whom it is about
+    assert ("small compared with the effects found" in one.explanation) is (of_round is Outcome.SMALL)

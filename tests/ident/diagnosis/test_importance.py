@@ -69,5 +69,5 @@ def test_an_effect_without_which_nothing_can_be_fitted_has_no_weight(monkeypatch
     rounds = [Round((), (), (c,), c) for c in (one, other)]
     lift, wind = effect_importance(before, other.fitted, [one, other], rounds, [], [])
     assert (lift.effect, lift.gain, lift.untested) == ("lift", 60.0, None)
-    assert (wind.effect, wind.untested, wind.pays) == ("wind", "x0", False)
-    assert np.isnan([wind.gain, wind.error, wind.t]).all()
+    assert (wind.effect, wind.untested, wind.supported) == ("wind", "x0", False)
+    assert np.isnan([wind.gain, wind.error_ratio, wind.t]).all()

@@ -74,8 +74,10 @@ def test_the_same_seed_makes_the_same_design_and_the_search_beats_chance() -> No
     task = one.task
     value, _ = task.judge(task.commands(task.steps.random(64, np.random.default_rng(9))))
     assert one.value > value.max() + 0.5
-    assert set(one.predicted) == set(task.learned)
-    for name in task.learned:  # all sensors at 10 Hz, noise unknown: a little other than the search's own bound
+    assert set(one.predicted) == set(task.observed_parameters)
+    for (
+        name
+    ) in task.observed_parameters:  # all sensors at 10 Hz, noise unknown: a little other than the search's own bound
         assert one.predicted[name] == pytest.approx(one.errors[name], rel=0.05)
 
 
@@ -376,7 +378,7 @@ def test_delay_and_lag_are_told_apart_better_than_by_random_missions() -> None:
         for z in task.steps.random(4, np.random.default_rng(8))
     ]
     assert found.clear
-    assert min(found.apart) > 2 * max(random)
+    assert min(found.separation) > 2 * max(random)
     with pytest.raises(SeatrialError, match="different sensors"):
         discriminate(a, late(horizontal_model(sensors=("gyro",), current=False), "lag"), task)
 

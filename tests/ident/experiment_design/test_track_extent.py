@@ -35,7 +35,7 @@ SECONDS, N = 60.0, 200
 def circles() -> tuple[DesignProblem, Array]:
     """A boat that turns to one side, then to the other: inputs (n_rows, n_inputs, 1)."""
     task = DesignProblem(
-        horizontal_model(current=False), StepInput(4, 2, SECONDS, 1.0, GRID), belief=ParameterPrior((), 0.0)
+        horizontal_model(current=False), StepInput(4, 2, SECONDS, 1.0, GRID), prior_distribution=ParameterPrior((), 0.0)
     )
     levels = np.array([[[0.5], [0.3]], [[0.3], [0.5]], [[0.6], [0.3]], [[0.3], [0.6]]])
     return task, task.actuation.inputs(task.actuation.limited(levels, np.full((4, 1), SECONDS / 4)))
@@ -129,7 +129,9 @@ def test_the_area_holds_the_rest_before_and_the_coasting_after() -> None:
     """A current takes the boat along for the whole mission, and thrust ends with the steps, not with the motion."""
     model = horizontal_model().with_values({"s_u": 1e-9, "s_v": 1e-9, "s_r": 1e-9})
     limits = DesignLimits(area=(9.0, 9.0), current=0.2)
-    task = DesignProblem(model, StepInput(2, 2, 20.0, 1.0, GRID), limits=limits, belief=ParameterPrior((), 0.0), seed=2)
+    task = DesignProblem(
+        model, StepInput(2, 2, 20.0, 1.0, GRID), limits=limits, prior_distribution=ParameterPrior((), 0.0), seed=2
+    )
     command = np.zeros((task.t.size, 2, 2))
     command[:, :, 1] = 0.5
     fastest = max(np.abs(task.boats(N_TRACKS, 2)[:, list(model.values).index("V_x")]))
@@ -148,11 +150,11 @@ def test_noise_and_current_cost_room() -> None:
     steps = StepInput(8, 2, SECONDS, 1.0, GRID)
     calm = horizontal_model().with_values({"s_u": 1e-6, "s_v": 1e-6, "s_r": 1e-6})
     quiet, noisy, drifting = (
-        DesignProblem(model, steps, belief=belief, limits=DesignLimits(area=area, current=current), seed=3)
+        DesignProblem(model, steps, prior_distribution=belief, limits=DesignLimits(area=area, current=current), seed=3)
         for model, current in ((calm, 0.0), (horizontal_model(), 0.0), (horizontal_model(), 0.2))
     )
     command = quiet.commands(steps.random(12, np.random.default_rng(4)))
-    broken = [task.broken(command) for task in (quiet, noisy, drifting)]
+    broken = [task.violation(command) for task in (quiet, noisy, drifting)]
     assert (broken[1] >= broken[0] - 1e-6).all()
     assert broken[1].sum() > broken[0].sum() + 0.1
     assert broken[2].sum() > broken[1].sum() + 0.1

@@ -33,7 +33,7 @@ def test_swapped_sides_are_mirror_images(tmp_path: Path) -> None:
     """The curves of the page say what the finding says."""
     for case, sign in ((None, 1.0), (CASES[0], -1.0)):
         log = logged(tmp_path / f"{sign:g}.mcap", 3, case, actuators=True)
-        curves = {row.title: row for row in log_evidence(log)[0].push}
+        curves = {row.title: row for row in log_evidence(log)[0].thrust_response}
         turning, ahead = curves["yaw rate"], curves["speed ahead over ground"]
         both = np.corrcoef(turning.measured, turning.expected)[0, 1]
         assert sign * both > 0.8
