@@ -113,7 +113,7 @@ class DesignProblem:
     prior_distribution
         Prior of the parameters. By default it is uniform within ``PRIOR_HALFWIDTH``.
     earlier : Array (k, k)
-        Information of earlier logs about the parameters ``belief.names``.
+        Information of earlier logs about the parameters ``prior_distribution.names``.
     inflation
         Robust standard error over that by the information, by parameter, in earlier logs with correlated residuals.
         New logs are expected to have the same ratio.
@@ -296,7 +296,7 @@ class DesignProblem:
 
     @cached_property
     def belief_or_box(self) -> ParameterPrior:
-        """Prior ``belief``; without it the default box of the observed parameters that are estimated."""
+        """Prior ``prior_distribution``; without it the default box of the observed parameters that are estimated."""
         known = self.model.parameter
         return self.prior_distribution or ParameterPrior(
             tuple(n for n in self.observed_parameters if known(n).provenance is ESTIMATED)

@@ -352,7 +352,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
         belief = prior_from_fit(saved)
         earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
         task = replace(
-            task, belief=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity,
+            task, prior_distribution=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity,
             fitted_rates=saved.rates,
         )  # fmt: skip
     compared = hypotheses(model, request.between) if request.between else ()

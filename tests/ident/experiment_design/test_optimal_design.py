@@ -86,7 +86,7 @@ LIMITS = DesignLimits(area=(40.0, 30.0), speed=1.1, energy=0.5)
 
 def test_limits_are_kept() -> None:
     belief = ParameterPrior(("d_v", "d_r", "m_r"), 0.05)
-    made = design(boat_task(50.0, 10, slew=2.0, limits=LIMITS, belief=belief, seed=2), evaluations=800)
+    made = design(boat_task(50.0, 10, slew=2.0, limits=LIMITS, prior_distribution=belief, seed=2), evaluations=800)
     task, command = made.task, made.command
     assert made.durations.sum() == pytest.approx(50.0)
     assert made.durations.min() >= 1.0 - 1e-9
@@ -129,7 +129,7 @@ def test_chosen_parameters_and_earlier_logs_change_the_design() -> None:
     for_all = design(boat_task(), evaluations=1200)
     assert for_sway.value > for_sway.task.measure(for_all.information[None])[0]
     known = ParameterPrior(("m_v", "d_v"), covariance=np.diag([1e-4, 1e-4]))
-    later = replace(for_all.task, belief=known, earlier=np.diag([1e4, 1e4]))
+    later = replace(for_all.task, prior_distribution=known, earlier=np.diag([1e4, 1e4]))
     again = design(later, evaluations=600)
     assert again.before["d_v"] == pytest.approx(0.01)
     assert again.errors["d_v"] < 0.01
@@ -138,7 +138,7 @@ def test_chosen_parameters_and_earlier_logs_change_the_design() -> None:
 
 
 def test_a_robust_design_is_better_on_average() -> None:
-    task = boat_task(40.0, 8, belief=ParameterPrior(("m_u", "m_v", "m_r", "d_v", "d_r", "d_rr", "d_uu"), 0.25), seed=3)
+    task = boat_task(40.0, 8, prior_distribution=ParameterPrior(("m_u", "m_v", "m_r", "d_v", "d_r", "d_rr", "d_uu"), 0.25), seed=3)
     nominal, judge = design(task, evaluations=500), replace(task, robust=6)
     robust = design(judge, evaluations=500, warm=nominal.found.z[None])
     value = judge.judge(np.stack([nominal.command, robust.command], axis=2))[0]
@@ -244,7 +244,7 @@ def test_other_boats_are_drawn_from_what_is_believed_within_the_bounds() -> None
     task = DesignProblem(follower(1.0), StepInput(4, 1, 10.0, 1.0, GRID))
     command = {"design": task.commands(task.steps.random(1, np.random.default_rng(1)))[:, :, 0]}
     box, known = (
-        np.ptp(monte_carlo(replace(task, belief=belief), command, n=50).values["design"])
+        np.ptp(monte_carlo(replace(task, prior_distribution=belief), command, n=50).values["design"])
         for belief in (ParameterPrior(("T",)), ParameterPrior(("T",), covariance=np.array([[1e-8]])))
     )
     assert known < 0.01 * box
@@ -261,7 +261,7 @@ def test_errors_that_correlated_residuals_made_larger_stay_so() -> None:
     command = task.finer.actuation.limited(levels, durations)[:, :, 0]
     plain = predicted_errors(task, command)["T"]
     known = ParameterPrior(("T",), covariance=np.array([[(3.0 * plain) ** 2]]))
-    again = replace(task, belief=known, earlier=np.array([[(3.0 * plain) ** -2]]), inflation={"T": 3.0})
+    again = replace(task, prior_distribution=known, earlier=np.array([[(3.0 * plain) ** -2]]), inflation={"T": 3.0})
     assert predicted_errors(again, command)["T"] == pytest.approx(3.0 * plain / np.sqrt(2.0))
     u = task.actuation.inputs(task.actuation.limited(levels, durations))
     np.testing.assert_allclose(again.information(u), task.information(u) / 9.0)
