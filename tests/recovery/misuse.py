@@ -230,7 +230,7 @@ def outcomes(seeds: Sequence[int], kinds: Sequence[str], rigs: Sequence[str], fo
 
 def table(rows: Sequence[Outcome]) -> str:
     """Markdown: a line a kind."""
-    lines = ["| mistake | rigs | refused by its name | refused | code |", "|---|---|---|---|---|"]
+    lines = ["| mistake | rigs | refused with its code | refused | code |", "|---|---|---|---|---|"]
     for kind in dict.fromkeys(r.kind for r in rows if r.kind):
         its = [r for r in rows if r.kind == kind]
         rigs = ", ".join(dict.fromkeys(r.rig for r in its))
@@ -244,10 +244,11 @@ def summary(rows: Sequence[Outcome]) -> str:
     """What came of it, in a sentence."""
     right, wrong = [r for r in rows if not r.kind], [r for r in rows if r.kind]
     kinds = len({r.kind for r in wrong})
+    refused = sum(r.line is not None for r in wrong)
     return (
-        f"{kinds} kinds of mistakes in {len(wrong)} logs: {sum(r.line is not None for r in wrong)} refused, "
-        f"{sum(r.named for r in wrong)} by the name of the mistake. Of {len(right)} logs without one "
-        f"{sum(r.line is not None for r in right)} were refused."
+        f"{kinds} kinds of mistakes were tested in {len(wrong)} logs. {refused} logs were "
+        f"refused, {sum(r.named for r in wrong)} of them with the code of the mistake. Of {len(right)} logs without a "
+        f"mistake, {sum(r.line is not None for r in right)} were refused."
     )
 
 
@@ -268,15 +269,15 @@ def main(words: Sequence[str] | None = None) -> int:
     if given.docs:
         text = (
             "# Logs with a mistake\n\n"
-            "Missions of mock boats, imported with one mistake each, and given to `seatrial ident vehicle`. It looks "
-            "at its logs [first](how-to/check.md) and refuses those of which a fit would mean nothing, by one line "
-            "that names what was found, where, and what to write. Rigs: all sensors of a mock boat (full); heading, "
-            "yaw rate and positions (position); heading and positions (compass); heading, yaw rate, positions and "
-            "velocities of the body (body).\n\n"
+            "Each log is a mission of a mock boat, imported with one mistake, and passed to `seatrial ident vehicle`. "
+            "The command [checks](how-to/check.md) its logs first and refuses logs for which a fit would be "
+            "meaningless. One line states the finding, its place, and the entry to correct. The rigs are: all sensors "
+            "of a mock boat (full); heading, yaw rate and positions (position); heading and positions (compass); "
+            "heading, yaw rate, positions and velocities of the body (body).\n\n"
             f"    python -m tests.recovery.misuse --boats {given.boats} --seed {given.seed} --docs\n\n"
             f"{summary(rows)}\n\n{table(rows)}\n\n"
-            "Without a second sensor nothing is known of its scale: time that runs twice as fast, with heading and "
-            "positions only, is not found.\n"
+            "The scale of a signal is only checked against a second sensor. Time that runs twice as fast, with heading "
+            "and positions only, is therefore not found.\n"
         )
         (ROOT / "docs/misuse.md").write_text(text, encoding="utf-8")
     return int(any(bool(r.kind) != (r.line is not None) for r in rows))

@@ -256,9 +256,13 @@ def test_the_readme_has_the_figures_of_the_cases_that_are_kept() -> None:
     words, z = [verdict(r) for r in lacking], [z for r in clean for z in r["z"].values()]
     readme = (root / "README.md").read_text(encoding="utf-8")
     assert {verdict(r) for r in clean} == {rigs.RIGHT}
-    assert f"({len(clean)} boats that lack nothing, on {len(RIGS)} kinds of rig: of none something is said" in readme
-    assert f"{np.mean(np.abs(z) <= 3):.1%}".replace("%", " %") + " of the estimates are within three" in readme
-    assert f"{np.mean(np.abs(z) <= 1.96):.1%}".replace("%", " %") + " of the 95 % intervals hold the truth" in readme
-    told = f"of {words.count(rigs.NAMED) + words.count(rigs.LIKENED)} it is named or likened, of "
-    assert f"{len(lacking)} boats with one of 14 effects" in readme
-    assert f"{told}{words.count(rigs.WRONG)} a wrong name is sure" in readme
+    readme = " ".join(readme.split())
+    assert f"on {len(RIGS)} kinds of rig" in readme
+    assert f"{len(clean)} boats had no missing effect. In no case was an effect reported as missing." in readme
+    assert f"{np.mean(np.abs(z) <= 3):.1%}".replace("%", " %") + " are within three standard errors" in readme
+    assert f"{np.mean(np.abs(z) <= 1.96):.1%}".replace("%", " %") + " of the 95 % intervals contain the truth" in readme
+    found = words.count(rigs.NAMED) + words.count(rigs.LIKENED)
+    assert f"{len(lacking):,} boats had one of 14 effects." in readme
+    assert f"In {found:,} of {len(lacking):,} cases the effect was identified or listed as likely." in readme
+    assert not words.count(rigs.WRONG)
+    assert "In no case was a wrong effect given as certain" in readme
