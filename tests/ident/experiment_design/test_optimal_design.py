@@ -138,7 +138,9 @@ def test_chosen_parameters_and_earlier_logs_change_the_design() -> None:
 
 
 def test_a_robust_design_is_better_on_average() -> None:
-    task = boat_task(40.0, 8, prior_distribution=ParameterPrior(("m_u", "m_v", "m_r", "d_v", "d_r", "d_rr", "d_uu"), 0.25), seed=3)
+    task = boat_task(
+        40.0, 8, prior_distribution=ParameterPrior(("m_u", "m_v", "m_r", "d_v", "d_r", "d_rr", "d_uu"), 0.25), seed=3
+    )
     nominal, judge = design(task, evaluations=500), replace(task, robust=6)
     robust = design(judge, evaluations=500, warm=nominal.found.z[None])
     value = judge.judge(np.stack([nominal.command, robust.command], axis=2))[0]
