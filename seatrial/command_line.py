@@ -66,7 +66,7 @@ COMMANDS = {
 }
 # The modules that an extra of the installation brings (pyproject.toml).
 EXTRAS = {
-    "ident": ("casadi", "jinja2", "joblib", "llvmlite", "scipy"),
+    "ident": ("casadi", "jinja2", "joblib", "llvmlite", "platformdirs", "scipy"),
     "mavlink": ("pymavlink",),
 }
 # Commands of one part in the group of another: the parts do not import each other.

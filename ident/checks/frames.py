@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.checks import Finding
-from seatrial.ident.checks.sensors import Channels, Match, cumulative, grid
-from seatrial.ident.numerics import Array
+from seatrial.ident.checks.sensors import Channels, Match, grid
+from seatrial.ident.numerics import Array, cumulative_integral
 
 Complex = NDArray[np.complex128]
 BLOCK_S = 10.0  # least duration of a block
@@ -167,7 +167,7 @@ def windows(c: Channels, north: str, east: str) -> Windows | None:
         at = [np.interp(edges, s.t, s.value) for s in (a, b)]
     else:
         fine = np.linspace(begin, end, min(int((end - begin) / width) * 40, 400_000))
-        at = [np.interp(edges, fine, cumulative(fine, np.interp(fine, s.t, s.value))) for s in (a, b)]
+        at = [np.interp(edges, fine, cumulative_integral(fine, np.interp(fine, s.t, s.value))) for s in (a, b)]
     return Windows(edges[:-1] + width / 2, width, np.diff(at[0]) + 1j * np.diff(at[1]))
 
 
@@ -414,7 +414,7 @@ def _turned(c: Channels, forward: str, starboard: str, track: Windows) -> Turned
         return None
 
     def moved(rate: Complex) -> Complex:
-        integral = cumulative(t, rate)
+        integral = cumulative_integral(t, rate)
         ends = [np.interp(at + s * track.width / 2, t, integral) for s in (1, -1)]
         return np.asarray(ends[0] - ends[1])
 

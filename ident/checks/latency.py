@@ -37,13 +37,12 @@ from seatrial.ident.checks.sensors import (
     Channels,
     LagErrors,
     LagEstimate,
-    cumulative,
     delay_interval,
     delay_level,
     grid,
 )
 from seatrial.ident.data import Channel
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import Array, cumulative_integral
 
 YAW_WINDOW, SURGE_WINDOW = 0.5, 2.0  # s, of the increments of yaw rate and of speed
 MAX_LAG = 2.5  # s, of the search in both directions; longer than delays in practice, so that no estimate is at the end
@@ -282,9 +281,9 @@ def _lag(
     """
     if not pushes or np.std(y) < 1e-9:
         return None
-    mean = (lambda s: _slope(cumulative(m.t, s), smooth)) if smooth else (lambda s: s)
-    own = [cumulative(m.t, mean(s)) for s in terms]
-    late = [cumulative(m.t, mean(s)) for s in pushes]
+    mean = (lambda s: _slope(cumulative_integral(m.t, s), smooth)) if smooth else (lambda s: s)
+    own = [cumulative_integral(m.t, mean(s)) for s in terms]
+    late = [cumulative_integral(m.t, mean(s)) for s in pushes]
     width, most = round(window / STEP), round(MAX_LAG / STEP)
     every = max(round(EVERY / STEP), y.size // MAX_ROWS)
     at = np.arange(most, y.size - most - width, every)

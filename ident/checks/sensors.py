@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seatrial.daq.checks import FAULT, WARNING, Finding
 from seatrial.ident.data import Channel
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import Array, cumulative_integral
 
 Channels = Mapping[str, Channel]
 STEP = 0.05  # s, of the common grid
@@ -236,7 +235,7 @@ def heading_match(c: Channels) -> Match | None:
     if t.size < 200:
         return None
     turned = np.interp(t, psi.t, np.unwrap(psi.value, period=_turn(psi.value)))
-    integral = cumulative(t, np.interp(t, r.t, r.value))
+    integral = cumulative_integral(t, np.interp(t, r.t, r.value))
     width = round(WINDOW / STEP)
     moved = [float(np.std(s[width:] - s[:-width])) for s in (turned, integral)]
     if max(moved) < MIN_YAW_RATE_SD * WINDOW or min(moved) < 1e-9:
@@ -271,8 +270,8 @@ def velocity_match(c: Channels) -> Match | None:
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
     ax, ay = (np.interp(t, c[n].t, c[n].value) for n in ("ax", "ay"))
     cos, sin = np.cos(psi), np.sin(psi)
-    north = [cumulative(t, s) for s in (cos * ax - sin * ay, cos, -sin)]
-    east = [cumulative(t, s) for s in (sin * ax + cos * ay, sin, cos)]
+    north = [cumulative_integral(t, s) for s in (cos * ax - sin * ay, cos, -sin)]
+    east = [cumulative_integral(t, s) for s in (sin * ax + cos * ay, sin, cos)]
     if "r" in c:
         r = np.interp(t, c["r"].t, c["r"].value)
         north, east = [*north, -r * sin, -r * cos], [*east, r * cos, -r * sin]
@@ -306,7 +305,7 @@ def position_match(c: Channels) -> Match | None:
     position, velocity = ([np.interp(t, c[n].t, c[n].value) for n in names] for names in (("x", "y"), ("vx", "vy")))
     if t.size < 400 or np.median(np.hypot(*velocity)) < 0.1:
         return None
-    return _best(position, [[cumulative(t, v) for v in velocity]], 5.0)
+    return _best(position, [[cumulative_integral(t, v) for v in velocity]], 5.0)
 
 
 def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]:
@@ -421,11 +420,6 @@ def _best(columns: list[Array], regressors: list[list[Array]], window: float = W
     return best._replace(
         gain=1.0 - (1.0 - best.r2) / max(1.0 - unmoved, 1e-12), half=float(np.hypot(errors.estimate().half, STEP / 2))
     )
-
-
-def cumulative(t: Array, rate: NDArray[Any]) -> NDArray[Any]:
-    """Return the integral (n,) of a rate (n,) over times t (n,) [s], from zero, by the trapezoidal rule."""
-    return np.append(np.zeros(1, rate.dtype), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
 
 
 def grid(*channels: Channel) -> Array:

@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from platformdirs import user_cache_dir
+
 try:
     import llvmlite.binding as llvm
 except ImportError:  # llvmlite has no wheel for this machine; kernels are interpreted instead
@@ -55,9 +57,9 @@ CPU, FEATURES, WIDTH = _host()
 
 
 def cache_folder() -> Path:
-    """Return the folder of cached machine code: ``SEATRIAL_CACHE``, or ``~/.cache/seatrial/kernels``."""
+    """Return the folder of cached machine code: ``SEATRIAL_CACHE``, or the user's cache folder of this system."""
     chosen = os.environ.get("SEATRIAL_CACHE")
-    return Path(chosen) if chosen else Path.home() / ".cache" / "seatrial" / "kernels"
+    return Path(chosen) if chosen else Path(user_cache_dir("seatrial")) / "kernels"
 
 
 _quickly: list[object] = []

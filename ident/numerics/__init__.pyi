@@ -16,6 +16,7 @@ from .signal_processing import NORMAL_MAD as NORMAL_MAD
 from .signal_processing import SECOND_DIFFERENCE as SECOND_DIFFERENCE
 from .signal_processing import LagData as LagData
 from .signal_processing import LagFit as LagFit
+from .signal_processing import cumulative_integral as cumulative_integral
 from .signal_processing import first_order_lag as first_order_lag
 from .signal_processing import fit_first_order_lag as fit_first_order_lag
 from .signal_processing import noise_from_differences as noise_from_differences

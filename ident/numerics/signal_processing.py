@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seatrial.ident.numerics.linear_algebra import Array
 
@@ -174,3 +175,8 @@ def rounding_step(value: Array) -> float:
 def wrap(e: Array, angle: bool) -> Array:
     """Return differences e (...) wrapped to -pi to pi if they are an ``angle`` [rad]; others unchanged."""
     return np.mod(e + np.pi, 2 * np.pi) - np.pi if angle else e
+
+
+def cumulative_integral(t: Array, rate: NDArray[Any]) -> NDArray[Any]:
+    """Return the integral (n,) of a rate (n,) over times t (n,) [s], from zero, by the trapezoidal rule."""
+    return np.append(np.zeros(1, rate.dtype), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))
