@@ -1,6 +1,6 @@
-"""Catalogue of protocols: one row has all that the rest of daq needs of a protocol.
+"""Catalogue of protocols: one row describes one protocol for the rest of daq.
 
-A decoder's module is imported when the decoder is made, so that reading a rig file stays quick.
+The module of a decoder is imported when the decoder is made, so that a rig file is read quickly.
 """
 
 from __future__ import annotations
@@ -15,28 +15,29 @@ from seatrial.daq.plugins import load_or_warn, load_plugin, plugins
 from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.rig import Device, Rig
 
-GROUP = "seatrial.protocols"  # entry points by which other packages add protocols
+GROUP = "seatrial.protocols"  # group of entry points with which other packages add protocols
 
 SERIAL, CAN, NET = "serial", "can", "net"  # NET: a serial device or a socket
-GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
+GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)  # bit/s, the commonest first
 
 
 class DeviceType(NamedTuple):
-    """One protocol: its description, its bus, its keys in the rig file, its decoder."""
+    """Description of one protocol: its bus, its keys in the rig file, and its decoder."""
 
-    says: str  # description, for lists of devices
-    bus: str  # SERIAL, CAN or NET: the kind of its port
-    make: Callable[[Device, Rig], Decoder]
-    # Keys of [[device]] that the protocol has beside the common ones. The built-in ones are checked by
-    # seatrial.daq.config.rig_file; others are passed on in `Device.settings`.
+    says: str  # description of the device, for lists of devices
+    bus: str  # kind of the port: SERIAL, CAN or NET
+    make: Callable[[Device, Rig], Decoder]  # maker of the decoder
+    # Keys of [[device]] that the protocol has beside the common ones. seatrial.daq.config.rig_file checks the keys of
+    # built-in protocols. The keys of other protocols are passed on in `Device.settings`.
     options: tuple[str, ...] = ()
-    bauds: tuple[int, ...] = ()  # that `seatrial devices` tries, the commonest first; empty if it cannot be recognised
-    # Python module that an extra named like the protocol installs; "" if the protocol needs none.
+    # Baud rates that `seatrial devices` tries, the commonest first. Empty if the protocol cannot be recognised.
+    bauds: tuple[int, ...] = ()
+    # Python module that the protocol needs. The extra with the protocol's name installs it. Empty if it needs none.
     module: str = ""
 
     @property
     def installed(self) -> bool:
-        """Whether the Python module that the protocol needs is installed."""
+        """Return whether the Python module that the protocol needs is installed."""
         return not self.module or importlib.util.find_spec(self.module) is not None
 
 
@@ -149,9 +150,9 @@ BUILT_IN: dict[str, DeviceType] = {
 
 
 class DeviceTypes(Mapping[str, DeviceType]):
-    """Protocols by name: the built-in ones, then those of other packages.
+    """Mapping from protocol names to rows: the built-in protocols, then those of other packages.
 
-    The package of a protocol is imported when its row is asked for. `SeatrialError` is raised if that fails.
+    The package of a protocol is imported when its row is read. `SeatrialError` is raised if the import fails.
     """
 
     def __getitem__(self, name: str) -> DeviceType:
