@@ -1,4 +1,4 @@
-"""The driver of each kind of device."""
+"""Factory of device drivers."""
 
 from __future__ import annotations
 
@@ -9,11 +9,20 @@ from seatrial.daq.drivers.vesc import VescDriver
 from seatrial.daq.protocol import Decoder, mantracourt
 from seatrial.daq.rig import Device, Rig
 
-SPARE_IDS = (254, 253, 252)  # system ids for who only asks: no autopilot takes it for its ground station
+# System ids of a program in the role ASK. An autopilot does not take a program with such an id for its ground station.
+SPARE_IDS = (254, 253, 252)
 
 
 def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> DeviceDriver | None:
-    """The driver of a device, None for one that is only listened to. Raises SeatrialError for a bad signing key."""
+    """Return the driver of a device, or None if nothing is ever sent to the device.
+
+    For an autopilot, the driver is also set as the `listener` of `decoder`.
+
+    Raises
+    ------
+    SeatrialError
+        If the signing key of an autopilot cannot be read.
+    """
     here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     if device.protocol == "vesc":
         return VescDriver(frozenset(thruster.node for thruster in here if thruster.reversed))
@@ -28,7 +37,7 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
         return PollingDriver(decoder.request, 1.0 / (device.rate_hz * rig.speed))
     if device.mavlink is None:
         return None
-    from seatrial.daq.drivers.mavlink import MavlinkDriver  # brings pymavlink with it
+    from seatrial.daq.drivers.mavlink import MavlinkDriver  # imported here because it imports pymavlink, which is slow
     from seatrial.daq.protocol import mavlink, mavlink_wire
 
     assert isinstance(decoder, mavlink.MavlinkDecoder)
@@ -43,7 +52,10 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
 
 
 def check_keys(rig: Rig) -> None:
-    """Raises SeatrialError where a signing key of the rig cannot be read: before there is a log or a watchdog."""
+    """Raise SeatrialError if a signing key of the rig cannot be read.
+
+    The check is made before a log is written and before the watchdog is started.
+    """
     for device in rig.devices:
         if device.mavlink is not None and device.mavlink.key_file is not None:
             from seatrial.daq.protocol import mavlink_wire

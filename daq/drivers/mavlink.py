@@ -14,7 +14,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from seatrial.daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, OF_LINK_LOSS, YOUNG, parameter_names
+from seatrial.daq.drivers.ardupilot_parameters import (
+    GROUND_STATION_NAMES,
+    LINK_LOSS_PARAMETERS,
+    NEWER_PARAMETERS,
+    parameter_names,
+)
 from seatrial.daq.drivers.base import DISARMED, DeviceDriver, LinkRole, LinkStatus
 from seatrial.daq.drivers.setpoints import Due
 from seatrial.daq.errors import printable
@@ -150,7 +155,7 @@ class MavlinkDriver(DeviceDriver):
         if not self._started:
             self._started = True
             self._beat = -math.inf  # on UDP a message without a receiver is lost
-            lacked = YOUNG.union(GROUND_STATION_NAMES)
+            lacked = NEWER_PARAMETERS.union(GROUND_STATION_NAMES)
             self._awaited = {name: YOUNG_TRIES if name in lacked else PARAMETER_TRIES for name in self._names}
             self._ask_rates(now)
         elif not self._commands and now >= self._rates_at:
@@ -337,7 +342,7 @@ class MavlinkDriver(DeviceDriver):
         if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
             return b""
         # Those that decide what a lost link does come every other time.
-        urgent = [name for name in OF_LINK_LOSS if name in self._status.parameters]
+        urgent = [name for name in LINK_LOSS_PARAMETERS if name in self._status.parameters]
         others = [name for name in self._names if name in self._status.parameters and name not in urgent]
         turn, self._reread_turn, self._reread_at = self._reread_turn, self._reread_turn + 1, now
         names = (urgent if turn % 2 == 0 else others) or urgent or others
