@@ -69,7 +69,7 @@ def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, m
         assert b"mine" not in read(port)
         assert port.unparsed_bytes == 4
         assert isinstance(port, UdpPort)
-        port._heard -= SILENT_S  # as if the first had been silent for so long
+        port._heard_at -= SILENT_S  # as if the first had been silent for so long
         stranger.sendto(b"mine", ("127.0.0.1", number))
         assert read(port) == b"mine"
         assert not port.is_confirmed
@@ -220,7 +220,7 @@ def test_the_peer_is_the_first_sender_of_a_frame_of_the_autopilot(tmp_path: Path
                 sock.recv(1000)
         # After silence another address of the same autopilot is learnt again, and by a frame alone.
         assert isinstance(port, UdpPort)
-        port._heard -= SILENT_S
+        port._heard_at -= SILENT_S
         strangers[0].sendto(b"\xfd", here)
         new = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         new.settimeout(5.0)
