@@ -152,7 +152,7 @@ def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
         (("udp:127.0.0.1:14550", "tcp:host:x"), r"device\[1\].port: must be udp:HOST:PORT"),
         (("rc_channel = 1", "rc_channel = 19"), r"rc_channel: must be within 1 .. 18"),
         (("rc_channel = 3", "rc_channel = 1"), r"thruster: 'autopilot rc_channel 1' appears twice; give each its own"),
-        (("node = 1", "node = 17"), r"thruster\[1\].node: is the number of a servo output, 1 .. 16, not 17"),
+        (("node = 1", "node = 17"), r"thruster\[1\].node: must be the number of a servo output, 1 .. 16, not 17"),
         (("rpm_max = 4500.0", "pwm_us = [1500, 1500, 1900]"), r"pwm_us: must be \[full reverse, neutral"),
         (("rate_hz = 25.0", "rate_hz = 25.0\nown_system_id = 1"), r"own_system_id: 1 is the autopilot's own"),
         (("rate_hz = 25.0", 'rate_hz = 25.0\ngnss = "best"'), r"gnss: must be one of raw, fused, not 'best'"),
