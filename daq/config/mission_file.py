@@ -147,14 +147,14 @@ def _limit_slew(t: FloatArray, n: FloatArray, end: float, slew: float) -> tuple[
     out_n: list[FloatArray] = []
     for k, target in enumerate(n):
         until = t[k + 1] if k + 1 < len(t) else end
-        at = float(t[k])
+        t_row = float(t[k])
         while True:
-            step = slew * min(RAMP_DT, at - last_t)
+            step = slew * min(RAMP_DT, t_row - last_t)
             now = now + np.clip(target - now, -step, step)
-            out_t.append(at)
+            out_t.append(t_row)
             out_n.append(now)
-            last_t, at = at, at + RAMP_DT
-            if np.array_equal(now, target) or at >= until - 1e-9:
+            last_t, t_row = t_row, t_row + RAMP_DT
+            if np.array_equal(now, target) or t_row >= until - 1e-9:
                 break
     return np.array(out_t), np.array(out_n)
 
@@ -261,11 +261,11 @@ def parse_prediction(table: TomlTable | None) -> Prediction | None:
         return None
     t = np.array(table.numbers("t"), dtype=np.float64)
     x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
-    before = table.table("errors_before")
-    errors = {} if before is None else before.named_numbers()
-    found = Prediction(table.line("model"), t, x, y, radius, errors)
+    errors_table = table.table("errors_before")
+    errors = {} if errors_table is None else errors_table.named_numbers()
+    prediction = Prediction(table.line("model"), t, x, y, radius, errors)
     table.done()
-    return found
+    return prediction
 
 
 def _check_order_and_size(mission: Mission, root: TomlTable) -> None:

@@ -141,9 +141,9 @@ def _live(table: TomlTable | None) -> Live:
     if table is None:
         return Live()
     port = table.integer("port", Live.port, low=0, high=65535)
-    found = Live(table.text("host", Live.host), port, table.texts("origins", Live.origins))
+    live = Live(table.text("host", Live.host), port, table.texts("origins", Live.origins))
     table.done()
-    return found
+    return live
 
 
 def _ros2(table: TomlTable | None) -> Ros2:
@@ -155,7 +155,7 @@ def _ros2(table: TomlTable | None) -> Ros2:
         raise table.error("router", f"must be tcp/HOST:PORT, not '{router}'")
     if namespace and not NAME.fullmatch(namespace):
         raise table.error("namespace", f"'{namespace}' becomes a part of topics: a letter, then letters, digits or _")
-    found = Ros2(
+    settings = Ros2(
         router,
         table.integer("domain", Ros2.domain, low=0, high=232),
         namespace,
@@ -163,7 +163,7 @@ def _ros2(table: TomlTable | None) -> Ros2:
         table.number("timeout_s", Ros2.timeout_s, low=0.05, high=2.0),
     )
     table.done()
-    return found
+    return settings
 
 
 def _own_ports(root: TomlTable, devices: Sequence[Device]) -> None:
@@ -271,14 +271,14 @@ def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[s
     SeatrialError
         If a key is missing or has a wrong value.
     """
-    found: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     settings: dict[str, str | float | bool] = {}  # keys of a protocol of another package, which checks them itself
     for name in names:
         if name in _READ:
-            found |= _READ[name](table, folder)
+            fields |= _READ[name](table, folder)
         elif name in table.values:
             settings[name] = table.scalar(name)
-    return {**found, "settings": settings} if settings else found
+    return {**fields, "settings": settings} if settings else fields
 
 
 def _bitrate(table: TomlTable, folder: Path) -> dict[str, Any]:
@@ -317,9 +317,9 @@ def _calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
         raise inner.error("newton_per_count", "must not be zero")
     zero, ratio = inner.number("zero_counts", 0.0), inner.number("lever_ratio", 1.0, positive=True)
     gain_sd, ratio_sd = (inner.maybe_number(f"{name}_sd", low=0.0) for name in ("newton_per_count", "lever_ratio"))
-    found = LoadCellCalibration(gain, zero, ratio, gain_sd, ratio_sd)
+    calibration = LoadCellCalibration(gain, zero, ratio, gain_sd, ratio_sd)
     inner.done()
-    return {"calibration": found}
+    return {"calibration": calibration}
 
 
 def _declination(table: TomlTable, folder: Path) -> dict[str, Any]:
@@ -351,7 +351,7 @@ def _signal(table: TomlTable) -> DbcSignal:
     """Read one [[device.signal]]. Its node is a number or the name of a signal."""
     by_name = isinstance(table.values.get("node"), str)
     node: int | str = table.text("node") if by_name else table.integer("node", low=0, high=255)
-    found = DbcSignal(
+    signal = DbcSignal(
         table.text("message"),
         table.text("signal"),
         table.text("field", choices=ESC_FIELDS),
@@ -360,20 +360,20 @@ def _signal(table: TomlTable) -> DbcSignal:
         table.number("offset", 0.0),
     )
     table.done()
-    return found
+    return signal
 
 
 def read_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
     """Read the MAVLink keys of a [[device]]. Relative paths count from `folder`."""
     key = table.text("key_file", "")
     system = table.integer("system_id", 1, low=1, high=HIGHEST_ID)
-    own = table.integer("own_system_id", 255, low=1, high=HIGHEST_ID)
-    if own == system:
-        raise table.error("own_system_id", f"{own} is the system_id of the autopilot; give another")
+    own_system = table.integer("own_system_id", 255, low=1, high=HIGHEST_ID)
+    if own_system == system:
+        raise table.error("own_system_id", f"{own_system} is the system_id of the autopilot; give another")
     return MavlinkSettings(
         system,
         table.integer("component_id", 1, low=1, high=HIGHEST_ID),
-        own,
+        own_system,
         table.integer("own_component_id", 190, low=1, high=HIGHEST_ID),
         folder / key if key else None,
         table.text("gnss", "raw", choices=("raw", "fused")),
@@ -418,7 +418,7 @@ def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
     autopilot = buses[device] == "mavlink"
     # The poles of the motor are not needed if the controller reports the speed of the shaft, or no speed.
     no_poles = autopilot or (buses[device] == "dronecan" and not table.has("pole_pairs"))
-    found = Thruster(
+    thruster = Thruster(
         name,
         device,
         node,
@@ -430,7 +430,7 @@ def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
         read_output(table, node) if autopilot else None,
     )
     table.done()
-    return found
+    return thruster
 
 
 def read_output(table: TomlTable, node: int) -> AutopilotOutput:
@@ -460,7 +460,7 @@ def _limits(table: TomlTable | None) -> Limits:
     for key in unwatched:
         if key != "telemetry" and (key in ("n_max", "link_test_n") or not table.has(key)):
             raise table.error("unwatched", f"'{key}' is not a limit of this table; give 'telemetry' or a limit in it")
-    found = Limits(
+    limits = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),
         table.maybe_number("force_n", low=0.0),
         table.maybe_number("current_a", low=0.0),
@@ -475,7 +475,7 @@ def _limits(table: TomlTable | None) -> Limits:
         unwatched,
     )
     table.done()
-    return found
+    return limits
 
 
 def _vehicle(table: TomlTable | None) -> dict[str, float]:

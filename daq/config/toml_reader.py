@@ -218,6 +218,7 @@ class TomlTable:
                 raise self.error(key, f"unknown key; known here: {known}")
 
     def _finite(self, key: str, value: object) -> float:
+        """Return a value as a finite number. Raise SeatrialError if it is not one."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f"must be a number, not {_kind(value)}")
         try:

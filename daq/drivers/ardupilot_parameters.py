@@ -94,17 +94,17 @@ def check_parameters(
     tuple of ParameterMismatch
         The parameters that forbid thrust are first.
     """
-    found = [*_safety(parameters, own_system), *_mixing(parameters)]
+    mismatches = [*_safety(parameters, own_system), *_mixing(parameters)]
     for thruster in thrusters:
-        found += _thruster(parameters, thruster)
-    reported = {mismatch.name for mismatch in found}
+        mismatches += _thruster(parameters, thruster)
+    reported = {mismatch.name for mismatch in mismatches}
     why = "a parameter without an answer may have a wrong value"
-    found += [
+    mismatches += [
         ParameterMismatch(name, None, "an answer", why, name not in FAILSAFE_PARAMETERS)
         for name in _required(parameters, thrusters)
         if name not in parameters and name not in reported
     ]
-    return tuple(sorted(found, key=lambda mismatch: not mismatch.fatal))
+    return tuple(sorted(mismatches, key=lambda mismatch: not mismatch.fatal))
 
 
 def _required(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> list[str]:
@@ -119,16 +119,16 @@ def _required(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> list[str
 
 def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
     """Return the wrong parameters of failsafes, overrides and ground station."""
-    found = []
+    mismatches = []
     override = p.get("RC_OVERRIDE_TIME")
     if override is None or not 0.0 < override <= OVERRIDE_MAX_S:
         why = "the thrusters continue for this time after the end of this program (-1: without end)"
-        found.append(
+        mismatches.append(
             ParameterMismatch("RC_OVERRIDE_TIME", override, f"above 0, at most {OVERRIDE_MAX_S:g} s", why, True)
         )
     failsafe = p.get("FS_GCS_ENABLE")
     if failsafe != 1.0:
-        found.append(
+        mismatches.append(
             ParameterMismatch(
                 "FS_GCS_ENABLE", failsafe, "1", "without it the boat does not stop if the ground station is lost", True
             )
@@ -136,46 +136,46 @@ def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
     throttle = p.get("FS_THR_ENABLE")
     if throttle != 1.0:
         why = "without it the last command is held without end if no transmitter has been received"
-        found.append(ParameterMismatch("FS_THR_ENABLE", throttle, "1", why, True))
+        mismatches.append(ParameterMismatch("FS_THR_ENABLE", throttle, "1", why, True))
     action = p.get("FS_ACTION")
     if action not in (HOLD, TERMINATE):
         why = (
             "after a lost link the boat does not stop" if not action else "after a lost link the boat drives by itself"
         )
-        found.append(ParameterMismatch("FS_ACTION", action, "2 (hold) or 5 (terminate)", why, True))
+        mismatches.append(ParameterMismatch("FS_ACTION", action, "2 (hold) or 5 (terminate)", why, True))
     failsafes = {"BATT_FS_LOW_ACT": "with a low battery", "BATT_FS_CRT_ACT": "with an empty battery"}
     if p.get("FENCE_ENABLE", 0.0) != 0.0:
         failsafes["FENCE_ACTION"] = "at its fence"
     for name, when in failsafes.items():
         if p.get(name, 0.0) not in STOPPING_ACTIONS:
             why = f"{when} the boat drives by itself"
-            found.append(ParameterMismatch(name, p[name], "0, 2 (hold) or 5 (terminate)", why, True))
+            mismatches.append(ParameterMismatch(name, p[name], "0, 2 (hold) or 5 (terminate)", why, True))
     for name, most in (("FS_GCS_TIMEOUT", STATION_MAX_S), ("FS_TIMEOUT", STATION_MAX_S)):
         if name in p and p[name] > most:
             why = "the loss of the ground station is detected only after this time"
-            found.append(ParameterMismatch(name, p[name], f"at most {most:g} s", why, True))
+            mismatches.append(ParameterMismatch(name, p[name], f"at most {most:g} s", why, True))
     options = int(p.get("RC_OPTIONS", 0.0))
     if options & IGNORES_OVERRIDES:
         why = "with bit 1 set the autopilot ignores all our commands"
-        found.append(ParameterMismatch("RC_OPTIONS", float(options), f"{options & ~IGNORES_OVERRIDES}", why, True))
+        mismatches.append(ParameterMismatch("RC_OPTIONS", float(options), f"{options & ~IGNORES_OVERRIDES}", why, True))
     ground = p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS"))
     if ground != float(own_system):
         name = "SYSID_MYGCS" if "SYSID_MYGCS" in p else "MAV_GCS_SYSID"
-        found.append(
+        mismatches.append(
             ParameterMismatch(
                 name, ground, str(own_system), "the autopilot obeys only the ground station with this id", True
             )
         )
-    return found
+    return mismatches
 
 
 def _mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
     """Return the wrong parameters between the channels and the outputs: mixing, ramps and curves."""
-    found = []
+    mismatches = []
     steer = p.get("PILOT_STEER_TYPE")
     if steer != TWO_PADDLES:
         why = "otherwise the channels are throttle and steering instead of left and right"
-        found.append(ParameterMismatch("PILOT_STEER_TYPE", steer, "1", why, True))
+        mismatches.append(ParameterMismatch("PILOT_STEER_TYPE", steer, "1", why, True))
     # A distortion of large commands forbids thrust, because the run would end when the guard detects it. A distortion
     # of steps and small commands is only reported.
     rows = (
@@ -186,12 +186,12 @@ def _mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
         ("MOT_THR_MAX", 100.0, "the autopilot would limit large commands", True),
         ("MANUAL_STR_EXPO", 0.0, "the autopilot would distort the difference of the commands", True),
     )
-    found += [
+    mismatches += [
         ParameterMismatch(name, p[name], f"{required:g}", why, fatal)
         for name, required, why, fatal in rows
         if p.get(name, required) != required
     ]
-    return found
+    return mismatches
 
 
 def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMismatch]:
@@ -199,32 +199,32 @@ def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMisma
     output = thruster.output
     if output is None:
         return []
-    found = []
+    mismatches = []
     servo, channel = f"SERVO{thruster.node}", f"RC{output.rc_channel}"
     function = p.get(f"{servo}_FUNCTION")
     if function not in PADDLES:
         why = f"output {thruster.node} must be the left or right throttle; passthrough would move it while disarmed"
-        found.append(ParameterMismatch(f"{servo}_FUNCTION", function, "73 (left) or 74 (right)", why, True))
+        mismatches.append(ParameterMismatch(f"{servo}_FUNCTION", function, "73 (left) or 74 (right)", why, True))
     else:
         name, _ = PADDLES[function]
         if p.get(name) != output.rc_channel:
             why = f"{servo}_FUNCTION {function:g} follows this channel, so it must be rc_channel of {thruster.name}"
-            found.append(ParameterMismatch(name, p.get(name), str(output.rc_channel), why, True))
+            mismatches.append(ParameterMismatch(name, p.get(name), str(output.rc_channel), why, True))
     ends = (("MIN", 0), ("TRIM", 1), ("MAX", 2))
     for prefix, pulses, key in ((channel, output.rc_us, "rc_us"), (servo, output.pwm_us, "pwm_us")):
         for end, k in ends:
             value = p.get(f"{prefix}_{end}")
             if value != pulses[k]:
                 why = f"this is {key} of thruster {thruster.name} in the rig; one of both values is wrong"
-                found.append(ParameterMismatch(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
+                mismatches.append(ParameterMismatch(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
     threshold = p.get("FS_THR_VALUE", 0.0)
     if p.get("RCMAP_THROTTLE") == output.rc_channel and threshold >= min(output.rc_us):
         why = f"shorter pulses of {thruster.name} mean a lost transmitter, so reverse would start the failsafe"
-        found.append(ParameterMismatch("FS_THR_VALUE", threshold, f"below {min(output.rc_us):g}", why, False))
+        mismatches.append(ParameterMismatch("FS_THR_VALUE", threshold, f"below {min(output.rc_us):g}", why, False))
     reverses = "the autopilot would reverse only the command or only the output"
     dead_zone = "the autopilot would ignore small commands"
     rows = ((f"{channel}_DZ", dead_zone), (f"{channel}_REVERSED", reverses), (f"{servo}_REVERSED", reverses))
     for name, why in rows:
         if p.get(name, 0.0) != 0.0:
-            found.append(ParameterMismatch(name, p[name], "0", why, why == reverses))
-    return found
+            mismatches.append(ParameterMismatch(name, p[name], "0", why, why == reverses))
+    return mismatches

@@ -23,16 +23,16 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     SeatrialError
         If the signing key of an autopilot cannot be read.
     """
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     if device.protocol == "vesc":
-        return VescDriver(frozenset(thruster.node for thruster in here if thruster.reversed))
+        return VescDriver(frozenset(thruster.node for thruster in thrusters if thruster.reversed))
     if device.protocol == "dronecan":
-        if not here:
+        if not thrusters:
             return None
         from seatrial.daq.drivers.dronecan import DronecanDriver
 
-        reversed_nodes = frozenset(thruster.node for thruster in here if thruster.reversed)
-        return DronecanDriver(frozenset(thruster.node for thruster in here), reversed_nodes, device.own_node)
+        reversed_nodes = frozenset(thruster.node for thruster in thrusters if thruster.reversed)
+        return DronecanDriver(frozenset(thruster.node for thruster in thrusters), reversed_nodes, device.own_node)
     if isinstance(decoder, mantracourt.Decoder):
         return PollingDriver(decoder.request, 1.0 / (device.rate_hz * rig.speed))
     if device.mavlink is None:
@@ -44,9 +44,9 @@ def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> D
     settings = device.mavlink
     key = None if settings.key_file is None else mavlink_wire.read_key(settings.key_file)
     spare = next(number for number in SPARE_IDS if number not in (settings.system_id, settings.own_system_id))
-    own = settings.own_system_id if role in (LinkRole.DRIVE, LinkRole.RESCUE) else spare
-    codec = mavlink_wire.Codec(own, settings.own_component_id, key, time.time(), int(role is LinkRole.RESCUE))
-    driver = MavlinkDriver(device, here, codec, role, decoder)
+    own_system = settings.own_system_id if role in (LinkRole.DRIVE, LinkRole.RESCUE) else spare
+    codec = mavlink_wire.Codec(own_system, settings.own_component_id, key, time.time(), int(role is LinkRole.RESCUE))
+    driver = MavlinkDriver(device, thrusters, codec, role, decoder)
     decoder.listener = lambda message: driver.receive(message, time.monotonic())
     return driver
 

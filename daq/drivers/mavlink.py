@@ -240,20 +240,20 @@ class MavlinkDriver(DeviceDriver):
             if m.param_id in GROUND_STATION_NAMES:  # each version has only one of both names
                 self._awaited = {name: n for name, n in self._awaited.items() if name not in GROUND_STATION_NAMES}
             parameters = {**self._status.parameters, m.param_id: float(m.param_value)}
-            before = self._status.parameters.get(m.param_id)
-            if before is not None and before != m.param_value:
-                change = f"{m.param_id} was changed: {before:g} to {m.param_value:g}"
+            previous = self._status.parameters.get(m.param_id)
+            if previous is not None and previous != m.param_value:
+                change = f"{m.param_id} was changed: {previous:g} to {m.param_value:g}"
                 self._events.append(Event("parameter", change))
                 self._status = replace(self._status, changed=(*self._status.changed, change)[-MOST_CHANGES:])
-            elif before is None:
+            elif previous is None:
                 self._events.append(Event("parameter", f"{m.param_id} = {m.param_value:g}"))
             self._status = replace(self._status, parameters=parameters)
 
     def _receive_text(self, m: Any) -> None:
         """Store a text as a reason for a refused arming, or as an alarm if it is critical."""
-        number, before = self._chunk
+        number, received = self._chunk
         continues = bool(m.id and m.id == number and m.chunk_seq)  # this is a later chunk of a long text
-        text = before + printable(m.text) if continues else printable(m.text)
+        text = received + printable(m.text) if continues else printable(m.text)
         self._chunk = (m.id, text)
         if text.startswith(("PreArm:", "Arm:")):
             self._reasons = [*(self._reasons[:-1] if continues else self._reasons), text][-3:]

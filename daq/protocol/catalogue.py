@@ -87,12 +87,13 @@ def _mantracourt(device: Device, rig: Rig) -> Decoder:
 
 
 def _vesc(device: Device, rig: Rig) -> Decoder:
+    """Return the decoder for the VESC controllers of the thrusters behind a device."""
     from seatrial.daq.protocol import vesc
 
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     return vesc.Decoder(
-        {thruster.node: thruster.pole_pairs for thruster in here},
-        frozenset(thruster.node for thruster in here if thruster.reversed),
+        {thruster.node: thruster.pole_pairs for thruster in thrusters},
+        frozenset(thruster.node for thruster in thrusters if thruster.reversed),
     )
 
 
@@ -111,8 +112,10 @@ def _dbc(device: Device, rig: Rig) -> Decoder:
 def _dronecan(device: Device, rig: Rig) -> Decoder:
     from seatrial.daq.protocol import dronecan
 
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
-    return dronecan.Decoder(frozenset(thruster.node for thruster in here if thruster.reversed), device.index_offset)
+    thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    return dronecan.Decoder(
+        frozenset(thruster.node for thruster in thrusters if thruster.reversed), device.index_offset
+    )
 
 
 def _nmea2000(device: Device, rig: Rig) -> Decoder:

@@ -28,7 +28,7 @@ LARGEST = 1e100  # bound of a value in any unit; its square is still a finite nu
 _RESERVED = 0xFB  # J1939: a highest byte from here on means that there is no value
 
 
-class _Wanted(NamedTuple):
+class _MessageSignals(NamedTuple):
     """A message of the DBC file and the signals to read from it."""
 
     message: Any  # cantools.database.can.Message
@@ -47,19 +47,19 @@ def load_dbc(path: str) -> Any:
 
     require_file(Path(path))  # a rig file from another person may name a pipe or a device, which would block
     try:
-        found: Any = cantools.database.load_file(path, database_format="dbc")
+        database: Any = cantools.database.load_file(path, database_format="dbc")
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror}") from error
     except Exception as error:  # cantools' parser has errors of many kinds
         raise SeatrialError(f"{path}: no DBC file: {' '.join(str(error).split())}") from error
-    for message in found.messages:
+    for message in database.messages:
         for signal in message.signals:
             if not abs(signal.scale) * 2.0**signal.length + abs(signal.offset) < LARGEST:
                 raise SeatrialError(
                     f"{path}: signal '{printable(signal.name)}' of {printable(message.name)} has the factor "
                     f"{signal.scale:g} and the offset {signal.offset:g}; no value is so large, correct the DBC file"
                 )
-    return found
+    return database
 
 
 def is_j1939(message: Any) -> bool:
@@ -96,18 +96,18 @@ def number(message: Any, name: str, raw: float, field: str = "") -> float:
     The codes of J1939 apply to a shaft speed (by its unit, or by `field`) also in NMEA 2000: gateways forward the
     codes unchanged, and no shaft turns at 16,000 rev/min.
     """
-    about = message.get_signal_by_name(name)
-    is_speed = field == "rpm" or (about.unit or "").lower() in _SPEED_UNITS
-    if is_j1939(message) and not about.is_float and raw >= _first_code(message, about, is_speed):
+    signal = message.get_signal_by_name(name)
+    is_speed = field == "rpm" or (signal.unit or "").lower() in _SPEED_UNITS
+    if is_j1939(message) and not signal.is_float and raw >= _first_code(message, signal, is_speed):
         return NAN
-    return float(about.raw_to_scaled(raw, decode_choices=False))
+    return float(signal.raw_to_scaled(raw, decode_choices=False))
 
 
-def _first_code(message: Any, about: Any, is_speed: bool) -> int:
+def _first_code(message: Any, signal: Any, is_speed: bool) -> int:
     """Return the lowest raw number of a signal that means "error" or "not available"."""
     # PGNs of page 1 belong to NMEA 2000. Other PGNs, and those of manufacturers, occur in both standards.
     is_nmea2000 = bool(message.frame_id & _PAGE_1)
-    length, is_signed = int(about.length), bool(about.is_signed)
+    length, is_signed = int(signal.length), bool(signal.is_signed)
     if length >= 8 and not is_signed and (is_speed or not is_nmea2000):
         return _RESERVED << length - 8
     return (1 << length - is_signed) - (3 if length >= 8 else 2 if length >= 4 else 1)
@@ -135,39 +135,39 @@ class Decoder(FrameDecoder):
 
     def __init__(self, database: Any, signals: Sequence[DbcSignal]) -> None:
         super().__init__()
-        self._exact: dict[tuple[int, bool], _Wanted] = {}
-        self._by_pgn: dict[int, _Wanted] = {}
+        self._exact: dict[tuple[int, bool], _MessageSignals] = {}
+        self._by_pgn: dict[int, _MessageSignals] = {}
         self._newest: dict[int, dict[str, tuple[float, float]]] = {}  # node -> field -> value, t_rx [s]
         self._has_rpm = any(signal.field == "rpm" for signal in signals)
         for name in dict.fromkeys(signal.message for signal in signals):
             message = _find(name, database.messages, "message")
             selected = tuple(signal for signal in signals if signal.message == name)
             for signal in selected:
-                for wanted in [signal.signal, *([signal.node] if isinstance(signal.node, str) else [])]:
-                    if wanted != SOURCE:
-                        _find(wanted, message.signals, f"signal of {name}")
+                for required in [signal.signal, *([signal.node] if isinstance(signal.node, str) else [])]:
+                    if required != SOURCE:
+                        _find(required, message.signals, f"signal of {name}")
             if is_j1939(message):
-                self._by_pgn[pgn_bits(message.frame_id)] = _Wanted(message, selected)
+                self._by_pgn[pgn_bits(message.frame_id)] = _MessageSignals(message, selected)
             else:
-                self._exact[message.frame_id, message.is_extended_frame] = _Wanted(message, selected)
+                self._exact[message.frame_id, message.is_extended_frame] = _MessageSignals(message, selected)
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one frame if its message is configured. Return one sample for each node that it completes."""
-        wanted = self._exact.get((identifier, extended))
-        if wanted is None and extended:
-            wanted = self._by_pgn.get(pgn_bits(identifier))
-        if wanted is None:
+        configured = self._exact.get((identifier, extended))
+        if configured is None and extended:
+            configured = self._by_pgn.get(pgn_bits(identifier))
+        if configured is None:
             return []
         try:
-            raw = wanted.message.decode(data, decode_choices=False, scaling=False)
+            raw = configured.message.decode(data, decode_choices=False, scaling=False)
         except Exception:  # the frame is too short, or the DBC file lacks its multiplexer value
             self.unparsed_bytes += FRAME_BYTES
             return []
         self.frames += 1
         nodes: dict[int, None] = {}
-        for signal in wanted.signals:
+        for signal in configured.signals:
             node = identifier & 0xFF if signal.node == SOURCE else raw.get(signal.node, signal.node)
-            value = self._value(wanted.message, signal, raw)
+            value = self._value(configured.message, signal, raw)
             if isinstance(node, int) and value is not None:
                 self._newest.setdefault(node, {})[signal.field] = (value, t_rx)
                 if signal.field == "rpm" or not self._has_rpm:

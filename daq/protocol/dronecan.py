@@ -70,6 +70,7 @@ class Decoder(FrameDecoder):
         self._assembler = Assembler(STATUS)
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        """Decode one frame. Return the sample of the esc.Status that it completes."""
         if not extended:
             return []
         out = []

@@ -41,11 +41,11 @@ class StreamDecoder(ABC, Generic[T]):
         buffer += data
         position = 0
         while position < len(buffer):
-            found = self.sync.search(buffer, position)
-            start = found.start() if found else len(buffer)
+            match = self.sync.search(buffer, position)
+            start = match.start() if match else len(buffer)
             self._skip(buffer, position, start)
             position = start
-            if not found:
+            if not match:
                 break
             length = self._take(buffer, start, t_rx)
             if length == 0:

@@ -32,12 +32,12 @@ def compile_pattern(pattern: str) -> Any:
     options = re2.Options()
     options.log_errors = False
     try:
-        found = re2.compile(pattern, options)
+        compiled = re2.compile(pattern, options)
     except re2.error as error:
         raise ValueError(f"not a regular expression (RE2): {error.args[0].decode(errors='replace')}") from error
-    if "counts" not in found.groupindex:
+    if "counts" not in compiled.groupindex:
         raise ValueError("must have a group (?P<counts>...) around the reading")
-    return found
+    return compiled
 
 
 class Decoder(LineDecoder):
@@ -68,11 +68,12 @@ class Decoder(LineDecoder):
         self._force = force
 
     def _take(self, line: bytes, t_rx: float) -> Frame | None:
-        found = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
-        if found is None:
+        """Convert one line to a sample. Return None if it does not match the pattern."""
+        match = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
+        if match is None:
             return None
         try:
-            counts = float(found["counts"])
+            counts = float(match["counts"])
         except (TypeError, ValueError):  # the group is not part of the match, or its text is not a number
             return None
         force = NAN if self._force is None else self._force(counts)

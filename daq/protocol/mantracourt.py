@@ -46,9 +46,10 @@ class Decoder(LineDecoder):
         self._force = force
 
     def _take(self, line: bytes, t_rx: float) -> Frame | None:
+        """Convert one answer to a sample. Return None if it is not a number, for example a refusal or an echo."""
         line = line.lstrip(b"\n")
         if line == b"?":
-            self.remark = f"the converter refuses {self.request[:-1].decode('ascii')}: look at `query` in the rig"
+            self.remark = f"the converter refuses {self.request[:-1].decode('ascii')}: check `query` in the rig"
         if not _NUMBER.match(line):
             return None
         self.remark = ""

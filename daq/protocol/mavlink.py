@@ -43,7 +43,9 @@ VEHICLES = {  # MAV_TYPE -> software of ArduPilot
     **dict.fromkeys((10, BOAT), ROVER), 12: "ArduSub", **dict.fromkeys((2, 3, 4, 13, 14, 15, 29, 35), "ArduCopter"),
     **dict.fromkeys((1, *range(19, 26)), "ArduPlane"), 5: "AntennaTracker", 7: "Blimp",
 }  # fmt: skip
-Found = list[tuple[Sample, float]]  # samples with the device's time [s since boot], NaN if the message has no time
+TimedSamples = list[
+    tuple[Sample, float]
+]  # samples with the device's time [s since boot], NaN if the message has no time
 
 
 def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
@@ -54,9 +56,9 @@ def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
 
 def make_samples(device: Device, rig: Rig) -> Samples:
     """Return the converter of messages to samples for an autopilot of the rig."""
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
-    outputs = {thruster.node: thruster.output for thruster in here if thruster.output is not None}
-    reversed_nodes = frozenset(thruster.node for thruster in here if thruster.reversed)
+    thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    outputs = {thruster.node: thruster.output for thruster in thrusters if thruster.output is not None}
+    reversed_nodes = frozenset(thruster.node for thruster in thrusters if thruster.reversed)
     gnss = device.mavlink.gnss if device.mavlink is not None else "raw"
     return Samples(outputs or None, reversed_nodes, gnss)
 
@@ -115,24 +117,25 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self._sequence = -1
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        found = head(buffer, start)
-        if isinstance(found, int):
-            return found
-        if len(buffer) < start + found.total:
+        """Decode the frame at `start`. Count frames of other systems, and ignore frames of other components."""
+        header = head(buffer, start)
+        if isinstance(header, int):
+            return header
+        if len(buffer) < start + header.total:
             return 0
-        frame = bytes(buffer[start : start + found.total])
-        if not is_whole(frame, found):
-            self.checksum_errors += is_known(found.message_id)
+        frame = bytes(buffer[start : start + header.total])
+        if not is_whole(frame, header):
+            self.checksum_errors += is_known(header.message_id)
             return -1
         self.frames += 1
-        if self._address[0] not in (found.system, ANY):
-            self.foreign[found.system] = self.foreign.get(found.system, 0) + 1
-        elif found.component == self._address[1]:
-            self.signed += found.signed
-            self._count_lost(found.sequence)
-            if self._is_used(found.message_id):
+        if self._address[0] not in (header.system, ANY):
+            self.foreign[header.system] = self.foreign.get(header.system, 0) + 1
+        elif header.component == self._address[1]:
+            self.signed += header.signed
+            self._count_lost(header.sequence)
+            if self._is_used(header.message_id):
                 self._decode(frame, t_rx)
-        return found.total
+        return header.total
 
     def _count_lost(self, sequence: int) -> None:
         """Count the frames that are missing between the last frame and this one."""
@@ -209,7 +212,7 @@ class Samples:
             "raw" for the fixes of the receiver (GPS_RAW_INT), "fused" for the estimate of the autopilot
             (GLOBAL_POSITION_INT).
         """
-        self.wanted: dict[str, Callable[[Any], Found]] = {
+        self.wanted: dict[str, Callable[[Any], TimedSamples]] = {
             "HEARTBEAT": self._heartbeat, "ATTITUDE": self._attitude, "SYSTEM_TIME": self._system_time,
             "RAW_IMU": self._raw_imu, "SCALED_IMU": self._scaled_imu, "HIGHRES_IMU": self._highres_imu,
             "SERVO_OUTPUT_RAW": self._servos, "BATTERY_STATUS": self._battery, "SYS_STATUS": self._sys_status,
@@ -238,7 +241,7 @@ class Samples:
         self._ekf_flags = -1
         self._chunks: tuple[int, str] = (0, "")  # id and received part of a long text
 
-    def take(self, message: Any) -> Found:
+    def take(self, message: Any) -> TimedSamples:
         """Return the samples that a message completes."""
         handler = self.wanted.get(message.get_type())
         return [] if handler is None else handler(message)
@@ -260,82 +263,82 @@ class Samples:
             self._ardupilot = ardupilot
         return t
 
-    def _heartbeat(self, m: Any) -> Found:
+    def _heartbeat(self, m: Any) -> TimedSamples:
         """Return the state of the autopilot, and an event if its mode or arming has changed."""
         if m.autopilot == INVALID:
             return []
         self._ardupilot = m.autopilot == ARDUPILOT
-        before = self._pilot
+        previous = self._pilot
         self._pilot = Autopilot(int(bool(m.base_mode & ARMED)), m.custom_mode, m.system_status, self._ekf_flags)
-        found: Found = [(self._pilot, NAN)]
-        if before is None or (before.armed, before.mode) != (self._pilot.armed, self._pilot.mode):
+        samples: TimedSamples = [(self._pilot, NAN)]
+        if previous is None or (previous.armed, previous.mode) != (self._pilot.armed, self._pilot.mode):
             word = "armed" if self._pilot.armed else "disarmed"
             mode = mode_name(m.custom_mode, m.type, m.autopilot)
-            found.append((Event("autopilot", f"{word}, {mode}"), NAN))
-        return found
+            samples.append((Event("autopilot", f"{word}, {mode}"), NAN))
+        return samples
 
-    def _ekf(self, m: Any) -> Found:
+    def _ekf(self, m: Any) -> TimedSamples:
         self._ekf_flags = m.flags
         if self._pilot is None:
             return []
         self._pilot = replace(self._pilot, ekf=m.flags)
         return [(self._pilot, NAN)]
 
-    def _system_time(self, m: Any) -> Found:
+    def _system_time(self, m: Any) -> TimedSamples:
         t = self._boot_time(_since_boot(m.time_boot_ms))
         if m.time_unix_usec >= UNIX_US:
             self._utc_of_boot = m.time_unix_usec * 1e-6 - t
         return []
 
-    def _attitude(self, m: Any) -> Found:
+    def _attitude(self, m: Any) -> TimedSamples:
         """Return the attitude with its IMU message, or let it wait for the IMU message of the same moment."""
         self._boot = t = self._boot_time(_since_boot(m.time_boot_ms))
-        found: Found = [self._attitude_waits] if self._attitude_waits is not None else []
+        samples: TimedSamples = [self._attitude_waits] if self._attitude_waits is not None else []
         self._attitude_waits = None
         ahrs = Ahrs(m.yaw, m.pitch, m.roll, m.rollspeed, m.pitchspeed, m.yawspeed)
         if self._imu is not None and abs(self._imu[0] - t) <= SAME_S:
-            found.append((_joined(ahrs, self._imu), t))
+            samples.append((_joined(ahrs, self._imu), t))
             self._imu = None
-            return found
+            return samples
         if self._imu is not None and self._imu[0] < t:  # its attitude was lost; emit it first, in the order of time
-            found.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
+            samples.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
             self._imu = None
         if 0.0 <= t - self._imu_at <= IMU_AWAITED_S:
             self._attitude_waits = (ahrs, t)
         else:
-            found.append((ahrs, t))
-        return found
+            samples.append((ahrs, t))
+        return samples
 
-    def _raw_imu(self, m: Any) -> Found:
+    def _raw_imu(self, m: Any) -> TimedSamples:
         return self._milli(m, self._at(m.time_usec)) if self._ardupilot else []
 
-    def _scaled_imu(self, m: Any) -> Found:
+    def _scaled_imu(self, m: Any) -> TimedSamples:
         return self._milli(m, _since_boot(m.time_boot_ms))
 
-    def _milli(self, m: Any, t: float) -> Found:
+    def _milli(self, m: Any, t: float) -> TimedSamples:
         """Convert an IMU message in thousandths of g and of a gauss."""
         accel = tuple(1e-3 * GRAVITY * a for a in (m.xacc, m.yacc, m.zacc))
         return self._take_imu(t, accel, tuple(1e-7 * b for b in (m.xmag, m.ymag, m.zmag)))
 
-    def _highres_imu(self, m: Any) -> Found:
+    def _highres_imu(self, m: Any) -> TimedSamples:
         field = tuple(1e-4 * b for b in (m.xmag, m.ymag, m.zmag))
         return self._take_imu(self._at(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
 
-    def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> Found:
+    def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> TimedSamples:
         """Return the IMU message with its attitude, or let it wait for the attitude of the same moment."""
         self._imu_at = self._boot_time(t)
         imu = (t, accel, field if any(field) else (NAN, NAN, NAN))
-        found: Found = []
+        samples: TimedSamples = []
         if self._imu is not None:  # the previous IMU message got no attitude, so it becomes a separate sample
-            found.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
+            samples.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
             self._imu = None
         waiting, self._attitude_waits = self._attitude_waits, None
         if waiting is not None and abs(waiting[1] - t) <= SAME_S:
-            return [*found, (_joined(waiting[0], imu), waiting[1])]
+            return [*samples, (_joined(waiting[0], imu), waiting[1])]
         self._imu = imu
-        return found if waiting is None else [*found, waiting]
+        return samples if waiting is None else [*samples, waiting]
 
-    def _gps(self, m: Any) -> Found:
+    def _gps(self, m: Any) -> TimedSamples:
         """Return the fix of the receiver (GPS_RAW_INT), or nothing if it is a repetition."""
         if (m.time_usec, m.fix_type) == self._fix:
             return []
@@ -366,7 +369,7 @@ class Samples:
             )
         ]
 
-    def _position(self, m: Any) -> Found:
+    def _position(self, m: Any) -> TimedSamples:
         """Return the position estimate of the autopilot (GLOBAL_POSITION_INT), or nothing if it is a repetition."""
         t = self._boot_time(_since_boot(m.time_boot_ms))
         if m.time_boot_ms == self._fix[0]:
@@ -381,26 +384,26 @@ class Samples:
         fix = Gnss(t + self._utc_of_boot, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, north, east, down, fix=kind)
         return [(fix, t)]
 
-    def _servos(self, m: Any) -> Found:
+    def _servos(self, m: Any) -> TimedSamples:
         """Return the outputs of the rig, or without a rig all outputs that had a pulse."""
         t = self._at(m.time_usec, wraps=True)
-        found: Found = []
+        samples: TimedSamples = []
         for k in range(1, 17):
             node, pwm = 16 * m.port + k, float(getattr(m, f"servo{k}_raw"))
             if self._outputs is None:
                 self._seen |= {node} if pwm else set()
                 if node in self._seen:
-                    found.append((Servo(node, pwm), t))
+                    samples.append((Servo(node, pwm), t))
             elif node in self._outputs:
                 n = self._outputs[node].applied(pwm) if pwm else 0.0  # without a pulse the thruster is stopped
                 self._n[node] = -n if node in self._reversed else n
-                found.append((Servo(node, pwm, self._n[node] + 0.0), t))
-        return found
+                samples.append((Servo(node, pwm, self._n[node] + 0.0), t))
+        return samples
 
-    def _esc_telemetry(self, m: Any) -> Found:
+    def _esc_telemetry(self, m: Any) -> TimedSamples:
         """Return the speed controllers of ESC_TELEMETRY that have new values."""
         first = int(m.get_type().split("_")[2])
-        found: Found = []
+        samples: TimedSamples = []
         for k in range(4):
             node, count = first + k, m.count[k]
             if self._counts.get(node, 0) == count:
@@ -409,38 +412,38 @@ class Samples:
             n = self._n.get(node, NAN)
             rpm = math.copysign(float(m.rpm[k]), n) if n else float(m.rpm[k])
             esc = Esc(node, rpm, m.current[k] * 0.01, n, m.voltage[k] * 0.01, float(m.temperature[k]))
-            found.append((esc, NAN))
-        return found
+            samples.append((esc, NAN))
+        return samples
 
-    def _esc_status(self, m: Any) -> Found:
+    def _esc_status(self, m: Any) -> TimedSamples:
         """Return the speed controllers of ESC_STATUS that exist: those with a voltage or in the rig."""
-        found: Found = []
+        samples: TimedSamples = []
         for k in range(4):
             node = m.first + k + 1
             if m.voltage[k] == 0.0 and (self._outputs is None or node not in self._outputs):
                 continue
             sign = -1.0 if node in self._reversed else 1.0
             esc = Esc(node, sign * m.rpm[k], m.current[k], self._n.get(node, NAN), m.voltage[k])
-            found.append((esc, self._at(m.time_usec)))
-        return found
+            samples.append((esc, self._at(m.time_usec)))
+        return samples
 
-    def _battery(self, m: Any) -> Found:
+    def _battery(self, m: Any) -> TimedSamples:
         cells = [v for v in (*m.voltages, *m.voltages_ext) if v not in (0, 0xFFFF)]
         if m.id != 0 or not cells:
             return []
         self._has_battery = True
         return [(_battery(sum(cells) * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
-    def _sys_status(self, m: Any) -> Found:
+    def _sys_status(self, m: Any) -> TimedSamples:
         if self._has_battery or m.voltage_battery in (0, 0xFFFF):
             return []
         return [(_battery(m.voltage_battery * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
-    def _text(self, m: Any) -> Found:
+    def _text(self, m: Any) -> TimedSamples:
         """Return a status text as an event when its last chunk has been received."""
-        number, before = self._chunks
+        number, received = self._chunks
         chunk = printable(m.text)
-        text = before + chunk if m.id and m.id == number and m.chunk_seq else chunk
+        text = received + chunk if m.id and m.id == number and m.chunk_seq else chunk
         if m.id and len(m.text) == CHUNK:
             self._chunks = (m.id, text)
             return []

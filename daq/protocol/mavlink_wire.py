@@ -108,18 +108,18 @@ def is_known(message_id: int) -> bool:
     return _definition(message_id) is not None
 
 
-def is_whole(frame: bytes, found: Head) -> bool:
-    """Return whether the checksum of a frame with header `found` is correct.
+def is_whole(frame: bytes, header: Head) -> bool:
+    """Return whether the checksum of a frame is correct.
 
     Notes
     -----
     The checksum includes a seed that depends on the definition of the message. If the dialect lacks the message, any of
     the 256 seeds is accepted. A damaged frame of this kind is then accepted with probability 1/256.
     """
-    end = len(frame) - SIGNATURE * found.signed - CHECKSUM
+    end = len(frame) - SIGNATURE * header.signed - CHECKSUM
     (received,) = struct.unpack_from("<H", frame, end)
     crc = crc16(frame[1:end])
-    definition = _definition(found.message_id)
+    definition = _definition(header.message_id)
     if definition is not None:
         return crc16(bytes([definition[0]]), crc) == int(received)
     return any(crc16(bytes([seed]), crc) == received for seed in range(256))

@@ -64,6 +64,7 @@ class Decoder(StreamDecoder[Frame]):
         self._vectors.clear()
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the packet at `start`. Return its length, 0 if more bytes are needed, -1 if no packet begins there."""
         if len(buffer) < start + 4:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
         if buffer[start + 1] != SYNC[1]:
@@ -120,15 +121,15 @@ class Decoder(StreamDecoder[Frame]):
 
 def _fields(payload: bytes) -> Fields | None:
     """Return the data of the fields of a payload by descriptor. Return None if a length is invalid."""
-    found: Fields = {}
+    fields: Fields = {}
     at = 0
     while at < len(payload):
         length = payload[at]
         if length < 2 or at + length > len(payload):
             return None
-        found[payload[at + 1]] = payload[at + 2 : at + length]
+        fields[payload[at + 1]] = payload[at + 2 : at + length]
         at += length
-    return found
+    return fields
 
 
 def _unpack(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:

@@ -81,25 +81,26 @@ class Decoder(StreamDecoder[Frame]):
         self._sentences.forget()
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the sentence at `start`. Return its length, 0 if more bytes are needed, -1 if it is invalid."""
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
         if body is None:
             return length
-        found = self._sentences.take(body, t_rx)
-        if found is None:
+        frames = self._sentences.take(body, t_rx)
+        if frames is None:
             return -1
         self.frames += 1
         self.remark = self._sentences.headings.remark
-        self._out += self._kept(found)
+        self._out += self._kept(frames)
         if self.transducers is not None:
             transducers, self._sentences.headings.transducers = self._sentences.headings.transducers, []
             self.transducers += transducers
             self._out += [Frame(Scalar(transducer.value), t_rx, NAN) for transducer in transducers]
         return length
 
-    def _kept(self, found: list[Frame]) -> list[Frame]:
+    def _kept(self, frames: list[Frame]) -> list[Frame]:
         """Return the samples to keep; a subclass may drop some."""
-        return found
+        return frames
 
 
 class Sentences:
@@ -122,12 +123,12 @@ class Sentences:
         kind = body[2:5].decode("ascii") if body[5:6] == b"," and body[:1] != b"P" else ""
         if kind in KINDS:
             return self.epochs.take(kind, body, t_rx)
-        found = self.headings.take(kind, body, t_rx)
-        if found and body[:5] in _HEADING_TIME:
+        frames = self.headings.take(kind, body, t_rx)
+        if frames and body[:5] in _HEADING_TIME:
             seconds = _seconds(body.split(b","), _HEADING_TIME[body[:5]])
             utc = self.epochs.utc_of(seconds, t_rx) if self.epochs.has_time else NAN
-            found = [frame._replace(t_device=utc) for frame in found]
-        return found
+            frames = [frame._replace(t_device=utc) for frame in frames]
+        return frames
 
     def forget(self) -> None:
         """Discard all received state, because the port was reopened."""
@@ -399,19 +400,20 @@ def _parse(body: bytes) -> Message | None:
         return None
 
 
-def _seconds(words: list[bytes], at: int) -> float:
-    """Return the time of the day [s] in the word with index `at`, NaN if it is empty or invalid.
+def _seconds(words: list[bytes], index: int) -> float:
+    """Return the time of the day [s] in the word with this index, NaN if it is empty or invalid.
 
     A leap second (:60) is valid. pynmeagps rejects it, so its time is not used.
     """
-    found = _TIME.match(words[at]) if at < len(words) else None
-    if found is None:
+    match = _TIME.match(words[index]) if index < len(words) else None
+    if match is None:
         return NAN
-    hours, minutes, seconds = int(found[1]), int(found[2]), float(found[3])
+    hours, minutes, seconds = int(match[1]), int(match[2]), float(match[3])
     return 3600.0 * hours + 60.0 * minutes + seconds if hours < 24 and minutes < 60 and seconds < 61.0 else NAN
 
 
 def _read_gga(epoch: _Epoch, message: Message) -> None:
+    """Store the values of GGA in the epoch."""
     fix = _QUALITY.get(_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix
     _keep(epoch, "n_sat", _number(message.get("numSV")))
@@ -429,6 +431,7 @@ def _read_gns(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
+    """Store the values of RMC in the epoch. RMC contains the date."""
     if isinstance(date := message.get("date"), datetime.date):
         # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
         century = 100 if date.year >= 2080 else 0
@@ -615,18 +618,18 @@ def _is_void(kind: str, words: list[bytes]) -> bool:
     return kind == "PASHR" and words[10:12] == [b"0", b"0"]
 
 
-def _signed(words: list[bytes], at: int) -> float:
-    """Return the angle [rad] in the word `at`, which is followed by E or W. NaN if it is empty or invalid."""
-    if len(words) < at + 2 or words[at + 1] not in (b"E", b"W") or not _NUMBER.match(words[at]):
+def _signed(words: list[bytes], index: int) -> float:
+    """Return the angle [rad] in the word with this index, before the word E or W. NaN if it is empty or invalid."""
+    if len(words) < index + 2 or words[index + 1] not in (b"E", b"W") or not _NUMBER.match(words[index]):
         return NAN
-    return float(words[at]) * _DEG * (1.0 if words[at + 1] == b"E" else -1.0)
+    return float(words[index]) * _DEG * (1.0 if words[index + 1] == b"E" else -1.0)
 
 
 def _numbers(words: list[bytes], places: tuple[int, ...]) -> list[float] | None:
     """Return the numbers in the words with these indices, or None if one of them is not a number."""
-    found = []
+    numbers = []
     for place in places:
         if place >= len(words) or not _NUMBER.match(words[place]) or len(words[place]) > 20:
             return None
-        found.append(float(words[place]))
-    return found
+        numbers.append(float(words[place]))
+    return numbers

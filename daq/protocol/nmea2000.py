@@ -194,12 +194,13 @@ class Decoder(FrameDecoder):
             pitch = roll = NAN
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll), t_rx, NAN)]
 
-    def _east(self, own: float) -> float:
+    def _east(self, message_variation: float) -> float:
         """Return the variation, true minus magnetic [rad], NaN if it is unknown.
 
-        `own` is the variation in the message itself. The variation on the bus and the declination of the rig follow.
+        `message_variation` is the variation in the message itself. If it is NaN, the variation on the bus or the
+        declination of the rig is returned.
         """
-        for value in (own, self._bus_variation, self._declination):
+        for value in (message_variation, self._bus_variation, self._declination):
             if value is not None and not math.isnan(value):
                 return value
         return NAN

@@ -105,11 +105,11 @@ class Decoder(nmea.Decoder):
             return -1
         n_payload = buffer[start + 4] | buffer[start + 5] << 8
         kind = (buffer[start + 2], buffer[start + 3])
-        known = LENGTHS.get(kind)
-        if n_payload > LENGTH_MAX or (known is not None and n_payload not in known):
+        lengths = LENGTHS.get(kind)
+        if n_payload > LENGTH_MAX or (lengths is not None and n_payload not in lengths):
             return -1
         length = HEAD + n_payload + 2
-        if known is None and self._holds_message(buffer, start + 1, start + length):
+        if lengths is None and self._holds_message(buffer, start + 1, start + length):
             return -1  # the length was damaged; waiting for this end would delay the fixes that follow
         if len(buffer) < start + length:
             return 0
@@ -118,7 +118,7 @@ class Decoder(nmea.Decoder):
             self.checksum_errors += 1
             return -1
         self.frames += 1
-        if known is not None:
+        if lengths is not None:
             self._out += self._epochs.take(kind, body[4:], t_rx)
         return length
 
@@ -127,20 +127,20 @@ class Decoder(nmea.Decoder):
 
         A payload of a receiver never contains such a message, so the enclosing header is wrong.
         """
-        before = self._before
-        while self._ahead and self._ahead[0][0] < before + start:
+        offset = self._before
+        while self._ahead and self._ahead[0][0] < offset + start:
             self._ahead.popleft()
-        first = max(self._looked - before, start)
+        first = max(self._looked - offset, start)
         last = min(end, len(buffer) - LONGEST)  # a decodable message that begins before here is complete
         if first < last:
-            self._ahead += [(before + a, before + b) for a, b in _messages(buffer, first, last)]
-            self._looked = before + last
+            self._ahead += [(offset + a, offset + b) for a, b in _messages(buffer, first, last)]
+            self._looked = offset + last
             first = last
-        known = any(b <= before + end for a, b in self._ahead)
-        return known or any(b <= end for a, b in _messages(buffer, first, end))
+        is_recorded = any(b <= offset + end for a, b in self._ahead)
+        return is_recorded or any(b <= end for a, b in _messages(buffer, first, end))
 
-    def _kept(self, found: list[Frame]) -> list[Frame]:
-        return [f for f in found if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
+    def _kept(self, frames: list[Frame]) -> list[Frame]:
+        return [f for f in frames if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
 
 
 def _messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:

@@ -125,21 +125,21 @@ class Decoder(StreamDecoder[Frame]):
         header_end = start + 2 + 2 * groups.bit_count()
         if len(buffer) < header_end:
             return 0
-        found = message_layout(bytes(buffer[start + 1 : header_end]))
-        if found is None:
+        layout = message_layout(bytes(buffer[start + 1 : header_end]))
+        if layout is None:
             return -1
-        if len(buffer) < start + found.length:
+        if len(buffer) < start + layout.length:
             return 0
-        message = bytes(buffer[start : start + found.length])
+        message = bytes(buffer[start : start + layout.length])
         if crc16(message[1:]) != 0:  # the CRC of a message together with its own CRC is zero
             self.checksum_errors += 1
             return -1
         self.frames += 1
-        values: Values = {quantity: form.unpack_from(message, at) for quantity, form, at in found.fields}
+        values: Values = {quantity: form.unpack_from(message, at) for quantity, form, at in layout.fields}
         t_device = values.pop("startup", (NAN,))[0] * 1e-9
         if values:
             self._out.append(Frame(_ahrs(values), t_rx, t_device))
-        return found.length
+        return layout.length
 
     def _take_ascii(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the sentence at `start`. Return its length as `_take` does."""

@@ -68,7 +68,7 @@ class Decoder(FrameDecoder):
         if node not in self._pole_pairs:
             self.other_nodes[node] = self.other_nodes.get(node, 0) + 1
             if self.other_nodes[node] == 1:
-                nodes = ", ".join(str(other) for other in sorted(self.other_nodes))
+                nodes = ", ".join(str(number) for number in sorted(self.other_nodes))
                 self.remark = f"frames of node {nodes}, which no thruster of the rig has"
             return []
         values = message.decode(data.ljust(8, b"\0"), decode_choices=False)
@@ -85,6 +85,7 @@ class Decoder(FrameDecoder):
         self._voltage.clear()
 
     def _esc(self, node: int, values: dict[str, float], t_rx: float) -> Esc:
+        """Return the state of a controller from its STATUS 1 and its newest temperature and voltage."""
         sign = -1.0 if node in self._reversed else 1.0
         return Esc(
             node=node,

@@ -133,8 +133,8 @@ def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[
         return decoder.feed(data, t_rx)
     if not port.is_confirmed:
         decoder.begin_datagram()
-    before = decoder.accepted
+    n_accepted = decoder.accepted
     frames = decoder.feed(data, t_rx)
-    if decoder.accepted > before:
+    if decoder.accepted > n_accepted:
         port.confirm()
     return frames
