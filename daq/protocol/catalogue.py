@@ -132,20 +132,22 @@ BUILT_IN: dict[str, DeviceType] = {
     "nmea": DeviceType("GNSS receiver or compass, NMEA 0183", SERIAL, _nmea, ("declination_deg",), GNSS_BAUDS),
     "ubx": DeviceType("u-blox GNSS receiver, UBX and NMEA mixed", SERIAL, _ubx, ("declination_deg",), GNSS_BAUDS),
     "loadcell": DeviceType(
-        "load cell, a line of text a reading", SERIAL, _loadcell, ("pattern", "saturation", "calibration"),
+        "load cell, one line of text per reading", SERIAL, _loadcell, ("pattern", "saturation", "calibration"),
         (115200, 9600, 57600, 38400),
     ),
     "openscale": DeviceType(
         "SparkFun OpenScale", SERIAL, _openscale, ("saturation", "calibration"), (9600, 115200, 57600, 38400)
     ),
     "mantracourt": DeviceType(
-        "Mantracourt DSCUSB, DCell: asked for each reading", SERIAL, _mantracourt,
+        "Mantracourt DSCUSB or DCell, one request per reading", SERIAL, _mantracourt,
         ("query", "saturation", "calibration"),
     ),
     "vesc": DeviceType("VESC speed controllers", CAN, _vesc, ("bitrate",)),
     "dbc": DeviceType("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
     "dronecan": DeviceType("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node", "index_offset")),
-    "nmea2000": DeviceType("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
+    "nmea2000": DeviceType(
+        "ship's bus (NMEA 2000): compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")
+    ),
     "mavlink": DeviceType(
         "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600), "pymavlink",
     ),
@@ -168,7 +170,8 @@ class DeviceTypes(Mapping[str, DeviceType]):
         for name in plugins(GROUP):
             if name in BUILT_IN:
                 warnings.warn(
-                    f"a package adds a protocol {name!r} to {GROUP}, which is built in; it is left out: rename it",
+                    f"a package adds a protocol {name!r} to {GROUP}, but this name is built in; "
+                    "the added protocol is ignored: rename it",
                     SeatrialWarning,
                     stacklevel=2,
                 )

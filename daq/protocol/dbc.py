@@ -51,13 +51,13 @@ def load_dbc(path: str) -> Any:
     except OSError as error:
         raise SeatrialError(f"{path}: {error.strerror}") from error
     except Exception as error:  # cantools' parser has errors of many kinds
-        raise SeatrialError(f"{path}: no DBC file: {' '.join(str(error).split())}") from error
+        raise SeatrialError(f"{path}: not a DBC file: {' '.join(str(error).split())}") from error
     for message in database.messages:
         for signal in message.signals:
             if not abs(signal.scale) * 2.0**signal.length + abs(signal.offset) < LARGEST:
                 raise SeatrialError(
                     f"{path}: signal '{printable(signal.name)}' of {printable(message.name)} has the factor "
-                    f"{signal.scale:g} and the offset {signal.offset:g}; no value is so large, correct the DBC file"
+                    f"{signal.scale:g} and the offset {signal.offset:g}; this is implausibly large, correct it"
                 )
     return database
 

@@ -154,7 +154,10 @@ def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
         (("rc_channel = 3", "rc_channel = 1"), r"thruster: 'autopilot rc_channel 1' appears twice; give each its own"),
         (("node = 1", "node = 17"), r"thruster\[1\].node: must be the number of a servo output, 1 .. 16, not 17"),
         (("rpm_max = 4500.0", "pwm_us = [1500, 1500, 1900]"), r"pwm_us: must be \[full reverse, neutral"),
-        (("rate_hz = 25.0", "rate_hz = 25.0\nown_system_id = 1"), r"own_system_id: 1 is the autopilot's own"),
+        (
+            ("rate_hz = 25.0", "rate_hz = 25.0\nown_system_id = 1"),
+            "own_system_id: 1 is the system_id of the autopilot",
+        ),
         (("rate_hz = 25.0", 'rate_hz = 25.0\ngnss = "best"'), r"gnss: must be one of raw, fused, not 'best'"),
         (("[[thruster]]", "[device.rates]\nATTITUD = 5.0\n[[thruster]]"), r"rates.ATTITUD: not a supported message"),
     ],
