@@ -139,7 +139,7 @@ class Device:
 
     @property
     def sends_many_kinds(self) -> bool:
-        """Whether the port has several kinds of samples, of which only one counts for ``rate_hz``."""
+        """Return whether the port has several kinds of samples, of which only one counts for ``rate_hz``."""
         return self.protocol in MANY_KINDS
 
     def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:

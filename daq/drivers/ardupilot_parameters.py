@@ -163,7 +163,7 @@ def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
         name = "SYSID_MYGCS" if "SYSID_MYGCS" in p else "MAV_GCS_SYSID"
         mismatches.append(
             ParameterMismatch(
-                name, ground, str(own_system), "the autopilot obeys only the ground station with this id", True
+                name, ground, str(own_system), "the autopilot obeys only this ground station (own_system_id)", True
             )
         )
     return mismatches
@@ -215,7 +215,7 @@ def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMisma
         for end, k in ends:
             value = p.get(f"{prefix}_{end}")
             if value != pulses[k]:
-                why = f"this is {key} of thruster {thruster.name} in the rig; one of both values is wrong"
+                why = f"the rig has this value in {key} of thruster {thruster.name}; one of both is wrong"
                 mismatches.append(ParameterMismatch(f"{prefix}_{end}", value, f"{pulses[k]:g}", why, True))
     threshold = p.get("FS_THR_VALUE", 0.0)
     if p.get("RCMAP_THROTTLE") == output.rc_channel and threshold >= min(output.rc_us):

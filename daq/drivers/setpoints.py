@@ -59,7 +59,7 @@ class Setpoints:
 
     @property
     def active(self) -> bool:
-        """Whether thrust is commanded now or scheduled."""
+        """Return whether thrust is commanded now or scheduled."""
         with self._lock:
             return self._active()
 

@@ -31,7 +31,7 @@ class Port(ABC):
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the sender of the last read is known to be the device. `confirm` makes an unknown sender known."""
+        """Return whether the sender of the last read is known to be the device. `confirm` makes a new sender known."""
         return True
 
     def confirm(self) -> None:

@@ -112,7 +112,7 @@ class UdpPort(Port):
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the bytes of the last read are from the confirmed sender."""
+        """Return whether the bytes of the last read are from the confirmed sender."""
         return self._candidate is None or self._candidate == self._peer
 
     def confirm(self) -> None:

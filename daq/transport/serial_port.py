@@ -48,9 +48,9 @@ class SerialPort(Port):
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise PortError("hung up") from error
+            raise PortError("disconnected") from error
         if not data:
-            raise PortError("hung up")
+            raise PortError("disconnected")
         self.bytes_in += len(data)
         return data
 
@@ -66,7 +66,7 @@ class SerialPort(Port):
                 if wait <= 0.0 or not select.select([], [self._fd], [], wait)[1]:
                     raise PortError("accepts no more bytes") from None
             except OSError as error:
-                raise PortError("hung up") from error
+                raise PortError("disconnected") from error
 
     def close(self) -> None:
         """Close the port."""
