@@ -3,7 +3,7 @@
 The library cantools unpacks the fields. J1939 and NMEA 2000 differ from other buses in two points. Their identifiers
 contain a priority and the sender's address beside the number of the message (PGN), so the decoder compares only the PGN
 (SAE J1939-21, 5.2). The highest numbers of a field mean "error" or "not available": in J1939 from 0xFB in the highest
-byte on (SAE J1939-71, 5.1), in NMEA 2000 the last three (canboat). Seatrial contains one DBC file, nmea2000.dbc, for
+byte on (SAE J1939-71, 5.1), in NMEA 2000 the last three (canboat). One DBC file is part of seatrial: nmea2000.dbc, for
 PGN 127488, engine parameters.
 """
 

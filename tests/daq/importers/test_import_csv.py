@@ -273,7 +273,7 @@ def test_an_iso_time_that_is_none(folder: Path) -> None:
         ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
         ("[time]", "[tims]", r"tims: unknown key"),
         ('column = "t"', 'colum = "t"', r"rate_hz; is 'colum' a typing error\?"),
-        ('column = "heading"', 'colum = "heading"', r"signal\[1\]\.column: missing; .*'colum' is there: is it"),
+        ('column = "heading"', 'colum = "heading"', r"signal\[1\]\.column: missing; .*is 'colum' a typing error"),
         ("[csv]", "[geometry]\ny_left = -25.0\ny_right = 25.0\nlength = 1.2\n[csv]",
          r"geometry\.y_left: 25 m from the middle of a hull of 1\.2 m; positions are in metres"),
         ("[csv]", '[csv]\ndelimiter = ", "', r"csv\.delimiter: must be one character"),
