@@ -278,8 +278,8 @@ class Epochs:
     def _timeless(self, kind: str, message: Message, t_rx: float) -> None:
         """Add a sentence without a time. A receiver that has never had a fix sends these sentences.
 
-        An epoch without a time begins with the first kind of sentence that the present epoch already has. If the
-        receiver also sends sentences with a time, a sentence without one (for example an old GLL) is ignored.
+        A new epoch begins when a kind of sentence arrives that the present epoch already has. If the receiver also
+        sends sentences with a time, a sentence without a time (for example an old GLL) is ignored.
         """
         epoch = self._epoch
         if kind not in _POSITION or not (epoch is None or epoch.timeless or t_rx - epoch.t_rx > TIMELESS_S):
@@ -356,7 +356,7 @@ class Epochs:
 
 
 def nearest_day(t: float, near: float) -> float:
-    """Return the time `t` [s] shifted by whole days so that it is nearest to `near` [s]. NaN if one of them is."""
+    """Return the time `t` [s] shifted by whole days so that it is nearest to `near` [s], NaN without one of both."""
     if not math.isfinite(t + near):
         return NAN
     return t + round((near - t) / DAY) * DAY

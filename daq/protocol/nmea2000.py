@@ -206,6 +206,7 @@ class Decoder(FrameDecoder):
         return NAN
 
     def _turn(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Return the sample of a rate of turn from the best sender."""
         (raw,) = _TURN.unpack_from(data)
         rate = raw * _RATE if raw < 2**31 - 3 else NAN
         if math.isnan(rate) or not self._leads(TURN, 0, source, t_rx) or not self._settled(TURN, t_rx):
@@ -213,12 +214,14 @@ class Decoder(FrameDecoder):
         return [Frame(Ahrs(NAN, NAN, NAN, r=rate), t_rx, NAN)]
 
     def _attitude(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Store pitch and roll for the next heading."""
         _, pitch, roll = (_signed16(raw, _ANGLE) for raw in _ATTITUDE.unpack_from(data))
         if not math.isnan(pitch + roll) and self._leads(ATTITUDE, 0, source, t_rx):
             self._level = pitch, roll, t_rx
         return []
 
     def _variation(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Store the variation for magnetic headings and courses."""
         variation = _signed16(_VARIATION.unpack_from(data)[2], _ANGLE)
         if not math.isnan(variation) and self._leads(VARIATION, 0, source, t_rx):
             self._bus_variation = variation
@@ -239,6 +242,7 @@ class Decoder(FrameDecoder):
         return []
 
     def _dops(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Store the dimensions of a sender's fixes."""
         if (mode := _DOPS.unpack_from(data)[0] >> 3 & 7) in _DIMENSIONS:
             self._dimensions[source] = _DIMENSIONS[mode], t_rx
         return []

@@ -62,9 +62,8 @@ class MessageLayout(NamedTuple):
 
     header: int  # bytes of sync byte and header
     length: int  # bytes of the whole message
-    fields: tuple[
-        tuple[str, struct.Struct, int], ...
-    ]  # quantity, format and offset [bytes] of the fields that are read
+    # Quantity, format and offset [bytes] of the fields that are read.
+    fields: tuple[tuple[str, struct.Struct, int], ...]
 
 
 @functools.lru_cache(maxsize=256)
