@@ -18,8 +18,8 @@ TWO_PADDLES = 1  # PILOT_STEER_TYPE
 LEFT, RIGHT = 73.0, 74.0
 # Function -> parameter with the channel of that side, and its factory value.
 PADDLES = {LEFT: ("RCMAP_ROLL", 1.0), RIGHT: ("RCMAP_THROTTLE", 3.0)}
-OVERRIDE_MAX_S = 1.0
-STATION_MAX_S = 5.0  # factory value of FS_GCS_TIMEOUT
+OVERRIDE_MAX_S = 1.0  # largest allowed RC_OVERRIDE_TIME
+STATION_MAX_S = 5.0  # largest allowed FS_GCS_TIMEOUT and FS_TIMEOUT; the factory value of FS_GCS_TIMEOUT
 HOLD, TERMINATE = 2.0, 5.0  # FS_ACTION
 IGNORES_OVERRIDES = 1 << 1  # bit of RC_OPTIONS
 GROUND_STATION_NAMES = ("MAV_GCS_SYSID", "SYSID_MYGCS")  # name in Rover 4.7 and later, name in earlier versions
