@@ -1,9 +1,8 @@
-"""Typed samples of devices, in SI units and radians, one class per kind.
+"""Classes of the samples of devices, one class per kind. Values are in SI units, and angles are in radians.
 
-Frames: body axes are forward, starboard, down (FRD); the local frame is north, east, down (NED);
-yaw is positive clockwise seen from above, zero at true north. Latitude and longitude are the one
-exception to radians: degrees, as in every GNSS message and in ``sensor_msgs/NavSatFix``.
-A value that the device did not report is NaN (or -1 for a count).
+The body axes are forward, starboard, down (FRD). The local frame is north, east, down (NED). Yaw is positive clockwise
+seen from above, and zero at true north. Latitude and longitude are in degrees, as in GNSS messages and in
+``sensor_msgs/NavSatFix``. A value that the device does not report is NaN, or -1 for an integer.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ WGS84_ECCENTRICITY_2 = 6.69437999014e-3
 
 
 def wrap_angle(angle: float) -> float:
-    """An angle [rad] wrapped to -pi..pi."""
+    """Wrap an angle [rad] to -pi..pi."""
     return math.remainder(angle, math.tau)
 
 
@@ -46,7 +45,8 @@ class Ahrs:
 class Gnss:
     """One epoch of a GNSS receiver.
 
-    A slow receiver has a speed but no course, hence no velocity; a differential or RTK fix may be two-dimensional.
+    A receiver at low speed may report a speed without a course; its velocity is then NaN. A differential or RTK fix may
+    be two-dimensional, so `fix` and `dimensions` are separate fields.
     """
 
     utc: float  # s since 1970-01-01 UTC
@@ -57,11 +57,12 @@ class Gnss:
     vel_e: float = NAN
     vel_d: float = NAN
     fix: int = 0  # 0 none, 1 dead reckoning, 2 2D, 3 3D, 4 differential, 5 RTK fixed, 6 RTK float
-    n_sat: int = -1
+    n_sat: int = -1  # number of satellites
     hdop: float = NAN
     sigma_h: float = NAN  # m, standard deviation of the horizontal position per axis
-    speed: float = NAN  # m/s over ground, horizontal; that of the velocity where the receiver does not say it
-    dimensions: int = -1  # 2 with the height held, 3, 0 no fix; that of ``fix`` where it says so; -1 not reported
+    speed: float = NAN  # m/s over ground, horizontal; the norm of the velocity if the receiver does not report a speed
+    # 0 no fix, 2 with a fixed height, 3, -1 not reported. Follows from ``fix`` if that is 0, 2 or 3.
+    dimensions: int = -1
 
     def __post_init__(self) -> None:
         if self.speed != self.speed:
@@ -75,7 +76,7 @@ class Esc:
     """State of one thruster's speed controller."""
 
     node: int  # controller id on the bus
-    rpm: float = NAN  # rev/min of the shaft (pole pairs taken out), signed
+    rpm: float = NAN  # rev/min of the shaft (electrical speed divided by the pole pairs), signed
     current: float = NAN  # A, motor
     duty: float = NAN  # -1..1
     voltage: float = NAN  # V, supply
@@ -84,16 +85,16 @@ class Esc:
 
 @dataclass(frozen=True, slots=True)
 class LoadCell:
-    """One reading of a load cell. ``force`` follows from counts by the rig's calibration."""
+    """One reading of a load cell. ``force`` follows from ``counts`` by the calibration in the rig."""
 
-    counts: float  # raw, as sent
-    force: float = NAN  # N, along the thrust axis, positive for thrust ahead
+    counts: float  # raw reading
+    force: float = NAN  # N, along the thrust axis, positive for forward thrust
     flags: int = 0  # bit 0 saturated, bit 1 spike
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Command to a thruster, at the time the frame was sent."""
+    """Command to a thruster. Its time is that of sending."""
 
     node: int
     n_cmd: float  # normalised shaft speed or duty, -1..1, sign as in the rig (positive forward)
@@ -101,11 +102,11 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """One output of an autopilot: the pulse it sent to a speed controller, after its own limits and mixing."""
+    """Pulse at one output of an autopilot, after the limits and the mixing of the autopilot."""
 
-    node: int  # output number, from 1
-    pwm: float  # us; 0 while there is no pulse
-    n: float = NAN  # -1..1 by the rig's pulse widths, positive forward; NaN without a rig
+    node: int  # number of the output, from 1
+    pwm: float  # us; 0 without a pulse
+    n: float = NAN  # -1..1 by the pulse widths in the rig, positive forward; NaN without a rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +114,8 @@ class Battery:
     """State of a battery."""
 
     voltage: float = NAN  # V
-    current: float = NAN  # A, positive when it discharges
-    remaining: float = NAN  # 0..1
+    current: float = NAN  # A, positive while the battery discharges
+    remaining: float = NAN  # charge, 0..1
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,21 +123,21 @@ class Autopilot:
     """State of an autopilot."""
 
     armed: int  # 1 armed, 0 not
-    mode: int  # its own number of the mode (ArduPilot Rover: 0 MANUAL, 4 HOLD)
+    mode: int  # number of the mode by the autopilot's definition (ArduPilot Rover: 0 MANUAL, 4 HOLD)
     state: int  # MAV_STATE: 3 standby, 4 active, 5 critical, 6 emergency
     ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
 
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """One named signal, from an imported file; the topic carries its name, the channel its unit."""
+    """Value of a named signal of an imported file. The log's topic contains its name, the log's channel its unit."""
 
     value: float
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened: a plan's step, a tare, a stop and its reason."""
+    """Event of a run, for example the start of a segment, a tare, or a stop with its reason."""
 
     kind: str
     text: str
@@ -154,16 +155,16 @@ class PortHealth:
     dropped: int
     reconnects: int
     clock_bias: float  # s, mean of receive time minus estimated sample time
-    clock_spread: float  # s
+    clock_spread: float  # s, standard deviation of the same difference
 
 
-MEASURED = (Ahrs, Gnss, Esc, LoadCell, Servo, Battery, Autopilot, Scalar)  # what a device or a file has said
+MEASURED = (Ahrs, Gnss, Esc, LoadCell, Servo, Battery, Autopilot, Scalar)  # kinds that a device or a file contains
 Sample = Ahrs | Gnss | Esc | LoadCell | Command | Servo | Battery | Autopilot | Scalar | Event | PortHealth
 
 
 class Frame(NamedTuple):
-    """A decoded sample with its times; ``Decoder.feed`` yields these."""
+    """Decoded sample with its times, as ``Decoder.feed`` returns it."""
 
     sample: Sample
-    t_rx: float  # s, run time at which the last byte's read returned
-    t_device: float  # s, the device's own clock (any origin), NaN when it has none
+    t_rx: float  # s, run time at which the read of the sample's bytes returned
+    t_device: float  # s, time by the clock of the device (any origin); NaN if the device has no clock

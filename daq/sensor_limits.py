@@ -1,10 +1,10 @@
-"""Limits beyond which a sensor's values are implausible, shared by the live warning and the check of a log.
+"""Limits of stuck sensors, for the live warning and for the check of a log.
 
-A sensor is stuck when its values stay exactly the same for more samples and longer than its noise allows. The live
+A sensor is stuck if its values stay exactly equal for more samples and a longer time than its noise allows. The live
 warning (seatrial.daq.acquisition.sensor_health) waits longer than the check of a log
-(seatrial.daq.checks.device_checks): a false alarm during a run distracts, a section of a log that is found in vain
-costs a glance. Which samples can be stuck at all is one rule for both, ``can_be_stuck``, but for load cells, of which a
-log tells more.
+(seatrial.daq.checks.device_checks), because a false alarm during a run distracts the operator, and a false finding in a
+log only costs a short look. Both use ``can_be_stuck`` to select the samples that can be stuck, except for load cells:
+the check of a log has more data about them.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from seatrial.daq.samples import Ahrs, Gnss, LoadCell
 
 
 class StuckLimit(NamedTuple):
-    """Values of these fields that repeat for at least so many samples and seconds (run time) are stuck."""
+    """Limit of a kind of sensor. It is stuck if its fields repeat for at least these numbers of samples and seconds."""
 
-    fields: tuple[str, ...]
+    fields: tuple[str, ...]  # names of the compared fields
     samples: int
-    seconds: float
+    seconds: float  # run s
 
 
 _MOTION = ("yaw", "p", "q", "r", "ax", "ay", "az")
-# A receiver at rest may repeat its position: live, its time is compared.
+# A receiver at rest may repeat its position, so the live warning compares only its time.
 STUCK_LIVE: dict[type, StuckLimit] = {
     Ahrs: StuckLimit(_MOTION, 20, 5.0),
     Gnss: StuckLimit(("utc",), 20, 5.0),
@@ -31,18 +31,35 @@ STUCK_LIVE: dict[type, StuckLimit] = {
 }
 STUCK_IN_LOG: dict[type, StuckLimit] = {
     Ahrs: StuckLimit(_MOTION, 10, 0.5),
-    Gnss: StuckLimit(("utc", "lat", "lon", "vel_n", "vel_e"), 10, 3.0),  # a receiver at rest may hold its position
+    # A receiver at rest may repeat its position and velocity, but not its time.
+    Gnss: StuckLimit(("utc", "lat", "lon", "vel_n", "vel_e"), 10, 3.0),
     LoadCell: StuckLimit(("counts",), 20, 3.0),
 }
-FINE_COUNTS = 1000.0  # a whole number beyond is a converter's own, which always flickers; 0.00 kg may well stay
-FLAGGED_SHARE = 0.01  # of a load cell's samples: saturated or spikes
+# Counts. A larger whole number is a raw number of a converter, which always has noise. A scaled reading such as 0.00 kg
+# may stay constant.
+FINE_COUNTS = 1000.0
+FLAGGED_SHARE = 0.01  # limit of the share of saturated samples and spikes of a load cell
 
 
 def can_be_stuck(kind: type, sample: Any) -> Any:
-    """Whether a sample, or each of a table (a record array), would change if its sensor were alive.
+    """Return whether a sample, or each sample of a table, would change from sample to sample if its sensor works.
 
-    A compass rounds so coarsely that it alone may repeat for a minute, and so may the thousandths of g of an
-    autopilot's accelerometer. A receiver without a time repeats that it knows nothing, a scale at rest its 0.00.
+    Parameters
+    ----------
+    kind
+        `Ahrs`, `Gnss` or `LoadCell`.
+    sample
+        A sample, or a record array (n_samples,) with the same fields.
+
+    Returns
+    -------
+    bool or Array (n_samples,)
+
+    Notes
+    -----
+    Some samples repeat without a fault. A compass rounds so coarsely that its heading alone may repeat for a minute.
+    The same holds for the acceleration of an autopilot in thousandths of g. A receiver without a time repeats an empty
+    sample, and a scale at rest repeats 0.00.
     """
     if kind is Ahrs:
         p, yaw, ax = sample.p, sample.yaw, sample.ax

@@ -1,4 +1,4 @@
-"""Configuration files: rig.toml and mission.toml to dataclasses and back."""
+"""Configuration files: readers of rig.toml and mission.toml, and the writer of mission.toml."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""mission.toml to `Mission` and back: set-points over time, limits and provenance (docs/formats/mission.md)."""
+"""Reader and writer of mission.toml: set-points over time, limits and provenance (docs/formats/mission.md)."""
 
 from __future__ import annotations
 
@@ -17,22 +17,31 @@ from seatrial.daq.files import write_output
 
 FORMAT = "seatrial-mission 1"
 KINDS = ("mission", "static", "steps", "chirp")
-STATIC = "static"  # segments of this name are at rest: they give the load cell's zero and the sensors' noise
+STATIC = "static"  # name of segments at rest; they serve to measure the load cell's zero and the sensors' noise
 MAX_RAMP_ROWS = 1_000_000  # 11 h of ramps; a slew limit that needs more is a typing error
-RAMP_DT = 0.04  # s, spacing of the set-points that a slew limit inserts, the same as a chirp's rows
+RAMP_DT = 0.04  # s, between the set-points of a ramp by the slew limit; equal to that of the rows of a chirp
 FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A named part of a mission: rows `n` (K, n_thrusters) [-1..1], each holding from its `t` (K,) [s] to the next."""
+    """Named part of a mission. Each row of commands holds from its time to the time of the next row.
+
+    Attributes
+    ----------
+    name : str
+    t : Array (K,)
+        Times of the rows since the start of the mission [s].
+    n : Array (K, n_thrusters)
+        Commands, -1..1.
+    """
 
     name: str
     t: FloatArray
     n: FloatArray
 
     def __eq__(self, other: object) -> bool:
-        """Equal names and equal numbers; arrays have no truth value, so dataclass equality would raise."""
+        """Return whether names and numbers are equal. The default of dataclasses raises an error for arrays."""
         return (
             isinstance(other, Segment)
             and self.name == other.name
@@ -41,14 +50,27 @@ class Segment:
         )
 
     def __hash__(self) -> int:
-        """Hash of the name and of the bytes of both arrays."""
+        """Return a hash of the name and of the bytes of both arrays."""
         return hash((self.name, self.t.tobytes(), self.n.tobytes()))
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Track: t (K,) s, x north and y east (K,) m from where it begins, heading north; radius (K,) m, within which 95 %
-    of the simulated boats were. errors_before: standard errors before the mission, for those that were known."""
+    """Predicted track of a designed mission, from simulations of boats with uncertain parameters.
+
+    Attributes
+    ----------
+    model : str
+        Name of the model.
+    t : Array (K,)
+        Times [s].
+    x, y : Array (K,)
+        Position north and east of the start [m]. The boat starts with heading north.
+    radius : Array (K,)
+        Distance from the track [m] within which 95 % of the simulated boats were.
+    errors_before : Mapping
+        Standard errors of parameters before the mission by name. Parameters with an unknown error are missing.
+    """
 
     model: str
     t: FloatArray
@@ -58,11 +80,11 @@ class Prediction:
     errors_before: Mapping[str, float] = field(default_factory=dict)
 
     def __eq__(self, other: object) -> bool:
-        """Equal names and numbers."""
+        """Return whether names and numbers are equal."""
         return isinstance(other, Prediction) and self._content() == other._content()
 
     def __hash__(self) -> int:
-        """Hash of the model's name and of the track."""
+        """Return a hash of the model's name and of the track."""
         return hash((self.model, self.x.tobytes(), self.y.tobytes()))
 
     def _content(self) -> tuple[object, ...]:
@@ -72,30 +94,39 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Mission:
-    """The content of one mission.toml; times in s from its start, commands normalised to -1..1."""
+    """Content of one mission.toml. Times are in s from the start of the mission, commands are normalised to -1..1."""
 
     name: str
-    kind: str
-    thrusters: tuple[str, ...]
+    kind: str  # one of KINDS
+    thrusters: tuple[str, ...]  # names, in the order of the columns of the commands
     segments: tuple[Segment, ...]
-    end: float  # s, zero thrust from here on
-    n_max: float = 1.0
-    slew_per_s: float = math.inf  # 1/s, inf: no limit
-    made_by: str = ""
-    seed: int | None = None
-    predicted_errors: Mapping[str, float] = field(default_factory=dict)
-    prediction: Prediction | None = None  # of a design
+    end: float  # s; thrust is zero from this time on
+    n_max: float = 1.0  # largest command
+    slew_per_s: float = math.inf  # 1/s, largest rate of change of a command; inf: no limit
+    made_by: str = ""  # command line that generated the mission
+    seed: int | None = None  # of the random numbers
+    predicted_errors: Mapping[str, float] = field(default_factory=dict)  # standard errors after the mission, by name
+    prediction: Prediction | None = None  # only of a designed mission
 
     def starts(self) -> list[tuple[float, float, str]]:
-        """Start [s], end [s] and name of each segment, in order."""
+        """Return start [s], end [s] and name of each segment in order."""
         begins = [float(segment.t[0]) for segment in self.segments]
         ends = [*begins[1:], self.end]
         return [(t0, t1, s.name) for t0, t1, s in zip(begins, ends, self.segments, strict=True)]
 
     def setpoints(self) -> tuple[FloatArray, FloatArray]:
-        """All rows, slew limit applied, and the final zero row: `t` (K,) [s], `n` (K, n_thrusters).
+        """Return all rows with the slew limit applied, and the final row of zeros.
 
-        The zero at the end is immediate: an end must never depend on how far a ramp has come.
+        Returns
+        -------
+        t : Array (K,)
+            Times since the start of the mission [s].
+        n : Array (K, n_thrusters)
+            Commands, -1..1.
+
+        Notes
+        -----
+        The slew limit does not apply to the final row: thrust has to end at the same time, whatever the last command.
         """
         t = np.concatenate([segment.t for segment in self.segments])
         n = np.concatenate([segment.n for segment in self.segments])
@@ -107,31 +138,53 @@ class Mission:
 
 
 def _limit_slew(t: FloatArray, n: FloatArray, end: float, slew: float) -> tuple[FloatArray, FloatArray]:
-    """Replace jumps by ramps of at most `slew` [1/s], rows RAMP_DT apart; a later row cuts a ramp short."""
+    """Replace steps by ramps with a rate of at most `slew` [1/s] and rows RAMP_DT apart. The next row ends a ramp.
+
+    `t` has shape (K,) [s], `n` has shape (K, n_thrusters). The returned arrays may have more rows.
+    """
     now, last_t = np.zeros(n.shape[1]), -math.inf
     out_t: list[float] = []
     out_n: list[FloatArray] = []
     for k, target in enumerate(n):
         until = t[k + 1] if k + 1 < len(t) else end
-        at = float(t[k])
+        t_row = float(t[k])
         while True:
-            step = slew * min(RAMP_DT, at - last_t)
+            step = slew * min(RAMP_DT, t_row - last_t)
             now = now + np.clip(target - now, -step, step)
-            out_t.append(at)
+            out_t.append(t_row)
             out_n.append(now)
-            last_t, at = at, at + RAMP_DT
-            if np.array_equal(now, target) or at >= until - 1e-9:
+            last_t, t_row = t_row, t_row + RAMP_DT
+            if np.array_equal(now, target) or t_row >= until - 1e-9:
                 break
     return np.array(out_t), np.array(out_n)
 
 
 def load_mission(path: Path) -> Mission:
-    """Read and validate a mission.toml; raises SeatrialError in one line that names file and key."""
+    """Read and check a mission.toml.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or is not a valid mission. The message names file and key.
+    """
     return parse_mission(read_text(path), path)
 
 
 def parse_mission(text: str, source: Path | str) -> Mission:
-    """Validate the text of a mission.toml; every error begins with `source`."""
+    """Check the text of a mission.toml and return its mission.
+
+    Parameters
+    ----------
+    text
+        Text of the file.
+    source
+        Path with which error messages begin.
+
+    Raises
+    ------
+    SeatrialError
+        If the text is not a valid mission. The message names the key.
+    """
     root = parse_toml(text, source)
     root.text("format", choices=(FORMAT,))
     root.text("hold", "zero", choices=("zero",))
@@ -161,7 +214,7 @@ def parse_mission(text: str, source: Path | str) -> Mission:
 
 
 def _items(table: TomlTable, key: str) -> TomlTable:
-    """The items of a list as a table of their own, with keys `key[1]`, `key[2]`, ..."""
+    """Convert the items of a list to a table with the keys `key[1]`, `key[2]`, ..., so that errors name the item."""
     value = table.values.pop(key, None)
     if not isinstance(value, list) or not value:
         raise table.error(key, "must be a list with at least one item")
@@ -181,7 +234,7 @@ def _predicted(table: TomlTable | None) -> dict[str, float]:
 
 
 def _segment(table: TomlTable, n_thrusters: int) -> Segment:
-    """One [[segment]]: equal counts of times and rows, ascending times, finite numbers."""
+    """Read one [[segment]]. It must have one row per time, ascending times, and finite numbers."""
     name, t = table.line("name"), np.array(table.numbers("t"), dtype=np.float64)
     items = _items(table, "n")
     n = np.array([items.numbers(item, length=n_thrusters) for item in items.values], dtype=np.float64)
@@ -197,20 +250,29 @@ def _segment(table: TomlTable, n_thrusters: int) -> Segment:
 
 
 def parse_prediction(table: TomlTable | None) -> Prediction | None:
-    """The table [prediction] of a mission.toml, or None; raises SeatrialError in one line that names the key."""
+    """Read the table [prediction] of a mission.toml. Return None if there is no table.
+
+    Raises
+    ------
+    SeatrialError
+        If a key is missing, unknown or has a wrong value.
+    """
     if table is None:
         return None
     t = np.array(table.numbers("t"), dtype=np.float64)
     x, y, radius = (np.array(table.numbers(key, length=len(t)), dtype=np.float64) for key in ("x", "y", "radius"))
-    before = table.table("errors_before")
-    errors = {} if before is None else before.named_numbers()
-    found = Prediction(table.line("model"), t, x, y, radius, errors)
+    errors_table = table.table("errors_before")
+    errors = {} if errors_table is None else errors_table.named_numbers()
+    prediction = Prediction(table.line("model"), t, x, y, radius, errors)
     table.done()
-    return found
+    return prediction
 
 
 def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
-    """Segments follow each other from t >= 0 to before the end, and no command is beyond n_max."""
+    """Check that segments are in order from t = 0 to the end, that no command exceeds n_max, and the slew limit.
+
+    `root` is the root table, for error messages.
+    """
     if not mission.segments:
         raise root.error("segment", "missing; a mission needs at least one [[segment]]")
     last = -math.inf
@@ -226,7 +288,7 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
     if not mission.end > last:
         raise root.error("end.t", f"{mission.end:g} must come after the last command at {last:g} s")
     times = np.append(np.concatenate([segment.t for segment in mission.segments]), mission.end)
-    longest = 2.0 * mission.n_max / mission.slew_per_s  # s, from full astern to full ahead
+    longest = 2.0 * mission.n_max / mission.slew_per_s  # s, from full reverse to full forward
     if (n_rows := float(np.minimum(np.diff(times), longest).sum()) / RAMP_DT) > MAX_RAMP_ROWS:
         raise root.error(
             "limits.slew_per_s",
@@ -236,7 +298,13 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
 
 
 def save_mission(mission: Mission, path: Path) -> None:
-    """Write mission.toml; raises SeatrialError when it cannot be written."""
+    """Write a mission.toml. An existing file is replaced.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be written.
+    """
     try:
         write_output(path, dump_mission(mission))
     except OSError as error:
@@ -244,7 +312,13 @@ def save_mission(mission: Mission, path: Path) -> None:
 
 
 def save_new_mission(mission: Mission, path: Path) -> None:
-    """Write a mission.toml that must not exist yet; raises SeatrialError where it does or cannot be written."""
+    """Write a new mission.toml.
+
+    Raises
+    ------
+    SeatrialError
+        If the file exists or cannot be written.
+    """
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(dump_mission(mission))
@@ -255,7 +329,7 @@ def save_new_mission(mission: Mission, path: Path) -> None:
 
 
 def dump_mission(mission: Mission) -> str:
-    """The text of mission.toml; `parse_mission(dump_mission(m))` equals `m`."""
+    """Return the text of a mission.toml, from which `parse_mission` returns an equal mission."""
     quoted = _quote
     lines = [
         f"format = {quoted(FORMAT)}",
@@ -283,13 +357,13 @@ def dump_mission(mission: Mission) -> str:
     return "\n".join(lines)
 
 
-def dump_prediction(one: Prediction) -> list[str]:
-    """The lines of [prediction] in a mission.toml."""
-    rows = {"t": one.t, "x": one.x, "y": one.y, "radius": one.radius}
-    known = ", ".join(f"{tomlkit.item(k).as_string()} = {float(v)!r}" for k, v in one.errors_before.items())
-    lines = ["", "[prediction]", f"model = {tomlkit.item(one.model).as_string()}"]
+def dump_prediction(prediction: Prediction) -> list[str]:
+    """Return the lines of the table [prediction] of a mission.toml."""
+    rows = {"t": prediction.t, "x": prediction.x, "y": prediction.y, "radius": prediction.radius}
+    errors = ", ".join(f"{tomlkit.item(k).as_string()} = {float(v)!r}" for k, v in prediction.errors_before.items())
+    lines = ["", "[prediction]", f"model = {tomlkit.item(prediction.model).as_string()}"]
     lines += [f"{key} = [{', '.join(repr(v) for v in values.tolist())}]" for key, values in rows.items()]
-    return [*lines, f"errors_before = {{{known}}}"]
+    return [*lines, f"errors_before = {{{errors}}}"]
 
 
 def _quote(text: str) -> str:

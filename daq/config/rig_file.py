@@ -1,4 +1,4 @@
-"""rig.toml to `seatrial.daq.rig.Rig`: reads and checks every key (docs/formats/rig.md)."""
+"""Reader of rig.toml, which checks every key and returns a `seatrial.daq.rig.Rig` (docs/formats/rig.md)."""
 
 from __future__ import annotations
 
@@ -37,12 +37,19 @@ from seatrial.daq.rig import (
 )
 
 FORMAT = "seatrial-rig 1"
-LEAST_SEGMENTS = 3  # the first, the one being written, and one that is whole
-HIGHEST_NODE = {"dronecan": 19}  # a command has room for so many
+LEAST_SEGMENTS = 3  # the first segment, the one that is being written, and one complete segment
+HIGHEST_NODE = {"dronecan": 19}  # protocol -> largest node; a DroneCAN command has places for nodes 0 to 19
 
 
 def load_rig(path: Path | str) -> Rig:
-    """Read and check a rig file. Raises SeatrialError that names file and key of whatever is wrong."""
+    """Read and check a rig file.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read, or if a key is missing, unknown or has a wrong value. The message names file and
+        key.
+    """
     path = Path(path)
     return parse_rig(read_text(path), path)
 
@@ -80,7 +87,7 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     thrusters = tuple(_thruster(table, devices) for table in root.tables("thruster"))
     _unique(root, "thruster", [thruster.name for thruster in thrusters])
     _unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
-    # An override has one value a channel: the last thruster's, and it would move them all.
+    # An RC override has one value per channel, so two thrusters on one channel would get the command of the last one.
     _unique(root, "thruster", [f"{t.device} rc_channel {t.output.rc_channel}" for t in thrusters if t.output])
     limits = _limits(root.table("limits"))
     vehicle = _vehicle(root.table("vehicle"))
@@ -93,7 +100,7 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
 
 
 def default_decoder(protocol: str) -> Decoder:
-    """The decoder of a serial protocol with all its keys at their defaults."""
+    """Return the decoder of a serial protocol with default values for all keys of its device."""
     device = f'[[device]]\nname = "a"\nprotocol = "{protocol}"\nport = "-"\nrate_hz = 1.0'
     text = f'format = "{FORMAT}"\nname = "-"\n{device}'
     rig = parse_rig(text, "-")
@@ -110,6 +117,7 @@ def _speed(root: TomlTable) -> float:
 
 
 def _log(root: TomlTable) -> tuple[str, Segments]:
+    """Read the table [log]: the folder of the logs and their segments."""
     log = root.table("log")
     if log is None:
         return "logs", Segments()
@@ -122,9 +130,9 @@ def _log(root: TomlTable) -> tuple[str, Segments]:
     )
     if segments.keep_gigabytes is not None:
         if segments.megabytes is None and segments.seconds is None:
-            raise log.error("keep_gb", "whole segments are deleted: give segment_mb or segment_s, too")
+            raise log.error("keep_gb", "needs a log in segments, the oldest is deleted: give segment_mb or segment_s")
         if 1e3 * segments.keep_gigabytes < LEAST_SEGMENTS * (segments.megabytes or 0.0):
-            raise log.error("keep_gb", f"has to hold {LEAST_SEGMENTS} segments of segment_mb")
+            raise log.error("keep_gb", f"must be at least {LEAST_SEGMENTS} segments of segment_mb")
     log.done()
     return directory, segments
 
@@ -133,12 +141,13 @@ def _live(table: TomlTable | None) -> Live:
     if table is None:
         return Live()
     port = table.integer("port", Live.port, low=0, high=65535)
-    found = Live(table.text("host", Live.host), port, table.texts("origins", Live.origins))
+    live = Live(table.text("host", Live.host), port, table.texts("origins", Live.origins))
     table.done()
-    return found
+    return live
 
 
 def _ros2(table: TomlTable | None) -> Ros2:
+    """Read the table [ros2]."""
     if table is None:
         return Ros2()
     router, namespace = table.text("router", Ros2.router), table.text("namespace", Ros2.namespace)
@@ -146,7 +155,7 @@ def _ros2(table: TomlTable | None) -> Ros2:
         raise table.error("router", f"must be tcp/HOST:PORT, not '{router}'")
     if namespace and not NAME.fullmatch(namespace):
         raise table.error("namespace", f"'{namespace}' becomes a part of topics: a letter, then letters, digits or _")
-    found = Ros2(
+    settings = Ros2(
         router,
         table.integer("domain", Ros2.domain, low=0, high=232),
         namespace,
@@ -154,11 +163,14 @@ def _ros2(table: TomlTable | None) -> Ros2:
         table.number("timeout_s", Ros2.timeout_s, low=0.05, high=2.0),
     )
     table.done()
-    return found
+    return settings
 
 
 def _own_ports(root: TomlTable, devices: Sequence[Device]) -> None:
-    """Only a CAN interface of the system and connections to others can have several users."""
+    """Check that no two devices have the same port.
+
+    Several devices may share a CAN interface of the kernel, and a connection to a remote address.
+    """
     owner: dict[str, str] = {}
     for device in devices:
         if device.port.startswith(("socketcan:", "udpout:", "tcp:")):
@@ -183,7 +195,7 @@ def _name(table: TomlTable) -> str:
 
 
 def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
-    """Read one [[device]]; with `recorded` its protocol need not be installed (`parse_rig`)."""
+    """Read one [[device]]. If `recorded` is true, its protocol need not be installed (`parse_rig`)."""
     name = _name(table)
     protocol = table.text("protocol", choices=() if recorded else tuple(DEVICES))
     try:
@@ -207,7 +219,7 @@ def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
 
 
 def _device_without_protocol(name: str, protocol: str, table: TomlTable) -> Device:
-    """Return a device of a log whose protocol is not installed; keys of the protocol are not checked."""
+    """Return a device of a log whose protocol is not installed. The keys of the protocol are not checked."""
     rate = table.number("rate_hz", positive=True)
     forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
     port, baud = table.text("port"), table.integer("baud", 115200, low=1)
@@ -215,6 +227,7 @@ def _device_without_protocol(name: str, protocol: str, table: TomlTable) -> Devi
 
 
 def _port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
+    """Read the port of a device. Relative paths of serial devices count from `folder`."""
     port = table.text("port")
     kind, colon, rest = port.partition(":")
     if bus == CAN:
@@ -237,15 +250,35 @@ def _address(table: TomlTable, port: str) -> str:
 
 
 def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
-    """The fields of `seatrial.daq.rig.Device` that these keys of a device's table give. Raises SeatrialError."""
-    found: dict[str, Any] = {}
-    settings: dict[str, str | float | bool] = {}  # of a protocol of another package, which checks them itself
+    """Read the keys of a device that belong to its protocol.
+
+    Parameters
+    ----------
+    table
+        Table of the device.
+    names
+        Names of the keys.
+    folder
+        Folder from which relative paths count.
+
+    Returns
+    -------
+    dict
+        Fields of `seatrial.daq.rig.Device` by name.
+
+    Raises
+    ------
+    SeatrialError
+        If a key is missing or has a wrong value.
+    """
+    fields: dict[str, Any] = {}
+    settings: dict[str, str | float | bool] = {}  # keys of a protocol of another package, which checks them itself
     for name in names:
         if name in _READ:
-            found |= _READ[name](table, folder)
+            fields |= _READ[name](table, folder)
         elif name in table.values:
             settings[name] = table.scalar(name)
-    return {**found, "settings": settings} if settings else found
+    return {**fields, "settings": settings} if settings else fields
 
 
 def _bitrate(table: TomlTable, folder: Path) -> dict[str, Any]:
@@ -275,6 +308,7 @@ def _saturation(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read the table [device.calibration] of a load cell."""
     inner = table.table("calibration")
     if inner is None:
         return {}
@@ -282,10 +316,10 @@ def _calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
     if gain == 0.0:
         raise inner.error("newton_per_count", "must not be zero")
     zero, ratio = inner.number("zero_counts", 0.0), inner.number("lever_ratio", 1.0, positive=True)
-    of_gain, of_ratio = (inner.maybe_number(f"{name}_sd", low=0.0) for name in ("newton_per_count", "lever_ratio"))
-    found = LoadCellCalibration(gain, zero, ratio, of_gain, of_ratio)
+    gain_sd, ratio_sd = (inner.maybe_number(f"{name}_sd", low=0.0) for name in ("newton_per_count", "lever_ratio"))
+    calibration = LoadCellCalibration(gain, zero, ratio, gain_sd, ratio_sd)
     inner.done()
-    return {"calibration": found}
+    return {"calibration": calibration}
 
 
 def _declination(table: TomlTable, folder: Path) -> dict[str, Any]:
@@ -301,11 +335,12 @@ def _query(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read the DBC file of a device and the signals to read from the bus."""
     name = table.text("dbc")
     rows = table.tables("signal")
     if not rows:
         raise table.error("signal", "missing; a [[device.signal]] maps a signal of the DBC to a field")
-    # A bare word is one of the files that come with seatrial.
+    # A name without folder and suffix is a DBC file of seatrial itself.
     path = Path(__file__).parents[1] / "protocol" / f"{name}.dbc" if re.fullmatch(r"\w+", name) else folder / name
     if not path.is_file():
         raise table.error("dbc", f"there is no file {path}")
@@ -313,9 +348,10 @@ def _dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _signal(table: TomlTable) -> DbcSignal:
+    """Read one [[device.signal]]. Its node is a number or the name of a signal."""
     by_name = isinstance(table.values.get("node"), str)
     node: int | str = table.text("node") if by_name else table.integer("node", low=0, high=255)
-    found = DbcSignal(
+    signal = DbcSignal(
         table.text("message"),
         table.text("signal"),
         table.text("field", choices=ESC_FIELDS),
@@ -324,20 +360,20 @@ def _signal(table: TomlTable) -> DbcSignal:
         table.number("offset", 0.0),
     )
     table.done()
-    return found
+    return signal
 
 
 def read_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
-    """The MAVLink keys of a [[device]]; relative paths count from `folder`."""
+    """Read the MAVLink keys of a [[device]]. Relative paths count from `folder`."""
     key = table.text("key_file", "")
     system = table.integer("system_id", 1, low=1, high=HIGHEST_ID)
-    own = table.integer("own_system_id", 255, low=1, high=HIGHEST_ID)
-    if own == system:
-        raise table.error("own_system_id", f"{own} is the autopilot's own; give another")
+    own_system = table.integer("own_system_id", 255, low=1, high=HIGHEST_ID)
+    if own_system == system:
+        raise table.error("own_system_id", f"{own_system} is the system_id of the autopilot; give another")
     return MavlinkSettings(
         system,
         table.integer("component_id", 1, low=1, high=HIGHEST_ID),
-        own,
+        own_system,
         table.integer("own_component_id", 190, low=1, high=HIGHEST_ID),
         folder / key if key else None,
         table.text("gnss", "raw", choices=("raw", "fused")),
@@ -350,14 +386,15 @@ def _mavlink(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _rates(table: TomlTable) -> dict[str, float]:
+    """Read the table [device.rates]: rates [Hz] by name of the message."""
     rates: dict[str, float] = {}
-    own = table.table("rates")
-    if own is not None:
-        for name in own.values:
+    inner = table.table("rates")
+    if inner is not None:
+        for name in inner.values:
             if name not in RATES and name not in OTHER_RATES:
-                raise own.error(name, f"not a supported message; known: {', '.join((*RATES, *OTHER_RATES))}")
-            rates[name] = own.number(name, low=0.0, high=1000.0)
-        own.done()
+                raise inner.error(name, f"not a supported message; known: {', '.join((*RATES, *OTHER_RATES))}")
+            rates[name] = inner.number(name, low=0.0, high=1000.0)
+        inner.done()
     return rates
 
 
@@ -369,18 +406,19 @@ _READ: dict[str, Callable[[TomlTable, Path], dict[str, Any]]] = {
 
 
 def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
+    """Read one [[thruster]]."""
     name = _name(table)
     device = table.text("device")
     buses = {row.name: row.protocol for row in devices if row.protocol in DRIVES}
     if device not in buses:
-        there = ", ".join(buses) or "none"
-        raise table.error("device", f"no {' or '.join(DRIVES)} device '{device}'; there is: {there}")
+        known = ", ".join(buses) or "none"
+        raise table.error("device", f"no {' or '.join(DRIVES)} device '{device}'; there is: {known}")
     forward, starboard, down = table.numbers("position_m", length=3)
     node = table.integer("node", low=0, high=HIGHEST_NODE.get(buses[device], 255))
     autopilot = buses[device] == "mavlink"
-    # Who reports the shaft's own speed, or none, has no use for the motor's poles.
+    # The poles of the motor are not needed if the controller reports the speed of the shaft, or no speed.
     no_poles = autopilot or (buses[device] == "dronecan" and not table.has("pole_pairs"))
-    found = Thruster(
+    thruster = Thruster(
         name,
         device,
         node,
@@ -392,13 +430,13 @@ def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
         read_output(table, node) if autopilot else None,
     )
     table.done()
-    return found
+    return thruster
 
 
 def read_output(table: TomlTable, node: int) -> AutopilotOutput:
-    """The MAVLink keys of a [[thruster]] at servo output `node`."""
+    """Read the MAVLink keys of a [[thruster]] at servo output `node`."""
     if not 1 <= node <= 16:
-        raise table.error("node", f"is the number of a servo output, 1 .. 16, not {node}")
+        raise table.error("node", f"must be the number of a servo output, 1 .. 16, not {node}")
     return AutopilotOutput(
         table.integer("rc_channel", low=1, high=18),
         _pulses(table, "rc_us", (1000.0, 1500.0, 2000.0)),
@@ -407,6 +445,7 @@ def read_output(table: TomlTable, node: int) -> AutopilotOutput:
 
 
 def _pulses(table: TomlTable, key: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Read the pulses [us] of full reverse, neutral and full forward."""
     low, neutral, high = table.numbers(key, default, length=3)
     if not 500.0 <= low < neutral < high <= 2500.0:
         raise table.error(key, "must be [full reverse, neutral, full forward] in us, ascending, within 500 .. 2500")
@@ -414,13 +453,14 @@ def _pulses(table: TomlTable, key: str, default: tuple[float, float, float]) -> 
 
 
 def _limits(table: TomlTable | None) -> Limits:
+    """Read the table [limits]."""
     if table is None:
         return Limits()
     unwatched = table.texts("unwatched", ())
     for key in unwatched:
         if key != "telemetry" and (key in ("n_max", "link_test_n") or not table.has(key)):
-            raise table.error("unwatched", f"'{key}' is no limit that stands here")
-    found = Limits(
+            raise table.error("unwatched", f"'{key}' is not a limit of this table; give 'telemetry' or a limit in it")
+    limits = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),
         table.maybe_number("force_n", low=0.0),
         table.maybe_number("current_a", low=0.0),
@@ -435,9 +475,9 @@ def _limits(table: TomlTable | None) -> Limits:
         unwatched,
     )
     table.done()
-    return found
+    return limits
 
 
 def _vehicle(table: TomlTable | None) -> dict[str, float]:
-    """Any parameter name may stand here, since the model that reads them may be the user's own."""
+    """Read the table [vehicle]. Any name of a parameter is allowed, because the model may be user-defined."""
     return {} if table is None else table.named_numbers()

@@ -1,4 +1,4 @@
-"""Strict reading of TOML: an unknown or missing key or a wrong type is one line that names file and key."""
+"""Strict reader of TOML: an unknown key, a missing key or a wrong type is an error of one line with file and key."""
 
 from __future__ import annotations
 
@@ -13,25 +13,44 @@ from typing import Any
 
 from seatrial.daq.errors import SeatrialError, counted
 
-_MISSING = object()
-NEAR = 0.75  # likeness of two keys, by difflib, of which one is a slip of the other
-HUGE = 1e15  # numbers beyond are not written out: they may have thousands of digits
+_MISSING = object()  # default of a required key
+NEAR = 0.75  # similarity of two keys by difflib, from which one is probably a misspelling of the other
+HUGE = 1e15  # larger numbers are not printed, because they may have thousands of digits
 
 
 def parse_toml(text: str, source: Path | str) -> TomlTable:
-    """The root table of `text`, read from `source`. Raises SeatrialError where it is not TOML."""
+    """Return the root table of a TOML text.
+
+    Parameters
+    ----------
+    text
+        The text.
+    source
+        Path that error messages name.
+
+    Raises
+    ------
+    SeatrialError
+        If the text is not valid TOML.
+    """
     try:
         return TomlTable(tomllib.loads(text), str(source))
     except tomllib.TOMLDecodeError as error:
         raise SeatrialError(f"{source}: not valid TOML: {error}") from error
-    except (RecursionError, ValueError) as error:  # brackets in thousands, or a number of thousands of digits
-        raise SeatrialError(f"{source}: not read: nested too deeply, or a number with too many digits") from error
+    except (RecursionError, ValueError) as error:  # thousands of brackets, or a number with thousands of digits
+        raise SeatrialError(f"{source}: cannot be read: nested too deeply, or a number has too many digits") from error
 
 
 def read_text(path: Path) -> str:
-    """Return the UTF-8 text of a file. Raises SeatrialError in one line if it cannot be read, as a pipe or a device."""
+    """Return the UTF-8 text of a file.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read, is not UTF-8 text, or is a pipe or a device.
+    """
     try:
-        # Opening a named pipe in the usual way would wait for its writer.
+        # Opening a named pipe without O_NONBLOCK would wait for its writer.
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), encoding="utf-8") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise SeatrialError(f"{path}: is not a file")
@@ -45,16 +64,28 @@ def read_text(path: Path) -> str:
 
 
 class TomlTable:
-    """One TOML table whose keys are read one by one; `done` raises for a key that was not read."""
+    """TOML table whose keys are read one by one. At the end, `done` raises an error for a key that was not read.
+
+    The methods that read a key raise SeatrialError if the key is missing and has no default, or if its value is wrong.
+
+    Attributes
+    ----------
+    values
+        Values by key.
+    source
+        Path of the file.
+    where
+        Full name of the table in the file; empty for the root table.
+    """
 
     def __init__(self, values: Mapping[str, object], source: str, where: str = "") -> None:
         self.values: dict[str, Any] = dict(values)
         self.source = source
         self.where = where
-        self._taken: list[str] = []
+        self._taken: list[str] = []  # keys that were read
 
     def error(self, key: str, problem: str) -> SeatrialError:
-        """The error of one key, to be raised: file, full key, problem."""
+        """Return the error of a key, with file, full key and problem. The caller raises it."""
         return SeatrialError(f"{self.source}: {self._name(key)}: {problem}")
 
     def _name(self, key: str) -> str:
@@ -69,41 +100,44 @@ class TomlTable:
         return default
 
     def misspelt(self, key: str) -> str:
-        """Return the end of an error line that names a key like a missing one, "" if there is none."""
-        others = [name for name in self.values if name not in self._taken]
-        near = difflib.get_close_matches(key, others, 1, NEAR)
-        return f"; {near[0]!r} is there: is it meant?" if near else ""
+        """Return the end of an error line that names an unread key similar to a missing one, "" if there is none."""
+        unread = [name for name in self.values if name not in self._taken]
+        near = difflib.get_close_matches(key, unread, 1, NEAR)
+        return f"; is {near[0]!r} a typing error?" if near else ""
 
     def has(self, key: str) -> bool:
-        """Whether the file gives the key at all."""
+        """Return whether the table contains the key."""
         return key in self.values
 
     def text(self, key: str, default: object = _MISSING, choices: Collection[str] = ()) -> str:
-        """A string; one of `choices` where those are given."""
+        """Return a string. It must be one of `choices` if choices are given."""
         value = self._take(key, default)
         if not isinstance(value, str):
             raise self.error(key, f"must be text in quotes, not {_kind(value)}")
         if choices and value not in choices:
-            one = f"must be '{next(iter(choices))}'" if len(choices) == 1 else f"must be one of {', '.join(choices)}"
-            raise self.error(key, f"{one}, not '{value}'")
+            rule = f"must be '{next(iter(choices))}'" if len(choices) == 1 else f"must be one of {', '.join(choices)}"
+            raise self.error(key, f"{rule}, not '{value}'")
         return value
 
     def line(self, key: str, default: object = _MISSING) -> str:
-        """A string for a terminal, which obeys what is not printable: the file may be somebody else's."""
+        """Return a string that has only printable characters, so that it can be shown in a terminal.
+
+        A terminal executes control characters, and the file may be from an unknown person.
+        """
         value = self.text(key, default)
         if not value.isprintable():
             raise self.error(key, f"has characters that are not printable: {value!r}")
         return value
 
     def flag(self, key: str, default: object = _MISSING) -> bool:
-        """true or false."""
+        """Return true or false."""
         value = self._take(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f"must be true or false, not {_kind(value)}")
         return value
 
     def integer(self, key: str, default: object = _MISSING, low: int | None = None, high: int | None = None) -> int:
-        """A whole number within [low, high]."""
+        """Return a whole number within [low, high]."""
         value = self._take(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"must be a whole number, not {_kind(value)}")
@@ -118,7 +152,7 @@ class TomlTable:
         high: float | None = None,
         positive: bool = False,
     ) -> float:
-        """A finite number within [low, high], above zero where `positive`."""
+        """Return a finite number within [low, high], and above zero if `positive` is true."""
         value = self._take(key, default)
         number = self._finite(key, value)
         if positive and number <= 0.0:
@@ -134,11 +168,11 @@ class TomlTable:
         return self._finite(key, value)
 
     def maybe_number(self, key: str, low: float | None = None, high: float | None = None) -> float | None:
-        """As `number`, or None where the key is absent."""
+        """Return a finite number within [low, high], or None if the key is absent."""
         return self.number(key, low=low, high=high) if key in self.values else None
 
     def numbers(self, key: str, default: object = _MISSING, length: int | None = None) -> tuple[float, ...]:
-        """A list of finite numbers, of the given length where one is given."""
+        """Return a list of finite numbers. It must have `length` items if a length is given."""
         value = self._take(key, default)
         if not isinstance(value, (list, tuple)):
             raise self.error(key, f"must be a list of numbers, not {_kind(value)}")
@@ -147,21 +181,21 @@ class TomlTable:
         return tuple(self._finite(key, item) for item in value)
 
     def named_numbers(self) -> dict[str, float]:
-        """Every number of the table by its name, which is printable."""
+        """Return all numbers of the table by name. The names must be printable."""
         for key in self.values:
             if not key.isprintable():
                 raise self.error(repr(key), "a name with characters that are not printable")
         return {key: self.number(key) for key in self.values}
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
-        """A list of strings."""
+        """Return a list of strings."""
         value = self._take(key, default)
         if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
             raise self.error(key, "must be a list of texts in quotes")
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
-        """The sub-table, or None where it is absent."""
+        """Return a sub-table, or None if it is absent."""
         value = self._take(key, None)
         if value is None:
             return None
@@ -170,20 +204,21 @@ class TomlTable:
         return TomlTable(value, self.source, self._name(key))
 
     def tables(self, key: str) -> list[TomlTable]:
-        """The tables of a `[[key]]` list, in order; empty where it is absent."""
+        """Return the tables of a `[[key]]` list in order, or an empty list if it is absent."""
         value = self._take(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(key, f"must be a list of tables, [[{self._name(key)}]]")
         return [TomlTable(item, self.source, f"{self._name(key)}[{i}]") for i, item in enumerate(value, start=1)]
 
     def done(self) -> None:
-        """Raise for the first key that was not read, with the known ones in the text."""
+        """Raise SeatrialError for the first key that was not read. The message lists the known keys."""
         for key in self.values:
             if key not in self._taken:
                 known = ", ".join(dict.fromkeys(self._taken))
                 raise self.error(key, f"unknown key; known here: {known}")
 
     def _finite(self, key: str, value: object) -> float:
+        """Return a value as a finite number. Raise SeatrialError if it is not one."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise self.error(key, f"must be a number, not {_kind(value)}")
         try:
@@ -201,9 +236,10 @@ class TomlTable:
 
 
 def _kind(value: object) -> str:
+    """Return a description of a wrong value for an error message."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (int, float)):
-        return f"{value:g}" if not abs(value) >= HUGE else "so large a number"
+        return f"{value:g}" if not abs(value) >= HUGE else "a number this large"
     names: dict[type, str] = {str: "text", list: "a list", dict: "a table"}
     return names.get(type(value), "a date or time")

@@ -1,4 +1,4 @@
-"""Device drivers: what a port sends besides listening: set-points, requests, heartbeats, shutdown."""
+"""Device drivers: the bytes that a port sends, which are set-points, requests, heartbeats and the shutdown."""
 
 import lazy_loader
 

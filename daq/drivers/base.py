@@ -1,4 +1,7 @@
-"""Device drivers: what the thread of a port sends besides listening: set-points, requests, heartbeats. No I/O."""
+"""Interface of the device drivers. A driver encodes the set-points, requests and heartbeats that a port sends.
+
+A driver does no I/O. The thread of the port writes the bytes.
+"""
 
 from __future__ import annotations
 
@@ -13,113 +16,145 @@ from typing import final
 from seatrial.daq.drivers.setpoints import Due
 from seatrial.daq.samples import Event
 
-DISARMED = ", and it has disarmed"  # confirmation of a zero
+DISARMED = ", and it has disarmed"  # confirmation of a zero command by an autopilot
 
 
 class LinkRole(enum.StrEnum):
-    """What we are to the device at the other end of a link."""
+    """Role of this program on a link to a device."""
 
-    LISTEN = "listen"  # nothing is sent: not even a heartbeat, which an autopilot takes for its ground station's
-    ASK = "ask"  # requests (rates, parameters) under a system id of its own; no heartbeat, no command
-    DRIVE = "drive"  # the ground station: heartbeats, requests, commands
-    RESCUE = "rescue"  # the watchdog in the place of who drove: zero alone, signed as a link of its own
+    # Nothing is sent. Even a heartbeat would have an effect: an autopilot takes it for that of its ground station.
+    LISTEN = "listen"
+    ASK = "ask"  # requests of rates and parameters are sent under a separate system id; no heartbeat, no command
+    DRIVE = "drive"  # the program is the ground station: it sends heartbeats, requests and commands
+    # The watchdog has replaced the process that drove. It sends only zero, and signs with a separate link id.
+    RESCUE = "rescue"
 
 
 @dataclass(frozen=True)
 class LinkStatus:
     """State of the autopilot at the other end of a link, as last reported."""
 
-    received: bool = False  # any heartbeat so far
-    vehicle: str = ""  # its software, as "ArduPilot Rover"
+    received: bool = False  # whether a heartbeat has been received
+    vehicle: str = ""  # software of the autopilot, for example "ArduPilot Rover"
     age: float = math.inf  # wall s since its last heartbeat
     armed: bool = False
     mode: str = ""
     ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
-    parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # those requested that it has
-    parameters_pending: bool = True  # answers to parameter requests are still awaited
+    parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # requested parameters that were answered
+    parameters_pending: bool = True  # whether answers to parameter requests are still awaited
     changed: tuple[str, ...] = ()  # changes of the parameters since they were first read, one line each
-    refused: tuple[str, ...] = ()  # message rates that it refused, one line each
-    answer: str = ""  # to the last request: "arm: accepted", "arm: failed (PreArm: ...)"; empty while awaited
-    alarm: str = ""  # the last text of severity critical or above
-    receiver: bool | None = None  # whether it has heard one of a transmitter since it started; None: not said
+    refused: tuple[str, ...] = ()  # message rates that the autopilot refused, one line each
+    # Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is awaited.
+    answer: str = ""
+    alarm: str = ""  # last text of severity critical or above
+    # Whether the autopilot has received a transmitter since its start; None: it has not reported this.
+    receiver: bool | None = None
     rivals: int = 0  # frames of another ground station with our own system id
-    lost: int = 0  # frames that its sequence numbers count and that did not come
-    round_trip: float = math.nan  # wall s, the shortest of a TIMESYNC
+    lost: int = 0  # frames that are missing by the sequence numbers
+    round_trip: float = math.nan  # wall s, shortest round trip of a TIMESYNC
 
 
 class DeviceDriver(ABC):
-    """What one port sends. `now` is wall time of any origin; all methods but `request` run in the port's thread."""
+    """Encoder of all bytes that one port sends.
+
+    `now` is wall time [s] with any origin. All methods except `request` are called in the thread of the port.
+    """
 
     @abstractmethod
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encoded set-points, each with the set-points it carries; `held` are the present commands by node."""
+        """Encode set-points.
+
+        Parameters
+        ----------
+        dues
+            Set-points to send now.
+        held
+            Present command, -1..1, of each node of the link.
+        now
+            Wall time [s].
+
+        Returns
+        -------
+        list of (bytes, list of Due)
+            Messages to write, each with the set-points that it contains.
+        """
 
     def opened(self, now: float) -> None:
-        """The port was opened, for the first time or again."""
+        """Start again, because the port was opened for the first time or again."""
         return
 
     def poll(self, now: float) -> bytes:
-        """The bytes to send now besides set-points."""
+        """Return the bytes to send now, except set-points."""
         return b""
 
     def wait(self, now: float) -> float:
-        """Seconds until `poll` may have something."""
+        """Return the wall time [s] until `poll` may return bytes."""
         return math.inf
 
     def request(self, action: str, value: float) -> None:
-        """A request of the operator, called from another thread: `arm`, `disarm`, `mode` with its number, or `mute` for
-        so many seconds, in which no command is sent but zero."""
+        """Take a request of the operator. This method is called from another thread.
+
+        Parameters
+        ----------
+        action
+            "arm", "disarm", "mode" or "mute". After "mute" only zero is sent for a time.
+        value
+            Number of the mode, or time of the muting [s].
+        """
         return
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """The last bytes before the port is closed for good, after the last zero."""
+        """Return the last bytes, which are sent after the last zero and before the port is closed."""
         return b""
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Zero to every thruster on the link, whatever was sent before: the last resort."""
+        """Encode zero for all thrusters of the link, independent of the commands before, for an emergency stop."""
         return []
 
     def events(self) -> list[Event]:
-        """Events since the last call, for the log."""
+        """Return the events since the last call, for the log."""
         return []
 
     def link_at(self, now: float) -> LinkStatus | None:
-        """State of the device at the other end; None where it reports none."""
+        """Return the state of the autopilot at the other end, or None if the device reports no state."""
         return None
 
     @property
     def hint(self) -> str:
-        """A possible improvement of the link, in one line; empty without one."""
+        """A possible improvement of the link, in one line; empty if there is none."""
         return ""
 
     @property
     def confirmation(self) -> str:
-        """What the device has answered to `zero`, to be added to a line; empty for one that does not answer."""
+        """End of a sentence with the device's answer to `zero`; empty if the device does not answer."""
         return ""
 
     def message(self) -> str:
-        """The fault of the link, in one line; empty without one."""
+        """Return the fault of the link in one line, empty if there is none."""
         return ""
 
 
 @final
 class PollingDriver(DeviceDriver):
-    """Sends `request` every `period` wall seconds, on time on average; missed requests are not repeated."""
+    """Driver of a device that sends only on request: it sends `request` every `period` wall seconds.
+
+    A delayed request does not delay the next ones. Requests that are late by a whole period are left out.
+    """
 
     def __init__(self, request: bytes, period: float) -> None:
         self._request, self._period = request, period
-        self._due = 0.0
+        self._due = 0.0  # wall time [s] of the next request
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """None: it drives no thruster."""
+        """Return an empty list, because the device drives no thruster."""
         return []
 
     def opened(self, now: float) -> None:
-        """Ask at once."""
+        """Make the next request due now."""
         self._due = now
 
     def poll(self, now: float) -> bytes:
-        """The request when it is time for it."""
+        """Return the request if it is due."""
         if now < self._due:
             return b""
         self._due += self._period
@@ -128,5 +163,5 @@ class PollingDriver(DeviceDriver):
         return self._request
 
     def wait(self, now: float) -> float:
-        """Until the next request."""
+        """Return the wall time [s] until the next request."""
         return max(self._due - now, 0.0)

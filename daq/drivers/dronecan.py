@@ -1,4 +1,4 @@
-"""Driver of DroneCAN speed controllers: one esc.RawCommand for all of them, and NodeStatus. No I/O."""
+"""Driver of DroneCAN speed controllers. It encodes one esc.RawCommand for all controllers, and NodeStatus. No I/O."""
 
 from __future__ import annotations
 
@@ -9,36 +9,39 @@ from seatrial.daq.drivers.base import DeviceDriver
 from seatrial.daq.drivers.setpoints import Due
 from seatrial.daq.protocol import NUMBERS, dronecan, pack_can
 
-STATUS_S = 1.0  # between two NodeStatus, as the specification wants it
+STATUS_S = 1.0  # s between two NodeStatus, by the specification
 
 
 @final
 class DronecanDriver(DeviceDriver):
-    """A command carries the newest set-point of every controller; zero for those of `nodes` without any.
+    """Driver of all DroneCAN controllers on one bus.
 
-    Nothing is sent before the first command: a program that only logs is silent.
+    Each command contains the newest set-point of every controller in `nodes`, and zero for controllers without a
+    set-point. Nothing is sent before the first command, so that a program that only logs sends nothing.
     """
 
     def __init__(self, nodes: frozenset[int], reversed_nodes: frozenset[int], own_node: int) -> None:
         self._nodes, self._reversed, self._own = nodes, reversed_nodes, own_node
-        self._commands = self._statuses = 0  # transfers so far
-        self._started = self._status_at = -1.0
+        self._commands = self._statuses = 0  # number of transfers so far
+        self._started = self._status_at = -1.0  # wall time [s] of the first and of the last NodeStatus
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """One message with all set-points."""
-        wanted = {**dict.fromkeys(self._nodes, 0.0), **held, **{due.node: due.n for due in dues}}
-        return [(self._status(now) + self._command(wanted), list(dues))]
+        """Encode one message with the set-points of all controllers, after a NodeStatus if it is due."""
+        setpoints = {**dict.fromkeys(self._nodes, 0.0), **held, **{due.node: due.n for due in dues}}
+        return [(self._status(now) + self._command(setpoints), list(dues))]
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Zero to all."""
+        """Encode zero for all controllers."""
         return [(self._command(dict.fromkeys(self._nodes, 0.0)), [])]
 
-    def _command(self, wanted: Mapping[int, float]) -> bytes:
-        signed = {node: -n if node in self._reversed else n for node, n in wanted.items()}
+    def _command(self, setpoints: Mapping[int, float]) -> bytes:
+        """Encode an esc.RawCommand. The sign of reversed nodes is changed."""
+        signed = {node: -n if node in self._reversed else n for node, n in setpoints.items()}
         number, self._commands = self._commands % NUMBERS, self._commands + 1
         return b"".join(pack_can(*frame) for frame in dronecan.encode_command(signed, self._own, number))
 
     def _status(self, now: float) -> bytes:
+        """Return a NodeStatus if it is due."""
         if self._statuses and now < self._status_at + STATUS_S:
             return b""
         self._started = now if not self._statuses else self._started

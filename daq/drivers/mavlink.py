@@ -1,9 +1,11 @@
-"""Our half of a MAVLink link: as the ground station heartbeats, requests and their answers, set-points as RC override.
+"""Driver of a MAVLink link: heartbeats, requests and their answers, and set-points as RC overrides.
 
-Who does not drive is no ground station (`LinkRole`): an autopilot that hears heartbeats of one would miss the loss of
-the operator's, and would see the loss of ours.
+A program sends heartbeats of a ground station only if it drives (`LinkRole`). Heartbeats of a program that only logs
+would be harmful: the autopilot would not detect the loss of the operator's ground station, and it would react to the
+end of that program.
 
-No I/O and no clock: `now` is given. Services: mavlink.io/en/services/{heartbeat,command,parameter}.html.
+The driver does no I/O and reads no clock; `now` is a parameter. Sources:
+mavlink.io/en/services/{heartbeat,command,parameter}.html.
 """
 
 from __future__ import annotations
@@ -14,7 +16,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
-from seatrial.daq.drivers.ardupilot_parameters import GROUND_STATION_NAMES, OF_LINK_LOSS, YOUNG, parameter_names
+from seatrial.daq.drivers.ardupilot_parameters import (
+    GROUND_STATION_NAMES,
+    LINK_LOSS_PARAMETERS,
+    NEWER_PARAMETERS,
+    parameter_names,
+)
 from seatrial.daq.drivers.base import DISARMED, DeviceDriver, LinkRole, LinkStatus
 from seatrial.daq.drivers.setpoints import Due
 from seatrial.daq.errors import printable
@@ -32,26 +39,29 @@ from seatrial.daq.protocol import (
 from seatrial.daq.rig import Device, Thruster
 from seatrial.daq.samples import Event
 
-# All wall seconds.
-HEARTBEAT_S = 1.0
-ANSWER_S = 0.4  # to a command, before it is sent again
-TRIES = 4
-PARAMETER_S = 0.5
-REREAD_S = 0.2  # between two parameters that are read again, in turn
-MOST_CHANGES = 1000  # that are kept; so many end a run long before
-PARAMETER_TRIES, YOUNG_TRIES = 10, 5  # fewer for what an older version may lack: it keeps quiet about those
-REBOOT_MS = 1000  # its clock back by more: it has restarted
-RATE_PART, RATE_BEATS = 0.5, 3  # less than this part of the attitudes for so many heartbeats: somebody else has asked
-LATER_S = 30.0  # until that is looked at again
-TIMESYNC_S, TRIPS = 1.0, 10  # the shortest of so many is told
+# All times are wall time [s].
+HEARTBEAT_S = 1.0  # between two heartbeats
+ANSWER_S = 0.4  # without an answer, after which a command is sent again
+TRIES = 4  # of a command
+PARAMETER_S = 0.5  # between two requests of the missing parameters
+REREAD_S = 0.2  # between two parameters that are read again, one after the other
+MOST_CHANGES = 1000  # kept changes of parameters; a run ends long before this number is reached
+PARAMETER_TRIES = 10
+NEWER_TRIES = 5  # of parameters that an older version may lack; such a version never answers
+REBOOT_MS = 1000  # ms; if the autopilot's clock decreases by more than this, it has restarted
+# Fewer attitudes than this fraction of the requested rate, for this number of heartbeats, mean that another ground
+# station has changed the rates.
+RATE_PART, RATE_BEATS = 0.5, 3
+LATER_S = 30.0  # after a request of the rates, in which they are not checked again
+TIMESYNC_S, TRIPS = 1.0, 10  # between two TIMESYNC; number of round trips of which the shortest is reported
 LOST_S = 10.0  # between two events about lost frames
-UNSIGNED_FRAMES = 20  # without one that bears our key
-NEUTRAL_S = 0.05  # between neutral overrides while nothing is commanded
+UNSIGNED_FRAMES = 20  # frames without a correct signature that are reported as a fault
+NEUTRAL_S = 0.05  # between two neutral overrides while no thrust is commanded
 SET_INTERVAL, SET_MODE, ARM = 511, 176, 400  # MAV_CMD
 ACCEPTED, TEMPORARILY_REJECTED, IN_PROGRESS = 0, 1, 5  # MAV_RESULT
 RESULTS = ("accepted", "temporarily rejected", "denied", "unsupported", "failed", "in progress", "cancelled")
 CRITICAL = 2  # STATUSTEXT.severity
-IGNORED_LOW, IGNORED_HIGH = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: leave a channel alone, 1 to 8 and from 9 on
+IGNORED_LOW, IGNORED_HIGH = 0xFFFF, 0  # RC_CHANNELS_OVERRIDE: do not change the channel (1 to 8; 9 and higher)
 CUSTOM_MODE = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 GROUND_STATION = 6  # MAV_TYPE
 ACTIVE = 4  # MAV_STATE
@@ -60,19 +70,19 @@ VERSION = 3  # HEARTBEAT.mavlink_version
 
 @dataclass
 class _Command:
-    """One COMMAND_LONG under way."""
+    """COMMAND_LONG that waits for being sent or for its answer."""
 
-    number: int
+    number: int  # MAV_CMD
     parameters: tuple[float, ...]
-    what: str  # "arm", "disarm", "mode" or the name of a message
-    rate: float = 0.0
+    label: str  # "arm", "disarm", "mode", or the name of the message whose rate is requested
+    rate: float = 0.0  # Hz
     tries: int = 0
-    sent: float = -math.inf
+    sent: float = -math.inf  # wall s
 
 
 @final
 class MavlinkDriver(DeviceDriver):
-    """Driver of one autopilot; `receive` gets every message that the decoder accepts."""
+    """Driver of one autopilot. The decoder calls `receive` with each message that it accepts."""
 
     def __init__(
         self,
@@ -93,37 +103,38 @@ class MavlinkDriver(DeviceDriver):
         self._requests: deque[tuple[str, float]] = deque()
         self._armed_by_us = False
         self._held: dict[int, float] = {}
-        self._overridden = -math.inf  # when; minus infinity before the first
-        self._muted_until = -math.inf
-        self._disarmed = False  # an answer says so
+        self._overridden = -math.inf  # wall s of the last override; minus infinity before the first
+        self._muted_until = -math.inf  # wall s
+        self._disarmed = False  # whether the autopilot has accepted our disarming
         self._attitude_hz = self._settings.requested(self._rate_hz).get("ATTITUDE", 0.0)
-        self._lost_told, self._lost_at = 0, -math.inf
+        self._reported_lost, self._lost_at = 0, -math.inf  # frames, and wall s, of the last event about lost frames
         self._reread_at, self._reread_turn = -math.inf, 0
-        self._rates_at = -math.inf  # when they may be asked for again
+        self._rates_at = -math.inf  # wall s, before which the rates are not requested again
         self.opened(0.0)
 
     def opened(self, now: float) -> None:
-        """Request everything again, from the first heartbeat on."""
-        self._beat = self._last_heartbeat = -math.inf
+        """Discard the state of the link. All requests are sent again after the first heartbeat."""
+        self._beat = self._last_heartbeat = -math.inf  # wall s of our last heartbeat, and of the autopilot's
         self._commands: deque[_Command] = deque()
-        self._awaited: dict[str, int] = {}  # parameters and how often each is still to be requested
-        self._asked = -math.inf
-        self._reasons: list[str] = []
-        self._refusal = ""  # the last request's, without its reasons
-        self._started = False
-        self._boot_ms = 0  # the newest
-        self._attitudes = self._slow_beats = 0
-        self._chunk = (0, "")
+        self._awaited: dict[str, int] = {}  # missing parameter -> remaining number of requests
+        self._asked = -math.inf  # wall s of the last request of parameters
+        self._reasons: list[str] = []  # texts of the autopilot with reasons for a refusal
+        self._refusal = ""  # refusal of the last request, without reasons
+        self._started = False  # whether a heartbeat has been received
+        self._boot_ms = 0  # ms since boot, of the newest attitude
+        self._attitudes = self._slow_beats = 0  # attitudes since the last heartbeat; heartbeats with low rates in a row
+        self._chunk = (0, "")  # id and received part of a long text
         self._synced, self._trips = -math.inf, 0
         self._status = replace(self._status, receiver=None)
 
     def receive(self, message: Any, now: float) -> None:
-        """A message of the autopilot."""
+        """Process a message of the autopilot, received at wall time `now` [s]."""
         name = message.get_type()
         if name == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:
-                self.opened(now)  # it has forgotten what it was asked for
-                self._events.append(Event("autopilot", "it has restarted: rates and parameters are asked for again"))
+                self.opened(now)  # the restarted autopilot has lost the requested rates
+                text = "the autopilot has restarted: rates and parameters are requested again"
+                self._events.append(Event("autopilot", text))
             self._boot_ms = message.time_boot_ms
             self._attitudes += 1
         if name == "HEARTBEAT" and message.autopilot != INVALID:
@@ -136,12 +147,13 @@ class MavlinkDriver(DeviceDriver):
             self._receive_text(message)
         elif name == "EKF_STATUS_REPORT":
             self._status = replace(self._status, ekf=message.flags)
-        elif name == "RC_CHANNELS":  # no channels where no receiver was ever heard; our overrides are none
+        elif name == "RC_CHANNELS":  # chancount is 0 before the first RC receiver; our overrides do not count
             self._status = replace(self._status, receiver=message.chancount > 0)
         elif name == "TIMESYNC" and message.tc1 and message.ts1:
             self._receive_timesync(message, now)
 
     def _receive_heartbeat(self, m: Any, now: float) -> None:
+        """Update the state of the autopilot. Request its rates, and at first its parameters."""
         since, self._last_heartbeat = now - self._last_heartbeat, now
         mode, armed = mode_name(m.custom_mode, m.type, m.autopilot), bool(m.base_mode & ARMED)
         self._armed_by_us = self._armed_by_us and armed
@@ -149,14 +161,15 @@ class MavlinkDriver(DeviceDriver):
         self._status = replace(self._status, received=True, vehicle=vehicle, armed=armed, mode=mode)
         if not self._started:
             self._started = True
-            self._beat = -math.inf  # on UDP a message without a receiver is lost
-            lacked = YOUNG.union(GROUND_STATION_NAMES)
-            self._awaited = {name: YOUNG_TRIES if name in lacked else PARAMETER_TRIES for name in self._names}
+            self._beat = -math.inf  # send a heartbeat at once: on UDP the earlier ones were lost, without a receiver
+            may_lack = NEWER_PARAMETERS.union(GROUND_STATION_NAMES)
+            self._awaited = {name: NEWER_TRIES if name in may_lack else PARAMETER_TRIES for name in self._names}
             self._ask_rates(now)
         elif not self._commands and now >= self._rates_at:
             self._slow_beats = self._slow_beats + 1 if self._attitudes < RATE_PART * self._attitude_hz * since else 0
             if self._slow_beats >= RATE_BEATS:
-                self._events.append(Event("autopilot", "its rates have fallen: they are asked for again"))
+                text = "the message rates have fallen: they are requested again"
+                self._events.append(Event("autopilot", text))
                 self._ask_rates(now)
         self._attitudes = 0
 
@@ -165,87 +178,105 @@ class MavlinkDriver(DeviceDriver):
         self._commands += [_interval(name, rate) for name, rate in self._settings.requested(self._rate_hz).items()]
 
     def _receive_timesync(self, m: Any, now: float) -> None:
-        """The answer to one of ours: how long both ways took, at best. The stamps of its samples are late by half."""
+        """Measure the shortest round trip from the answer to our TIMESYNC.
+
+        The time stamps of the samples are late by about half of it.
+        """
         trip = now - m.ts1 * 1e-9
         if 0.0 < trip < TIMESYNC_S and not trip >= self._status.round_trip:
             self._status = replace(self._status, round_trip=trip)
         self._trips += 1
         if self._trips == TRIPS and math.isfinite(self._status.round_trip):
-            text = f"{1e3 * self._status.round_trip:.1f} ms there and back (TIMESYNC): stamps are late by half of it"
+            text = (
+                f"round trip of {1e3 * self._status.round_trip:.1f} ms (TIMESYNC): time stamps are late by half of it"
+            )
             self._events.append(Event("autopilot", text))
 
     def _receive_answer(self, m: Any) -> None:
+        """Process the answer to the first command of the queue."""
         if m.target_system not in (0, self._codec.system):
-            return  # the answer to another ground station
+            return  # this is the answer to another ground station
         self._disarmed = self._disarmed or (self._role is LinkRole.RESCUE and m.command == ARM and m.result == ACCEPTED)
         if not self._commands or self._commands[0].number != m.command or m.result == IN_PROGRESS:
             return
         command = self._commands[0]
         if not command.tries:
-            return  # the answer to the arming that it has taken the place of
+            return  # the command has not been sent: this is the answer to the arming that it has replaced
         word = RESULTS[m.result] if m.result < len(RESULTS) else f"result {m.result}"
         if command.number == SET_INTERVAL:
             self._commands.popleft()
             if m.result != ACCEPTED:
                 self._refused(command, word)
         elif m.result == TEMPORARILY_REJECTED and command.tries < TRIES:
-            return  # sent again when its time has passed
+            return  # the command is sent again after ANSWER_S
         else:
             self._commands.popleft()
-            if command.what == "arm" and m.result == ACCEPTED:
+            if command.label == "arm" and m.result == ACCEPTED:
                 self._armed_by_us = True
-                self._status = replace(self._status, alarm="")  # of before: it has judged itself fit
-            self._refusal = "" if m.result == ACCEPTED else f"{command.what}: {word}"
+                self._status = replace(self._status, alarm="")  # earlier alarms ended: the autopilot's checks passed
+            self._refusal = "" if m.result == ACCEPTED else f"{command.label}: {word}"
             reasons = f" ({'; '.join(self._reasons)})" if self._refusal and self._reasons else ""
-            self._answer(command.what, word + reasons)
+            self._answer(command.label, word + reasons)
 
     def _refused(self, command: _Command, word: str) -> None:
-        """Log a refused rate and request half of it; the old rate stays until one is accepted."""
-        line = f"{command.what} at {command.rate:g} Hz: {word}"
+        """Log a refused message rate. Request half of it if it was denied. The old rate stays until one is accepted."""
+        line = f"{command.label} at {command.rate:g} Hz: {word}"
         if line not in self._status.refused:
             self._status = replace(self._status, refused=(*self._status.refused, line))
-        if command.what == "ATTITUDE":
+        if command.label == "ATTITUDE":
             self._attitude_hz = command.rate / 2.0
         self._events.append(Event("autopilot", f"refuses {line}"))
         if word == "denied" and command.rate > 1.0:
-            self._commands.appendleft(_interval(command.what, command.rate / 2.0))
+            self._commands.appendleft(_interval(command.label, command.rate / 2.0))
 
-    def _answer(self, what: str, word: str) -> None:
-        self._status = replace(self._status, answer=f"{what}: {word}")
+    def _answer(self, label: str, word: str) -> None:
+        """Store the answer to a request of the operator, and log it."""
+        self._status = replace(self._status, answer=f"{label}: {word}")
         self._events.append(Event("autopilot", self._status.answer))
 
     def _receive_parameter(self, m: Any) -> None:
+        """Store the value of a requested parameter. Log it if it is new or has changed."""
         if self._awaited.pop(m.param_id, None) is not None or m.param_id in self._names:
-            if m.param_id in GROUND_STATION_NAMES:  # it has one of both
+            if m.param_id in GROUND_STATION_NAMES:  # each version has only one of both names
                 self._awaited = {name: n for name, n in self._awaited.items() if name not in GROUND_STATION_NAMES}
             parameters = {**self._status.parameters, m.param_id: float(m.param_value)}
-            before = self._status.parameters.get(m.param_id)
-            if before is not None and before != m.param_value:
-                change = f"{m.param_id} was changed: {before:g} to {m.param_value:g}"
+            previous = self._status.parameters.get(m.param_id)
+            if previous is not None and previous != m.param_value:
+                change = f"{m.param_id} was changed: {previous:g} to {m.param_value:g}"
                 self._events.append(Event("parameter", change))
                 self._status = replace(self._status, changed=(*self._status.changed, change)[-MOST_CHANGES:])
-            elif before is None:
+            elif previous is None:
                 self._events.append(Event("parameter", f"{m.param_id} = {m.param_value:g}"))
             self._status = replace(self._status, parameters=parameters)
 
     def _receive_text(self, m: Any) -> None:
-        number, before = self._chunk
-        goes_on = bool(m.id and m.id == number and m.chunk_seq)  # a later part of a long text
-        text = before + printable(m.text) if goes_on else printable(m.text)
+        """Store a text as a reason for a refused arming, or as an alarm if it is critical."""
+        number, received = self._chunk
+        continues = bool(m.id and m.id == number and m.chunk_seq)  # this is a later chunk of a long text
+        text = received + printable(m.text) if continues else printable(m.text)
         self._chunk = (m.id, text)
         if text.startswith(("PreArm:", "Arm:")):
-            self._reasons = [*(self._reasons[:-1] if goes_on else self._reasons), text][-3:]
-            if self._refusal:  # its reasons come after the answer
+            self._reasons = [*(self._reasons[:-1] if continues else self._reasons), text][-3:]
+            if self._refusal:  # the reasons arrive after the answer
                 self._status = replace(self._status, answer=f"{self._refusal} ({'; '.join(self._reasons)})")
-        elif m.severity <= CRITICAL and (goes_on or not m.chunk_seq):  # without its beginning there is nothing to go by
+        elif m.severity <= CRITICAL and (continues or not m.chunk_seq):  # a chunk without the first one is useless
             self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {text}")
 
     def request(self, action: str, value: float) -> None:
-        """`arm`, `disarm`, `mode` with its number, `mute` for so many seconds (nothing is sent but zero, as if the link
-        were cut), or `leave`: disarm what was armed by us."""
+        """Take a request of the operator, from another thread.
+
+        Parameters
+        ----------
+        action
+            "arm" or "disarm"; "mode"; "mute", to send only zero for a time, as if the link was cut; "leave", to disarm
+            the autopilot if this program has armed it.
+        value
+            Number of the mode, or time of the muting [s].
+        """
         self._requests.append((action, value))
 
     def _take_requests(self, now: float) -> None:
+        """Convert the requests of the operator to commands."""
         while self._requests:
             action, value = self._requests.popleft()
             if action == "leave":
@@ -259,16 +290,24 @@ class MavlinkDriver(DeviceDriver):
             self._status = replace(self._status, answer="")
             if action == "mode":
                 self._put_first(_Command(SET_MODE, (CUSTOM_MODE, value, 0, 0, 0, 0, 0), action))
-            else:  # param2 stays 0: no forced arming, ever
+            else:  # param2 is always 0: arming is never forced
                 self._put_first(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
 
     def _put_first(self, command: _Command) -> None:
-        """Before the rates, of which each may take a second and more, and in the place of an earlier request: a disarm
-        waits for nothing, and no arming comes after it."""
-        self._commands = deque([command, *(one for one in self._commands if one.number == SET_INTERVAL)])
+        """Put a command at the front of the queue, and remove an earlier request of the operator.
+
+        A disarming must not wait for the requests of rates, each of which may take more than a second. An arming must
+        not follow it.
+        """
+        rates = (queued for queued in self._commands if queued.number == SET_INTERVAL)
+        self._commands = deque([command, *rates])
 
     def poll(self, now: float) -> bytes:
-        """Heartbeat, the first command of the queue, parameter requests, neutral while no thrust is commanded."""
+        """Return the bytes that are due.
+
+        They are a heartbeat, TIMESYNC, the first command of the queue, parameter requests, and a neutral override while
+        no thrust is commanded.
+        """
         if self._role is LinkRole.LISTEN:
             self._requests.clear()
             return b""
@@ -284,20 +323,21 @@ class MavlinkDriver(DeviceDriver):
             out += self._codec.encode("TIMESYNC", 0, round(now * 1e9))
         if self._started:
             out += self._poll_command(now) + self._poll_parameters(now)
-        if self._is_idle(now):
+        if self._is_neutral_due(now):
             out += self._override(now)
         return out
 
     def _is_muted(self, now: float) -> bool:
-        """Whether the link is as if cut; a zero is sent in any case."""
+        """Return whether sending is muted. Zero commands are sent in any case."""
         return now < self._muted_until and any(self._held.values())
 
-    def _is_idle(self, now: float) -> bool:
-        """Whether neutral is due again: without it a vehicle does not arm, or detects a lost link."""
-        told = math.isfinite(self._overridden) and not any(self._held.values())
-        return told and now - self._overridden >= NEUTRAL_S
+    def _is_neutral_due(self, now: float) -> bool:
+        """Return whether a neutral override is due. Without it a vehicle does not arm, or detects a lost link."""
+        neutral = math.isfinite(self._overridden) and not any(self._held.values())
+        return neutral and now - self._overridden >= NEUTRAL_S
 
     def _poll_command(self, now: float) -> bytes:
+        """Return the first command of the queue if it is due. Discard commands without an answer after TRIES."""
         while self._commands:
             command = self._commands[0]
             if now - command.sent < ANSWER_S:
@@ -307,17 +347,19 @@ class MavlinkDriver(DeviceDriver):
                 if command.number == SET_INTERVAL:
                     self._refused(command, "no answer")
                 else:
-                    self._answer(command.what, "no answer")
+                    self._answer(command.label, "no answer")
                 continue
             command.sent, command.tries = now, command.tries + 1
             return self._long(command)
         return b""
 
     def _long(self, command: _Command) -> bytes:
-        who = (self._settings.system_id, self._settings.component_id)
-        return self._codec.encode("COMMAND_LONG", *who, command.number, command.tries - 1, *command.parameters)
+        """Encode a command as COMMAND_LONG."""
+        address = (self._settings.system_id, self._settings.component_id)
+        return self._codec.encode("COMMAND_LONG", *address, command.number, command.tries - 1, *command.parameters)
 
     def _poll_parameters(self, now: float) -> bytes:
+        """Return requests of all missing parameters if they are due, else the request of one known parameter."""
         if not self._awaited:
             if self._status.parameters_pending:
                 self._status = replace(self._status, parameters_pending=False)
@@ -325,29 +367,32 @@ class MavlinkDriver(DeviceDriver):
         if now - self._asked < PARAMETER_S:
             return b""
         self._asked = now
-        # It does not answer for what it has not: older and newer versions name things differently.
+        # An autopilot sends no answer for a parameter that it lacks; the names differ between versions.
         if unanswered := [name for name, left in self._awaited.items() if not left]:
             self._events.append(Event("parameter", f"not answered: {', '.join(unanswered)}"))
         self._awaited = {name: left - 1 for name, left in self._awaited.items() if left}
-        who = (self._settings.system_id, self._settings.component_id)
-        return b"".join(self._codec.encode("PARAM_REQUEST_READ", *who, name.encode(), -1) for name in self._awaited)
+        address = (self._settings.system_id, self._settings.component_id)
+        return b"".join(self._codec.encode("PARAM_REQUEST_READ", *address, name.encode(), -1) for name in self._awaited)
 
     def _reread(self, now: float) -> bytes:
-        """Read one parameter again: another station may change it, and its announcement may be lost on the way."""
+        """Return the request of one known parameter.
+
+        Another ground station may change a parameter, and the message about the change may be lost.
+        """
         if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
             return b""
-        # Those that decide what a lost link does come every other time.
-        urgent = [name for name in OF_LINK_LOSS if name in self._status.parameters]
+        # Every second request is for a parameter that determines the reaction to a lost link.
+        urgent = [name for name in LINK_LOSS_PARAMETERS if name in self._status.parameters]
         others = [name for name in self._names if name in self._status.parameters and name not in urgent]
         turn, self._reread_turn, self._reread_at = self._reread_turn, self._reread_turn + 1, now
         names = (urgent if turn % 2 == 0 else others) or urgent or others
         if not names:
             return b""
-        who = (self._settings.system_id, self._settings.component_id)
-        return self._codec.encode("PARAM_REQUEST_READ", *who, names[turn // 2 % len(names)].encode(), -1)
+        address = (self._settings.system_id, self._settings.component_id)
+        return self._codec.encode("PARAM_REQUEST_READ", *address, names[turn // 2 % len(names)].encode(), -1)
 
     def wait(self, now: float) -> float:
-        """Seconds until `poll` may have something."""
+        """Return the wall time [s] until `poll` may return bytes."""
         if self._requests:
             return 0.0
         if self._role is LinkRole.LISTEN:
@@ -367,34 +412,35 @@ class MavlinkDriver(DeviceDriver):
         return max(min(times) - now, 0.0)
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """One RC_CHANNELS_OVERRIDE with every thruster of the link; those without a command are at neutral."""
+        """Encode one RC_CHANNELS_OVERRIDE with all thrusters of the link. Thrusters without a command get neutral."""
         self._held = dict(held)
         return [(self._override(now), list(dues))] if dues and not self._is_muted(now) else []
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Neutral, and disarm: no further command will follow."""
+        """Encode neutral for all thrusters and a disarming. No further command follows."""
         self._held = {}
         data = self._override(now) + self._long(_Command(ARM, (0.0,) * 7, "disarm", tries=1))
         return [(data, [])]
 
     def _override(self, now: float) -> bytes:
+        """Encode the present commands as RC_CHANNELS_OVERRIDE. Other channels are not changed."""
         self._overridden = now
         channels = [IGNORED_LOW] * 8 + [IGNORED_HIGH] * 10
         for node, (output, is_reversed) in self._outputs.items():
             n = self._held.get(node, 0.0)
             channels[output.rc_channel - 1] = output.command(-n if is_reversed else n)
-        who = (self._settings.system_id, self._settings.component_id)
-        return self._codec.encode("RC_CHANNELS_OVERRIDE", *who, *channels)
+        address = (self._settings.system_id, self._settings.component_id)
+        return self._codec.encode("RC_CHANNELS_OVERRIDE", *address, *channels)
 
     @property
     def hint(self) -> str:
-        """What a listener does not get."""
+        """Advice about message rates if nothing is sent to the autopilot."""
         if self._role is not LinkRole.LISTEN:
             return ""
-        return "only listened to, so the rates are the autopilot's own; --request-rates asks for those of the rig"
+        return "nothing is sent to it, so it chooses the message rates; --request-rates requests the rates of the rig"
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """Disarm what was armed by us. Sent twice, since no answer is awaited."""
+        """Encode a disarming if this program has armed the autopilot. It is sent twice, since no answer is awaited."""
         if not self._armed_by_us:
             return b""
         command = _Command(ARM, (0.0,) * 7, "disarm", tries=1)
@@ -402,35 +448,37 @@ class MavlinkDriver(DeviceDriver):
 
     @property
     def confirmation(self) -> str:
-        """Whether it has answered that it is disarmed."""
+        """End of a sentence that reports whether the autopilot has confirmed the disarming."""
         return DISARMED if self._disarmed else ", and not answered: it may still be armed"
 
     def message(self) -> str:
-        """What is wrong with signatures, where anything is."""
+        """Return the fault of the signatures in one line, empty if there is none."""
         decoder = self._decoder
         if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:
-            return "it signs its frames and will ignore ours: the rig has no key_file for it"
+            return "the autopilot signs its frames and will ignore ours: the rig has no key_file for it"
         if self._codec.signs and not decoder.accepted and decoder.unsigned >= UNSIGNED_FRAMES:
-            how = "with another key than key_file" if decoder.signed else "nothing"
-            return f"{decoder.unsigned} of its frames were left out: it signs {how}"
+            how = "are signed with another key than key_file" if decoder.signed else "are not signed"
+            return f"{decoder.unsigned} frames of the autopilot were ignored: they {how}"
         return ""
 
     def events(self) -> list[Event]:
-        """What happened since the last call."""
-        if self._decoder.lost > self._lost_told and self._last_heartbeat - self._lost_at >= LOST_S:
-            self._lost_told, self._lost_at = self._decoder.lost, self._last_heartbeat
-            text = f"{self._lost_told} of its {self._lost_told + self._decoder.frames} frames were lost on the way"
+        """Return the events since the last call."""
+        lost = self._decoder.lost
+        if lost > self._reported_lost and self._last_heartbeat - self._lost_at >= LOST_S:
+            self._reported_lost, self._lost_at = lost, self._last_heartbeat
+            text = f"{lost} of {lost + self._decoder.frames} frames of the autopilot were lost"
             self._events.append(Event("autopilot", text))
         out, self._events = self._events, []
         return out
 
     def link_at(self, now: float) -> LinkStatus:
-        """The state at `now`."""
+        """Return the state of the autopilot at wall time `now` [s]."""
         rivals = self._decoder.foreign.get(self._settings.own_system_id, 0)
         age = now - self._last_heartbeat
         return replace(self._status, age=age, rivals=rivals, lost=self._decoder.lost)
 
 
 def _interval(message: str, rate: float) -> _Command:
+    """Return the request of a message at a rate [Hz]."""
     number = ESC_STATUS if message == "ESC_STATUS" else int(getattr(dialect(), f"MAVLINK_MSG_ID_{message}"))
     return _Command(SET_INTERVAL, (float(number), 1e6 / rate, 0, 0, 0, 0, 0), message, rate)

@@ -1,6 +1,7 @@
-"""Schedule of the set-points on one bus: which are due, and which to repeat. Reads no clock.
+"""Schedule of the set-points on one bus. It returns the set-points that are due and those to repeat. It reads no clock.
 
-Thread-safe: the control thread appends and zeroes, the port's thread takes those that are due.
+The schedule is thread-safe. The control thread appends set-points and sets zero. The thread of the port reads the
+set-points that are due.
 """
 
 from __future__ import annotations
@@ -11,42 +12,45 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
-REPEAT_S = 0.020  # wall
-ZERO_FOR_S = 0.5  # wall; zero is repeated for so long, since one frame may be lost
+REPEAT_S = 0.020  # wall s between repetitions of the commands
+ZERO_FOR_S = 0.5  # wall s in which zero is repeated, because a single frame may be lost
 
 
 class Due(NamedTuple):
-    """One frame to send. `fresh` is False for a repetition."""
+    """Set-point to send."""
 
     node: int
-    n: float
-    fresh: bool
+    n: float  # command, -1..1
+    fresh: bool  # False for a repetition
 
 
 class Setpoints:
-    """A schedule of rows (run time, {node: n}) and the set-points that hold now."""
+    """Schedule of set-points, and the present command of each node.
+
+    A row of the schedule is a run time [s] and the commands, -1..1, by node.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._rows: deque[tuple[float, dict[int, float]]] = deque()
-        self._held: dict[int, float] = {}
-        self._zeroed: set[int] = set()  # nodes to command zero at once
-        self._next_repeat = -math.inf
-        self._repeat_until = -math.inf
-        self._unwritten = False  # what `due` gave last may be on its way still
-        # Set-points that were overtaken by a later one before they could be sent: this thread was held up, and an old
-        # command must never follow a newer one. It is counted and reported.
+        self._held: dict[int, float] = {}  # node -> present command
+        self._zeroed: set[int] = set()  # nodes that get zero at once
+        self._next_repeat = -math.inf  # wall time [s]
+        self._repeat_until = -math.inf  # wall time [s]
+        self._unwritten = False  # whether the last result of `due` may not have been written yet
+        # Number of set-points that were replaced by a later one before they were sent. This happens if the thread of
+        # the port is delayed: an old command must never follow a newer one. The number is reported.
         self.skipped = 0
 
     def append(self, rows: Iterable[tuple[float, dict[int, float]]]) -> None:
-        """Add set-points; rows may come in any order of time."""
+        """Add rows (run time [s], command by node) to the schedule, in any order of time."""
         with self._lock:
             merged = [*self._rows, *((t, dict(row)) for t, row in rows)]
-            merged.sort(key=lambda item: item[0])  # stable: of two rows at one time the later appended one counts
+            merged.sort(key=lambda item: item[0])  # stable sort: the last appended of two rows with equal times counts
             self._rows = deque(merged)
 
     def zero(self, now_wall: float) -> None:
-        """Clear the schedule; zero is sent at once, and for a while, to every thruster that ever had a command."""
+        """Clear the schedule. Zero is sent at once, and repeated for ZERO_FOR_S, to each node that had a command."""
         with self._lock:
             self._rows.clear()
             self._held = dict.fromkeys(self._held, 0.0)
@@ -55,36 +59,45 @@ class Setpoints:
 
     @property
     def active(self) -> bool:
-        """Whether thrust is commanded, or will be."""
+        """Return whether thrust is commanded now or scheduled."""
         with self._lock:
             return self._active()
 
     def is_settled(self, now_wall: float) -> bool:
-        """Whether no thrust is commanded, and zero has been written and repeated for as long as it should."""
+        """Return whether no thrust is commanded and the last zero has been written and repeated for ZERO_FOR_S."""
         with self._lock:
             waiting = bool(self._zeroed) or self._unwritten or now_wall < self._repeat_until
             return not self._active() and not (self._held and waiting)
 
     @property
     def pending(self) -> int:
-        """Rows that have not been sent."""
+        """Number of rows that have not been sent."""
         return len(self._rows)
 
     @property
     def held(self) -> dict[int, float]:
-        """The last command of each node."""
+        """Present command, -1..1, of each node."""
         with self._lock:
             return dict(self._held)
 
     def due(self, now_run: float, now_wall: float) -> list[Due]:
-        """What to send now; the schedule moves on."""
+        """Return the set-points to send now, and remove them from the schedule.
+
+        Parameters
+        ----------
+        now_run
+            Run time [s].
+        now_wall
+            Wall time [s].
+        """
         with self._lock:
             fresh: dict[int, float] = dict.fromkeys(self._zeroed, 0.0)
             self._zeroed = set()
             due_at: dict[int, float] = {}
             while self._rows and self._rows[0][0] <= now_run:
                 t, row = self._rows.popleft()
-                self.skipped += sum(due_at.get(node, t) < t for node in row)  # of equal times the later one replaces
+                # A row with an equal time replaces the earlier one on purpose and does not count.
+                self.skipped += sum(due_at.get(node, t) < t for node in row)
                 due_at |= dict.fromkeys(row, t)
                 fresh |= row
             self._held |= fresh
@@ -98,12 +111,15 @@ class Setpoints:
             return out
 
     def written(self) -> None:
-        """What `due` gave last has left this process."""
+        """Record that the last result of `due` has been written to the port."""
         with self._lock:
             self._unwritten = False
 
     def wait(self, now_run: float, now_wall: float, speed: float) -> float:
-        """Wall seconds until something may be due; infinite when nothing is."""
+        """Return the wall time [s] until a set-point may be due, infinite if there is none.
+
+        `speed` is the run time per wall time.
+        """
         with self._lock:
             if self._zeroed:
                 return 0.0

@@ -12,13 +12,13 @@ from seatrial.daq.protocol import pack_can, vesc
 
 @final
 class VescDriver(DeviceDriver):
-    """Duty commands, one frame per controller."""
+    """Driver of VESC controllers. It sends duty commands, one frame per controller."""
 
     def __init__(self, reversed_nodes: frozenset[int]) -> None:
         self._reversed = reversed_nodes
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """A frame for each."""
+        """Encode one frame for each set-point. The sign of reversed nodes is changed."""
         out = []
         for due in dues:
             n = -due.n if due.node in self._reversed else due.n

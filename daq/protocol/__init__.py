@@ -1,4 +1,4 @@
-"""Wire protocols, sans I/O: bytes to samples and commands to bytes, one protocol a file."""
+"""Wire protocols without I/O: decoders of bytes to samples and encoders of commands to bytes, one protocol per file."""
 
 import lazy_loader
 

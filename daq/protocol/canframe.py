@@ -1,6 +1,6 @@
-"""CAN frames as bytes: Linux's 16-byte `struct can_frame`, which CAN ports hand over and the log keeps.
+"""CAN frames as bytes: the 16-byte `struct can_frame` of Linux. CAN ports read and write it, and the log contains it.
 
-Source: linux/can.h. The word of the identifier carries three flags above its 29 bits.
+Source: linux/can.h. The 32-bit identifier word has 29 bits of identifier and three flags.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ FRAME_BYTES = CAN_FRAME.size
 
 
 def pack_can(arbitration_id: int, data: bytes) -> bytes:
-    """A CAN frame with a 29-bit identifier as the 16 bytes of `struct can_frame`."""
+    """Encode a CAN frame with a 29-bit identifier as the 16 bytes of `struct can_frame`."""
     return CAN_FRAME.pack(arbitration_id | EXTENDED, len(data), data)
 
 
 def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
-    """Identifier and data of a `struct can_frame`; None if it is no data frame with a 29-bit identifier."""
+    """Return identifier and data of a `struct can_frame`. Return None unless it is a data frame with a 29-bit id."""
     word, length, data = CAN_FRAME.unpack(frame)
     if not word & EXTENDED or word & (REMOTE | ERROR):
         return None
@@ -31,22 +31,23 @@ def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
 
 
 class FrameDecoder(ABC):
-    """What all decoders of a CAN bus share: the cutting into frames, and the counters."""
+    """Base class of the decoders of a CAN bus: it splits bytes into frames and has the counters."""
 
     def __init__(self) -> None:
         self.frames = 0
-        self.checksum_errors = 0  # CAN checks in hardware; only messages of several frames have a checksum
+        # CAN controllers check each frame in hardware; only messages of several frames have a checksum of their own.
+        self.checksum_errors = 0
         self.unparsed_bytes = 0
         self.remark = ""
         self._buffer = bytearray()
 
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Take raw CAN as logged: 16-byte `struct can_frame`s, in any pieces."""
+        """Decode a sequence of 16-byte `struct can_frame`, split at any byte. Return the samples that they complete."""
         self._buffer += data
         whole = len(self._buffer) - len(self._buffer) % FRAME_BYTES
         out: list[Frame] = []
         for word, length, body in CAN_FRAME.iter_unpack(bytes(self._buffer[:whole])):
-            if length > 8:  # this is no CAN frame
+            if length > 8:  # a classic CAN frame has at most 8 bytes of data
                 self.unparsed_bytes += FRAME_BYTES
             elif not word & (REMOTE | ERROR):
                 out += self._take(word & ~EXTENDED, bool(word & EXTENDED), body[:length], t_rx)
@@ -54,14 +55,14 @@ class FrameDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete frame and all received state (the port was reopened). Counters stay."""
+        """Discard an incomplete frame and all received state, because the port was reopened. The counters are kept."""
         self.unparsed_bytes += len(self._buffer)
         self._buffer.clear()
         self._forget()
 
     @abstractmethod
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Take one data frame; the samples that it completes."""
+        """Decode one data frame. Return the samples that it completes."""
 
     @abstractmethod
     def _forget(self) -> None:

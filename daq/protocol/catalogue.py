@@ -1,6 +1,6 @@
-"""Catalogue of protocols: one row has all that the rest of daq needs of a protocol.
+"""Catalogue of protocols: one row describes one protocol for the rest of daq.
 
-A decoder's module is imported when the decoder is made, so that reading a rig file stays quick.
+The module of a decoder is imported when the decoder is made, so that a rig file is read quickly.
 """
 
 from __future__ import annotations
@@ -15,28 +15,29 @@ from seatrial.daq.plugins import load_or_warn, load_plugin, plugins
 from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.rig import Device, Rig
 
-GROUP = "seatrial.protocols"  # entry points by which other packages add protocols
+GROUP = "seatrial.protocols"  # group of entry points with which other packages add protocols
 
 SERIAL, CAN, NET = "serial", "can", "net"  # NET: a serial device or a socket
-GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)
+GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)  # bit/s, the commonest first
 
 
 class DeviceType(NamedTuple):
-    """One protocol: its description, its bus, its keys in the rig file, its decoder."""
+    """Description of one protocol: its bus, its keys in the rig file, and its decoder."""
 
-    says: str  # description, for lists of devices
-    bus: str  # SERIAL, CAN or NET: the kind of its port
-    make: Callable[[Device, Rig], Decoder]
-    # Keys of [[device]] that the protocol has beside the common ones. The built-in ones are checked by
-    # seatrial.daq.config.rig_file; others are passed on in `Device.settings`.
+    says: str  # description of the device, for lists of devices
+    bus: str  # kind of the port: SERIAL, CAN or NET
+    make: Callable[[Device, Rig], Decoder]  # maker of the decoder
+    # Keys of [[device]] that the protocol has beside the common ones. seatrial.daq.config.rig_file checks the keys of
+    # built-in protocols. The keys of other protocols are passed on in `Device.settings`.
     options: tuple[str, ...] = ()
-    bauds: tuple[int, ...] = ()  # that `seatrial devices` tries, the commonest first; empty if it cannot be recognised
-    # Python module that an extra named like the protocol installs; "" if the protocol needs none.
+    # Baud rates that `seatrial devices` tries, the commonest first. Empty if the protocol cannot be recognised.
+    bauds: tuple[int, ...] = ()
+    # Python module that the protocol needs. The extra with the protocol's name installs it. Empty if it needs none.
     module: str = ""
 
     @property
     def installed(self) -> bool:
-        """Whether the Python module that the protocol needs is installed."""
+        """Return whether the Python module that the protocol needs is installed."""
         return not self.module or importlib.util.find_spec(self.module) is not None
 
 
@@ -86,12 +87,13 @@ def _mantracourt(device: Device, rig: Rig) -> Decoder:
 
 
 def _vesc(device: Device, rig: Rig) -> Decoder:
+    """Return the decoder for the VESC controllers of the thrusters behind a device."""
     from seatrial.daq.protocol import vesc
 
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     return vesc.Decoder(
-        {thruster.node: thruster.pole_pairs for thruster in here},
-        frozenset(thruster.node for thruster in here if thruster.reversed),
+        {thruster.node: thruster.pole_pairs for thruster in thrusters},
+        frozenset(thruster.node for thruster in thrusters if thruster.reversed),
     )
 
 
@@ -110,8 +112,10 @@ def _dbc(device: Device, rig: Rig) -> Decoder:
 def _dronecan(device: Device, rig: Rig) -> Decoder:
     from seatrial.daq.protocol import dronecan
 
-    here = [thruster for thruster in rig.thrusters if thruster.device == device.name]
-    return dronecan.Decoder(frozenset(thruster.node for thruster in here if thruster.reversed), device.index_offset)
+    thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
+    return dronecan.Decoder(
+        frozenset(thruster.node for thruster in thrusters if thruster.reversed), device.index_offset
+    )
 
 
 def _nmea2000(device: Device, rig: Rig) -> Decoder:
@@ -128,20 +132,22 @@ BUILT_IN: dict[str, DeviceType] = {
     "nmea": DeviceType("GNSS receiver or compass, NMEA 0183", SERIAL, _nmea, ("declination_deg",), GNSS_BAUDS),
     "ubx": DeviceType("u-blox GNSS receiver, UBX and NMEA mixed", SERIAL, _ubx, ("declination_deg",), GNSS_BAUDS),
     "loadcell": DeviceType(
-        "load cell, a line of text a reading", SERIAL, _loadcell, ("pattern", "saturation", "calibration"),
+        "load cell, one line of text per reading", SERIAL, _loadcell, ("pattern", "saturation", "calibration"),
         (115200, 9600, 57600, 38400),
     ),
     "openscale": DeviceType(
         "SparkFun OpenScale", SERIAL, _openscale, ("saturation", "calibration"), (9600, 115200, 57600, 38400)
     ),
     "mantracourt": DeviceType(
-        "Mantracourt DSCUSB, DCell: asked for each reading", SERIAL, _mantracourt,
+        "Mantracourt DSCUSB or DCell, one request per reading", SERIAL, _mantracourt,
         ("query", "saturation", "calibration"),
     ),
     "vesc": DeviceType("VESC speed controllers", CAN, _vesc, ("bitrate",)),
     "dbc": DeviceType("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
     "dronecan": DeviceType("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node", "index_offset")),
-    "nmea2000": DeviceType("ship's bus: compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")),
+    "nmea2000": DeviceType(
+        "ship's bus (NMEA 2000): compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")
+    ),
     "mavlink": DeviceType(
         "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600), "pymavlink",
     ),
@@ -149,9 +155,9 @@ BUILT_IN: dict[str, DeviceType] = {
 
 
 class DeviceTypes(Mapping[str, DeviceType]):
-    """Protocols by name: the built-in ones, then those of other packages.
+    """Mapping from protocol names to rows: the built-in protocols, then those of other packages.
 
-    The package of a protocol is imported when its row is asked for. `SeatrialError` is raised if that fails.
+    The package of a protocol is imported when its row is read. `SeatrialError` is raised if the import fails.
     """
 
     def __getitem__(self, name: str) -> DeviceType:
@@ -164,7 +170,8 @@ class DeviceTypes(Mapping[str, DeviceType]):
         for name in plugins(GROUP):
             if name in BUILT_IN:
                 warnings.warn(
-                    f"a package adds a protocol {name!r} to {GROUP}, which is built in; it is left out: rename it",
+                    f"a package adds a protocol {name!r} to {GROUP}, but this name is built in; "
+                    "the added protocol is ignored: rename it",
                     SeatrialWarning,
                     stacklevel=2,
                 )

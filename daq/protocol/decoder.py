@@ -1,8 +1,8 @@
-"""Wire protocols without I/O and without a clock: bytes in, frames out; samples in, bytes out.
+"""Interface of the decoders of wire protocols. A decoder does no I/O and reads no clock.
 
-One file per protocol. Each has a `Decoder` with `feed(data, t_rx) -> list[Frame]` and functions that encode. A
-decoder never raises on what it is fed: bytes that are in no valid frame are counted, and the next valid frame is
-found. How the bytes were cut into reads makes no difference to the samples or to the counters.
+Each protocol has one file with a `Decoder`, whose `feed(data, t_rx)` returns a list of `Frame`, and with functions that
+encode samples or commands. A decoder raises no error for any input. It counts the bytes outside valid frames and
+searches for the next valid frame. The samples and counters do not depend on how the stream is split into reads.
 """
 
 from __future__ import annotations
@@ -13,15 +13,28 @@ from seatrial.daq.samples import Frame
 
 
 class Decoder(Protocol):
-    """What all decoders share."""
+    """Interface of all decoders: counters of the stream, and the conversion of bytes to samples."""
 
-    frames: int  # frames on the wire that were whole and had the right checksum
-    checksum_errors: int  # frames that were whole and had a wrong one
-    unparsed_bytes: int  # bytes in no valid frame; line ends between frames do not count
-    remark: str  # what a user has to know of the stream, in one line; empty when nothing
+    frames: int  # complete frames with a correct checksum
+    checksum_errors: int  # complete frames with a wrong checksum
+    unparsed_bytes: int  # bytes outside valid frames, without the line ends between frames
+    remark: str  # advice about the stream for the user, in one line; empty if there is none
 
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Take the bytes of one read that returned at run time `t_rx`; returns the samples they complete."""
+        """Decode the bytes of one read.
+
+        Parameters
+        ----------
+        data
+            Bytes of the stream. They may begin and end inside a frame.
+        t_rx
+            Run time [s] at which the read returned.
+
+        Returns
+        -------
+        list of Frame
+            The samples that these bytes complete.
+        """
         ...
 
     def reset(self) -> None:
@@ -31,10 +44,10 @@ class Decoder(Protocol):
 
 @runtime_checkable
 class DatagramDecoder(Decoder, Protocol):
-    """A decoder of datagrams that anybody may send: it tells whether they are the device's own."""
+    """Interface of decoders of datagrams from unknown senders: `accepted` counts the frames of the device itself."""
 
-    accepted: int  # frames of the device itself, signed where there is a key
+    accepted: int  # frames of the device itself; if a key is given, only frames with a correct signature
 
     def begin_datagram(self) -> None:
-        """The next bytes are of another sender: no frame may be put together of both."""
+        """Discard an incomplete frame, because the next bytes may come from another sender."""
         ...

@@ -1,6 +1,7 @@
-"""DroneCAN (UAVCAN v0) speed controllers: esc.Status to `Esc`, and esc.RawCommand from commands. No I/O, no clock.
+"""DroneCAN (UAVCAN v0) speed controllers: decoder of esc.Status to `Esc`, and encoder of esc.RawCommand.
 
-Messages are sent as transfers: any length, in CAN frames of at most eight bytes.
+The module does no I/O and reads no clock. A message of any length is sent as a transfer: one or more CAN frames of at
+most eight bytes.
 Source: the DroneCAN specification, "Data structure description language" and "CAN bus transport layer", and
 dsdl/uavcan: equipment/esc/1034.Status, equipment/esc/1030.RawCommand, protocol/341.NodeStatus.
 """
@@ -16,29 +17,29 @@ from seatrial.daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from seatrial.daq.protocol.framing import crc16_ccitt
 from seatrial.daq.samples import NAN, Esc, Frame
 
-KELVIN = 273.15
+KELVIN = 273.15  # K, of 0 deg C
 FULL = 8191  # full forward in 14 bits; full reverse is its negative, so that zero is the middle
-MOST = 20  # controllers in one command
-URGENT = 8  # priority of commands: before the reports of everybody else
+MOST = 20  # largest number of controllers in one command
+URGENT = 8  # priority of commands; it is higher than that of the nodes' reports
 _HEAD = struct.Struct("<I3eH")  # error count, voltage, current, temperature, low bits of the rpm
-_BITS = 14
-PART = 7  # bytes of a message in a frame
-NUMBERS = 32  # transfers are counted modulo this
-_SERVICE = 1 << 7
-_BEGINS, _ENDS, _TOGGLE, _NUMBER = 0x80, 0x40, 0x20, 0x1F
+_BITS = 14  # of one controller in a command
+PART = 7  # bytes of a message in one frame
+NUMBERS = 32  # number of different transfer numbers; the number of the next transfer wraps at this value
+_SERVICE = 1 << 7  # bit of the identifier: the frame belongs to a service, not to a broadcast message
+_BEGINS, _ENDS, _TOGGLE, _NUMBER = 0x80, 0x40, 0x20, 0x1F  # bits of the last byte of a frame
 
 
 @dataclass(frozen=True)
 class MessageType:
-    """A data type: its number, its signature, and the most bytes that a message of it has."""
+    """Data type of a broadcast message."""
 
-    number: int
-    signature: int
-    longest: int
+    number: int  # data type id
+    signature: int  # data type signature
+    longest: int  # bytes of its longest message
 
     @cached_property
     def seed(self) -> int:
-        """What the checksum of a transfer starts from."""
+        """Initial value of the checksum of a transfer, computed from the signature."""
         return crc16_ccitt(struct.pack("<Q", self.signature))
 
 
@@ -48,11 +49,19 @@ NODE_STATUS = MessageType(341, 0x0F0868D0C1A7C6F1, 7)
 
 
 class Decoder(FrameDecoder):
-    """esc.Status -> `Esc`, the index of the controller, less ``index_offset``, as its node.
+    """Decoder of esc.Status to `Esc` samples.
 
-    rpm is the shaft's (the controller accounts for the poles), with its sign changed for `reversed_nodes`; duty is not
-    in the message. `t_rx` is that of the transfer's first frame. A transfer that lacks a frame counts as unparsed
-    bytes, one whose checksum is wrong as a checksum error.
+    The rpm in the message is the speed of the shaft, because the controller accounts for the poles. The message has no
+    duty. `t_rx` of a sample is the time of receipt of the transfer's first frame. A transfer that lacks a frame counts
+    as unparsed bytes. A transfer with a wrong checksum counts as a checksum error.
+
+    Parameters
+    ----------
+    reversed_nodes
+        Nodes whose rpm changes its sign, so that positive means forward.
+    index_offset
+        Difference between the index of a controller in its status and its index in a command. The index in the command
+        is the node of the sample.
     """
 
     def __init__(self, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> None:
@@ -61,6 +70,7 @@ class Decoder(FrameDecoder):
         self._assembler = Assembler(STATUS)
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        """Decode one frame. Return the sample of the esc.Status that it completes."""
         if not extended:
             return []
         out = []
@@ -74,7 +84,7 @@ class Decoder(FrameDecoder):
         return out
 
     def _count(self) -> None:
-        """Take over what the assembler has counted."""
+        """Move the counts of the assembler to the counters of the decoder."""
         self.unparsed_bytes += self._assembler.unparsed_bytes
         self.checksum_errors += self._assembler.checksum_errors
         self._assembler.unparsed_bytes = self._assembler.checksum_errors = 0
@@ -85,9 +95,10 @@ class Decoder(FrameDecoder):
 
 
 def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> Esc:
-    """The 14 bytes of an esc.Status. rpm has 18 bits, the rating 7 and the index 5, in this order.
+    """Decode the 14 bytes of an esc.Status (parameters: `Decoder`).
 
-    The node is the index less ``index_offset``, modulo 32: an index below the offset becomes one that no command has.
+    The last fields are rpm (18 bits), power rating (7 bits) and index (5 bits). The node of the sample is the index
+    minus ``index_offset``, modulo 32. An index below the offset thus becomes a node that no command contains.
     """
     _, voltage, current, kelvin, low = _HEAD.unpack_from(payload)
     node = (payload[13] >> 2) - index_offset & 0x1F
@@ -97,21 +108,35 @@ def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_o
 
 
 def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
-    """The frames (identifier, data) by which node `source`, 1..127, reports `esc` in its transfer `number`."""
-    values = (esc.voltage, esc.current, esc.temperature + KELVIN)  # NaN where it is not known, as DSDL has it
+    """Encode an esc.Status of node `source`, 1..127, as the frames (identifier, data) of its transfer `number`."""
+    values = (esc.voltage, esc.current, esc.temperature + KELVIN)  # DSDL defines NaN for unknown values
     rpm = round(0.0 if esc.rpm != esc.rpm else min(max(esc.rpm, -131072), 131071)) & 0x3FFFF
     payload = _HEAD.pack(0, *values, rpm & 0xFFFF) + bytes((rpm >> 16 << 6, (esc.node & 0x1F) << 2))
     return frames_of(STATUS, payload, source, number)
 
 
 def encode_command(commands: Mapping[int, float], source: int, number: int) -> list[tuple[int, bytes]]:
-    """The frames of an esc.RawCommand: -1..1 by the controllers' indices, 0..19; zero for those between them.
+    """Encode an esc.RawCommand as frames (identifier, data).
 
-    Raises ValueError for a command or an index beyond these.
+    Parameters
+    ----------
+    commands
+        Command, -1..1, by index of the controller, 0..19. Missing indices below the largest get zero.
+    source
+        Our node, 1..127.
+    number
+        Number of the transfer.
+
+    Raises
+    ------
+    ValueError
+        If a command or an index is outside its range.
     """
     for index, n in commands.items():
         if not (-1.0 <= n <= 1.0 and 0 <= index < MOST):
-            raise ValueError(f"controller {index}: {n} is no command, -1 to 1, of the controllers 0 to {MOST - 1}")
+            raise ValueError(
+                f"controller {index}: command {n} is invalid; commands are -1 to 1, controllers 0 to {MOST - 1}"
+            )
     bits = "".join(_scalar(round(FULL * commands.get(k, 0.0))) for k in range(max(commands, default=-1) + 1))
     padded = bits.ljust(-(-len(bits) // 8) * 8, "0")
     payload = bytes(int(padded[at : at + 8], 2) for at in range(0, len(padded), 8))
@@ -119,13 +144,13 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
 
 
 def _scalar(value: int) -> str:
-    """14 bits as they go onto the bus: the low byte first, each byte from its highest bit."""
+    """Return the 14 bits of a number in the order of DroneCAN: the low byte first, each byte from its highest bit."""
     word = value & (1 << _BITS) - 1
     return f"{word & 0xFF:08b}{word >> 8:06b}"
 
 
 def decode_command(payload: bytes) -> list[float]:
-    """The commands, -1..1, in an esc.RawCommand, by the controllers' indices."""
+    """Return the commands, -1..1, of an esc.RawCommand in the order of the controllers' indices."""
     bits = "".join(f"{byte:08b}" for byte in payload)
     words = [bits[at : at + _BITS] for at in range(0, len(bits) - _BITS + 1, _BITS)]
     values = [int(word[8:] + word[:8], 2) for word in words]
@@ -133,7 +158,7 @@ def decode_command(payload: bytes) -> list[float]:
 
 
 def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[int, bytes]]:
-    """The frame NodeStatus, sent once a second: the node is operational."""
+    """Encode a NodeStatus that reports an operational node. A node has to send it at least once a second."""
     payload = struct.pack("<IBH", int(uptime_s) & 0xFFFFFFFF, 0, 0)
     return frames_of(NODE_STATUS, payload, source, number)
 
@@ -141,9 +166,9 @@ def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[
 def frames_of(
     kind: MessageType, payload: bytes, source: int, number: int, priority: int = 16
 ) -> list[tuple[int, bytes]]:
-    """The frames (identifier, data) in which node ``source``, 1..127, broadcasts a message as its transfer ``number``.
+    """Split a broadcast message of node ``source``, 1..127, into the frames (identifier, data) of a transfer.
 
-    The lower the ``priority``, 0..31, the sooner it gets onto the bus.
+    A frame with a lower ``priority`` number, 0..31, is sent before others on a busy bus.
     """
     identifier = priority << 24 | kind.number << 8 | source
     body = payload
@@ -154,31 +179,38 @@ def frames_of(
 
 
 def _tail(k: int, n_parts: int, number: int) -> int:
+    """Return the last byte of frame `k` of a transfer with `n_parts` frames."""
     return _BEGINS * (k == 0) | _ENDS * (k == n_parts - 1) | _TOGGLE * (k & 1) | number & _NUMBER
 
 
 @dataclass
 class _Transfer:
-    """An incomplete transfer."""
+    """Received part of a transfer."""
 
     number: int
-    t_rx: float  # of its first frame
-    toggle: int = 0
-    frames: int = 0
+    t_rx: float  # s, of its first frame
+    toggle: int = 0  # expected toggle bit of the next frame
+    frames: int = 0  # number of received frames
     data: bytearray = field(default_factory=bytearray)
 
 
 class Assembler:
-    """Puts the messages of one type together, from all nodes of a bus."""
+    """Assembler of frames to messages of one type, for all nodes of a bus."""
 
     def __init__(self, kind: MessageType) -> None:
         self.checksum_errors = 0
-        self.unparsed_bytes = 0  # of frames whose transfer was never complete
+        self.unparsed_bytes = 0  # of frames whose transfer was not completed
         self._kind = kind
-        self._transfers: dict[int, _Transfer] = {}  # by the node that sends
+        self._transfers: dict[int, _Transfer] = {}  # by sending node
 
     def take(self, identifier: int, data: bytes, t_rx: float) -> Iterator[tuple[bytes, float]]:
-        """A frame with a 29-bit identifier; the message that it completes, and when its first frame came."""
+        """Add a frame with a 29-bit identifier.
+
+        Yields
+        ------
+        tuple of bytes and float
+            The message that the frame completes, and the time of receipt [s] of the first frame of its transfer.
+        """
         if identifier >> 8 & 0xFFFF != self._kind.number or identifier & _SERVICE or not data:
             return
         source, tail = identifier & 0x7F, data[-1]
@@ -189,8 +221,8 @@ class Assembler:
         if transfer is None:
             self.unparsed_bytes += FRAME_BYTES
             return
-        of_it = (tail & _NUMBER, bool(tail & _TOGGLE)) == (transfer.number, bool(transfer.toggle))
-        if not of_it or len(transfer.data) > self._kind.longest + 2:
+        continues = (tail & _NUMBER, bool(tail & _TOGGLE)) == (transfer.number, bool(transfer.toggle))
+        if not continues or len(transfer.data) > self._kind.longest + 2:
             self._drop(source)
             self.unparsed_bytes += FRAME_BYTES
             return
@@ -201,6 +233,7 @@ class Assembler:
             yield from self._complete(source, transfer)
 
     def _complete(self, source: int, transfer: _Transfer) -> Iterator[tuple[bytes, float]]:
+        """Yield the message of a complete transfer if its checksum is correct. A single frame has no checksum."""
         del self._transfers[source]
         payload = bytes(transfer.data)
         if transfer.frames > 1:
@@ -211,11 +244,11 @@ class Assembler:
         yield payload, transfer.t_rx
 
     def _drop(self, source: int) -> None:
-        """Drop the transfer of a node; its frames count as unparsed."""
+        """Discard the incomplete transfer of a node. Its frames count as unparsed."""
         if (transfer := self._transfers.pop(source, None)) is not None:
             self.unparsed_bytes += FRAME_BYTES * transfer.frames
 
     def forget(self) -> None:
-        """Drop all incomplete transfers."""
+        """Discard all incomplete transfers."""
         for source in list(self._transfers):
             self._drop(source)

@@ -1,4 +1,4 @@
-"""Finding frames in a stream of bytes: the part that all serial protocols share."""
+"""Search for frames in a stream of bytes, and checksums. All decoders of serial protocols use this module."""
 
 from __future__ import annotations
 
@@ -18,10 +18,13 @@ T = TypeVar("T")
 
 
 class StreamDecoder(ABC, Generic[T]):
-    """A buffer and the search for the next frame. A subclass defines the start of a frame and decodes it."""
+    """Decoder of a stream of frames: it buffers bytes and searches for the next frame.
 
-    sync: re.Pattern[bytes]  # what a frame may start with, one byte
-    between: bytes = b"\r\n"  # what may stand between frames and is not counted as unparsed
+    A subclass defines the first byte of a frame in `sync` and decodes one frame in `_take`.
+    """
+
+    sync: re.Pattern[bytes]  # the first byte of a frame
+    between: bytes = b"\r\n"  # bytes that are allowed between frames and do not count as unparsed
 
     def __init__(self) -> None:
         self.frames = 0
@@ -29,25 +32,25 @@ class StreamDecoder(ABC, Generic[T]):
         self.unparsed_bytes = 0
         self.remark = ""
         self._buffer = bytearray()
-        self._before = 0  # bytes of the stream in front of the buffer
+        self._before = 0  # number of bytes of the stream before the buffer
         self._out: list[T] = []
 
     def feed(self, data: bytes, t_rx: float) -> list[T]:
-        """Take the bytes of one read that returned at run time `t_rx`; returns what they complete."""
+        """Decode the bytes of one read that returned at run time `t_rx` [s]. Return the items that they complete."""
         buffer = self._buffer
         buffer += data
         position = 0
         while position < len(buffer):
-            found = self.sync.search(buffer, position)
-            start = found.start() if found else len(buffer)
+            match = self.sync.search(buffer, position)
+            start = match.start() if match else len(buffer)
             self._skip(buffer, position, start)
             position = start
-            if not found:
+            if not match:
                 break
             length = self._take(buffer, start, t_rx)
             if length == 0:
                 break
-            if length < 0:  # no frame begins here, one may begin at the next byte
+            if length < 0:  # no frame begins here; a frame may begin at the next byte
                 self._skip(buffer, start, start + 1)
                 length = 1
             position = start + length
@@ -57,34 +60,38 @@ class StreamDecoder(ABC, Generic[T]):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete frame (the port was reopened). Counters stay."""
+        """Discard an incomplete frame, because the port was reopened. The counters are kept."""
         self._skip(self._buffer, 0, len(self._buffer))
         self._before += len(self._buffer)
         self._buffer.clear()
 
     def _skip(self, buffer: bytearray, start: int, end: int) -> None:
+        """Count the bytes from `start` to `end` as unparsed, except those that are allowed between frames."""
         if end > start:
             self.unparsed_bytes += len(buffer[start:end].translate(None, self.between))
 
     @abstractmethod
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Take the frame that begins at `start`: its length, 0 to wait for more bytes, -1 if none begins there.
+        """Decode the frame that begins at `start` and append its samples to `self._out`.
 
-        The answer depends on the bytes alone, never on how many have arrived behind the frame. What it holds goes
-        to `self._out`.
+        Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no frame begins at `start`. The
+        result must not depend on the number of bytes received after the frame.
         """
 
 
 class Sentence(NamedTuple):
-    """What begins at a `$`: `length` as `StreamDecoder._take` returns it, and the text between `$` and `*`."""
+    """Result of reading one NMEA-style sentence."""
 
-    length: int
-    body: bytes | None = None
-    bad_checksum: bool = False
+    length: int  # bytes; 0 if more bytes are needed, -1 if no valid sentence begins here
+    body: bytes | None = None  # text between `$` and `*`; None without a valid sentence
+    bad_checksum: bool = False  # whether the sentence is complete and its checksum is wrong
 
 
 def take_sentence(buffer: bytearray, start: int) -> Sentence:
-    """The sentence `$body*hh` (XOR) or `$body*hhhh` (CRC-16) that begins at `start` and ends with CR or LF."""
+    """Read the sentence that begins with the `$` at `start` and ends with CR or LF.
+
+    The sentence is `$body*hh` with an XOR checksum (NMEA 0183), or `$body*hhhh` with a CRC-16 (VectorNav).
+    """
     stop = _STOP.search(buffer, start + 1, start + SENTENCE_MAX)
     if stop is None:
         return Sentence(0 if len(buffer) < start + SENTENCE_MAX else -1)
@@ -96,28 +103,28 @@ def take_sentence(buffer: bytearray, start: int) -> Sentence:
     if checksum is None:
         return Sentence(-1)
     body, digits = line[: checksum.start()], checksum[1]
-    right = xor(body) if len(digits) == 2 else crc16(body)
-    if int(digits, 16) != right:
+    correct = xor(body) if len(digits) == 2 else crc16(body)
+    if int(digits, 16) != correct:
         return Sentence(-1, bad_checksum=True)
     return Sentence(end + 1 - start, body)
 
 
 def xor(body: bytes) -> int:
-    """The checksum of NMEA 0183: all bytes between `$` and `*`, exclusive-ored."""
+    """Return the checksum of NMEA 0183: the exclusive or of all bytes between `$` and `*`."""
     return functools.reduce(operator.xor, body, 0)
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/XMODEM, which VectorNav uses (polynomial 0x1021, initial value 0)."""
+    """Return CRC-16/XMODEM, the checksum of VectorNav (polynomial 0x1021, initial value 0)."""
     return binascii.crc_hqx(data, 0)
 
 
 def crc16_ccitt(data: bytes, seed: int = 0xFFFF) -> int:
-    """CRC-16/CCITT-FALSE, which DroneCAN uses (polynomial 0x1021, initial value 0xFFFF)."""
+    """Return CRC-16/CCITT-FALSE, the checksum of DroneCAN (polynomial 0x1021, initial value `seed`)."""
     return binascii.crc_hqx(data, seed)
 
 
 def sentence(body: str) -> bytes:
-    """`body` as a sentence on the wire: `$body*hh` and CR LF."""
+    """Encode `body` as a sentence of NMEA 0183: `$body*hh` and CR LF."""
     data = body.encode("ascii")
     return b"$%b*%02X\r\n" % (data, xor(data))

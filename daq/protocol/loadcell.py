@@ -1,8 +1,8 @@
-"""A load cell that sends one line of text per sample (an HX711 on a microcontroller and the like).
+"""Load cell that sends one line of text per sample, for example an HX711 converter on a microcontroller.
 
-A line matches the pattern in the rig; its named group `counts` is the number. There is no checksum: a line that does
-not match is the only sign of a transmission error. Patterns are those of RE2, whose time grows with the line and not
-with what a rig of somebody else's may ask of it.
+A line has to match the regular expression in the rig file, whose named group `counts` is the reading. The protocol has
+no checksum, so a line that does not match is the only sign of a transmission error. The library RE2 evaluates the
+expression, because its run time is linear in the length of the line for every expression.
 """
 
 from __future__ import annotations
@@ -19,26 +19,40 @@ DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
 
 
 def compile_pattern(pattern: str) -> Any:
-    """The pattern of a reading, as RE2 compiles it. Raises ValueError for what is no regular expression of RE2 (which
-    has no look-around and no back-references) and for one without a group ``counts``."""
-    import re2  # only a load cell with lines of text needs it
+    """Return the compiled regular expression of a reading.
+
+    Raises
+    ------
+    ValueError
+        If `pattern` is not a regular expression of RE2 (RE2 has no look-around and no back-references), or if it lacks
+        the group ``counts``.
+    """
+    import re2  # imported here because only a load cell with lines of text needs it
 
     options = re2.Options()
     options.log_errors = False
     try:
-        found = re2.compile(pattern, options)
+        compiled = re2.compile(pattern, options)
     except re2.error as error:
         raise ValueError(f"not a regular expression (RE2): {error.args[0].decode(errors='replace')}") from error
-    if "counts" not in found.groupindex:
+    if "counts" not in compiled.groupindex:
         raise ValueError("must have a group (?P<counts>...) around the reading")
-    return found
+    return compiled
 
 
 class Decoder(LineDecoder):
-    """Lines -> `LoadCell`. Flagged readings are passed on: what to leave out is the reader's decision.
+    """Decoder of the lines to `LoadCell` samples. Readings with a flag are kept; the user of the log may exclude them.
 
-    `pattern` is a regular expression with a named group `counts` (`compile_pattern`), `saturation` the
-    largest reading of the converter, `force` turns counts into N. `skip_first` is as in `LineDecoder`.
+    Parameters
+    ----------
+    pattern
+        Regular expression with a named group `counts` (`compile_pattern`).
+    saturation
+        Largest reading of the converter [counts]; None if it is unknown.
+    force
+        Calibration from counts to N; None if there is none, and the force is NaN.
+    skip_first
+        Whether to discard the first line after `reset` (`LineDecoder`).
     """
 
     def __init__(
@@ -54,17 +68,18 @@ class Decoder(LineDecoder):
         self._force = force
 
     def _take(self, line: bytes, t_rx: float) -> Frame | None:
-        found = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
-        if found is None:
+        """Convert one line to a sample. Return None if it does not match the pattern."""
+        match = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
+        if match is None:
             return None
         try:
-            counts = float(found["counts"])
-        except (TypeError, ValueError):  # the group took no part in the match, or what it matched is no number
+            counts = float(match["counts"])
+        except (TypeError, ValueError):  # the group is not part of the match, or its text is not a number
             return None
         force = NAN if self._force is None else self._force(counts)
         return Frame(LoadCell(counts, force, self._flags.of(counts)), t_rx, NAN)
 
 
 def encode(counts: float) -> bytes:
-    """One reading as the default pattern expects it."""
+    """Encode a reading as a line that the default pattern matches."""
     return b"%d\r\n" % round(counts)

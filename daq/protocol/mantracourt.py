@@ -1,7 +1,7 @@
-"""Mantracourt DSCUSB and DCell strain-gauge converters with the ASCII protocol: a request, answered by a number.
+"""Mantracourt DSCUSB and DCell strain-gauge converters with the ASCII protocol. They answer each request with a number.
 
-Source: DSCUSB Advanced User's Manual, "ASCII protocol": the host sends `!001:SYS?` and CR; the answer is a decimal
-number and CR, or `?` and CR where the request was refused. There is no checksum.
+Source: DSCUSB Advanced User's Manual, "ASCII protocol". The host sends `!001:SYS?` and CR. The converter answers with a
+decimal number and CR. If it refuses the request, it answers with `?` and CR. The protocol has no checksum.
 """
 
 from __future__ import annotations
@@ -17,10 +17,19 @@ _NUMBER = re.compile(rb"[+-]?\d{1,12}(\.\d{0,9})?\Z")
 
 
 class Decoder(LineDecoder):
-    """Answers -> `LoadCell`; `counts` is what the converter answers in its own unit, `force` turns that into N.
+    """Decoder of the answers to `LoadCell` samples. `counts` is the answer in the unit of the converter.
 
-    `request` is what has to be sent for each reading; the device's loop does so at the rig's rate. Without a
-    calibration there is no force: which unit SYS has was set in the converter. An echo of the request is passed over.
+    The driver of the device sends `request` for each reading at the rate of the rig file. An echo of the request is
+    counted as unparsed.
+
+    Parameters
+    ----------
+    saturation
+        Largest reading of the converter [counts]; None if it is unknown.
+    force
+        Calibration from counts to N; without it the force is NaN. The unit of SYS is a setting of the converter.
+    query
+        Text of the request without CR.
     """
 
     end = b"\r"
@@ -37,9 +46,10 @@ class Decoder(LineDecoder):
         self._force = force
 
     def _take(self, line: bytes, t_rx: float) -> Frame | None:
+        """Convert one answer to a sample. Return None if it is not a number, for example a refusal or an echo."""
         line = line.lstrip(b"\n")
         if line == b"?":
-            self.remark = f"the converter refuses {self.request[:-1].decode('ascii')}: look at `query` in the rig"
+            self.remark = f"the converter refuses {self.request[:-1].decode('ascii')}: check `query` in the rig"
         if not _NUMBER.match(line):
             return None
         self.remark = ""
@@ -49,5 +59,5 @@ class Decoder(LineDecoder):
 
 
 def encode(counts: float) -> bytes:
-    """An answer as the converter gives it."""
+    """Encode a reading as the converter sends it."""
     return b"%+013.4f\r" % counts

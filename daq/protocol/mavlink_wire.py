@@ -1,7 +1,8 @@
-"""MAVLink 1 and 2 on the wire: whole frames, messages and back, signatures. No I/O and no clock.
+"""MAVLink 1 and 2 on the wire: headers, checksums, signatures, and the conversion between frames and messages.
 
-Messages are pymavlink's (dialect ardupilotmega); ESC_STATUS, which its dialects lack, is ours. Sources:
-mavlink.io/en/guide/serialization.html, mavlink.io/en/guide/message_signing.html, common.xml.
+The module does no I/O and reads no clock. Messages are those of pymavlink (dialect ardupilotmega). ESC_STATUS is
+defined here, because the dialects of pymavlink lack this message. Sources: mavlink.io/en/guide/serialization.html,
+mavlink.io/en/guide/message_signing.html, common.xml.
 """
 
 from __future__ import annotations
@@ -16,39 +17,39 @@ import fastcrc
 from seatrial.daq.errors import SeatrialError
 
 MARKER_1, MARKER_2 = 0xFE, 0xFD
-HEADER_1, HEADER_2, CHECKSUM, SIGNATURE = 6, 10, 2, 13
-SIGNED = 0x01  # the only incompatibility flag there is; a frame with another one must be dropped
-EPOCH_2015 = 1_420_070_400.0  # s since 1970; signatures count units of 10 us from here
+HEADER_1, HEADER_2, CHECKSUM, SIGNATURE = 6, 10, 2, 13  # bytes; headers of version 1 and 2
+SIGNED = 0x01  # the only defined incompatibility flag; a frame with another flag must be discarded
+EPOCH_2015 = 1_420_070_400.0  # s since 1970; time stamps of signatures count units of 10 us from here
 KEY_BYTES = 32
-ESC_STATUS = 291  # the message's number
-ESC_STATUS_SEED = 10  # of its checksum
+ESC_STATUS = 291  # id of the message
+ESC_STATUS_SEED = 10  # CRC_EXTRA of the message
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
-    """Return CRC-16/MCRF4XX, the checksum of MAVLink; `crc` is that of the bytes before."""
+    """Return CRC-16/MCRF4XX, the checksum of MAVLink. `crc` is the checksum of the preceding bytes."""
     return int(fastcrc.crc16.mcrf4xx(data, crc))
 
 
 @functools.cache
 def dialect() -> Any:
-    """pymavlink's module of messages."""
-    from pymavlink.dialects.v20 import ardupilotmega  # a quarter of a second, and only MAVLink needs it
+    """Return pymavlink's module of the messages."""
+    from pymavlink.dialects.v20 import ardupilotmega  # imported here: it takes 0.25 s, and only MAVLink needs it
 
     return ardupilotmega
 
 
 class EscStatus(NamedTuple):
-    """ESC_STATUS: four controllers from number `first` (0 is the first) on."""
+    """Message ESC_STATUS: the state of four consecutive speed controllers."""
 
-    time_usec: int  # boot or 1970
-    rpm: tuple[int, ...]  # signed
-    voltage: tuple[float, ...]
-    current: tuple[float, ...]
-    first: int  # `index` on the wire
+    time_usec: int  # us since boot or since 1970
+    rpm: tuple[int, ...]  # rev/min, signed
+    voltage: tuple[float, ...]  # V
+    current: tuple[float, ...]  # A
+    first: int  # number of the first controller, from 0; the field `index` on the wire
 
     @staticmethod
     def get_type() -> str:
-        """As pymavlink's messages."""
+        """Return the name of the message, as messages of pymavlink do."""
         return "ESC_STATUS"
 
 
@@ -61,40 +62,41 @@ def _unpack_esc_status(payload: bytes) -> EscStatus:
 
 
 class Head(NamedTuple):
-    """The header of a frame."""
+    """Header of a frame."""
 
     total: int  # bytes of the whole frame
     message_id: int
     system: int
     component: int
-    payload: int  # bytes
+    payload: int  # bytes of the payload
     signed: bool
-    sequence: int  # of the sender's frames on this link, 0 to 255
+    sequence: int  # counter of the sender's frames on this link, 0 to 255
 
 
 def head(buffer: bytes | bytearray, start: int) -> Head | int:
-    """The header that begins at `start`; 0 when bytes are missing, -1 when no frame can begin there."""
-    two = buffer[start] == MARKER_2
-    size = HEADER_2 if two else HEADER_1
-    if two and len(buffer) > start + 2 and buffer[start + 2] & ~SIGNED:
+    """Return the header that begins at `start`. Return 0 if more bytes are needed, -1 if no frame can begin there."""
+    is_version_2 = buffer[start] == MARKER_2
+    size = HEADER_2 if is_version_2 else HEADER_1
+    if is_version_2 and len(buffer) > start + 2 and buffer[start + 2] & ~SIGNED:
         return -1
     if len(buffer) < start + size:
         return 0
-    at = buffer[start : start + size]
-    if two:
-        signed = bool(at[2] & SIGNED)
-        message_id = at[7] | at[8] << 8 | at[9] << 16
-        total = size + at[1] + CHECKSUM + SIGNATURE * signed
-        return Head(total, message_id, at[5], at[6], at[1], signed, at[4])
-    known = _known(at[5])
-    if known is None or at[1] > known[1]:  # version 1 has no truncation and no new messages
+    header = buffer[start : start + size]
+    if is_version_2:
+        signed = bool(header[2] & SIGNED)
+        message_id = header[7] | header[8] << 8 | header[9] << 16
+        total = size + header[1] + CHECKSUM + SIGNATURE * signed
+        return Head(total, message_id, header[5], header[6], header[1], signed, header[4])
+    definition = _definition(header[5])
+    # Version 1 is only used with messages of the dialect. Their payload is never longer than defined.
+    if definition is None or header[1] > definition[1]:
         return -1
-    return Head(size + at[1] + CHECKSUM, at[5], at[3], at[4], at[1], False, at[2])
+    return Head(size + header[1] + CHECKSUM, header[5], header[3], header[4], header[1], False, header[2])
 
 
 @functools.cache
-def _known(message_id: int) -> tuple[int, int] | None:
-    """Checksum seed and longest payload of a message; None for one that is not in the dialect."""
+def _definition(message_id: int) -> tuple[int, int] | None:
+    """Return checksum seed (CRC_EXTRA) and longest payload [bytes] of a message, or None if the dialect lacks it."""
     if message_id == ESC_STATUS:
         return ESC_STATUS_SEED, _ESC_STATUS.size
     kind = dialect().mavlink_map.get(message_id)
@@ -102,31 +104,46 @@ def _known(message_id: int) -> tuple[int, int] | None:
 
 
 def is_known(message_id: int) -> bool:
-    """Whether the message is in the dialect, so that its checksum can be verified."""
-    return _known(message_id) is not None
+    """Return whether the dialect contains a message, so that its checksum can be verified."""
+    return _definition(message_id) is not None
 
 
-def is_whole(frame: bytes, found: Head) -> bool:
-    """Whether the checksum is right; of a message that is not in the dialect, whether it can be (1 in 256 by chance).
+def is_whole(frame: bytes, header: Head) -> bool:
+    """Return whether the checksum of a frame is correct.
 
-    The checksum includes a seed that depends on the message's definition.
+    Notes
+    -----
+    The checksum includes a seed that depends on the definition of the message. If the dialect lacks the message, any of
+    the 256 seeds is accepted. A damaged frame of this kind is then accepted with probability 1/256.
     """
-    end = len(frame) - SIGNATURE * found.signed - CHECKSUM
-    (said,) = struct.unpack_from("<H", frame, end)
+    end = len(frame) - SIGNATURE * header.signed - CHECKSUM
+    (received,) = struct.unpack_from("<H", frame, end)
     crc = crc16(frame[1:end])
-    known = _known(found.message_id)
-    if known is not None:
-        return crc16(bytes([known[0]]), crc) == int(said)
-    return any(crc16(bytes([seed]), crc) == said for seed in range(256))
+    definition = _definition(header.message_id)
+    if definition is not None:
+        return crc16(bytes([definition[0]]), crc) == int(received)
+    return any(crc16(bytes([seed]), crc) == received for seed in range(256))
 
 
 class Codec:
-    """One end of a link: frames to messages and messages to frames, signed where there is a key."""
+    """Converter between frames and messages at our end of a link. Frames are signed if a key is given."""
 
     def __init__(
         self, system: int, component: int, key: bytes | None = None, now_unix: float = EPOCH_2015, link: int = 0
     ) -> None:
-        """Our own ids; `now_unix` [s since 1970] starts the signatures' clock, which never goes back on one `link`."""
+        """Set our ids and the signing key.
+
+        Parameters
+        ----------
+        system, component
+            Our ids.
+        key
+            Signing key, 32 bytes; None for unsigned frames.
+        now_unix
+            Present time [s since 1970], from which the time stamps of signatures start.
+        link
+            Link id of the signatures. Time stamps of one link must never decrease.
+        """
         self.system = system
         self._mav = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
         if key is not None:
@@ -138,13 +155,13 @@ class Codec:
 
     @property
     def signs(self) -> bool:
-        """Whether there is a key."""
+        """Return whether frames are signed."""
         return self._key is not None
 
     def decode(self, frame: bytes) -> Any | None:
-        """The message of a whole frame; None where the signature is missing or wrong."""
+        """Return the message of a complete frame, or None if a required signature is missing or wrong."""
         if frame[0] == MARKER_2 and frame[7:10] == b"\x23\x01\x00":
-            # pymavlink has no such message and so checks no signature: where a signature is required, it is rejected.
+            # pymavlink lacks ESC_STATUS and cannot check its signature. It is rejected if a signature is required.
             return None if self._key is not None else _unpack_esc_status(frame[HEADER_2 : HEADER_2 + frame[1]])
         try:
             return self._mav.decode(bytearray(frame))
@@ -152,7 +169,7 @@ class Codec:
             return None
 
     def encode(self, name: str, *fields: Any) -> bytes:
-        """The frame of message `name` (as `COMMAND_LONG`) with its fields in pymavlink's order."""
+        """Encode message `name`, for example `COMMAND_LONG`, as a frame. Its fields are in pymavlink's order."""
         kind = getattr(dialect(), f"MAVLink_{name.lower()}_message")
         data: bytes = kind(*fields).pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
@@ -160,7 +177,7 @@ class Codec:
 
 
 def encode_esc_status(system: int, component: int, sequence: int, status: EscStatus) -> bytes:
-    """ESC_STATUS as a frame, unsigned."""
+    """Encode ESC_STATUS as an unsigned frame of version 2."""
     payload = _ESC_STATUS.pack(status.time_usec, *status.rpm, *status.voltage, *status.current, status.first)
     payload = payload.rstrip(b"\0") or b"\0"
     body = struct.pack("<BBBBBBHB", len(payload), 0, 0, sequence, system, component, ESC_STATUS, 0) + payload
@@ -168,7 +185,18 @@ def encode_esc_status(system: int, component: int, sequence: int, status: EscSta
 
 
 def read_key(path: Path) -> bytes:
-    """The 32 bytes of a signing key: as they are, or as 64 hexadecimal digits. Raises SeatrialError."""
+    """Read a signing key from a file that contains 32 bytes or 64 hexadecimal digits.
+
+    Returns
+    -------
+    bytes
+        The key, 32 bytes.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or does not contain a key.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:

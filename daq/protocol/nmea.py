@@ -1,7 +1,8 @@
-"""NMEA 0183 of GNSS receivers and compasses: the sentences of an epoch become one `Gnss`, a heading an `Ahrs`.
+"""NMEA 0183 of GNSS receivers and compasses: decoder of sentences to `Gnss` and `Ahrs` samples.
 
-A receiver with two antennas sends both. Headings: HDT, THS, HDG, HDM, ROT, XDR, $PASHR and SkyTraq's $PSTI,036.
-Source: NMEA 0183 version 4.11; sentences of a position are split into fields by pynmeagps.
+The position sentences of one epoch are joined to one `Gnss`. A heading sentence becomes one `Ahrs`. A receiver with two
+antennas sends both. The heading sentences are HDT, THS, HDG, HDM, ROT, XDR, $PASHR and $PSTI,036 of SkyTraq.
+Source: NMEA 0183 version 4.11. The library pynmeagps splits position sentences into fields.
 """
 
 from __future__ import annotations
@@ -18,105 +19,128 @@ from pynmeagps import NMEAReader
 from seatrial.daq.protocol.framing import StreamDecoder, sentence, take_sentence
 from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss, Scalar, wrap_angle
 
-_FIX_TO_QUALITY = {0: 0, 1: 6, 2: 1, 3: 1, 4: 2, 5: 4, 6: 5}
+_FIX_TO_QUALITY = {0: 0, 1: 6, 2: 1, 3: 1, 4: 2, 5: 4, 6: 5}  # Gnss.fix -> GGA quality
 KNOT = 1852.0 / 3600.0  # m/s
-DAY = 86400.0
-REMEMBERED = 10  # epochs; some sentences do not come with each
-ORDER_BY = 3  # epochs in a row tell another order of sentences; in one of them a pause of the link may
+DAY = 86400.0  # s
+REMEMBERED = 10  # epochs whose kinds of sentence are expected in the next one; some kinds are not sent in each epoch
+# Epochs in a row with another order of sentences, after which that order is assumed. A pause of the link can change the
+# apparent order of one epoch.
+ORDER_BY = 3
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d(?:\.\d*)?)\Z")
-_TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}
-_POSITION = ("GGA", "GNS", "RMC", "GLL")  # the first of them that has one gives the position
-TIMELESS_S = 1.5  # s without a sentence that has a time, after which those without one are of a receiver without a fix
+_TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}  # kind -> index of the field with the time
+_POSITION = ("GGA", "GNS", "RMC", "GLL")  # sentences with a position; the first one in this order is used
+# s without a sentence that has a time. Afterwards sentences without a time are from a receiver that never had a fix.
+TIMELESS_S = 1.5
 KINDS = frozenset({*_TIME_FIELD, "VTG", "GSA"})
-# GGA quality -> Gnss.fix; 2-D and 3-D fixes are the same in GGA, GSA distinguishes them.
+# GGA quality -> Gnss.fix. GGA does not distinguish 2-D and 3-D fixes; GSA does.
 _QUALITY = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 1}
+# Mode letter of GNS and RMC -> Gnss.fix.
 _MODE = {"A": 3, "D": 4, "P": 3, "R": 5, "F": 6, "E": 1, "M": 1, "S": 3, "N": 0}
 Message = dict[str, Any]
 _NUMBER = re.compile(rb"[+-]?\d+(\.\d*)?\Z")
 _DEG = math.pi / 180.0
-# Preferred sentence of a device that sends several: the one with attitude, then true, then magnetic.
+# Rank of the heading sentences of a device that sends several: attitude first, then true, then magnetic headings.
 _RANK = {"PASHR": 5, "PSTI": 5, "HDT": 4, "THS": 3, "HDG": 2, "HDM": 1}
-_ATTITUDE = {"PASHR": (2, 5, 4), "PSTI": (4, 5, 6)}  # where heading, pitch and roll stand
-_HEADING_TIME = {b"PASHR": 1, b"PSTI,": 2}  # the headings with a time of their own
-# Kind and unit of a transducer of XDR -> unit and factor of its signal
+_ATTITUDE = {"PASHR": (2, 5, 4), "PSTI": (4, 5, 6)}  # indices of the fields with heading, pitch and roll
+_HEADING_TIME = {b"PASHR": 1, b"PSTI,": 2}  # heading sentences with a time -> index of the field with the time
+# Kind and unit of a transducer of XDR -> unit and factor of its signal.
 _TRANSDUCERS: dict[tuple[bytes, bytes], tuple[str, float]] = {
     (b"A", b"D"): ("rad", math.pi / 180.0), (b"C", b"C"): ("degC", 1.0), (b"D", b"M"): ("m", 1.0),
     (b"F", b"H"): ("Hz", 1.0), (b"H", b"P"): ("1", 0.01), (b"I", b"A"): ("A", 1.0), (b"N", b"N"): ("N", 1.0),
     (b"P", b"B"): ("Pa", 1e5), (b"P", b"P"): ("Pa", 1.0), (b"T", b"R"): ("rev/min", 1.0), (b"U", b"V"): ("V", 1.0),
 }  # fmt: skip
-_LEVEL = {b"PTCH": 0, b"PITCH": 0, b"ROLL": 1}  # transducers of XDR
-_THS_VALID = (b"A", b"E")  # autonomous, estimated; M is by hand, S simulated, V void
-_FULL_TURN = 360.0  # deg; what is beyond, as 999.9, means that there is none
+_LEVEL = {b"PTCH": 0, b"PITCH": 0, b"ROLL": 1}  # names of the transducers of XDR for pitch (0) and roll (1)
+_THS_VALID = (b"A", b"E")  # modes autonomous and estimated; M is manual, S simulated, V invalid
+_FULL_TURN = 360.0  # deg; a larger heading, for example 999.9, means that there is no heading
 
 
 class Decoder(StreamDecoder[Frame]):
-    """Sentences -> `Gnss` and `Ahrs`. `declination` [rad, east positive] makes magnetic headings true ones."""
+    """Decoder of a stream of NMEA sentences to `Gnss` and `Ahrs` samples.
+
+    Parameters
+    ----------
+    declination
+        True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+    """
 
     sync = re.compile(rb"\$")
 
     def __init__(self, declination: float | None = None) -> None:
         super().__init__()
         self._sentences = Sentences(declination)
-        self.transducers: list[Transducer] | None = None  # a list gets those of XDR, each with a `Scalar` in its place
+        # Set this to a list to collect the transducers of XDR. Each then also gives a `Scalar` sample, in this order.
+        self.transducers: list[Transducer] | None = None
 
     def flush(self) -> list[Frame]:
-        """End of the stream: the sample of the epoch that has not been emitted, if there is one."""
+        """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
         return self._sentences.epochs.flush()
 
     def reset(self) -> None:
-        """Discard an incomplete sentence and epoch (the port was reopened). Counters stay."""
+        """Discard an incomplete sentence and epoch, because the port was reopened. The counters are kept."""
         super().reset()
         self._sentences.forget()
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the sentence at `start`. Return its length, 0 if more bytes are needed, -1 if it is invalid."""
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
         if body is None:
             return length
-        found = self._sentences.take(body, t_rx)
-        if found is None:
+        frames = self._sentences.take(body, t_rx)
+        if frames is None:
             return -1
         self.frames += 1
         self.remark = self._sentences.headings.remark
-        self._out += self._kept(found)
+        self._out += self._kept(frames)
         if self.transducers is not None:
-            others, self._sentences.headings.transducers = self._sentences.headings.transducers, []
-            self.transducers += others
-            self._out += [Frame(Scalar(one.value), t_rx, NAN) for one in others]
+            transducers, self._sentences.headings.transducers = self._sentences.headings.transducers, []
+            self.transducers += transducers
+            self._out += [Frame(Scalar(transducer.value), t_rx, NAN) for transducer in transducers]
         return length
 
-    def _kept(self, found: list[Frame]) -> list[Frame]:
-        """The samples of sentences that are passed on."""
-        return found
+    def _kept(self, frames: list[Frame]) -> list[Frame]:
+        """Return the samples to keep; a subclass may drop some."""
+        return frames
 
 
 class Sentences:
-    """Whole sentences -> samples: `take` is what every decoder of a stream with NMEA in it needs."""
+    """Converter of complete sentences to samples, for all decoders of streams that contain NMEA."""
 
     def __init__(self, declination: float | None = None) -> None:
         self.epochs = Epochs()
         self.headings = Headings(declination)
 
     def take(self, body: bytes, t_rx: float) -> list[Frame] | None:
-        """The samples that the sentence `body` (between `$` and `*`) completes; None if its fields make no sense."""
+        """Return the samples that a sentence completes, or None if its fields are invalid.
+
+        Parameters
+        ----------
+        body
+            Text between `$` and `*`.
+        t_rx
+            Run time [s] at which the read of the sentence returned.
+        """
         kind = body[2:5].decode("ascii") if body[5:6] == b"," and body[:1] != b"P" else ""
         if kind in KINDS:
             return self.epochs.take(kind, body, t_rx)
-        found = self.headings.take(kind, body, t_rx)
-        if found and body[:5] in _HEADING_TIME:
+        frames = self.headings.take(kind, body, t_rx)
+        if frames and body[:5] in _HEADING_TIME:
             seconds = _seconds(body.split(b","), _HEADING_TIME[body[:5]])
             utc = self.epochs.utc_of(seconds, t_rx) if self.epochs.has_time else NAN
-            found = [frame._replace(t_device=utc) for frame in found]
-        return found
+            frames = [frame._replace(t_device=utc) for frame in frames]
+        return frames
 
     def forget(self) -> None:
-        """The port was reopened."""
+        """Discard all received state, because the port was reopened."""
         self.epochs.forget()
         self.headings.forget()
 
 
 def encode(gnss: Gnss) -> bytes:
-    """The sentences GGA, RMC, VTG and GST of one epoch. Time is sent to 1 ms, position to 1e-7 minutes (0.2 mm)."""
+    """Encode a fix as the sentences GGA, RMC, VTG and GST of one epoch.
+
+    The resolution of the time is 1 ms. The resolution of the position is 1e-7 minutes (0.2 mm).
+    """
     milliseconds = round(gnss.utc * 1000.0)
     when = datetime.datetime.fromtimestamp(milliseconds // 1000, datetime.UTC)
     time = f"{when:%H%M%S}.{milliseconds % 1000:03d}"
@@ -140,7 +164,7 @@ def encode(gnss: Gnss) -> bytes:
 
 
 def _degrees(angle: float, digits: int, signs: str) -> str:
-    """`ddmm.mmmmmmm,N`: whole degrees, minutes, hemisphere."""
+    """Format an angle [deg] as `ddmm.mmmmmmm,N`: whole degrees, minutes, hemisphere."""
     degrees, units = divmod(round(abs(angle) * 60e7), 600_000_000)
     return f"{degrees:0{digits}d}{units // 10_000_000:02d}.{units % 10_000_000:07d},{signs[angle < 0.0]}"
 
@@ -151,14 +175,14 @@ def _text(value: float, digits: int) -> str:
 
 @dataclass
 class _Epoch:
-    """Values of the sentences of one time so far."""
+    """Values of the received sentences with one time."""
 
-    seconds: float  # of the day; NaN of a receiver that does not know the time
-    t_rx: float
-    kinds: set[str] = field(default_factory=set)
+    seconds: float  # s of the day; NaN if the receiver has no time
+    t_rx: float  # s, of the first sentence
+    kinds: set[str] = field(default_factory=set)  # of the received sentences
     date: datetime.date | None = None
-    position: dict[str, tuple[float, float]] = field(default_factory=dict)
-    values: dict[str, float] = field(default_factory=dict)
+    position: dict[str, tuple[float, float]] = field(default_factory=dict)  # kind -> latitude, longitude [deg]
+    values: dict[str, float] = field(default_factory=dict)  # in SI units, by name
 
     @property
     def timeless(self) -> bool:
@@ -166,60 +190,66 @@ class _Epoch:
 
 
 class Epochs:
-    """Sentences -> `Gnss`, one sample an epoch.
+    """Collector of position sentences: it joins the sentences of one epoch to one `Gnss` sample.
 
-    An epoch is complete when all kinds of sentence that came in the last few epochs have come, or else when the next
-    begins. `t_rx` of a sample is that of the epoch's first sentence, which is nearest to the measurement; `t_device` is
-    its UTC, NaN before the first fix: until then the time is that of the receiver's own clock, which the fix corrects
-    by up to seconds. Without a date (no RMC or ZDA yet) the day is the one that puts the time next to `t_rx`.
-    A receiver that does not know the time at all gives samples without a fix, whose UTC is NaN.
+    An epoch is complete when all kinds of sentence of the last few epochs have been received, or when the next epoch
+    begins. `t_rx` of a sample is the time of receipt of the epoch's first sentence, which is nearest to the
+    measurement.
 
-    VTG carries no time. It belongs to the sentence that came before, unless it comes between two epochs and nearer to
-    the later one: then it is the first of its burst.
+    `t_device` is the UTC of the epoch. It is NaN before the first fix, because the receiver's own clock may be wrong by
+    seconds until then. Before the first date (RMC or ZDA), the date is chosen so that the UTC is nearest to `t_rx`. A
+    receiver without any time gives samples without a fix, and their UTC is NaN.
+
+    The sentence VTG contains no time. It usually belongs to the epoch of the sentence before it. If it regularly
+    arrives between two epochs and nearer to the later one, it is the first sentence of the later epoch.
     """
 
     def __init__(self) -> None:
         self._out: list[Frame] = []
         self._epoch: _Epoch | None = None
-        self._emitted = False
-        self._kinds: deque[set[str]] = deque(maxlen=REMEMBERED)
-        self._expected: set[str] = set()
+        self._emitted = False  # whether the sample of the present epoch has been returned
+        self._kinds: deque[set[str]] = deque(maxlen=REMEMBERED)  # kinds of sentence of the last epochs
+        self._expected: set[str] = set()  # union of the last epochs' kinds
         self._last_utc = NAN
         self._mode_gsa = 0
         self._timed: bool | None = None  # whether there has been a fix; None before the first position
-        self._t_last = -math.inf  # of the last sentence
-        self._vtg_leads = False
-        self._agreeing = ORDER_BY - 1  # epochs that tell another order; the first is believed at once
-        self._vtg: tuple[float, Message, float] | None = None  # the last sentence: when, and s since the one before
+        self._t_last = -math.inf  # s, t_rx of the last sentence
+        self._vtg_leads = False  # whether VTG is the first sentence of an epoch
+        # Epochs in a row with the other order of VTG. The start value makes the first such epoch decide at once.
+        self._epochs_against_order = ORDER_BY - 1
+        # The last sentence if it was VTG: t_rx [s], fields, and time [s] since the sentence before it.
+        self._vtg: tuple[float, Message, float] | None = None
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
-        """Take one sentence whose kind is one of KINDS; the samples it completes, None if it is none after all."""
+        """Decode one sentence whose kind is in KINDS. Return the samples that it completes, None if it is invalid."""
         message = _parse(body)
         if message is None:
             return None
         self._sentence(kind, message, body.split(b","), t_rx)
-        return self._given()
+        return self._take_out()
 
     def flush(self) -> list[Frame]:
-        """End of the stream: the sample of the epoch that has not been emitted, if there is one."""
+        """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
         self._emit()
-        return self._given()
+        return self._take_out()
 
     def forget(self) -> None:
-        """Forget the epoch that is not complete (the port was reopened)."""
+        """Discard the incomplete epoch, because the port was reopened."""
         self._epoch = self._vtg = self._timed = None
-        self._t_last, self._vtg_leads, self._agreeing = -math.inf, False, ORDER_BY - 1
+        self._t_last, self._vtg_leads, self._epochs_against_order = -math.inf, False, ORDER_BY - 1
 
     @property
     def has_time(self) -> bool:
-        """Whether times are those of a fix, as far as positions tell."""
+        """Return whether the receiver's time is from a fix. True if no position has been received yet."""
         return self._timed is not False
 
-    def _given(self) -> list[Frame]:
+    def _take_out(self) -> list[Frame]:
+        """Return the completed samples and remove them from the list."""
         out, self._out = self._out, []
         return out
 
     def _sentence(self, kind: str, message: Message, words: list[bytes], t_rx: float) -> None:
+        """Add one sentence to its epoch, which begins with the first sentence that has another time."""
         if kind == "GSA":
             self._mode_gsa = _integer(message.get("navMode"), 0)
             return
@@ -235,21 +265,21 @@ class Epochs:
             return
         vtg, self._vtg = self._vtg, None
         begins = self._epoch is None or self._epoch.seconds != seconds
-        held = vtg if self._vtg_leads else None
+        leading_vtg = vtg if self._vtg_leads else None
         if begins:
-            self._begin(seconds, t_rx if held is None else held[0])
+            self._begin(seconds, t_rx if leading_vtg is None else leading_vtg[0])
         if vtg is not None and begins:
             self._learn(before=vtg[2], after=t_rx - vtg[0])
         self._t_last = t_rx
-        if held is not None:
-            self._add("VTG", held[1])
+        if leading_vtg is not None:
+            self._add("VTG", leading_vtg[1])
         self._add(kind, message)
 
     def _timeless(self, kind: str, message: Message, t_rx: float) -> None:
-        """Add a sentence without a time: a receiver that has never had a fix sends them, and it is alive.
+        """Add a sentence without a time. A receiver that has never had a fix sends these sentences.
 
-        Its epoch begins with a kind of sentence that the epoch before has already. Beside sentences with a time, one
-        without (an old GLL) is of no epoch.
+        A new epoch begins when a kind of sentence arrives that the present epoch already has. If the receiver also
+        sends sentences with a time, a sentence without a time (for example an old GLL) is ignored.
         """
         epoch = self._epoch
         if kind not in _POSITION or not (epoch is None or epoch.timeless or t_rx - epoch.t_rx > TIMELESS_S):
@@ -259,18 +289,23 @@ class Epochs:
         self._add(kind, message)
 
     def _learn(self, before: float, after: float) -> None:
-        """Of a VTG between two epochs: the time [s] to the sentence before it, and to the one behind it."""
+        """Decide from a VTG between two epochs whether VTG is the first or the last sentence of an epoch.
+
+        `before` is the time [s] from the previous sentence to the VTG, `after` the time [s] from the VTG to the next
+        sentence.
+        """
         if math.isfinite(before) and before > 2.0 * after:
             leads = True
         elif after > before:
             leads = False
         else:
             return
-        self._agreeing = self._agreeing + 1 if leads != self._vtg_leads else 0
-        if self._agreeing >= ORDER_BY:
-            self._vtg_leads, self._agreeing = leads, 0
+        self._epochs_against_order = self._epochs_against_order + 1 if leads != self._vtg_leads else 0
+        if self._epochs_against_order >= ORDER_BY:
+            self._vtg_leads, self._epochs_against_order = leads, 0
 
     def _begin(self, seconds: float, t_rx: float) -> None:
+        """Emit the present epoch and begin the epoch with this time of the day [s]."""
         if self._epoch is not None:
             self._emit()
             self._kinds.append(self._epoch.kinds)
@@ -278,6 +313,7 @@ class Epochs:
         self._epoch, self._emitted = _Epoch(seconds, t_rx), False
 
     def _add(self, kind: str, message: Message) -> None:
+        """Add the values of a sentence to the present epoch, and emit the epoch if it is complete."""
         epoch = self._epoch
         if epoch is None:
             return
@@ -287,6 +323,7 @@ class Epochs:
             self._emit()
 
     def _emit(self) -> None:
+        """Append the sample of the present epoch, unless this has been done or the epoch has no position sentence."""
         epoch = self._epoch
         if epoch is None or self._emitted:
             return
@@ -299,6 +336,7 @@ class Epochs:
         self._out.append(Frame(sample, epoch.t_rx, utc if self._timed else NAN))
 
     def _utc(self, epoch: _Epoch) -> float:
+        """Return the UTC [s since 1970] of an epoch, by its own date if it has one."""
         if epoch.date is not None:
             midnight = datetime.datetime.combine(epoch.date, datetime.time(), datetime.UTC)
             utc = midnight.timestamp() + epoch.seconds
@@ -309,21 +347,26 @@ class Epochs:
         return utc
 
     def utc_of(self, seconds: float, t_rx: float) -> float:
-        """UTC of a time of the day [s] without a date: the nearest to the last epoch, or else to its receipt."""
+        """Return the UTC [s since 1970] of a time of the day [s] without a date.
+
+        The date is chosen so that the UTC is nearest to that of the last epoch. Without an epoch it is nearest to
+        `t_rx`.
+        """
         return nearest_day(seconds, self._last_utc if math.isfinite(self._last_utc) else t_rx)
 
 
 def nearest_day(t: float, near: float) -> float:
-    """The time [s] moved by whole days to where it is nearest to another; NaN without either."""
+    """Return the time `t` [s] shifted by whole days so that it is nearest to `near` [s], NaN without one of both."""
     if not math.isfinite(t + near):
         return NAN
     return t + round((near - t) / DAY) * DAY
 
 
 def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
+    """Return the sample of an epoch. `mode_gsa` is the dimension of the fix by GSA, 0 without GSA."""
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
-    # GSA says it; without one a position with a height has three dimensions, as gpsd has it.
+    # GSA contains the dimension. Without GSA a position with a height has three dimensions, as in gpsd.
     dimensions = mode_gsa if mode_gsa in (2, 3) else 3 if "alt" in value else 2
     if fix == 3 and mode_gsa == 2:
         fix = 2
@@ -348,25 +391,29 @@ def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
 
 
 def _parse(body: bytes) -> Message | None:
-    """The sentence's fields as pynmeagps reads them; None if it cannot. A short sentence lacks the last fields."""
+    """Return the fields of a sentence by pynmeagps, or None if it fails. A short sentence lacks the last fields."""
     try:
         return dict(vars(NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)))
     except Exception:
-        # It raises errors of its own and, for fields that are no numbers, of many other kinds. Such a sentence is
-        # counted among the unparsed bytes by the caller.
+        # pynmeagps raises errors of its own and, for fields that are not numbers, of many other kinds. The caller
+        # counts the sentence as unparsed bytes.
         return None
 
 
-def _seconds(words: list[bytes], at: int) -> float:
-    """Seconds of the day; NaN where void. A leap second (:60) is one, which pynmeagps makes void."""
-    found = _TIME.match(words[at]) if at < len(words) else None
-    if found is None:
+def _seconds(words: list[bytes], index: int) -> float:
+    """Return the time of the day [s] in the word with this index, NaN if it is empty or invalid.
+
+    A leap second (:60) is valid. pynmeagps rejects it, so its time is not used.
+    """
+    match = _TIME.match(words[index]) if index < len(words) else None
+    if match is None:
         return NAN
-    hours, minutes, seconds = int(found[1]), int(found[2]), float(found[3])
+    hours, minutes, seconds = int(match[1]), int(match[2]), float(match[3])
     return 3600.0 * hours + 60.0 * minutes + seconds if hours < 24 and minutes < 60 and seconds < 61.0 else NAN
 
 
 def _read_gga(epoch: _Epoch, message: Message) -> None:
+    """Store the values of GGA in the epoch."""
     fix = _QUALITY.get(_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix
     _keep(epoch, "n_sat", _number(message.get("numSV")))
@@ -384,8 +431,9 @@ def _read_gns(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
+    """Store the values of RMC in the epoch. RMC contains the date."""
     if isinstance(date := message.get("date"), datetime.date):
-        # Two digits of a year: before its first fix a receiver counts from 1980.
+        # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
         century = 100 if date.year >= 2080 else 0
         epoch.date = date.replace(year=date.year - century)
     valid = message.get("status") == "A"
@@ -402,7 +450,7 @@ def _read_gll(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_vtg(epoch: _Epoch, message: Message) -> None:
-    if "RMC" not in epoch.kinds:  # RMC has the same values, and its time is of this epoch
+    if "RMC" not in epoch.kinds:  # RMC has the same values, and it contains the time of its epoch
         _motion(epoch, _number(message.get("sogk")) / 3.6, _number(message.get("cogt")))
 
 
@@ -422,6 +470,7 @@ def _read_zda(epoch: _Epoch, message: Message) -> None:
 
 
 def _place(epoch: _Epoch, kind: str, message: Message) -> None:
+    """Store the position of a sentence if it is valid."""
     lat, lon = _number(message.get("lat")), _number(message.get("lon"))
     if abs(lat) <= 90.0 and abs(lon) <= 180.0:
         epoch.position[kind] = (lat, lon)
@@ -456,35 +505,40 @@ _READ = {
 
 
 class Transducer(NamedTuple):
-    """A reading of XDR that is no part of an attitude."""
+    """Measurement of a transducer in XDR that is not pitch or roll."""
 
     name: str
     unit: str
-    value: float
+    value: float  # in `unit`
 
 
 class Headings:
-    """Sentences -> `Ahrs` with yaw, from the best kind of sentence received; roll and pitch where it has them.
+    """Converter of heading sentences to `Ahrs` samples.
 
-    A rate of turn (ROT), and pitch and roll of XDR, go into the next heading. Magnetic headings become true ones by the
-    variation that HDG carries or else by `declination` [rad, east positive]; without either they give no sample, and
-    `remark` reports it.
+    The best kind of sentence received so far gives the yaw. Pitch and roll are from the same sentence or from XDR
+    before it. The yaw rate is from ROT before it. Missing values are NaN.
+
+    Magnetic headings are corrected by the variation in HDG. If it is missing, they are corrected by `declination`
+    [rad, positive to the east]. Without both they give no sample, and `remark` reports this.
     """
 
     def __init__(self, declination: float | None = None) -> None:
         self.remark = ""
         self._declination = declination
-        self._best = 0
-        self._rate = NAN
-        self._level = [NAN, NAN]  # pitch, roll
+        self._best = 0  # rank of the best kind of sentence so far
+        self._rate = NAN  # rad/s
+        self._level = [NAN, NAN]  # rad, pitch and roll
         self.transducers: list[Transducer] = []  # of the last XDR
 
     def forget(self) -> None:
-        """Discard all received state: a reopened port may have another device."""
+        """Discard all received state, because a reopened port may have another device."""
         self._best, self._rate, self._level = 0, NAN, [NAN, NAN]
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
-        """Take one sentence; None if its fields make no sense. A sentence of another kind gives nothing."""
+        """Decode one sentence. Return its samples, or None if its fields are invalid.
+
+        Sentences of other kinds give an empty list.
+        """
         words = body.split(b",")
         if words[0] == b"PASHR" and len(words) > 5 and words[3] == b"T":
             kind = "PASHR"
@@ -515,16 +569,21 @@ class Headings:
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll, r=rate), t_rx, NAN)]
 
     def _turn(self, words: list[bytes]) -> list[Frame] | None:
+        """Store the rate of turn of ROT for the next heading."""
         if len(words) < 3 or words[2] != b"A" or not words[1]:
             return []
         numbers = _numbers(words, (1,))
         if numbers is None:
             return None
-        self._rate = numbers[0] * _DEG / 60.0  # degrees a minute, positive to starboard
+        self._rate = numbers[0] * _DEG / 60.0  # ROT is in degrees per minute, positive to starboard
         return []
 
     def _transducers(self, words: list[bytes]) -> list[Frame] | None:
-        """Groups of kind, value, unit and name; pitch and roll are angles in degrees, bow up and starboard down."""
+        """Store pitch, roll and the other transducers of XDR.
+
+        XDR contains groups of kind, value, unit and name. Pitch and roll are in degrees, positive with the bow up and
+        with starboard down.
+        """
         self.transducers = []
         for at in range(1, len(words) - 3, 4):
             if words[at] == b"A" and words[at + 2] == b"D" and words[at + 3] in _LEVEL:
@@ -539,7 +598,7 @@ class Headings:
         return []
 
     def _variation(self, kind: str, words: list[bytes]) -> float:
-        """Correction of the heading that was read, rad; NaN where unknown."""
+        """Return the difference between true heading and the heading in a sentence [rad]; NaN if it is unknown."""
         if kind not in ("HDG", "HDM"):
             return 0.0
         deviation = _signed(words, 2) if kind == "HDG" else 0.0
@@ -550,26 +609,27 @@ class Headings:
 
 
 def _is_void(kind: str, words: list[bytes]) -> bool:
-    """Whether a heading's own status calls it void."""
+    """Return whether a heading sentence marks itself as invalid."""
     if kind == "THS":
         return words[-1] not in _THS_VALID
-    if kind == "PSTI":  # a mode as that of RMC; N is void
+    if kind == "PSTI":  # the mode letters are those of RMC; N is invalid
         return len(words) > 7 and words[7] in (b"", b"N")
-    # No position, and of GNSS alone: inertial sensors (not 0) know their attitude without one.
+    # PASHR is invalid without a position (first 0), except with an inertial sensor (second word not 0).
     return kind == "PASHR" and words[10:12] == [b"0", b"0"]
 
 
-def _signed(words: list[bytes], at: int) -> float:
-    """An angle [rad] with E or W behind it; NaN where void."""
-    if len(words) < at + 2 or words[at + 1] not in (b"E", b"W") or not _NUMBER.match(words[at]):
+def _signed(words: list[bytes], index: int) -> float:
+    """Return the angle [rad] in the word with this index, before the word E or W. NaN if it is empty or invalid."""
+    if len(words) < index + 2 or words[index + 1] not in (b"E", b"W") or not _NUMBER.match(words[index]):
         return NAN
-    return float(words[at]) * _DEG * (1.0 if words[at + 1] == b"E" else -1.0)
+    return float(words[index]) * _DEG * (1.0 if words[index + 1] == b"E" else -1.0)
 
 
 def _numbers(words: list[bytes], places: tuple[int, ...]) -> list[float] | None:
-    found = []
+    """Return the numbers in the words with these indices, or None if one of them is not a number."""
+    numbers = []
     for place in places:
         if place >= len(words) or not _NUMBER.match(words[place]) or len(words[place]) > 20:
             return None
-        found.append(float(words[place]))
-    return found
+        numbers.append(float(words[place]))
+    return numbers

@@ -1,8 +1,8 @@
-"""NMEA 2000: heading, rate of turn, attitude and GNSS from a ship's bus -> `Ahrs` and `Gnss`.
+"""NMEA 2000: decoder of heading, rate of turn, attitude and GNSS from a ship's bus to `Ahrs` and `Gnss` samples.
 
-What each message holds is canboat's finding (canboat.github.io/canboat/canboat.html); identifiers and addresses are
-ISO 11783-3's. A message longer than a CAN frame goes over the bus as a fast packet: the first byte of each frame
-numbers packet (3 bits) and frame (5 bits), the second byte of the first is the length.
+Source of the messages' fields: canboat (canboat.github.io/canboat/canboat.html). Source of identifiers and addresses:
+ISO 11783-3. A message longer than a CAN frame is sent as a fast packet. The first byte of each frame contains the
+number of the packet (3 bits) and of the frame (5 bits). The second byte of the first frame is the message's length.
 """
 
 from __future__ import annotations
@@ -15,59 +15,74 @@ from dataclasses import dataclass
 from seatrial.daq.protocol.canframe import FRAME_BYTES, FrameDecoder
 from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
 
+# Numbers of the messages (PGN).
 HEADING, TURN, ATTITUDE, VARIATION, COURSE, FIX, DOPS = 127250, 127251, 127257, 127258, 129026, 129029, 129539
-STALE_S = 2.0  # attitude and course are added to a heading or fix for no longer; a silent sender loses its lead
-SETTLE_S = 1.2  # senders on the bus are collected for so long: most send everything once a second
+# s; older attitudes and courses are not added to a heading or fix, and a sender silent for longer loses its priority.
+STALE_S = 2.0
+SETTLE_S = 1.2  # s in which the senders of a message are collected; most devices send each message once a second
 MAGNETIC = 1  # direction reference; 0 is true, 2 an error
 _HEADING = struct.Struct("<xHhhB")  # heading, deviation, variation, reference
 _TURN = struct.Struct("<xi")
 _ATTITUDE = struct.Struct("<xhhh")  # yaw, pitch, roll
 _VARIATION = struct.Struct("<xBHh")  # source, age, variation
 _COURSE = struct.Struct("<xBHH")  # reference, course, speed over ground
-_DOPS = struct.Struct("<xB")  # mode: 3 bits that which is wanted, 3 bits that which is
+_DOPS = struct.Struct("<xB")  # 3 bits of the desired mode, 3 bits of the actual mode
 # Date, time, latitude, longitude, altitude, type and method, integrity, satellites, HDOP, PDOP, height of the geoid.
 _FIX = struct.Struct("<xHIqqqBBBhhi")
+# Resolutions of the fields: rad, m/s, rad/s, deg, m, s.
 _ANGLE, _SPEED, _RATE, _PLACE, _HEIGHT, _TICK = 1e-4, 0.01, 1e-6 / 32.0, 1e-16, 1e-6, 1e-4
-_DAY = 86400.0
-_METHOD = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}  # -> Gnss.fix
+_DAY = 86400.0  # s
+_METHOD = {0: 0, 1: 3, 2: 4, 3: 3, 4: 5, 5: 6, 6: 1, 7: 1, 8: 3}  # method of FIX -> Gnss.fix
 _DIMENSIONS = {1: 2, 2: 3}  # mode of DOPS -> Gnss.dimensions
 _PRIORITY = {HEADING: 2, TURN: 2, ATTITUDE: 3, VARIATION: 7, COURSE: 2, FIX: 3}
 
 
 def identifier(pgn: int, source: int) -> int:
-    """The CAN identifier of a message that goes to all."""
+    """Return the CAN identifier of a message from address `source` to all addresses."""
     return _PRIORITY.get(pgn, 6) << 26 | pgn << 8 | source
 
 
 def split_identifier(word: int) -> tuple[int, int]:
-    """PGN and source address of a CAN identifier."""
+    """Return PGN and source address of a CAN identifier."""
     pgn = word >> 8 & 0x3FFFF
     return (pgn if pgn >> 8 & 0xFF >= 0xF0 else pgn & ~0xFF), word & 0xFF
 
 
 @dataclass
 class _Packet:
-    """An incomplete fast packet."""
+    """Received part of a fast packet."""
 
-    sequence: int
-    length: int
-    frames: int
+    sequence: int  # number of the packet, 0 to 7
+    length: int  # bytes of the message
+    frames: int  # number of received frames
     data: bytearray
 
 
 class Decoder(FrameDecoder):
-    """Headings -> `Ahrs` with the newest pitch and roll; rates of turn -> `Ahrs` of their own; fixes -> `Gnss`.
+    """Decoder of the frames of a ship's bus to `Ahrs` and `Gnss` samples.
 
-    Where several on the bus send the same, a true heading goes before a magnetic one, a receiver with a fix before one
-    without, a fix that counts its satellites before one that does not, and a lower address before a higher; the others
-    are used when that one is silent.
-    Magnetic headings become true ones by the variation that they or the bus carry, else by `declination` [rad, east
-    positive]; without any they give no sample, and `remark` reports it. A fix takes its velocity from the newest course
-    over ground, of its own sender if that has one.
+    A heading gives one `Ahrs` with the newest pitch and roll. A rate of turn gives a separate `Ahrs`. A fix gives one
+    `Gnss`. Its velocity is the newest course and speed over ground of the same sender, or of any sender if this one
+    sends none.
+
+    If several senders send the same message, only one of them is used as long as it sends. The priorities are: a true
+    heading before a magnetic heading; a receiver with a fix before a receiver without one; a fix with a number of
+    satellites before a fix without it; a lower address before a higher address.
+
+    Magnetic headings are corrected by the variation in the same message or on the bus. If both are missing, they are
+    corrected by `declination`. Without it they give no sample, and `remark` reports this.
     """
 
     def __init__(self, declination: float | None = None, settle: float = SETTLE_S) -> None:
-        """`settle` [s]: no samples of a kind for so long after its first message, until all its senders are known."""
+        """Start without received state.
+
+        Parameters
+        ----------
+        declination
+            True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+        settle
+            Time [s] after the first message of a kind in which no sample is returned. It serves to find all senders.
+        """
         super().__init__()
         self._declination, self._settle = declination, settle
         self._take_message: dict[int, tuple[int, Callable[[int, bytes, float], list[Frame]]]] = {
@@ -82,17 +97,18 @@ class Decoder(FrameDecoder):
         self._forget()
 
     def _forget(self) -> None:
-        self._packets: dict[int, _Packet] = {}  # of fixes, by source
-        self._senders: dict[int, dict[tuple[int, int], float]] = {}  # by PGN: rank and source, when last received
-        self._since: dict[int, float] = {}  # when each PGN was first received
-        self._level = (NAN, NAN, -math.inf)  # pitch, roll, when
-        # By sender, and for all: speed and course over ground, when.
+        self._packets: dict[int, _Packet] = {}  # incomplete fixes by source
+        self._senders: dict[int, dict[tuple[int, int], float]] = {}  # PGN -> rank and source -> last t_rx [s]
+        self._since: dict[int, float] = {}  # PGN -> first t_rx [s]
+        self._level = (NAN, NAN, -math.inf)  # pitch [rad], roll [rad], t_rx [s]
+        # Source, or None for the best sender -> speed [m/s] and course [rad] over ground, t_rx [s].
         self._motions: dict[int | None, tuple[float, float, float]] = {}
-        self._dimensions: dict[int, tuple[int, float]] = {}  # by sender: of its fixes, when
-        self._bus_variation = NAN
-        self._timed: set[int] = set()  # senders that had a fix: before it their time is that of their own clock
+        self._dimensions: dict[int, tuple[int, float]] = {}  # source -> dimensions of its fixes, t_rx [s]
+        self._bus_variation = NAN  # rad
+        self._timed: set[int] = set()  # sources that had a fix; before a fix their time is from their own clock
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        """Decode one frame of a known message. Return the samples that it completes."""
         pgn, source = split_identifier(identifier)
         if not extended or pgn not in self._take_message:
             return []
@@ -110,7 +126,10 @@ class Decoder(FrameDecoder):
         return take(source, content, t_rx)
 
     def _joined(self, source: int, data: bytes) -> bytes | None:
-        """The message that this frame completes; frames of one that is not completed are counted as unparsed."""
+        """Return the message that this frame of a fast packet completes, or None.
+
+        The frames of an incomplete packet are counted as unparsed when another packet begins.
+        """
         if len(data) < 2:
             self._drop(source, 1)
             return None
@@ -134,19 +153,26 @@ class Decoder(FrameDecoder):
         return bytes(packet.data[: packet.length])
 
     def _drop(self, source: int, frames: int = 0) -> None:
+        """Discard the packet of a source. Count its frames, and `frames` more, as unparsed."""
         packet = self._packets.pop(source, None)
         self.unparsed_bytes += FRAME_BYTES * (frames + (packet.frames if packet is not None else 0))
 
     def _settled(self, pgn: int, t_rx: float) -> bool:
+        """Return whether the time for finding all senders of a message has passed."""
         return t_rx - self._since.setdefault(pgn, t_rx) >= self._settle
 
     def _leads(self, pgn: int, rank: int, source: int, t_rx: float) -> bool:
-        """Whether a message is of the best sender; what a sender could do lately, it is taken to be able to do."""
+        """Return whether a message is from the sender with the best rank (lowest number).
+
+        Each rank of the last STALE_S counts, so that a sender keeps its best rank when it sends a worse one for a
+        moment.
+        """
         senders = self._senders.setdefault(pgn, {})
         senders[rank, source] = t_rx
         return min(key for key, when in senders.items() if t_rx - when <= STALE_S)[1] == source
 
     def _heading(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Return the sample of a heading from the best sender."""
         raw, deviation, variation, reference = _HEADING.unpack_from(data)
         yaw, magnetic = _unsigned16(raw, _ANGLE), reference & 3 == MAGNETIC
         if not yaw <= math.tau + _ANGLE or reference & 3 > MAGNETIC:
@@ -158,8 +184,8 @@ class Decoder(FrameDecoder):
                 if settled and HEADING not in self._senders:
                     self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
                 return []
-            turned = _signed16(deviation, _ANGLE)
-            yaw += east + (0.0 if math.isnan(turned) else turned)
+            deviation_rad = _signed16(deviation, _ANGLE)
+            yaw += east + (0.0 if math.isnan(deviation_rad) else deviation_rad)
         if not self._leads(HEADING, int(magnetic), source, t_rx) or not settled:
             return []
         self.remark = ""
@@ -168,14 +194,19 @@ class Decoder(FrameDecoder):
             pitch = roll = NAN
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll), t_rx, NAN)]
 
-    def _east(self, own: float) -> float:
-        """Variation from magnetic to true, rad; NaN where unknown."""
-        for value in (own, self._bus_variation, self._declination):
+    def _east(self, message_variation: float) -> float:
+        """Return the variation, true minus magnetic [rad], NaN if it is unknown.
+
+        `message_variation` is the variation in the message itself. If it is NaN, the variation on the bus or the
+        declination of the rig is returned.
+        """
+        for value in (message_variation, self._bus_variation, self._declination):
             if value is not None and not math.isnan(value):
                 return value
         return NAN
 
     def _turn(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Return the sample of a rate of turn from the best sender."""
         (raw,) = _TURN.unpack_from(data)
         rate = raw * _RATE if raw < 2**31 - 3 else NAN
         if math.isnan(rate) or not self._leads(TURN, 0, source, t_rx) or not self._settled(TURN, t_rx):
@@ -183,24 +214,27 @@ class Decoder(FrameDecoder):
         return [Frame(Ahrs(NAN, NAN, NAN, r=rate), t_rx, NAN)]
 
     def _attitude(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Store pitch and roll for the next heading."""
         _, pitch, roll = (_signed16(raw, _ANGLE) for raw in _ATTITUDE.unpack_from(data))
         if not math.isnan(pitch + roll) and self._leads(ATTITUDE, 0, source, t_rx):
             self._level = pitch, roll, t_rx
         return []
 
     def _variation(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Store the variation for magnetic headings and courses."""
         variation = _signed16(_VARIATION.unpack_from(data)[2], _ANGLE)
         if not math.isnan(variation) and self._leads(VARIATION, 0, source, t_rx):
             self._bus_variation = variation
         return []
 
     def _course(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        reference, raw, knots = _COURSE.unpack_from(data)
-        course, speed = _unsigned16(raw, _ANGLE), _unsigned16(knots, _SPEED)
+        """Store course and speed over ground for the next fix."""
+        reference, raw_course, raw_speed = _COURSE.unpack_from(data)
+        course, speed = _unsigned16(raw_course, _ANGLE), _unsigned16(raw_speed, _SPEED)
         if reference & 3:
             course += self._east(NAN) if reference & 3 == MAGNETIC else NAN
         if speed == 0.0 and math.isnan(course):
-            course = 0.0  # at rest there is none, and it does not matter
+            course = 0.0  # a receiver at rest has no course, and the velocity is zero for any course
         if not math.isnan(speed):
             self._motions[source] = speed, course, t_rx
             if self._leads(COURSE, reference & 3 if course == course else 3, source, t_rx):
@@ -208,13 +242,15 @@ class Decoder(FrameDecoder):
         return []
 
     def _dops(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Store the dimensions of a sender's fixes."""
         if (mode := _DOPS.unpack_from(data)[0] >> 3 & 7) in _DIMENSIONS:
             self._dimensions[source] = _DIMENSIONS[mode], t_rx
         return []
 
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
+        """Return the sample of a fix from the best sender."""
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
-        counts = 0 < n_sat < 0xFD  # a device that relays the fixes of others often omits the satellites
+        counts = 0 < n_sat < 0xFD  # a device that relays fixes of another device often omits the number of satellites
         place = lat * _PLACE, lon * _PLACE
         if not (abs(place[0]) <= 90.0 and abs(place[1]) <= 180.0):
             place = NAN, NAN
@@ -227,14 +263,15 @@ class Decoder(FrameDecoder):
         utc = day * _DAY + ticks * _TICK if day < 0xFFFD and ticks * _TICK < _DAY + 2.0 else NAN
         motions = (self._motions.get(key, (NAN, NAN, -math.inf)) for key in (source, None))
         speed, course, _ = next((m for m in motions if t_rx - m[2] <= STALE_S), (NAN, NAN, NAN))
-        # As of NMEA 0183: a position with a height has three dimensions unless its sender says otherwise.
+        # As in NMEA 0183, a position with a height has three dimensions unless its sender reports the dimensions.
         dimensions, when = self._dimensions.get(source, (-1, -math.inf))
         if t_rx - when > STALE_S:
             dimensions = 3 if alt < 2**63 - 3 else 2
         sample = Gnss(
             utc,
             *place,
-            alt=alt * _HEIGHT if alt < 2**63 - 3 else NAN,  # above the sea: receivers send that of their GGA
+            # Above mean sea level: receivers send the height of their GGA in this field.
+            alt=alt * _HEIGHT if alt < 2**63 - 3 else NAN,
             vel_n=speed * math.cos(course),
             vel_e=speed * math.sin(course),
             fix=2 if fix == 3 and dimensions == 2 else fix,
@@ -247,7 +284,7 @@ class Decoder(FrameDecoder):
 
 
 def _unsigned16(raw: int, scale: float) -> float:
-    return raw * scale if raw < 0xFFFD else NAN  # the last three values mean: not available
+    return raw * scale if raw < 0xFFFD else NAN  # the last three values mean "not available"
 
 
 def _signed16(raw: int, scale: float) -> float:
@@ -255,7 +292,17 @@ def _signed16(raw: int, scale: float) -> float:
 
 
 def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[int, bytes]]:
-    """The CAN frames (identifier, data) of a sample, as a compass or a receiver sends them; `sid` below 253."""
+    """Encode a sample as the CAN frames (identifier, data) of a compass or a receiver.
+
+    Parameters
+    ----------
+    sample
+        Sample. Messages whose values are NaN are left out.
+    sid
+        Sequence id that joins the messages of one measurement, 0 to 252.
+    source
+        Address of the sender.
+    """
     if isinstance(sample, Gnss):
         return _encode_gnss(sample, sid, source)
     out: list[tuple[int, bytes]] = []
@@ -271,10 +318,11 @@ def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[in
 
 
 def _encode_gnss(fix: Gnss, sid: int, source: int) -> list[tuple[int, bytes]]:
+    """Encode a fix: course and speed over ground if it has a speed, then the fix as a fast packet."""
     out = []
     if not math.isnan(fix.speed):
-        known = not math.isnan(fix.vel_n + fix.vel_e)
-        course = round(math.atan2(fix.vel_e, fix.vel_n) % math.tau / _ANGLE) if known else 0xFFFF
+        has_velocity = not math.isnan(fix.vel_n + fix.vel_e)
+        course = round(math.atan2(fix.vel_e, fix.vel_n) % math.tau / _ANGLE) if has_velocity else 0xFFFF
         speed = round(fix.speed / _SPEED)
         out.append((identifier(COURSE, source), struct.pack("<BBHHH", sid, 0xFC, course, speed, 0xFFFF)))
     day, seconds = divmod(fix.utc, _DAY)
@@ -290,7 +338,10 @@ def _encode_gnss(fix: Gnss, sid: int, source: int) -> list[tuple[int, bytes]]:
 
 
 def fast_packet(pgn: int, body: bytes, sequence: int, source: int = 35) -> list[tuple[int, bytes]]:
-    """The frames of a message of up to 223 bytes; `sequence` is 0 to 7."""
+    """Encode a message of at most 223 bytes as the frames (identifier, data) of a fast packet.
+
+    `sequence`, 0 to 7, is the number of the packet.
+    """
     pieces = [bytes((len(body),)) + body[:6], *(body[at : at + 7] for at in range(6, len(body), 7))]
     return [
         (identifier(pgn, source), bytes((sequence << 5 | number,)) + piece.ljust(7, b"\xff"))

@@ -1,8 +1,8 @@
 """SparkFun OpenScale: lines such as `21024,4.11,kg,8421504,25.06,0,`.
 
-Source: the firmware (sparkfun/OpenScale, firmware/OpenScale/OpenScale.ino): time since its start [ms], reading, unit,
-raw reading, temperature of the board and of a remote sensor; all but reading and unit can be switched off. Version
-1.0 has the temperatures in front of the reading.
+Source: the firmware (sparkfun/OpenScale, firmware/OpenScale/OpenScale.ino). The fields are: time since start [ms],
+reading, unit, raw reading, temperature of the board, temperature of a remote sensor. All fields except reading and unit
+can be switched off. Version 1.0 has the temperatures before the reading.
 """
 
 from __future__ import annotations
@@ -13,18 +13,26 @@ from collections.abc import Callable
 from seatrial.daq.protocol.text_lines import Flags, LineDecoder
 from seatrial.daq.samples import NAN, Frame, LoadCell
 
-NEWTON = {b"kg": 9.80665, b"lbs": 4.4482216152605}  # standard gravity (CGPM 1901); pound-force
-MILLIS = 2**32  # the counter of milliseconds begins again
+NEWTON = {b"kg": 9.80665, b"lbs": 4.4482216152605}  # N per unit: standard gravity (CGPM 1901); pound-force
+MILLIS = 2**32  # ms; the counter of milliseconds wraps at this value
 _INTEGER = re.compile(rb"-?\d{1,10}\Z")
 _NUMBER = re.compile(rb"-?\d{1,12}(\.\d{0,9})?\Z")
 
 
 class Decoder(LineDecoder):
-    """Lines -> `LoadCell`.
+    """Decoder of the lines to `LoadCell` samples.
 
-    With the raw reading switched on that is `counts`, flagged as an HX711's, and `force` [N] follows from it by the
-    rig's calibration. Without it `counts` is the scale's own reading; without a calibration the force is the scale's
-    own, kg and lbs taken as forces. `t_device` is the scale's clock, in s since its start.
+    If the lines contain the raw reading of the HX711 converter, it becomes `counts` and is checked for saturation and
+    spikes. Otherwise `counts` is the scaled reading. `t_device` is the clock of the scale, in s since its start.
+
+    Parameters
+    ----------
+    saturation
+        Largest raw reading of the converter [counts]; None if it is unknown.
+    force
+        Calibration from counts to N. Without it the force is the scaled reading, with kg and lbs converted to N.
+    skip_first
+        Whether to discard the first line after `reset` (`LineDecoder`).
     """
 
     def __init__(
@@ -37,19 +45,23 @@ class Decoder(LineDecoder):
         self._turns = 0
 
     def _take(self, line: bytes, t_rx: float) -> Frame | None:
+        """Convert one line to a sample. Return None without a unit or if another word is not a number."""
         words = line.rstrip(b"\r").rstrip(b",").split(b",")
         unit = next((k for k, word in enumerate(words) if word in NEWTON), 0)
         if unit == 0 or len(words) > 6 or not all(_NUMBER.match(w) for k, w in enumerate(words) if k != unit):
             return None
         reading = float(words[unit - 1])
         raw = words[unit + 1] if unit + 1 < len(words) and _INTEGER.match(words[unit + 1]) else b"0"
-        # An absent remote sensor is "0", and so could stand where the raw reading does when that is switched off.
+        # An absent remote sensor sends "0". With the raw reading switched off, this "0" may follow the unit.
         counts, is_raw = (float(raw), True) if raw != b"0" else (reading, False)
         force = self._force(counts) if self._force is not None else reading * NEWTON[words[unit]]
         return Frame(LoadCell(counts, force, self._flags.of(counts) if is_raw else 0), t_rx, self._clock(words, unit))
 
     def _clock(self, words: list[bytes], unit: int) -> float:
-        """The time stamp [s]: a whole number before the reading. It wraps after 49.7 days."""
+        """Return the time stamp [s], the first word if it is a whole number before the reading. NaN without it.
+
+        The counter of the scale wraps after 49.7 days; the result does not.
+        """
         if unit < 2 or not _INTEGER.match(words[0]) or words[0] == b"0":
             return NAN
         now = int(words[0])
@@ -60,7 +72,7 @@ class Decoder(LineDecoder):
 
 
 def encode(reading: float, unit: str = "kg", milliseconds: int | None = None, raw: int | None = None) -> bytes:
-    """One line; fields that are None are switched off."""
+    """Encode one reading as a line. Fields that are None are left out, as if they were switched off."""
     words = [f"{reading:.4f}", unit]
     if milliseconds is not None:
         words.insert(0, f"{milliseconds % MILLIS}")

@@ -1,8 +1,8 @@
 """slcan: CAN frames as lines of text on a serial port (Lawicel CAN232, canable, usb-can adapters).
 
-Our own rather than python-can's: that one reads byte by byte, fails on one byte that is not ASCII until its buffer
-is thrown away, and takes a line that lost a character for a frame. Here a line whose length does not fit its
-length digit is no frame, and every byte that is in no frame is counted.
+The slcan decoder of python-can is not used for three reasons: it reads byte by byte, it fails after one byte that is
+not ASCII until its buffer is discarded, and it accepts a line that lost a character as a frame. This decoder rejects a
+line whose length disagrees with its length digit, and it counts every byte outside valid frames.
 """
 
 from __future__ import annotations
@@ -21,15 +21,17 @@ _NOT_HEX = re.compile(rb"[^0-9A-Fa-f]")
 
 
 class Decoder(StreamDecoder[bytes]):
-    """Lines -> 16-byte `struct can_frame`s, of data frames with identifiers of 29 (`T`) and 11 bits (`t`).
+    """Decoder of slcan lines to 16-byte `struct can_frame`.
 
-    The adapter's acknowledgements are passed over. A time stamp behind the data is ignored: it wraps each minute.
+    Data frames with identifiers of 29 bits (`T`) and 11 bits (`t`) are decoded. A time stamp after the data is ignored,
+    because it wraps each minute.
     """
 
     sync = re.compile(rb"[Tt]")
-    between = b"\r\n\azZ"
+    between = b"\r\n\azZ"  # line ends, and the acknowledgements of the adapter
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the line at `start`. Return its length, 0 if more bytes are needed, -1 if it is not a valid frame."""
         digits = 8 if buffer[start] == ord("T") else 3
         stop = _NOT_HEX.search(buffer, start + 1, start + _LINE_MAX + 1)
         if stop is None:
@@ -51,12 +53,18 @@ class Decoder(StreamDecoder[bytes]):
 
 
 def encode(arbitration_id: int, data: bytes) -> bytes:
-    """A data frame with a 29-bit identifier."""
+    """Encode a data frame with a 29-bit identifier as a line of slcan."""
     return b"T%08X%d%b\r" % (arbitration_id, len(data), data.hex().upper().encode("ascii"))
 
 
 def open_channel(bitrate: int) -> bytes:
-    """The commands that open the channel at `bitrate`, closing it first; ValueError if slcan has no such bit rate."""
+    """Return the commands that close the channel and open it at `bitrate` [bit/s].
+
+    Raises
+    ------
+    ValueError
+        If slcan does not have this bit rate.
+    """
     if bitrate not in BITRATES:
         raise ValueError(f"slcan has no bit rate {bitrate}; it has {', '.join(map(str, BITRATES))}")
     return f"\rC\r{BITRATES[bitrate]}\rO\r".encode("ascii")

@@ -1,4 +1,4 @@
-"""Lines of text without a checksum, shared by load cells: line framing, and flags of saturation and spikes."""
+"""Lines of text without a checksum, as load cells send them: line framing, and flags for saturation and spikes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from abc import ABC, abstractmethod
 from seatrial.daq.samples import NAN, Frame
 
 SATURATED, SPIKE = 1, 2
-LINE_MAX = 256
-_SPIKE_BITS = 12  # below 2^12 - 1 such a number is nothing special
+LINE_MAX = 256  # bytes; longer lines are discarded
+_SPIKE_BITS = 12  # below 2^12 - 1, numbers 2^n - 1 are ordinary readings and not spikes
 
 
 class LineDecoder(ABC):
-    """Lines -> samples, by what a subclass makes of one.
+    """Base class of the decoders of lines of text. A subclass converts one line to a sample.
 
-    With `skip_first` the first line after `reset`, which is what a port that was opened begins with, is dropped: it
-    may have been read from its middle, and half a number is a number too.
+    If `skip_first` is true, the first line after `reset` is discarded. A port is reset when it is opened. Its first
+    line may then be incomplete, and a part of a number is a wrong reading without any sign of an error.
     """
 
     end = b"\n"
@@ -29,7 +29,7 @@ class LineDecoder(ABC):
         self._buffer = bytearray()
 
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Take the bytes of one read that returned at run time `t_rx`; returns the samples they complete."""
+        """Decode the bytes of one read that returned at run time `t_rx` [s]. Return the samples that they complete."""
         self._buffer += data
         *lines, rest = self._buffer.split(self.end)
         out = []
@@ -41,7 +41,7 @@ class LineDecoder(ABC):
             else:
                 self.frames += 1
                 out.append(frame)
-        # A line without an end must not fill the memory. It is cut at a place that does not depend on the reads.
+        # A line without an end must not fill the memory. The place of the cut does not depend on the reads.
         cut = len(rest) - len(rest) % LINE_MAX
         self._lose(rest[:cut])
         self._skipping = self._skipping or cut > 0
@@ -49,7 +49,7 @@ class LineDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete line (the port was reopened). Counters stay."""
+        """Discard an incomplete line, because the port was reopened. The counters are kept."""
         self._lose(self._buffer)
         self._buffer.clear()
         self._skipping = self._skip_first
@@ -59,18 +59,21 @@ class LineDecoder(ABC):
 
     @abstractmethod
     def _take(self, line: bytes, t_rx: float) -> Frame | None:
-        """The sample of one line without its end; None if it is none."""
+        """Convert one line, without its line end, to a sample. Return None if the line is not a reading."""
 
 
 class Flags:
-    """The flags of a reading: at the converter's limit `saturation`, or a spike of ones."""
+    """Detector of saturated readings and spikes of a load cell.
+
+    `saturation` is the largest reading [counts] of the converter; None if it is unknown.
+    """
 
     def __init__(self, saturation: float | None) -> None:
         self._saturation = saturation
-        self._last = NAN  # last reading without a flag
+        self._last = NAN  # last reading [counts] without a flag
 
     def of(self, counts: float) -> int:
-        """The flags of the next reading."""
+        """Return the flag of the next reading: SATURATED, SPIKE or 0."""
         if self._saturation is not None and (counts >= self._saturation or counts <= -self._saturation - 1.0):
             return SATURATED
         if is_spike(counts, self._last):
@@ -80,9 +83,17 @@ class Flags:
 
 
 def is_spike(counts: float, last: float) -> bool:
-    """Whether a reading is the HX711's 2^n - 1 (or its negative): ones shifted in when the clock was disturbed.
+    """Return whether a reading is a spike of the HX711 converter.
 
-    A reading that is merely near its predecessor `last` may well be such a number; `last` is NaN if there is none.
+    A disturbed clock makes the HX711 return 2^n - 1 or its negative, because bits of one are shifted in. The same
+    number is not a spike if the previous reading is close to it.
+
+    Parameters
+    ----------
+    counts
+        Raw reading [counts].
+    last
+        Previous reading without a flag [counts]; NaN if there is none.
     """
     size = abs(counts)
     if not size.is_integer() or size < 2**_SPIKE_BITS - 1 or size > 2**32:

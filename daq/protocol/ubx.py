@@ -1,9 +1,9 @@
-"""u-blox receivers: UBX navigation messages, and the NMEA sentences that share the port with them.
+"""u-blox GNSS receivers: decoder of UBX navigation messages, and of NMEA sentences on the same port.
 
-The messages of one time of week become one `Gnss`, an attitude becomes an `Ahrs`. The messages we read have fixed
-layouts, so one `struct` per message reads them (docs/decisions/0025-own-codecs.md).
-Source: u-blox 8 / M8 Receiver Description (UBX-13003221) and, for the messages of older receivers, that of u-blox 6
-(GPS.G6-SW-10018): "UBX Protocol", class NAV.
+The messages with one time of week are joined to one `Gnss`. An attitude message becomes one `Ahrs`. All decoded
+messages have fixed layouts, so one `struct` per message is enough (docs/decisions/0025-own-codecs.md).
+Source: u-blox 8 / M8 Receiver Description (UBX-13003221), "UBX Protocol", class NAV. For messages of older receivers:
+u-blox 6 Receiver Description (GPS.G6-SW-10018).
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from seatrial.daq.protocol import nmea
 from seatrial.daq.samples import NAN, WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS, Ahrs, Frame, Gnss, wrap_angle
 
 SYNC = b"\xb5\x62"
-HEAD = 6  # sync, class, id, length
-LENGTH_MAX = 8192  # bytes of a payload; a longer one is a header that was damaged
+HEAD = 6  # bytes of sync, class, id and length
+LENGTH_MAX = 8192  # bytes of a payload; a larger length means that the header was damaged
 NAV_PVT = (0x01, 0x07)
-GPS_EPOCH = 315_964_800  # s since 1970 of 1980-01-06
-WEEK = 604_800.0
-REMEMBERED = 10  # epochs; some messages do not come with each
-HIGH_RATE_S = 2.0  # without HNR-PVT for so long, the solutions of the epochs are used again
-TIME_ACC_NS = 10_000_000  # a time without a fix that is no better is of the receiver's own clock
-# Seconds since 1970 from which GPS time is one more second ahead of UTC (IERS Bulletin C).
+GPS_EPOCH = 315_964_800  # s since 1970, of 1980-01-06
+WEEK = 604_800.0  # s
+REMEMBERED = 10  # epochs whose kinds of message are expected in the next epoch; some kinds are not sent in each epoch
+HIGH_RATE_S = 2.0  # s without HNR-PVT, after which the solutions of the navigation epochs are used again
+TIME_ACC_NS = 10_000_000  # ns; without a fix, a time with a larger error is from the receiver's own clock
+# s since 1970 of each leap second: GPS time is one more second ahead of UTC from there on (IERS Bulletin C).
 LEAPS = tuple(
     calendar.timegm((year, month, 1, 0, 0, 0))
     for year, month in (
@@ -52,25 +52,25 @@ _ATT = struct.Struct("<IB3x3i3I")
 _STATUS = struct.Struct("<I4B2I")
 _HNR_PVT = struct.Struct("<IH6Bi2B2x8i4I4x")
 HNR_PVT = (0x28, 0x00)
-# Kind -> lengths of payload that it may have.
+# Class and id of a message -> allowed lengths [bytes] of its payload.
 LENGTHS: dict[tuple[int, int], frozenset[int]] = {
     (0x01, 0x07): frozenset({84, 92}), (0x01, 0x02): frozenset({28}), (0x01, 0x06): frozenset({52}),
     (0x01, 0x12): frozenset({36}), (0x01, 0x21): frozenset({20}), (0x01, 0x20): frozenset({16}),
     (0x01, 0x04): frozenset({18}), (0x01, 0x14): frozenset({36}), (0x01, 0x05): frozenset({32}),
     (0x01, 0x03): frozenset({16}), HNR_PVT: frozenset({72}),
 }  # fmt: skip
-LONGEST = HEAD + max(max(lengths) for lengths in LENGTHS.values()) + 2  # of the messages that we read
+LONGEST = HEAD + max(max(lengths) for lengths in LENGTHS.values()) + 2  # bytes of the longest decoded message
 _LENGTHS_OF = {bytes(kind): lengths for kind, lengths in LENGTHS.items()}
-_CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # a position, or that there is none
-_FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a place known from before
+_CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # ids of messages with a position, or with the report that there is none
+_FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a previously measured position
 _DIMENSIONS = {1: 3, 2: 2, 3: 3, 4: 3, 5: 3}  # gpsFix -> Gnss.dimensions
 
 
 class Decoder(nmea.Decoder):
-    """UBX and NMEA -> `Gnss` and `Ahrs`.
+    """Decoder of UBX messages and NMEA sentences to `Gnss` and `Ahrs` samples.
 
-    Where the receiver sends its solution in UBX, that one is used, and positions in NMEA of the same stream give no
-    samples; headings (HDT and the like) still do.
+    If the receiver sends positions in UBX, positions in NMEA of the same stream give no samples. Headings in NMEA, for
+    example HDT, always give samples.
     """
 
     sync = re.compile(rb"[$\xb5]")
@@ -78,17 +78,17 @@ class Decoder(nmea.Decoder):
     def __init__(self, declination: float | None = None) -> None:
         super().__init__(declination)
         self._epochs = Epochs()
-        # Messages that were met ahead of a header in doubt, by their places in the stream, and how far was looked:
-        # a stream full of such headers is looked through once, not once for each of them.
+        # Start and end, in the stream, of valid messages found after a doubtful header, and the end of the searched
+        # part. With this record a stream with many doubtful headers is searched once, not once per header.
         self._ahead: deque[tuple[int, int]] = deque()
         self._looked = 0
 
     def flush(self) -> list[Frame]:
-        """End of the stream: the sample of the epoch that has not been emitted, if there is one."""
+        """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
         return self._epochs.flush() or self._kept(super().flush())
 
     def reset(self) -> None:
-        """Discard an incomplete message and epoch (the port was reopened). Counters stay."""
+        """Discard an incomplete message and epoch, because the port was reopened. The counters are kept."""
         super().reset()
         self._epochs.forget()
 
@@ -98,18 +98,19 @@ class Decoder(nmea.Decoder):
         return super()._take(buffer, start, t_rx)
 
     def _take_ubx(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the UBX message at `start`. Return its length as `_take` does."""
         if len(buffer) < start + HEAD:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
         if buffer[start + 1] != SYNC[1]:
             return -1
         n_payload = buffer[start + 4] | buffer[start + 5] << 8
         kind = (buffer[start + 2], buffer[start + 3])
-        known = LENGTHS.get(kind)
-        if n_payload > LENGTH_MAX or (known is not None and n_payload not in known):
+        lengths = LENGTHS.get(kind)
+        if n_payload > LENGTH_MAX or (lengths is not None and n_payload not in lengths):
             return -1
         length = HEAD + n_payload + 2
-        if known is None and self._holds_message(buffer, start + 1, start + length):
-            return -1  # the length was damaged: waiting for its end would hold back the fixes behind it
+        if lengths is None and self._holds_message(buffer, start + 1, start + length):
+            return -1  # the length was damaged; waiting for this end would delay the fixes that follow
         if len(buffer) < start + length:
             return 0
         body = bytes(buffer[start + 2 : start + length - 2])
@@ -117,30 +118,33 @@ class Decoder(nmea.Decoder):
             self.checksum_errors += 1
             return -1
         self.frames += 1
-        if known is not None:
+        if lengths is not None:
             self._out += self._epochs.take(kind, body[4:], t_rx)
         return length
 
     def _holds_message(self, buffer: bytearray, start: int, end: int) -> bool:
-        """Whether a whole message that we read lies between two places, as it does in no message of a receiver."""
-        before = self._before
-        while self._ahead and self._ahead[0][0] < before + start:
-            self._ahead.popleft()
-        first = max(self._looked - before, start)
-        last = min(end, len(buffer) - LONGEST)  # whatever begins before it has come whole
-        if first < last:
-            self._ahead += [(before + a, before + b) for a, b in _messages(buffer, first, last)]
-            self._looked = before + last
-            first = last
-        known = any(b <= before + end for a, b in self._ahead)
-        return known or any(b <= end for a, b in _messages(buffer, first, end))
+        """Return whether a complete decodable message lies between two indices of the buffer.
 
-    def _kept(self, found: list[Frame]) -> list[Frame]:
-        return [f for f in found if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
+        A payload of a receiver never contains such a message, so the enclosing header is wrong.
+        """
+        offset = self._before
+        while self._ahead and self._ahead[0][0] < offset + start:
+            self._ahead.popleft()
+        first = max(self._looked - offset, start)
+        last = min(end, len(buffer) - LONGEST)  # a decodable message that begins before here is complete
+        if first < last:
+            self._ahead += [(offset + a, offset + b) for a, b in _messages(buffer, first, last)]
+            self._looked = offset + last
+            first = last
+        is_recorded = any(b <= offset + end for a, b in self._ahead)
+        return is_recorded or any(b <= end for a, b in _messages(buffer, first, end))
+
+    def _kept(self, frames: list[Frame]) -> list[Frame]:
+        return [f for f in frames if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
 
 
 def _messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
-    """Where the whole messages that we read, and that begin between two places, begin and end."""
+    """Yield start and end of each complete decodable message that begins between two indices of the buffer."""
     while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
         tail = start + HEAD + n_payload
@@ -151,19 +155,19 @@ def _messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, in
 
 
 def checksum(body: bytes) -> bytes:
-    """The two bytes of Fletcher's checksum (RFC 1145) over class, id, length and payload."""
-    values = np.frombuffer(body, np.uint8).astype(float)  # their sums are whole numbers below 2^53
+    """Return the two bytes of Fletcher's checksum (RFC 1145) of class, id, length and payload."""
+    values = np.frombuffer(body, np.uint8).astype(float)  # the sums are whole numbers below 2^53, so they are exact
     return bytes((int(values.sum()) & 0xFF, int(values @ np.arange(len(body), 0.0, -1.0)) & 0xFF))
 
 
 def message(kind: tuple[int, int], payload: bytes) -> bytes:
-    """A UBX message on the wire."""
+    """Encode a UBX message with sync bytes and checksum. `kind` is its class and id."""
     body = struct.pack("<BBH", *kind, len(payload)) + payload
     return SYNC + body + checksum(body)
 
 
 def encode(gnss: Gnss) -> bytes:
-    """NAV-PVT of a fix, rounded as the receiver rounds it; NaN is sent as zero, `n_sat` below 0 as 0."""
+    """Encode a fix as NAV-PVT with the rounding of the receiver. NaN and a negative `n_sat` are sent as zero."""
     whole = math.floor(gnss.utc)
     nano = round((gnss.utc - whole) * 1e9)
     year, month, day, hour, minute, second = time.gmtime(whole)[:6]
@@ -189,34 +193,35 @@ def _or_zero(value: float) -> float:
 
 @dataclass
 class _Epoch:
-    """Values of the messages of one time of week so far."""
+    """Values of the received messages with one time of week."""
 
-    i_tow: int  # ms
-    t_rx: float
-    kinds: set[int] = field(default_factory=set)
-    values: dict[str, float] = field(default_factory=dict)
+    i_tow: int  # ms, time of week
+    t_rx: float  # s, of the first message
+    kinds: set[int] = field(default_factory=set)  # ids of the received messages
+    values: dict[str, float] = field(default_factory=dict)  # in SI units and degrees, by name
 
 
 class Epochs:
-    """Navigation messages -> one sample per epoch.
+    """Collector of UBX navigation messages: it joins the messages of one epoch to one `Gnss` sample.
 
-    A position and a velocity without a valid fix (gnssFixOK not set, or a fix of time only) are kept, with
-    `fix` 0. An epoch is complete when all kinds of message that came in the last few epochs have come, or else when the
-    next begins. `t_rx` of a sample is that of the epoch's first message, `t_device` its UTC, NaN as long as the
-    receiver has not resolved it: until then its own clock tells the time, up to seconds off.
+    An epoch is complete when all kinds of message of the last few epochs have been received, or when the next epoch
+    begins. Position and velocity without a valid fix (gnssFixOK not set) are kept with `fix` 0.
+
+    `t_rx` of a sample is the time of receipt of the epoch's first message. `t_device` is the UTC of the epoch. It is
+    NaN until the receiver has resolved UTC, because its own clock may be wrong by seconds before.
     """
 
     def __init__(self) -> None:
-        self.has_position = False  # whether there has been a message that carries a position
+        self.has_position = False  # whether a message with a position has been received
         self._epoch: _Epoch | None = None
-        self._emitted = False
-        self._kinds: deque[set[int]] = deque(maxlen=REMEMBERED)
-        self._expected: set[int] = set()
-        self._high_rate_at = -math.inf  # when HNR-PVT came last
+        self._emitted = False  # whether the sample of the present epoch has been returned
+        self._kinds: deque[set[int]] = deque(maxlen=REMEMBERED)  # kinds of message of the last epochs
+        self._expected: set[int] = set()  # union of the last epochs' kinds
+        self._high_rate_at = -math.inf  # s, t_rx of the last HNR-PVT
         self._utc, self._utc_tow = NAN, 0  # of the last epoch: UTC [s since 1970], time of week [ms]
 
     def take(self, kind: tuple[int, int], payload: bytes, t_rx: float) -> list[Frame]:
-        """Take one message whose kind and length are in LENGTHS; the samples it completes."""
+        """Decode one message whose kind and length are in LENGTHS. Return the samples that it completes."""
         number = kind[1]
         if kind == HNR_PVT:
             return self._high_rate(payload, t_rx)
@@ -239,7 +244,7 @@ class Epochs:
         return out
 
     def flush(self) -> list[Frame]:
-        """The sample of the epoch that has not been emitted, if there is one."""
+        """Return the sample of the present epoch, if it has a position message and has not been emitted."""
         epoch = self._epoch
         if epoch is None or self._emitted or not epoch.kinds & _CARRIES:
             return []
@@ -254,7 +259,10 @@ class Epochs:
         return [Frame(sample, epoch.t_rx, sample.utc if resolved else NAN)]
 
     def _high_rate(self, payload: bytes, t_rx: float) -> list[Frame]:
-        """A solution at the rate of the inertial sensors; it replaces those of the navigation epochs."""
+        """Return the sample of HNR-PVT, a solution at the rate of the inertial sensors.
+
+        These samples replace the samples of the navigation epochs.
+        """
         self.has_position, self._high_rate_at = True, t_rx
         sample, resolved = _hnr_pvt(payload), payload[11] & 7 == 7
         if math.isfinite(sample.utc) and resolved:
@@ -262,11 +270,11 @@ class Epochs:
         return [Frame(sample, t_rx, sample.utc if resolved else NAN)]
 
     def _utc_of(self, i_tow: int) -> float:
-        """UTC of a time of week [ms], from the last epoch whose UTC is known; NaN before."""
+        """Return the UTC [s since 1970] of a time of week [ms], NaN before the first epoch with a resolved UTC."""
         return self._utc + math.remainder(1e-3 * (i_tow - self._utc_tow), WEEK)
 
     def forget(self) -> None:
-        """Discard all received state: a reopened port may have another receiver, or this one another configuration."""
+        """Discard all received state, because a reopened port may have another receiver or configuration."""
         self._epoch, self._emitted, self.has_position = None, False, False
         self._kinds.clear()
         self._expected = set()
@@ -275,6 +283,7 @@ class Epochs:
 
 
 def _gnss(v: dict[str, float]) -> Gnss:
+    """Return the sample of the values of one epoch. A value from a more precise message has priority."""
     fix = int(v.get("fix", v.get("sol_fix", v.get("status_fix", 0))))
     lat, lon = (v.get(f"hp_{name}", v.get(name, v.get(f"sol_{name}", NAN))) for name in ("lat", "lon"))
     has_place = "place" in v and abs(lat) <= 90.0 and abs(lon) <= 180.0
@@ -294,17 +303,19 @@ def _gnss(v: dict[str, float]) -> Gnss:
 
 
 def _attitude(payload: bytes, t_rx: float) -> list[Frame]:
+    """Return the sample of NAV-ATT, or no sample if no angle is valid."""
     _, _, roll, pitch, heading, acc_roll, acc_pitch, acc_heading = _ATT.unpack(payload)
-    # An angle that is not known has an accuracy of 0 (M8) or of a whole turn.
-    known = [0 < acc < 180e5 for acc in (acc_heading, acc_pitch, acc_roll)]
+    # The accuracy of an invalid angle is 0 (M8) or at least half a turn.
+    valid = [0 < acc < 180e5 for acc in (acc_heading, acc_pitch, acc_roll)]
     yaw, pitch, roll = (
         wrap_angle(math.radians(1e-5 * angle)) if ok else NAN
-        for angle, ok in zip((heading, pitch, roll), known, strict=True)
+        for angle, ok in zip((heading, pitch, roll), valid, strict=True)
     )
-    return [Frame(Ahrs(yaw, pitch, roll), t_rx, NAN)] if any(known) else []
+    return [Frame(Ahrs(yaw, pitch, roll), t_rx, NAN)] if any(valid) else []
 
 
 def _pvt(v: dict[str, float], payload: bytes) -> None:
+    """Store the values of NAV-PVT."""
     (
         _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,
         _, vel_n, vel_e, vel_d, *_,
@@ -329,6 +340,7 @@ def _posllh(v: dict[str, float], payload: bytes) -> None:
 
 
 def _hpposllh(v: dict[str, float], payload: bytes) -> None:
+    """Store the values of NAV-HPPOSLLH, the position with high precision."""
     _, invalid, _, lon, lat, _, h_msl, lon_hp, lat_hp, _, h_msl_hp, h_acc, _ = _HPPOSLLH.unpack(payload)
     if not invalid & 1:
         v["hp_lat"], v["hp_lon"] = 1e-7 * lat + 1e-9 * lat_hp, 1e-7 * lon + 1e-9 * lon_hp
@@ -336,6 +348,7 @@ def _hpposllh(v: dict[str, float], payload: bytes) -> None:
 
 
 def _sol(v: dict[str, float], payload: bytes) -> None:
+    """Store the values of NAV-SOL of older receivers; position and velocity are converted from ECEF."""
     i_tow, f_tow, week, fix, flags, x, y, z, _, vel_x, vel_y, vel_z, *_, n_sat, _ = _SOL.unpack(payload)
     v["sol_fix"] = 0
     if fix in _DIMENSIONS:
@@ -359,22 +372,23 @@ def _status(v: dict[str, float], payload: bytes) -> None:
 
 
 def _hnr_pvt(payload: bytes) -> Gnss:
+    """Return the sample of HNR-PVT."""
     (
         _, year, month, day, hour, minute, second, valid, nano, gps_fix, flags, lon, lat, _, h_msl, ground, _, course,
         _, h_acc, *_,
     ) = _HNR_PVT.unpack(payload)  # fmt: skip
     fix = (4 if flags & 2 and gps_fix in (2, 3, 4) else _FIX.get(gps_fix, 0)) if flags & 1 else 0
-    known = gps_fix in _DIMENSIONS and abs(lat) <= 90e7 and abs(lon) <= 180e7
+    has_place = gps_fix in _DIMENSIONS and abs(lat) <= 90e7 and abs(lon) <= 180e7
     heading = math.radians(1e-5 * course)
     return Gnss(
         _utc(year, month, day, hour, minute, second, nano) if valid & 3 == 3 else NAN,
-        1e-7 * lat if known else NAN, 1e-7 * lon if known else NAN,
-        alt=1e-3 * h_msl if known else NAN,
-        vel_n=1e-3 * ground * math.cos(heading) if known else NAN,
-        vel_e=1e-3 * ground * math.sin(heading) if known else NAN,
-        fix=fix if known else 0,
-        sigma_h=1e-3 * h_acc / math.sqrt(2.0) if known else NAN,
-        dimensions=_DIMENSIONS[gps_fix] if known else 0,
+        1e-7 * lat if has_place else NAN, 1e-7 * lon if has_place else NAN,
+        alt=1e-3 * h_msl if has_place else NAN,
+        vel_n=1e-3 * ground * math.cos(heading) if has_place else NAN,
+        vel_e=1e-3 * ground * math.sin(heading) if has_place else NAN,
+        fix=fix if has_place else 0,
+        sigma_h=1e-3 * h_acc / math.sqrt(2.0) if has_place else NAN,
+        dimensions=_DIMENSIONS[gps_fix] if has_place else 0,
     )  # fmt: skip
 
 
@@ -385,13 +399,13 @@ def _velned(v: dict[str, float], payload: bytes) -> None:
 
 def _timeutc(v: dict[str, float], payload: bytes) -> None:
     _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
-    if valid & 4:  # the leap seconds are known, too
+    if valid & 4:  # UTC is valid, leap seconds included
         v["utc"] = _utc(year, month, day, hour, minute, second, nano)
 
 
 def _timegps(v: dict[str, float], payload: bytes) -> None:
     i_tow, f_tow, week, leap, valid, _ = _TIMEGPS.unpack(payload)
-    if valid & 7 == 7:  # time of week, week, leap seconds
+    if valid & 7 == 7:  # time of week, week and leap seconds are valid
         v.setdefault("utc", GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow - leap)
 
 
@@ -400,18 +414,19 @@ def _dop(v: dict[str, float], payload: bytes) -> None:
 
 
 def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> float:
+    """Return s since 1970 of a date and time, NaN if the date is invalid."""
     if not (1980 <= year < 2106 and 1 <= month <= 12 and 1 <= day <= 31):
         return NAN
     return calendar.timegm((year, month, day, hour, minute, second)) + 1e-9 * nano
 
 
 def gps_to_utc(seconds: float) -> float:
-    """UTC [s since 1970] of GPS time [s since 1970 on a clock without leap seconds]."""
+    """Convert GPS time, in s since 1970 of a clock without leap seconds, to UTC in s since 1970."""
     return seconds - bisect_right([leap + k for k, leap in enumerate(LEAPS, start=1)], seconds)
 
 
 def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
-    """Latitude and longitude [deg] of a point in ECEF [m]; Bowring 1976, WGS 84."""
+    """Convert a point in ECEF [m] to latitude and longitude [deg] of WGS 84 (Bowring 1976)."""
     a, f = WGS84_SEMI_MAJOR_AXIS, WGS84_FLATTENING
     b, e2 = a * (1.0 - f), f * (2.0 - f)
     p = math.hypot(x, y)
@@ -423,7 +438,7 @@ def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
 
 
 def _local(x: float, y: float, z: float, lat: float, lon: float) -> tuple[float, float, float]:
-    """A vector in ECEF as north, east, down at a place [deg]; Farrell 2008, eq. 2.24."""
+    """Rotate a vector from ECEF to NED at a latitude and longitude [deg] (Farrell 2008, eq. 2.24)."""
     phi, lam = math.radians(lat), math.radians(lon)
     outward = math.cos(lam) * x + math.sin(lam) * y
     north = math.cos(phi) * z - math.sin(phi) * outward

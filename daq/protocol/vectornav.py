@@ -1,8 +1,9 @@
 """VectorNav VN-100/200/300: ASCII sentences and binary messages.
 
-Source: VN-100 User Manual UM001 (and VN-300 UM005): asynchronous ASCII outputs, "Binary Output Messages" with the
-tables of groups 1 to 7. On the wire angles are degrees in ASCII and binary alike, magnetic fields Gauss; the
-quaternion has its scalar last. Acceleration is specific force in body axes (FRD): at rest about (0, 0, -9.8).
+Source: VN-100 User Manual UM001 and VN-300 User Manual UM005: asynchronous ASCII outputs, and "Binary Output Messages"
+with the tables of groups 1 to 7. In ASCII and binary messages, angles are in degrees and magnetic fields in gauss. The
+scalar of a quaternion is its last element. Acceleration is specific force in body axes (FRD), at rest about
+(0, 0, -9.8) m/s2.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ SYNC = 0xFA
 GAUSS = 1e-4  # T
 DEG = math.pi / 180.0
 
-# Bytes of each field, bit 0 first; 0 where the manual has no field: a message that asks for one is no message.
+# Bytes of each field by group, bit 0 first. A message with a bit beyond these fields is invalid.
 GROUP_FIELDS: tuple[tuple[int, ...], ...] = (
     (8, 8, 8, 12, 16, 12, 24, 12, 12, 24, 20, 28, 2, 4, 8),  # 1 common
     (8, 8, 8, 2, 8, 8, 8, 4, 4, 1),  # 2 time
@@ -30,8 +31,8 @@ GROUP_FIELDS: tuple[tuple[int, ...], ...] = (
     (2, 24, 24, 12, 12, 12, 12, 12, 12, 4, 4),  # 6 INS
     (8, 8, 2, 1, 1, 24, 24, 12, 12, 12, 4, 4, 2, 28),  # 7 GNSS 2
 )
-# What is kept: (group, bit) -> (what, offset in the field). Where a message carries one thing twice (compensated
-# and uncompensated), the earlier line wins.
+# Fields that are read: group, bit, quantity, offset [bytes] in the field. If a message contains a quantity twice
+# (compensated and uncompensated), the first row of this table is used.
 KEPT: tuple[tuple[int, int, str, int], ...] = (
     (0, 0, "startup", 0), (1, 0, "startup", 0),
     (0, 3, "ypr", 0), (4, 1, "ypr", 0),
@@ -42,7 +43,7 @@ KEPT: tuple[tuple[int, int, str, int], ...] = (
 )  # fmt: skip
 _FORMAT = {"startup": "<Q", "ypr": "<3f", "quaternion": "<4f", "rate": "<3f", "accel": "<3f", "mag": "<3f"}
 
-# Sentence -> its leading fields; more may follow (temperature, pressure, counters).
+# Sentence -> its first fields with their number of words. Other fields may follow (temperature, pressure, counters).
 ASCII_FIELDS: dict[bytes, tuple[tuple[str, int], ...]] = {
     b"VNYMR": (("ypr", 3), ("mag", 3), ("accel", 3), ("rate", 3)),
     b"VNQMR": (("quaternion", 4), ("mag", 3), ("accel", 3), ("rate", 3)),
@@ -57,18 +58,27 @@ Values = dict[str, tuple[float, ...]]
 
 
 class MessageLayout(NamedTuple):
-    """Layout of a binary message: length of header and message, and (name, struct, offset) of the fields read."""
+    """Layout of a binary message."""
 
-    header: int
-    length: int
+    header: int  # bytes of sync byte and header
+    length: int  # bytes of the whole message
+    # Quantity, format and offset [bytes] of the fields that are read.
     fields: tuple[tuple[str, struct.Struct, int], ...]
 
 
 @functools.lru_cache(maxsize=256)
 def message_layout(header: bytes) -> MessageLayout | None:
-    """Layout of the message whose bytes after the sync byte are `header` (groups, then a word for each).
+    """Return the layout of a binary message.
 
-    None if the header asks for a field that does not exist, or for none at all.
+    Parameters
+    ----------
+    header
+        Bytes after the sync byte: one byte of groups, then one 16-bit word of fields for each group.
+
+    Returns
+    -------
+    MessageLayout or None
+        None if the header contains a field that does not exist, or no field.
     """
     places: dict[tuple[int, int], int] = {}
     offset = 1 + len(header)
@@ -85,16 +95,16 @@ def message_layout(header: bytes) -> MessageLayout | None:
     if not places:
         return None
     kept: dict[str, tuple[str, struct.Struct, int]] = {}
-    for group, bit, what, inside in KEPT:
-        if (group, bit) in places and what not in kept:
-            kept[what] = (what, struct.Struct(_FORMAT[what]), places[group, bit] + inside)
+    for group, bit, quantity, inside in KEPT:
+        if (group, bit) in places and quantity not in kept:
+            kept[quantity] = (quantity, struct.Struct(_FORMAT[quantity]), places[group, bit] + inside)
     return MessageLayout(1 + len(header), offset + 2, tuple(kept.values()))
 
 
 class Decoder(StreamDecoder[Frame]):
-    """ASCII and binary, mixed with each other and with anything else. Samples are `Ahrs`.
+    """Decoder of ASCII and binary messages to `Ahrs` samples. Both kinds may be mixed in one stream.
 
-    `t_device` is TimeStartup [s] where a binary message carries it, NaN otherwise.
+    `t_device` is TimeStartup [s] of a binary message. It is NaN if the message lacks this field.
     """
 
     sync = re.compile(rb"[$\xfa]")
@@ -105,6 +115,7 @@ class Decoder(StreamDecoder[Frame]):
         )
 
     def _take_binary(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the binary message at `start`. Return its length as `_take` does."""
         if len(buffer) < start + 2:
             return 0
         groups = buffer[start + 1]
@@ -113,23 +124,24 @@ class Decoder(StreamDecoder[Frame]):
         header_end = start + 2 + 2 * groups.bit_count()
         if len(buffer) < header_end:
             return 0
-        found = message_layout(bytes(buffer[start + 1 : header_end]))
-        if found is None:
+        layout = message_layout(bytes(buffer[start + 1 : header_end]))
+        if layout is None:
             return -1
-        if len(buffer) < start + found.length:
+        if len(buffer) < start + layout.length:
             return 0
-        message = bytes(buffer[start : start + found.length])
-        if crc16(message[1:]) != 0:  # the CRC over a message and its CRC is zero
+        message = bytes(buffer[start : start + layout.length])
+        if crc16(message[1:]) != 0:  # the CRC of a message together with its own CRC is zero
             self.checksum_errors += 1
             return -1
         self.frames += 1
-        values: Values = {what: form.unpack_from(message, at) for what, form, at in found.fields}
+        values: Values = {quantity: form.unpack_from(message, at) for quantity, form, at in layout.fields}
         t_device = values.pop("startup", (NAN,))[0] * 1e-9
         if values:
             self._out.append(Frame(_ahrs(values), t_rx, t_device))
-        return found.length
+        return layout.length
 
     def _take_ascii(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the sentence at `start`. Return its length as `_take` does."""
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
         if body is None:
@@ -146,14 +158,14 @@ class Decoder(StreamDecoder[Frame]):
 
 
 def _numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values | None:
-    """The words as numbers by name; None where one is missing or none."""
+    """Return the numbers of a sentence by quantity. Return None if a word is missing or not a number."""
     values: Values = {}
     at = 0
-    for what, count in fields:
+    for quantity, count in fields:
         part = words[at : at + count]
         if len(part) < count or not all(_NUMBER.match(word) for word in part):
             return None
-        values[what] = tuple(map(float, part))
+        values[quantity] = tuple(map(float, part))
         at += count
     return values
 
@@ -162,6 +174,7 @@ _NAN3 = (NAN, NAN, NAN)
 
 
 def _ahrs(values: Values) -> Ahrs:
+    """Return the sample of the quantities of one message in SI units, NaN for missing quantities."""
     if "ypr" in values:
         yaw, pitch, roll = (angle * DEG for angle in values["ypr"])
     elif "quaternion" in values:
@@ -175,7 +188,7 @@ def _ahrs(values: Values) -> Ahrs:
 
 
 def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Yaw, pitch, roll [rad] of a quaternion with its scalar last (UM001, attitude transformations)."""
+    """Return yaw, pitch and roll [rad] of a quaternion whose scalar is `w` (UM001, attitude transformations)."""
     yaw = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
     pitch = math.asin(min(max(-2.0 * (x * z - w * y), -1.0), 1.0))
     roll = math.atan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z)
@@ -183,7 +196,10 @@ def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float
 
 
 def encode_ascii(ahrs: Ahrs) -> bytes:
-    """`ahrs` as $VNYMR, rounded as the device rounds it. NaN is sent as zero: the sentence has no void field."""
+    """Encode a sample as the sentence $VNYMR with the rounding of the device.
+
+    NaN is sent as zero, because the sentence cannot contain an empty field.
+    """
     yaw, pitch, roll = (_or_zero(angle) / DEG for angle in (ahrs.yaw, ahrs.pitch, ahrs.roll))
     mag = [_or_zero(b) / GAUSS for b in (ahrs.mx, ahrs.my, ahrs.mz)]
     accel = [_or_zero(a) for a in (ahrs.ax, ahrs.ay, ahrs.az)]
@@ -193,15 +209,22 @@ def encode_ascii(ahrs: Ahrs) -> bytes:
     return sentence("VNYMR," + ",".join(words))
 
 
-# Common group: TimeStartup, YawPitchRoll, AngularRate, Accel, and MagPres where there is a field to send.
+# Common group: TimeStartup, YawPitchRoll, AngularRate, Accel, and MagPres if the magnetic field is sent.
 _BINARY = (1 << 0) | (1 << 3) | (1 << 5) | (1 << 8)
 _BINARY_MAG = _BINARY | (1 << 10)
 
 
 def encode_binary(ahrs: Ahrs, t_device: float) -> bytes:
-    """`ahrs` as a binary message of the common group, sent at `t_device` [s, since the device's start, >= 0].
+    """Encode a sample as a binary message of the common group.
 
-    Carries the magnetic field (in MagPres, temperature and pressure zero) unless it is NaN.
+    The message contains MagPres if the magnetic field is not NaN. Its temperature and pressure are zero.
+
+    Parameters
+    ----------
+    ahrs
+        Sample without NaN, except in the magnetic field.
+    t_device
+        Time of sending since the start of the device [s], not negative.
     """
     with_mag = not math.isnan(ahrs.mx)
     body = struct.pack("<BH", 1, _BINARY_MAG if with_mag else _BINARY)

@@ -1,7 +1,7 @@
-"""VESC speed controllers on CAN: status frames to `Esc`, duty commands to frames.
+"""VESC speed controllers on CAN: decoder of status frames to `Esc`, and encoder of duty commands.
 
-Source: vedderb/bldc, documentation/comm_can.md. Identifiers are 29 bits: packet << 8 | controller. The signals stand
-in vesc.dbc. Raw CAN is logged as SocketCAN's 16-byte `struct can_frame`, and that is what `Decoder.feed` takes.
+Source: vedderb/bldc, documentation/comm_can.md. Identifiers have 29 bits: packet << 8 | controller. The file vesc.dbc
+defines the signals. The log contains CAN frames as 16-byte `struct can_frame` of SocketCAN, which `Decoder.feed` reads.
 """
 
 from __future__ import annotations
@@ -17,29 +17,35 @@ from seatrial.daq.samples import NAN, Esc, Frame
 __all__ = ["CAN_FRAME", "EXTENDED", "FRAME_BYTES", "Decoder", "pack_can", "unpack_can"]
 
 SET_DUTY, STATUS_1, STATUS_4, STATUS_5 = 0, 9, 16, 27  # packets: bits 8 to 15 of the identifier
-STALE = 2.0  # s; temperature and voltage come in frames of their own and are not repeated for longer than this
+STALE = 2.0  # s; temperature and voltage arrive in separate frames; older values become NaN in a sample
 
 
 @functools.cache
 def _messages() -> dict[int, Any]:
-    """DBC messages by packet."""
-    import cantools  # takes a while to import, and only CAN needs it
+    """Return the messages of vesc.dbc by packet number."""
+    import cantools  # imported here because the import is slow and only CAN needs it
 
     database = cantools.database.load_file(Path(__file__).with_name("vesc.dbc"))
     return {message.frame_id >> 8: message for message in database.messages}  # type: ignore[union-attr]
 
 
 class Decoder(FrameDecoder):
-    """Status frames -> `Esc`, one sample for each STATUS 1; current, duty and rpm are of that frame.
+    """Decoder of VESC status frames to `Esc` samples.
 
-    Temperature (STATUS 4) and voltage (STATUS 5) are the newest received, NaN when older than `STALE`. `pole_pairs`
-    lists the controllers; frames of others are counted in `other_nodes` and otherwise ignored. The rpm and duty of
-    `reversed_nodes` change their sign, as their commands do: positive is forward.
+    Each STATUS 1 frame gives one sample with its current, duty and rpm. Temperature (STATUS 4) and voltage (STATUS 5)
+    are the newest received values, or NaN if they are older than `STALE`.
+
+    Parameters
+    ----------
+    pole_pairs
+        Number of pole pairs by controller id. Frames of other controllers are counted in `other_nodes` and ignored.
+    reversed_nodes
+        Controllers whose rpm and duty change their sign, as their commands do, so that positive means forward.
     """
 
     def __init__(self, pole_pairs: dict[int, int], reversed_nodes: frozenset[int] = frozenset()) -> None:
         super().__init__()
-        _messages()  # loads the DBC now, not when the first frame has come
+        _messages()  # loads the DBC file now, because loading it at the first frame would delay the port's thread
         self.other_nodes: dict[int, int] = {}
         self._pole_pairs = dict(pole_pairs)
         self._reversed = reversed_nodes
@@ -50,7 +56,7 @@ class Decoder(FrameDecoder):
         return self.feed_frame(identifier, data, t_rx) if extended else []
 
     def feed_frame(self, arbitration_id: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Take one received frame with a 29-bit identifier."""
+        """Decode one frame with a 29-bit identifier that was received at `t_rx` [s]."""
         node, packet = arbitration_id & 0xFF, arbitration_id >> 8
         if packet not in (STATUS_1, STATUS_4, STATUS_5):
             return []
@@ -62,7 +68,7 @@ class Decoder(FrameDecoder):
         if node not in self._pole_pairs:
             self.other_nodes[node] = self.other_nodes.get(node, 0) + 1
             if self.other_nodes[node] == 1:
-                nodes = ", ".join(str(other) for other in sorted(self.other_nodes))
+                nodes = ", ".join(str(number) for number in sorted(self.other_nodes))
                 self.remark = f"frames of node {nodes}, which no thruster of the rig has"
             return []
         values = message.decode(data.ljust(8, b"\0"), decode_choices=False)
@@ -79,6 +85,7 @@ class Decoder(FrameDecoder):
         self._voltage.clear()
 
     def _esc(self, node: int, values: dict[str, float], t_rx: float) -> Esc:
+        """Return the state of a controller from its STATUS 1 and its newest temperature and voltage."""
         sign = -1.0 if node in self._reversed else 1.0
         return Esc(
             node=node,
@@ -95,7 +102,10 @@ def _fresh(latest: tuple[float, float] | None, t_rx: float) -> float:
 
 
 def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
-    """The frames (identifier, data) of a controller in state `esc`: STATUS 1, and 4 and 5 without NaN."""
+    """Encode the state of a controller as frames (identifier, data).
+
+    STATUS 1 is always included. STATUS 4 and STATUS 5 are included if temperature and voltage are not NaN.
+    """
     frames = [_encode(STATUS_1, esc.node, erpm=_or_zero(esc.rpm) * pole_pairs, current=esc.current, duty=esc.duty)]
     if not math.isnan(esc.temperature):
         frames.append(
@@ -114,26 +124,33 @@ def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
 
 
 def encode_duty(node: int, n: float) -> tuple[int, bytes]:
-    """The frame (identifier, data) that commands controller `node` the duty `n`, -1..1; ValueError if it is outside."""
+    """Encode the command of duty `n`, -1..1, to controller `node` as a frame (identifier, data).
+
+    Raises
+    ------
+    ValueError
+        If `n` is outside -1..1.
+    """
     if not -1.0 <= n <= 1.0:
         raise ValueError(f"a duty is between -1 and 1, not {n}")
     return _encode(SET_DUTY, node, duty=n)
 
 
 def decode_command(arbitration_id: int, data: bytes) -> tuple[int, float] | None:
-    """Controller and duty of a command frame; None for other frames."""
+    """Return controller id and duty, -1..1, of a command frame. Return None for other frames."""
     if arbitration_id >> 8 != SET_DUTY or len(data) < 4:
         return None
     return arbitration_id & 0xFF, float(_messages()[SET_DUTY].decode(data[:4])["duty"])
 
 
 def _encode(packet: int, node: int, **values: float) -> tuple[int, bytes]:
+    """Encode the values of one packet as a frame. Values are clipped to the range of their signals; NaN becomes 0."""
     message = _messages()[packet]
-    held = {}
-    for signal in message.signals:  # a value that does not fit is sent as the nearest that does
+    clipped = {}
+    for signal in message.signals:
         limit = (1 << signal.length - 1) - 1
-        held[signal.name] = min(max(_or_zero(values[signal.name]), -limit * signal.scale), limit * signal.scale)
-    return packet << 8 | node, bytes(message.encode(held, strict=False)).ljust(message.length, b"\0")
+        clipped[signal.name] = min(max(_or_zero(values[signal.name]), -limit * signal.scale), limit * signal.scale)
+    return packet << 8 | node, bytes(message.encode(clipped, strict=False)).ljust(message.length, b"\0")
 
 
 def _or_zero(value: float) -> float:

@@ -1,7 +1,7 @@
-"""What every port has in common: the interface `Port`, and its errors in one line.
+"""Interface of the ports, and the error of a port.
 
-A port is opened, waited for through its file descriptor, read and written; every error of the operating system or of a
-library becomes a PortError of one line.
+A thread opens a port, waits on its file descriptor, reads and writes. Each error of the operating system or of a
+library becomes a PortError with a message of one line.
 """
 
 from __future__ import annotations
@@ -14,62 +14,87 @@ from typing import TypeGuard
 from seatrial.daq.protocol import DatagramDecoder, Decoder
 from seatrial.daq.samples import Frame
 
-READ_BYTES = 65536
-WRITE_S = 0.05  # wall; a port that takes no bytes for longer is as good as gone
+READ_BYTES = 65536  # bytes of one read, at most
+WRITE_S = 0.05  # wall s; a port that accepts no bytes for longer is treated as lost
 
 
 class PortError(Exception):
-    """The port cannot be opened, or was lost. The message is one line without the port's name."""
+    """Error of a port that cannot be opened or was lost. The message is one line without the name of the port."""
 
 
 class Port(ABC):
-    """One port. CAN ports read and write whole 16-byte `struct can_frame`s, serial ports bytes."""
+    """Interface of a port. Serial ports read and write bytes, CAN ports complete 16-byte `struct can_frame`."""
 
     def __init__(self) -> None:
         self.bytes_in = 0
         self.unparsed_bytes = 0
-        self.hint = ""  # what could be better about it, in one line; known when it is open
+        self.hint = ""  # a possible improvement of the port, in one line; set when the port is opened
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the bytes of the last read are the device's; of an unknown sender `confirm` has to say so."""
+        """Return whether the sender of the last read is known to be the device. `confirm` makes a new sender known."""
         return True
 
     def confirm(self) -> None:
-        """The bytes of the last read held a frame of the device."""
+        """Accept the sender of the last read, because a frame of the device was found in it."""
         return
 
     @abstractmethod
     def open(self) -> None:
-        """Open; raises PortError."""
+        """Open the port.
+
+        Raises
+        ------
+        PortError
+            If the port cannot be opened.
+        """
 
     def take_over(self) -> None:
-        """Open in the place of a process that hangs or dies, before it has let go where a port allows that. Raises
-        PortError."""
+        """Open the port in place of a process that hangs or dies.
+
+        If the kind of port allows it, the port is opened before the other process has closed it.
+
+        Raises
+        ------
+        PortError
+            If the port cannot be opened.
+        """
         self.open()
 
     @abstractmethod
     def fileno(self) -> int:
-        """The file descriptor to wait on."""
+        """Return the file descriptor to wait on."""
 
     @abstractmethod
     def read(self) -> bytes:
-        """What has arrived, after waiting; may be empty. Raises PortError when the other end is gone."""
+        """Return the bytes that have arrived, possibly none. Call it after waiting on the file descriptor.
+
+        Raises
+        ------
+        PortError
+            If the other end was lost.
+        """
 
     @abstractmethod
     def write(self, data: bytes) -> None:
-        """Write all of it; raises PortError."""
+        """Write all bytes.
+
+        Raises
+        ------
+        PortError
+            If the port does not accept them.
+        """
 
     @abstractmethod
     def close(self) -> None:
-        """Close, whatever state it is in; never raises."""
+        """Close the port in any state. This method raises no error."""
 
 
 _REASONS = {
     errno.ECONNREFUSED: "refuses the connection: no program listens there",
     errno.ECONNRESET: "closed the connection",
     errno.EADDRINUSE: "is in use by another program",
-    errno.EADDRNOTAVAIL: "is no address of this machine",
+    errno.EADDRNOTAVAIL: "is not an address of this machine",
     errno.ENOENT: "is not there",
     errno.ENODEV: "is not there",
     errno.ENXIO: "is not there",
@@ -84,26 +109,39 @@ _REASONS = {
 
 
 def os_error_text(error: BaseException) -> str:
-    """One line for an error of the operating system or of a library."""
+    """Return the message, in one line, of an error of the operating system or of a library."""
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
-    if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the one below it
+    if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the original error
         number = int(inner[1])
     return _REASONS.get(number or 0) or " ".join(str(error).split()) or type(error).__name__
 
 
 def _takes_datagrams(decoder: Decoder) -> TypeGuard[DatagramDecoder]:
-    """Whether it is a DatagramDecoder. `isinstance` of a protocol, on every read, takes a quarter of a port's time."""
+    """Return whether a decoder is a `DatagramDecoder`."""
+    # `isinstance` with a Protocol would take a quarter of the processor time of a port.
     return hasattr(decoder, "begin_datagram")
 
 
 def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[Frame]:
-    """The samples of one read. On a network, who has sent a frame of the device is the one to answer."""
+    """Decode the bytes of one read. On a network, answer from now on the sender of a frame of the device.
+
+    Parameters
+    ----------
+    port
+        The port that was read.
+    decoder
+        Decoder of the device.
+    data
+        Bytes of the read.
+    t_rx
+        Run time [s] at which the read returned.
+    """
     if not _takes_datagrams(decoder):
         return decoder.feed(data, t_rx)
     if not port.is_confirmed:
         decoder.begin_datagram()
-    before = decoder.accepted
+    n_accepted = decoder.accepted
     frames = decoder.feed(data, t_rx)
-    if decoder.accepted > before:
+    if decoder.accepted > n_accepted:
         port.confirm()
     return frames

@@ -9,24 +9,28 @@ from seatrial.daq.protocol import CAN_FRAME, EXTENDED, slcan
 from seatrial.daq.transport.base import WRITE_S, Port, PortError, os_error_text
 from seatrial.daq.transport.serial_port import SerialPort
 
-CR, BELL = b"\r"[0], b"\a"[0]  # an adapter's yes and no
-MOST = 256  # frames a read: a flood must not keep the thread from its set-points
-REFUSED = 10  # frames in a row: the adapter is off the bus, or its channel is closed
+CR, BELL = b"\r"[0], b"\a"[0]  # answers of an adapter: accepted, refused
+MOST = 256  # frames of one read, at most; many received frames must not delay the set-points of the same thread
+REFUSED = 10  # refused frames in a row, after which the adapter is off the bus or its channel is closed
 
 
 class _OpeningAnswers:
-    """What an adapter answers to the commands that open its channel: an empty line, C, bit rate and O.
+    """Evaluation of the answers of an adapter to the commands that open its channel.
 
-    Not all answer to the empty line, and C is refused where the channel is closed: the last two answers count. Adapters
-    that answer nothing at all are taken at their word.
+    The commands are an empty line, C (close), the bit rate and O (open). Some adapters do not answer the empty line,
+    and C is refused if the channel is closed, so only the last two answers count. An adapter without any answer is
+    assumed to have accepted the commands.
     """
 
     def __init__(self) -> None:
-        self._answers: list[bool] = []  # whether it was a refusal
-        self._in_line = False  # of a frame, or of an answer to one
+        self._answers: list[bool] = []  # whether each answer was a refusal
+        self._in_line = False  # whether the present line is a frame or an answer to a frame
 
     def feed(self, data: bytes) -> bool | None:
-        """Take bytes; whether bit rate or channel were refused, None as long as that is not certain."""
+        """Process received bytes.
+
+        Return whether the bit rate or the opening was refused, or None as long as this is not certain.
+        """
         for byte in data:
             if byte not in (CR, BELL):
                 self._in_line = True
@@ -37,24 +41,24 @@ class _OpeningAnswers:
             self._in_line = False
             if certain:
                 return any(self._answers[-2:])
-        # Of three answers these are no beginning of four good ones: an empty line, and closing what is not open, may
-        # be refused.
+        # The third of three answers is either that to the bit rate or that to O. A refusal of it is certain in both
+        # cases; the empty line and C, which may be refused, are the first two commands.
         return True if len(self._answers) == 3 and self._answers[2] else None
 
 
 class _FrameAnswers:
-    """Counts the frames in a row that an slcan adapter refuses to send.
+    """Counter of consecutive frames that an slcan adapter refuses to send.
 
-    An adapter answers a frame with `z`, `Z` or an empty line if it takes it, and with BELL if not. Adapters that answer
-    nothing refuse nothing.
+    An adapter answers an accepted frame with `z`, `Z` or an empty line, and a refused frame with BELL. For adapters
+    that do not answer, the count stays zero.
     """
 
     def __init__(self) -> None:
-        self.refused = 0
-        self._in_line = True  # of a received frame; unknown at first
+        self.refused = 0  # consecutive refused frames
+        self._in_line = True  # whether the present line is a received frame; at first this is unknown
 
     def feed(self, data: bytes) -> None:
-        """Take the bytes that were read."""
+        """Process received bytes."""
         if not self.refused and BELL not in data:
             self._in_line = data[-1:] not in (b"\r", b"\a") if data else self._in_line
             return
@@ -70,7 +74,7 @@ class _FrameAnswers:
 
 
 class SlcanPort(Port):
-    """CAN through an slcan adapter."""
+    """CAN port of an slcan adapter on a serial port."""
 
     def __init__(self, path: str, baud: int, bitrate: int) -> None:
         super().__init__()
@@ -78,10 +82,10 @@ class SlcanPort(Port):
         self._bitrate = bitrate
         self._decoder = slcan.Decoder()
         self._opening: _OpeningAnswers | None = None
-        self._answers: _FrameAnswers | None = None  # None before the first frame was sent
+        self._answers: _FrameAnswers | None = None  # None before the first frame is sent
 
     def open(self) -> None:
-        """Open the adapter, then its channel."""
+        """Open the serial port, then the channel of the adapter."""
         try:
             commands = slcan.open_channel(self._bitrate)
         except ValueError as error:
@@ -93,16 +97,16 @@ class SlcanPort(Port):
         self._serial.write(commands)
 
     def fileno(self) -> int:
-        """The file descriptor to wait on."""
+        """Return the file descriptor to wait on."""
         return self._serial.fileno()
 
     def read(self) -> bytes:
-        """The frames that are complete."""
+        """Return the complete frames that have arrived."""
         data = self._serial.read()
         if self._opening is not None and (refused := self._opening.feed(data)) is not None:
             self._opening = None
             if refused:
-                self.hint = f"the adapter refused the bit rate {self._bitrate}, or to open its channel"
+                self.hint = f"the adapter refused the bit rate {self._bitrate}, or the opening of its channel"
         if self._answers is not None:
             self._answers.feed(data)
             if self._answers.refused >= REFUSED:
@@ -115,13 +119,13 @@ class SlcanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send frames (29-bit identifiers)."""
+        """Send frames with 29-bit identifiers."""
         self._answers = self._answers or _FrameAnswers()
         lines = (slcan.encode(word & ~EXTENDED, body[:length]) for word, length, body in CAN_FRAME.iter_unpack(data))
         self._serial.write(b"".join(lines))
 
     def close(self) -> None:
-        """Close the channel, then the adapter."""
+        """Close the channel of the adapter, then the serial port."""
         if self._serial.fileno() >= 0:
             with contextlib.suppress(PortError):
                 self._serial.write(slcan.CLOSE_CHANNEL)
@@ -129,11 +133,11 @@ class SlcanPort(Port):
 
 
 class SocketCanPort(Port):
-    """CAN through the kernel (`ip link set can0 up type can bitrate ...`)."""
+    """CAN port of an interface of the kernel (`ip link set can0 up type can bitrate ...`)."""
 
     def __init__(self, channel: str) -> None:
         super().__init__()
-        import can  # takes a while to import, and only this port needs it
+        import can  # imported here because the import is slow and only this port needs it
 
         self._can: Any = can
         self._channel = channel
@@ -148,11 +152,11 @@ class SocketCanPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def fileno(self) -> int:
-        """The file descriptor to wait on."""
+        """Return the file descriptor to wait on, -1 if the port is closed."""
         return -1 if self._bus is None else int(self._bus.fileno())
 
     def read(self) -> bytes:
-        """The frames that have arrived."""
+        """Return the data frames that have arrived."""
         frames = []
         try:
             for _ in range(MOST):
@@ -167,7 +171,7 @@ class SocketCanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send frames (29-bit identifiers)."""
+        """Send frames with 29-bit identifiers."""
         try:
             for word, length, body in CAN_FRAME.iter_unpack(data):
                 message = self._can.Message(arbitration_id=word & ~EXTENDED, is_extended_id=True, data=body[:length])
@@ -178,6 +182,6 @@ class SocketCanPort(Port):
     def close(self) -> None:
         """Close the socket."""
         if self._bus is not None:
-            with contextlib.suppress(Exception):  # a socket whose interface has gone
+            with contextlib.suppress(Exception):  # the interface of the socket may not exist any more
                 self._bus.shutdown()
         self._bus = None

@@ -1,4 +1,4 @@
-"""The port that a device of the rig names."""
+"""Factory of ports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from seatrial.daq.transport.serial_port import SerialPort
 
 
 def make_port(device: Device) -> Port:
-    """The port that a device of the rig names; not open yet."""
+    """Return the port of a device of the rig. It is not open yet."""
     if device.port.startswith("slcan:"):
         return SlcanPort(device.port.removeprefix("slcan:"), device.baud, device.bitrate)
     if device.port.startswith("socketcan:"):
@@ -21,7 +21,7 @@ def make_port(device: Device) -> Port:
 
 
 def make_net_port(port: str) -> Port:
-    """The port of `udp:HOST:PORT` and its relatives; not open yet."""
+    """Return the port of an address `udp:HOST:PORT`, `udpin:`, `udpout:` or `tcp:`. It is not open yet."""
     kind = port.partition(":")[0]
     host, number = parse_address(port)
     return TcpPort(host, number) if kind == "tcp" else UdpPort(host, number, listen=kind != "udpout")

@@ -1,4 +1,4 @@
-"""The latency timer of FTDI adapters: they buffer bytes for 16 ms by default.
+"""Latency timer of FTDI serial adapters, which delay received bytes by up to 16 ms by default.
 
 Source: FTDI AN232B-04, "Data throughput, latency and handshaking"; Linux drivers/usb/serial/ftdi_sio.c.
 """
@@ -10,36 +10,48 @@ from collections.abc import Callable
 from pathlib import Path
 
 SYSFS = Path("/sys/bus/usb-serial/devices")
-VENDOR = 0x0403
-NAMES = ("ttyUSB", "cu.usbserial", "tty.usbserial")  # what the ports of such adapters are called
+VENDOR = 0x0403  # USB vendor id of FTDI
+NAMES = ("ttyUSB", "cu.usbserial", "tty.usbserial")  # beginnings of the port names of FTDI adapters
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 
 
 def usb_vendor(path: str) -> int | None:
-    """USB vendor id of the adapter behind a serial port; None where the system does not report it."""
-    from serial.tools import list_ports  # takes a while to import, and hardly any port needs it
+    """Return the USB vendor id of the adapter behind a serial port, or None if the system does not report it."""
+    from serial.tools import list_ports  # imported here because the import is slow and few ports need it
 
     real = os.path.realpath(path)
     return next((port.vid for port in list_ports.comports() if port.device in (path, real)), None)
 
 
 def set_latency_timer(path: str, sysfs: Path = SYSFS, vendor: Callable[[str], int | None] = usb_vendor) -> str:
-    """Set the adapter behind a serial port to 1 ms; returns a hint where that fails, else an empty string.
+    """Set the latency timer of the adapter behind a serial port to 1 ms.
 
-    Most ports are no FTDI adapters, or have been set already: nothing to do.
+    Parameters
+    ----------
+    path
+        Path of the serial port.
+    sysfs
+        Folder in which the kernel lists serial adapters.
+    vendor
+        Function that returns the USB vendor id of a port.
+
+    Returns
+    -------
+    str
+        A hint for the user if the timer cannot be set. Empty if it is set, or if the port is not an FTDI adapter.
     """
     name = Path(os.path.realpath(path)).name
     timer = sysfs / name / "latency_timer"
     if not timer.exists():
         if name.startswith(NAMES) and vendor(path) == VENDOR:
-            return "an FTDI adapter that keeps bytes for up to 16 ms, and this system has no latency_timer to change it"
+            return "the FTDI adapter delays bytes by up to 16 ms, and this system has no latency_timer to change it"
         return ""
-    held = "?"
+    delay_ms = "?"
     try:
-        held = timer.read_text(encoding="ascii").strip()
-        if held not in ("0", "1"):
+        delay_ms = timer.read_text(encoding="ascii").strip()
+        if delay_ms not in ("0", "1"):
             timer.write_text("1", encoding="ascii")
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
-        return f"the adapter keeps bytes for up to {held} ms ({why}): echo 1 | sudo tee {timer}"
+        return f"the adapter delays bytes by up to {delay_ms} ms ({why}): echo 1 | sudo tee {timer}"
     return ""

@@ -1,9 +1,9 @@
 """Ports on a network: UDP and TCP.
 
-udpin (and udp) listens at a local address and answers the first sender of a frame that is the device's (`confirm`); it
-changes to another address only when none has come from there for a while, so that neither a stray byte nor a second
-program can take over the link. udpout sends to an address, tcp connects to one. UDP has no hang-up: a lost sender is
-detected by its silence.
+udpin (and udp) listens at a local address and answers the first sender of a frame of the device (`confirm`). It changes
+to another sender only after SILENT_S without a frame of the first one, so that a stray datagram or a second program
+cannot take over the link. udpout sends to an address. tcp connects to an address. UDP does not report that the other
+end was lost; a lost sender is detected by its silence.
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ from typing import Any
 
 from seatrial.daq.transport.base import WRITE_S, Port, PortError, os_error_text
 
-READ_BYTES = 65536
-MOST = 256  # datagrams a read: a flood must not keep the thread from its set-points
-SILENT_S = 2.0  # wall; the first sender keeps the link until it is silent for this long
-CONNECT_S = 2.0  # wall
-BUFFER_BYTES = 1 << 20  # for bursts while this process waits for its turn
+READ_BYTES = 65536  # bytes of one datagram or read, at most
+MOST = 256  # datagrams of one read, at most; many received datagrams must not delay the set-points of the same thread
+SILENT_S = 2.0  # wall s of silence, after which another sender can take the link
+CONNECT_S = 2.0  # wall s
+BUFFER_BYTES = 1 << 20  # for datagrams that arrive while this process is not running
 
 
 def _resolve(host: str, number: int, kind: socket.SocketKind, passive: bool) -> tuple[socket.AddressFamily, Any]:
+    """Return family and address of a host and port number. Raise PortError if there is none."""
     flags = socket.AI_PASSIVE if passive else 0
     try:
         family, _, _, _, address = socket.getaddrinfo(host, number, type=kind, flags=flags)[0]
@@ -33,26 +34,29 @@ def _resolve(host: str, number: int, kind: socket.SocketKind, passive: bool) -> 
 
 
 class UdpPort(Port):
-    """Datagrams, joined to a stream of bytes: MAVLink puts whole frames into each."""
+    """UDP port. It joins datagrams to a stream of bytes, because each datagram of MAVLink contains complete frames."""
 
     def __init__(self, host: str, number: int, listen: bool) -> None:
         super().__init__()
         self._host, self._number, self._listen = host, number, listen
         self._socket: socket.socket | None = None
-        self._peer: Any = None
-        self._candidate: Any = None  # who sent the last read, before a frame of it was found to be the device's
-        self._heard = 0.0
+        self._peer: Any = None  # address of the confirmed sender
+        self._candidate: Any = None  # address of the sender of the last read, while it may be an unknown one
+        self._heard_at = 0.0  # wall s of the last confirmed read
 
     def open(self) -> None:
-        """Bind or connect."""
-        self._open(beside=False)
+        """Bind a local address, or connect to a remote one."""
+        self._open(shared=False)
 
     def take_over(self) -> None:
-        """Bind beside the process that has it bound, which a killed one has until its memory is returned: the newest
-        gets what arrives."""
-        self._open(beside=True)
+        """Bind the local address although another process has bound it.
 
-    def _open(self, beside: bool) -> None:
+        A killed process keeps its address until its memory is freed. The newest socket receives all datagrams.
+        """
+        self._open(shared=True)
+
+    def _open(self, shared: bool) -> None:
+        """Open the socket. If `shared` is true, the local address may be bound by another process."""
         self.close()
         family, address = _resolve(self._host, self._number, socket.SOCK_DGRAM, self._listen)
         sock = socket.socket(family, socket.SOCK_DGRAM)
@@ -60,9 +64,10 @@ class UdpPort(Port):
             sock.setblocking(False)
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
             if self._listen:
-                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, beside)
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, shared)
                 sock.bind(address)
-                # From now on who asks for it may bind beside this one: not who does so by mistake, but the watchdog.
+                # From now on the watchdog can bind the same address by `take_over`. Other programs cannot bind it by
+                # mistake, because they do not set SO_REUSEADDR.
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, True)
             else:
                 sock.connect(address)
@@ -72,21 +77,27 @@ class UdpPort(Port):
         self._socket, self._peer = sock, None if self._listen else address
 
     def fileno(self) -> int:
-        """The file descriptor to wait on."""
+        """Return the file descriptor to wait on, -1 if the port is closed."""
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """Bytes received from the present sender; without one a single datagram, of whoever sent it."""
+        """Return the bytes from the confirmed sender. Without a confirmed sender, return one datagram of any sender.
+
+        Raises
+        ------
+        PortError
+            If the socket fails.
+        """
         assert self._socket is not None
         parts: list[bytes] = []
-        open_to_others = self._listen and (self._peer is None or time.monotonic() - self._heard >= SILENT_S)
+        open_to_others = self._listen and (self._peer is None or time.monotonic() - self._heard_at >= SILENT_S)
         self._candidate = None
         for _ in range(1 if open_to_others else MOST):
             try:
                 data, sender = self._socket.recvfrom(READ_BYTES)
             except BlockingIOError:
                 break
-            except ConnectionRefusedError:  # the answer to a datagram of ours: no program listens there yet
+            except ConnectionRefusedError:  # the answer to one of our datagrams: no program listens there yet
                 continue
             except OSError as error:
                 raise PortError(os_error_text(error)) from error
@@ -101,17 +112,17 @@ class UdpPort(Port):
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the bytes of the last read came from the present sender."""
+        """Return whether the bytes of the last read are from the confirmed sender."""
         return self._candidate is None or self._candidate == self._peer
 
     def confirm(self) -> None:
-        """The sender of the last read is the one to answer."""
+        """Answer the sender of the last read from now on."""
         if self._candidate is not None:
             self._peer = self._candidate
-        self._heard = time.monotonic()
+        self._heard_at = time.monotonic()
 
     def write(self, data: bytes) -> None:
-        """Send to the other end; nothing before the first frame from it."""
+        """Send to the other end. Before the first frame of the device, its address is unknown and nothing is sent."""
         if self._socket is None or self._peer is None:
             return
         try:
@@ -120,7 +131,7 @@ class UdpPort(Port):
             else:
                 self._socket.send(data)
         except (BlockingIOError, ConnectionRefusedError):
-            return  # lost, as datagrams may be; the link's age shows it
+            return  # datagrams may be lost; the age of the link shows a lost connection
         except OSError as error:
             raise PortError(os_error_text(error)) from error
 
@@ -132,7 +143,7 @@ class UdpPort(Port):
 
 
 class TcpPort(Port):
-    """A TCP connection as client."""
+    """TCP port. It connects to a server."""
 
     def __init__(self, host: str, number: int) -> None:
         super().__init__()
@@ -140,7 +151,7 @@ class TcpPort(Port):
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Connect."""
+        """Connect to the server."""
         self.close()
         _resolve(self._host, self._number, socket.SOCK_STREAM, False)
         try:
@@ -151,11 +162,11 @@ class TcpPort(Port):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def fileno(self) -> int:
-        """The file descriptor to wait on."""
+        """Return the file descriptor to wait on, -1 if the port is closed."""
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """Bytes received."""
+        """Return the bytes that have arrived. Raise PortError if the connection was lost."""
         assert self._socket is not None
         try:
             data = self._socket.recv(READ_BYTES, socket.MSG_DONTWAIT)
@@ -169,7 +180,7 @@ class TcpPort(Port):
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all bytes. Raise PortError if the connection was lost."""
         assert self._socket is not None
         try:
             self._socket.sendall(data)

@@ -1,4 +1,4 @@
-"""Serial ports by pyserial, and the list of those of this machine."""
+"""Serial ports by pyserial, and the list of the serial ports of this machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from seatrial.daq.transport.ftdi_latency import set_latency_timer
 
 
 class SerialPort(Port):
-    """A serial device or pty."""
+    """Serial port or pseudo-terminal."""
 
     def __init__(self, path: str, baud: int) -> None:
         super().__init__()
@@ -26,7 +26,7 @@ class SerialPort(Port):
         self._fd = -1
 
     def open(self) -> None:
-        """Open for ourselves alone, raw, 8N1."""
+        """Open the port with exclusive access, in raw mode with 8N1."""
         self.close()
         try:
             if not stat.S_ISCHR(os.stat(self._path).st_mode):
@@ -38,24 +38,24 @@ class SerialPort(Port):
         self.hint = set_latency_timer(self._path)
 
     def fileno(self) -> int:
-        """The file descriptor to wait on."""
+        """Return the file descriptor to wait on, -1 if the port is closed."""
         return self._fd
 
     def read(self) -> bytes:
-        """What has arrived. An empty read of a device that reported bytes is a hang-up."""
+        """Return the bytes that have arrived. An empty read after waiting means that the device was disconnected."""
         try:
             data = os.read(self._fd, READ_BYTES)
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise PortError("hung up") from error
+            raise PortError("disconnected") from error
         if not data:
-            raise PortError("hung up")
+            raise PortError("disconnected")
         self.bytes_in += len(data)
         return data
 
     def write(self, data: bytes) -> None:
-        """Write all of it, waiting for room for `WRITE_S` at most."""
+        """Write all bytes. Raise PortError if the port accepts no more bytes within `WRITE_S`."""
         deadline = time.monotonic() + WRITE_S
         left = memoryview(data)
         while left:
@@ -66,18 +66,19 @@ class SerialPort(Port):
                 if wait <= 0.0 or not select.select([], [self._fd], [], wait)[1]:
                     raise PortError("accepts no more bytes") from None
             except OSError as error:
-                raise PortError("hung up") from error
+                raise PortError("disconnected") from error
 
     def close(self) -> None:
-        """Close; pyserial raises three kinds of error where the device has gone, and none matters here."""
+        """Close the port."""
         if self._serial is not None:
+            # pyserial raises these errors if the device was removed. They do not matter for a port that is closed.
             with contextlib.suppress(OSError, termios.error):
                 self._serial.close()
         self._serial, self._fd = None, -1
 
 
 def list_serial_ports() -> list[tuple[str, str]]:
-    """The serial ports of this machine: path and description by the system."""
-    from serial.tools import list_ports  # takes a while to import, and only a search needs it
+    """Return the serial ports of this machine, each as its path and the description by the system."""
+    from serial.tools import list_ports  # imported here because the import is slow and only a search needs it
 
     return sorted((port.device, port.description) for port in list_ports.comports())

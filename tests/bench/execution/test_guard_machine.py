@@ -375,11 +375,11 @@ def test_a_port_that_hangs_up_ends_the_run_at_once(tmp_path: Path) -> None:
     assert guard.step(good.t, good).stop is None
     never = {**good.ports, "ahrs": replace(port("ahrs"), open=False, samples=0)}
     assert guard.step(good.t, replace(good, ports=never)).stop is None  # it has not begun yet
-    lost = {**good.ports, "ahrs": replace(port("ahrs"), open=False, message="hung up")}
+    lost = {**good.ports, "ahrs": replace(port("ahrs"), open=False, message="disconnected")}
     stop = guard.step(good.t, replace(good, ports=lost)).stop
     assert stop is not None
     assert stop.code is StopCode.PORT_LOST
-    assert stop.reason.endswith("was lost: hung up")
+    assert stop.reason.endswith("was lost: disconnected")
 
 
 # What is at zero at the end.

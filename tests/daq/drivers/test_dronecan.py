@@ -119,7 +119,7 @@ def test_ends_and_middle_are_exact(n: float) -> None:
 
 @pytest.mark.parametrize("commands", [{0: 1.01}, {0: float("nan")}, {20: 0.0}, {-1: 0.0}])
 def test_what_is_no_command(commands: dict[int, float]) -> None:
-    with pytest.raises(ValueError, match="is no command"):
+    with pytest.raises(ValueError, match="is invalid; commands are -1 to 1"):
         dronecan.encode_command(commands, 1, 0)
 
 

@@ -9,7 +9,12 @@ from typing import Any
 
 import pytest
 
-from seatrial.daq.drivers.ardupilot_parameters import OF_FAILSAFES, YOUNG, check_parameters, parameter_names
+from seatrial.daq.drivers.ardupilot_parameters import (
+    FAILSAFE_PARAMETERS,
+    NEWER_PARAMETERS,
+    check_parameters,
+    parameter_names,
+)
 from seatrial.daq.drivers.base import DISARMED, LinkRole
 from seatrial.daq.drivers.factory import make_driver
 from seatrial.daq.drivers.setpoints import Due
@@ -211,8 +216,8 @@ def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> N
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     del parameters[name]
     (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
-    assert (found.name, found.value, found.fatal) == (name, None, name not in OF_FAILSAFES)
-    assert str(found).startswith(f"{name} was not answered (a lossy link?): ask again")
+    assert (found.name, found.value, found.fatal) == (name, None, name not in FAILSAFE_PARAMETERS)
+    assert str(found).startswith(f"{name} was not answered; the link may lose messages: repeat it")
 
 
 def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive() -> None:
@@ -228,7 +233,9 @@ def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive()
 
 def test_a_parameter_that_an_older_version_lacks_is_no_loss() -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
-    older = {name: value for name, value in parameters.items() if name not in YOUNG and name != "MAV_GCS_SYSID"}
+    older = {
+        name: value for name, value in parameters.items() if name not in NEWER_PARAMETERS and name != "MAV_GCS_SYSID"
+    }
     assert check_parameters({**older, "SYSID_MYGCS": 255.0}, mav_rig().thrusters, 255) == ()
 
 
@@ -409,7 +416,8 @@ def test_another_station_of_our_id_and_lost_frames_are_counted() -> None:
         ends.autopilot._codec.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3)  # on their way, and lost
     ends.run(2.0)
     assert (ends.driver.link_at(ends.t).rivals, ends.driver.link_at(ends.t).lost) == (1, 7)
-    assert any(event.text.startswith("7 of its ") for event in ends.driver.events())
+    texts = [event.text for event in ends.driver.events()]
+    assert any(text.startswith("7 of ") and text.endswith(" frames of the autopilot were lost") for text in texts)
 
 
 def test_the_round_trip_is_measured() -> None:
@@ -451,7 +459,7 @@ def test_mistakes_with_the_key_are_named(tmp_path: Path) -> None:
     assert told(mav_rig(), "", mav_rig()) == ""
     assert "no key_file" in told(mav_rig(), "", signed)
     assert "another key" in told(other, "other", signed)
-    assert "it signs nothing" in told(signed, "key", mav_rig())
+    assert "they are not signed" in told(signed, "key", mav_rig())
 
 
 @pytest.mark.parametrize(

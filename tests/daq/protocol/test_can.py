@@ -77,7 +77,7 @@ def test_what_the_dbc_has_not_is_named_with_what_it_has(database: object, tmp_pa
     with pytest.raises(SeatrialError, match="no signal of Motor 'Node'"):
         dbc.Decoder(database, (DbcSignal("Motor", "Speed", "rpm", "Node"),))
     (tmp_path / "bad.dbc").write_text("BO_ nonsense")
-    with pytest.raises(SeatrialError, match="no DBC file"):
+    with pytest.raises(SeatrialError, match="not a DBC file"):
         dbc.load_dbc(str(tmp_path / "bad.dbc"))
 
 

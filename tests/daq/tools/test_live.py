@@ -35,7 +35,7 @@ def status() -> Status:
         "gnss": dataclasses.replace(
             HEALTHY, name="gnss", expected=20.0, rate=12.0, checksum_errors=3, unparsed_bytes=123, latency=NAN
         ),
-        "esc": dataclasses.replace(HEALTHY, name="esc", age=7.3, message="hung up", reconnects=1),
+        "esc": dataclasses.replace(HEALTHY, name="esc", age=7.3, message="disconnected", reconnects=1),
         "cell": dataclasses.replace(
             HEALTHY, name="cell", rate=NAN, age=math.inf, samples=0, frames=0, message="is not there"
         ),
@@ -46,7 +46,7 @@ def status() -> Status:
         ("esc", 2): Latest(Esc(2, -1234.0, 12.0, 0.5, 15.9, NAN), 8.9),
         ("esc", 1): Latest(Esc(1, 1234.0, 12.0, 0.5, 15.9, 31.0), 8.9),
     }
-    warnings = ("esc (/p/can): hung up", "cell (/p/cell): is not there")
+    warnings = ("esc (/p/can): disconnected", "cell (/p/cell): is not there")
     return Status(9.0, ports, latest, {"left": 0.5}, 3, "/logs/run.mcap", 12_345_678, 99, 61.25, "", warnings)
 
 
@@ -83,7 +83,7 @@ def test_the_table_says_what_there_is_in_80_columns() -> None:
     assert "is not there" in cell
     # Not colour alone: a sign too.
     assert (ahrs[0], left[0], cell[0]) == ("●", "!", "!")
-    assert "! esc (/p/can): hung up" in text
+    assert "! esc (/p/can): disconnected" in text
 
 
 def test_the_table_has_all_counters_in_120_columns() -> None:
@@ -102,7 +102,7 @@ def test_plain_lines_and_the_last_line() -> None:
     assert "ahrs 100.2/100 Hz, " in text
     assert "gnss 12.0/20 Hz 3 checksum errors 123 unparsed bytes" in text
     assert "cell silent" in text
-    assert "hung up" in text
+    assert "disconnected" in text
     assert "\n" not in text
     last = log_summary(status(), Path("run.mcap"))
     assert last == "run.mcap: 1:01.2, 99 samples, 12.3 MB; nothing from cell"

@@ -69,7 +69,7 @@ def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, m
         assert b"mine" not in read(port)
         assert port.unparsed_bytes == 4
         assert isinstance(port, UdpPort)
-        port._heard -= SILENT_S  # as if the first had been silent for so long
+        port._heard_at -= SILENT_S  # as if the first had been silent for so long
         stranger.sendto(b"mine", ("127.0.0.1", number))
         assert read(port) == b"mine"
         assert not port.is_confirmed
@@ -152,9 +152,12 @@ def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
         (("udp:127.0.0.1:14550", "tcp:host:x"), r"device\[1\].port: must be udp:HOST:PORT"),
         (("rc_channel = 1", "rc_channel = 19"), r"rc_channel: must be within 1 .. 18"),
         (("rc_channel = 3", "rc_channel = 1"), r"thruster: 'autopilot rc_channel 1' appears twice; give each its own"),
-        (("node = 1", "node = 17"), r"thruster\[1\].node: is the number of a servo output, 1 .. 16, not 17"),
+        (("node = 1", "node = 17"), r"thruster\[1\].node: must be the number of a servo output, 1 .. 16, not 17"),
         (("rpm_max = 4500.0", "pwm_us = [1500, 1500, 1900]"), r"pwm_us: must be \[full reverse, neutral"),
-        (("rate_hz = 25.0", "rate_hz = 25.0\nown_system_id = 1"), r"own_system_id: 1 is the autopilot's own"),
+        (
+            ("rate_hz = 25.0", "rate_hz = 25.0\nown_system_id = 1"),
+            "own_system_id: 1 is the system_id of the autopilot",
+        ),
         (("rate_hz = 25.0", 'rate_hz = 25.0\ngnss = "best"'), r"gnss: must be one of raw, fused, not 'best'"),
         (("[[thruster]]", "[device.rates]\nATTITUD = 5.0\n[[thruster]]"), r"rates.ATTITUD: not a supported message"),
     ],
@@ -220,7 +223,7 @@ def test_the_peer_is_the_first_sender_of_a_frame_of_the_autopilot(tmp_path: Path
                 sock.recv(1000)
         # After silence another address of the same autopilot is learnt again, and by a frame alone.
         assert isinstance(port, UdpPort)
-        port._heard -= SILENT_S
+        port._heard_at -= SILENT_S
         strangers[0].sendto(b"\xfd", here)
         new = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         new.settimeout(5.0)
