@@ -43,7 +43,7 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     if not written:
-        raise SeatrialError(f"{log.path}: holds no samples to export")
+        raise SeatrialError(f"{log.path}: the log has no samples to export")
     return written
 
 

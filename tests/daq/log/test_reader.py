@@ -85,7 +85,7 @@ def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
     assert (again.metadata, again.attachments) == (before.metadata, before.attachments)
     with pytest.raises(SeatrialError, match="the file exists already"):
         CliRunner().invoke(cli.recover, [str(killed), "-o", str(out)], catch_exceptions=False)
-    with pytest.raises(SeatrialError, match="is the log itself, which is not changed"):
+    with pytest.raises(SeatrialError, match="belongs to the log itself, which must not be changed"):
         CliRunner().invoke(cli.recover, [str(killed), "-o", str(killed), "--force"], catch_exceptions=False)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.mcap", "whole.mcap"]
 
