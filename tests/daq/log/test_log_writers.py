@@ -92,7 +92,7 @@ def break_messages(data: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (break_messages, "no seatrial_msgs/msg/Scalar in little-endian CDR"),
+        (break_messages, "is not a valid seatrial_msgs/msg/Scalar in little-endian CDR"),
         (lambda data: data[:20], "no seatrial_msgs/msg/Scalar"),
         (lambda data: data[:8], "no seatrial_msgs/msg/Scalar"),
         (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "no seatrial_msgs/msg/Scalar"),
