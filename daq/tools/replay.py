@@ -320,7 +320,7 @@ def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
         table["port"] = f"{bus}{table['name']}"
         device = rig.device(table["name"])
         if device.dbc:
-            table["dbc"] = device.dbc  # absolute: relative paths are relative to the folder of the rig file
+            table["dbc"] = device.dbc  # full path: the new rig file lies in another folder
         table.pop("key_file", None)  # the log does not contain the key file: signatures are not checked
     document["device"] = tables
     document["thruster"] = [table for table in document.get("thruster", []) if table["device"] in devices]

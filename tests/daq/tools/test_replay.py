@@ -101,7 +101,7 @@ def test_the_logs_own_rig_stands_beside_the_ports_while_they_are_there(recorded:
         own = log.rig
     assert own is not None
     ((line, rig),) = seen
-    assert fX in line
+    assert f"`seatrial log {tmp_path}/ports/replay.toml` records them again" in line
     ports = {device.name: device.port for device in rig.devices}
     assert ports == {"ahrs": str(tmp_path / "ports/ahrs"), "esc": f"slcan:{tmp_path}/ports/esc"}
     assert [thruster.device for thruster in rig.thrusters] == ["esc"] * len(own.thrusters)
