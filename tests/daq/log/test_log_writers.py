@@ -121,5 +121,7 @@ def test_a_topic_of_another_type(tmp_path: Path) -> None:
         channel = writer.register_channel("/signal/x", "json", writer.register_schema("Thing", "jsonschema", b"{}"))
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    with pytest.raises(SeatrialError, match=r"/signal/x: the message type is Thing \(json\), not seatrial_msgs/msg/Scalar \(cdr\)"):
+    with pytest.raises(
+        SeatrialError, match=r"/signal/x: the message type is Thing \(json\), not seatrial_msgs/msg/Scalar \(cdr\)"
+    ):
         open_log(path).table(Scalar, "x")

@@ -85,7 +85,7 @@ def test_a_folder_stands_for_the_one_log_in_it(killed_set: Path) -> None:
 
 def test_a_later_segment_says_what_it_is_part_of(killed_set: Path) -> None:
     said = run("info", killed_set.with_name("run.2.mcap")).stdout
-    assert "segment 2 of run.mcap, which opens with all of them" in said
+    assert "segment 2 of run.mcap; open that file for the whole log" in said
     killed_set.rename(killed_set.with_name("away.mcap"))
     assert "segment 2" not in run("info", killed_set.with_name("run.2.mcap")).stdout
 
