@@ -93,10 +93,10 @@ def break_messages(data: bytes) -> bytes:
     ("change", "line"),
     [
         (break_messages, "is not a valid seatrial_msgs/msg/Scalar in little-endian CDR"),
-        (lambda data: data[:20], "no seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:8], "no seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "no seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "no seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:20], "is not a valid seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:8], "is not a valid seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "is not a valid seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "is not a valid seatrial_msgs/msg/Scalar"),
     ],
 )
 def test_messages_that_are_none(tmp_path: Path, change: Callable[[bytes], bytes], line: str) -> None:

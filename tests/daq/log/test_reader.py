@@ -380,7 +380,7 @@ def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path:
     before = time.process_time()
     with open_log(path) as opened:
         assert opened.counts == {}
-        assert any("unpack to 0.7 GB, 10" in warning for warning in opened.warnings)
+        assert any("the uncompressed chunks have 0.7 GB, 10" in warning for warning in opened.warnings)
     assert time.process_time() - before < 5.0
 
 
