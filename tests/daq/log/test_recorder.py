@@ -185,7 +185,7 @@ def test_a_short_write_leaves_whole_records(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     count, lines = run_fill(path, str(1_000_000))
     assert "writing failed (File too large)" in lines[0]
-    assert "without a footer" in lines[0]
+    assert "has no footer" in lines[0]
     assert lines[1] == lines[0]
     assert path.stat().st_size <= 1_000_000
     log = open_log(path)
