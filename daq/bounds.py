@@ -45,7 +45,7 @@ GRACE_S = 2  # s of processor time between the signal that ends a command with a
 WATCH_S = 0.1  # s of wall time between two checks of the disk
 REPEAT_S = 1.0  # s of wall time; a second SIGINT within this time is the same Ctrl-C, forwarded by the parent
 MAX_FILES = 10_000  # largest number of files in a folder
-ADVICE = "it is damaged, or made to do harm; --trust-file reads it without limits"
+ADVICE = "the file is damaged or malicious; --trust-file reads it without limits"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 

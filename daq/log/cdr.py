@@ -176,7 +176,7 @@ class CdrLayout:
         ValueError
             If the message ends before its last field.
         """
-        found, at = [], self.dtype.itemsize
+        parts, at = [], self.dtype.itemsize
         for field in self.tail:
             at += -at % 4
             if at + 4 > len(message):
@@ -186,9 +186,9 @@ class CdrLayout:
             if at + length > len(message):
                 raise ValueError("message ends too early")
             data = bytes(message[at : at + length])
-            found.append(data.removesuffix(b"\0") if field.primitive == "string" else data)
+            parts.append(data.removesuffix(b"\0") if field.primitive == "string" else data)
             at += length
-        return tuple(found)
+        return tuple(parts)
 
 
 def doubles(*values: float) -> bytes:

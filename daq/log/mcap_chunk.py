@@ -86,7 +86,7 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     (length,) = struct.unpack_from("<Q", head, at + n_name)
     begin = start + at + n_name + 8
     if name not in ("", "zstd", "lz4") or (not cut and begin + length != stop):
-        raise ValueError("header of a chunk")
+        raise ValueError("invalid header of a chunk")
     if size > MAX_CHUNK or (not cut and length > MAX_PACKED):
         raise ValueError(f"a chunk of {size} bytes; {MAX_CHUNK} is the limit")
     return ChunkAt(begin, stop, name, size, checksum)
@@ -104,15 +104,15 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
     if chunk.compression == "zstd":
         # The library allocates the size that the zstd frame states. Check this size first.
         if zstandard.frame_content_size(packed) not in (-1, chunk.size):
-            raise ValueError("size of a chunk")
+            raise ValueError("wrong size of a chunk")
         data = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).decompress(packed, chunk.size + 1)
     elif chunk.compression == "lz4":
         with lz4.frame.LZ4FrameFile(BytesIO(packed)) as file:
             data = file.read(chunk.size + 1)
     if len(data) != chunk.size:
-        raise ValueError("size of a chunk")
+        raise ValueError("wrong size of a chunk")
     if chunk.checksum and zlib.crc32(data) != chunk.checksum:
-        raise ValueError("checksum of a chunk")
+        raise ValueError("wrong checksum of a chunk")
     return np.frombuffer(data, np.uint8)
 
 
@@ -125,7 +125,7 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
         If the compression is lz4, or if no block can be decompressed.
     """
     if chunk.compression == "lz4":
-        raise ValueError("lz4")
+        raise ValueError("a cut chunk with lz4 compression cannot be read")
     data = packed
     if chunk.compression == "zstd":
         with zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(packed) as reader:

@@ -105,18 +105,21 @@ class RawLog:
         self.attachments: list[Attachment] = []
         self.counts: Counter[int] = Counter()  # messages by channel
         self.span_ns: tuple[int, int] | None = None  # log times of the first and the last message
-        self._held = 0
+        self._held_bytes = 0
         self._chunks: Chunks = np.zeros(0, _CHUNK)
         # Pairs of chunk and channel from the message indexes, and a mask of the chunks without message indexes.
-        self._holds: tuple[NDArray[np.int32], NDArray[np.uint16]] = (np.zeros(0, np.int32), np.zeros(0, np.uint16))
-        self._unknown: NDArray[np.bool_] = np.zeros(0, bool)
+        self._chunk_channels: tuple[NDArray[np.int32], NDArray[np.uint16]] = (
+            np.zeros(0, np.int32),
+            np.zeros(0, np.uint16),
+        )
+        self._unindexed: NDArray[np.bool_] = np.zeros(0, bool)
         self._partial: Buffer | None = None  # the last chunk, if the file contains only its beginning
         self._seen: NDArray[np.int8] = np.zeros(0, np.int8)  # by chunk: 0 not read, 1 read, -1 damaged or left out
         self._cache: dict[int, tuple[Buffer, bytes]] = {}
         self._cached = 0
         self._fd, self._size, self._same = self._open()
-        if not self._believe_summary():
-            self._walk()
+        if not self._read_summary():
+            self._read_records()
         elif (n := self._bound_chunks()) < len(self._chunks):
             self._seen[n:] = -1
 
@@ -225,8 +228,8 @@ class RawLog:
 
     def _choose(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
         """Return the numbers of the undamaged chunks that may have messages of these channels and log times."""
-        chunk, channel = self._holds
-        wanted = self._unknown.copy()
+        chunk, channel = self._chunk_channels
+        wanted = self._unindexed.copy()
         wanted[chunk[np.isin(channel, ids)]] = True
         wanted &= (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns) & (self._seen >= 0)
         return np.flatnonzero(wanted)
@@ -284,7 +287,7 @@ class RawLog:
             self._cached += found[0].nbytes
         return found
 
-    def _believe_summary(self) -> bool:
+    def _read_summary(self) -> bool:
         """Read the index of the file from its summary. Return False if the file has no valid summary."""
         size = self._size
         try:
@@ -294,7 +297,7 @@ class RawLog:
                 return False
             if self._checksum(start, stop + _END_CHECKED) != checksum:
                 return False
-            return self._take(_Summary(self._read, start, stop))
+            return self._use_summary(_Summary(self._read, start, stop))
         except DAMAGE:
             return False
 
@@ -305,7 +308,7 @@ class RawLog:
             checksum = zlib.crc32(self._read(at, min(at + _BLOCK, stop)), checksum)
         return checksum
 
-    def _take(self, summary: _Summary) -> bool:
+    def _use_summary(self, summary: _Summary) -> bool:
         """Use a summary as the index of the file. Return False if the summary does not cover the whole file."""
         chunks, statistics = summary.chunks, summary.statistics
         if statistics is None or (statistics.chunk_count, statistics.channel_count) != (
@@ -321,7 +324,7 @@ class RawLog:
             return False  # the file has bytes that the summary does not cover
         if np.any(chunks["at"] < first) or np.any(chunks["at"][1:] < ends[:-1]) or np.any(ends > summary.start):
             return False
-        self._chunks, self._holds, self._unknown = chunks, summary.holds, summary.unknown
+        self._chunks, self._chunk_channels, self._unindexed = chunks, summary.chunk_channels, summary.unindexed
         self._seen = np.zeros(len(chunks), np.int8)
         for kind, data in [*summary.schemas, *summary.channels]:
             self._register(kind, data)
@@ -331,19 +334,19 @@ class RawLog:
             try:
                 opcode, content = RECORD.unpack(self._read(at, at + HEADER))
                 if content != length - HEADER:
-                    raise ValueError("length")
+                    raise ValueError("wrong length of a record")
                 self._visit(opcode, at, at + length)
             except DAMAGE as error:
                 self._warn(f"the record at byte {at} is damaged and left out ({_one_line(error)})")
         self.complete = True
         return True
 
-    def _walk(self) -> None:
+    def _read_records(self) -> None:
         """Build the index without a summary: read all records of the file in order, and then the chunks.
 
         After a damaged record the search continues at the next whole chunk.
         """
-        found, whole = _Walk(), True
+        found, whole = _FoundChunks(), True
         at, size = len(MCAP0_MAGIC), self._size
         while at + HEADER <= size:
             opcode, length = RECORD.unpack(self._read(at, at + HEADER))
@@ -379,22 +382,22 @@ class RawLog:
             self._warn(f"left out: {counted(lost, 'message')} whose channel record is damaged or missing")
         self.counts = Counter({channel: n for channel, n in self.counts.items() if channel in self.channels})
 
-    def _scan(self, found: _Walk, only_new: bool) -> None:
+    def _scan(self, found: _FoundChunks, only_new: bool) -> None:
         """Read the chunks to count their messages and to find the channels.
 
         With `only_new`, a chunk is not read if its message indexes contain known channels only.
         """
-        self._unknown = np.ones(len(self._chunks), bool)
-        holds: tuple[list[int], list[int]] = ([], [])
+        self._unindexed = np.ones(len(self._chunks), bool)
+        pairs: tuple[list[int], list[int]] = ([], [])
         waiting: list[int] = []
         n_bytes = 0
         for number in range(len(self._chunks)):
             # The last chunk is always read, because it may be cut.
             indexed = found.counts[number] if only_new and number + 1 < len(self._chunks) else {}
             if indexed and not waiting and all(channel in self.channels for channel in indexed):
-                self._unknown[number] = False
-                holds[0].extend([number] * len(indexed))
-                holds[1].extend(indexed)
+                self._unindexed[number] = False
+                pairs[0].extend([number] * len(indexed))
+                pairs[1].extend(indexed)
                 self.counts.update(indexed)
                 self._span(*(int(self._chunks[name][number]) for name in ("begin_ns", "end_ns")))
                 continue
@@ -410,7 +413,7 @@ class RawLog:
                 if self._too_many(self.counts.total()):
                     self._seen[number + 1 :] = -1
                     break
-        self._holds = (np.asarray(holds[0], np.int32), np.asarray(holds[1], np.uint16))
+        self._chunk_channels = (np.asarray(pairs[0], np.int32), np.asarray(pairs[1], np.uint16))
 
     def _span(self, begin_ns: int, end_ns: int) -> None:
         """Extend the span of the file by an interval of log times."""
@@ -436,7 +439,7 @@ class RawLog:
             at += _BLOCK - len(_ZSTD)
         return None
 
-    def _end(self, opcode: int, at: int, unknown: bool, found: _Walk) -> bool:
+    def _end(self, opcode: int, at: int, unknown: bool, found: _FoundChunks) -> bool:
         """End the walk at a byte after which no whole record follows. Return whether the file is only cut off there.
 
         The existing blocks of a cut chunk are decompressed, because they may contain messages.
@@ -463,19 +466,19 @@ class RawLog:
         """
         if opcode not in _KEPT:
             return
-        if self._held + (stop - at) > MAX_HELD:
+        if self._held_bytes + (stop - at) > MAX_HELD:
             kind = _KEPT[Opcode(opcode)].__name__.lower()
             size, limit = f"{(stop - at) / 1e6:.0f} MB", f"{MAX_HELD / 1e6:.0f} MB"
             self._warn(f"{kind} at byte {at} is left out: {size}, and a log has at most {limit} beside its messages")
             return
-        self._held += stop - at
+        self._held_bytes += stop - at
         data = self._read(at + HEADER, stop)
         if opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
             self._register(opcode, data)
         elif opcode == Opcode.ATTACHMENT:
             (checksum,) = struct.unpack_from("<I", data, len(data) - 4)
             if checksum not in (0, zlib.crc32(memoryview(data)[:-4])):
-                raise ValueError("checksum of an attachment")
+                raise ValueError("wrong checksum of an attachment")
             found = _parse(Attachment.read, data)
             _check_name(found.name)
             self.attachments.append(replace(found, name=printable(found.name)))
@@ -493,15 +496,15 @@ class RawLog:
                 schema = _parse(Schema.read, data)
                 _check_name(schema.name)
                 if schema.id not in self.schemas:
-                    self._held += len(data)
-                if self._held <= MAX_HELD:
+                    self._held_bytes += len(data)
+                if self._held_bytes <= MAX_HELD:
                     self.schemas[schema.id] = replace(schema, name=printable(schema.name))
             else:
                 channel = _parse(Channel.read, data)
                 _check_name(channel.topic)
                 if channel.id not in self.channels:
-                    self._held += len(data)
-                if self._held <= MAX_HELD:
+                    self._held_bytes += len(data)
+                if self._held_bytes <= MAX_HELD:
                     about = {printable(key): printable(value) for key, value in channel.metadata.items()}
                     self.channels[channel.id] = replace(channel, topic=printable(channel.topic), metadata=about)
         except DAMAGE as error:
@@ -515,7 +518,7 @@ class RawLog:
             self.warnings.append("and more warnings of this kind")
 
 
-class _Walk:
+class _FoundChunks:
     """List of the chunks that are found when a file is read from beginning to end."""
 
     def __init__(self) -> None:
@@ -609,12 +612,12 @@ class _Summary:
             at += place
         before = np.cumsum([0, *(len(chunks) for chunks, _, _ in parts)], dtype=np.int32)
         self.chunks = np.concatenate([np.zeros(0, _CHUNK), *(chunks for chunks, _, _ in parts)])
-        self.holds = (
+        self.chunk_channels = (
             np.concatenate([np.zeros(0, np.int32), *(k + n for (_, k, _), n in zip(parts, before, strict=False))]),
             np.concatenate([np.zeros(0, np.uint16), *(channel for _, _, channel in parts)]),
         )
-        self.unknown = np.ones(len(self.chunks), bool)  # chunks without an index
-        self.unknown[self.holds[0]] = False
+        self.unindexed = np.ones(len(self.chunks), bool)  # chunks without an index
+        self.unindexed[self.chunk_channels[0]] = False
 
     def _add(self, opcode: int, data: bytes) -> None:
         """Add a record of the summary by its opcode and content. Records of other kinds are ignored."""
@@ -669,7 +672,7 @@ def _chunk_indexes(
     found["index_bytes"] = rows_at(block, begins + _CHUNK_INDEX.itemsize + n_map, np.dtype("<i8"))
     found["size"] = rows_at(block, ends - 8, np.dtype("<i8"))
     if min(heads["length"].min() - HEADER, found["index_bytes"].min(), found["size"].min()) < 0:
-        raise ValueError("lengths of a chunk index")
+        raise ValueError("negative length in a chunk index")
     chunk = np.repeat(np.arange(len(begins)), n_map // 10)
     k = np.arange(len(chunk)) - np.repeat(np.cumsum(n_map // 10) - n_map // 10, n_map // 10)
     channel = rows_at(block, begins[chunk] + _CHUNK_INDEX.itemsize + 10 * k, np.dtype("<u2"))
@@ -679,7 +682,7 @@ def _chunk_indexes(
 def _check_name(name: str) -> None:
     """Raise ValueError if a text is too long for a name."""
     if len(name) > MAX_TEXT:
-        raise ValueError(f"a name of {len(name)} characters")
+        raise ValueError(f"a name of {len(name)} characters is too long")
 
 
 def _ignore(opcode: int, data: bytes) -> None:

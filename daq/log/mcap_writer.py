@@ -284,6 +284,7 @@ class LogWriter:
             raise SeatrialError(f"{self.path}: the log is closed already")
 
     def _explain(self, error: OSError, complete: bool) -> SeatrialError:
+        """Return the error for the user about a failed write."""
         state = "closed and complete up to there" if complete else "whole up to its last record, but has no footer"
         text = (
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
@@ -459,6 +460,7 @@ class RecordWriter:
         self._stream.write(end + summary + offsets + _bytes(footer) + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
+        """Return the statistics record of the file."""
         return Statistics(
             attachment_count=self._n_attachments,
             channel_count=self._n_channels,

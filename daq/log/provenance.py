@@ -28,10 +28,10 @@ def git_hash() -> str:
         return "none"
     command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        found = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+        completed = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
     except (OSError, subprocess.SubprocessError):
         return "none"
-    return found.stdout.strip()
+    return completed.stdout.strip()
 
 
 def _version(package: str) -> str:

@@ -104,7 +104,7 @@ class Log:
         self.attachments = {record.name: record.data for record in self._file.attachments}
         self.start, self.end = (ns / NANO for ns in self._file.span_ns or (0, 0))
         self._span_ns = _WHOLE
-        self._kept: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
+        self._tables: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
         self._read_spans: set[tuple[int, int]] = set()  # intervals of time whose tables are all kept
 
     @contextlib.contextmanager
@@ -114,11 +114,11 @@ class Log:
         The first call of `table` reads all tables at once. This is faster if a caller uses many tables, or uses a
         table more than once.
         """
-        self._kept, self._read_spans = {}, set()
+        self._tables, self._read_spans = {}, set()
         try:
             yield
         finally:
-            self._kept = None
+            self._tables = None
 
     def part(self, begin: float, end: float) -> Log:
         """Return a view of the log with the messages of an interval of time only.
@@ -314,8 +314,8 @@ class Log:
         """Return pairs of device and controller id that have samples of a kind, from the names of the topics."""
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
-        mine = [(p[0], p[1]) for p in parts if len(p) == 3 and p[2] == last]
-        return [(name, int(node)) for name, node in mine if node.isdecimal() and len(node) <= MAX_NODE_DIGITS]
+        pairs = [(p[0], p[1]) for p in parts if len(p) == 3 and p[2] == last]
+        return [(name, int(node)) for name, node in pairs if node.isdecimal() and len(node) <= MAX_NODE_DIGITS]
 
     def table(
         self, kind: type[Measured], source: str, node: int | None = None, begin: float = 0.0, end: float = np.inf
@@ -349,14 +349,14 @@ class Log:
         topic = schema.topic(kind, source, node)
         span = _span_ns(begin, end, self._span_ns)
         try:
-            if self._kept is None:
+            if self._tables is None:
                 return self._read_table(kind, topic, source, span)
             if span not in self._read_spans:
                 self._read_spans.add(span)
-                self._kept |= self._read_tables(span)
-            if (topic, span) not in self._kept:
-                self._kept[topic, span] = self._read_table(kind, topic, source, span)
-            table = self._kept[topic, span]
+                self._tables |= self._read_tables(span)
+            if (topic, span) not in self._tables:
+                self._tables[topic, span] = self._read_table(kind, topic, source, span)
+            table = self._tables[topic, span]
             table.flags.writeable = False
             return table
         except MemoryError:
@@ -438,7 +438,7 @@ class Log:
         if "/event" not in self.counts:
             return []
         found = []
-        for t, _, tail in self._whole("/event", schema.EVENT):
+        for t, _, tail in self._decoded_messages("/event", schema.EVENT):
             kind, text = (printable(part.decode("utf-8", errors="replace")) for part in tail)
             found.append((t, kind, text))
         return found
@@ -446,7 +446,7 @@ class Log:
     def health(self, device: str) -> list[tuple[float, PortHealth]]:
         """Return the counters of the port of a device over time, as (time [s since 1970], counters)."""
         found = []
-        for t, row, (port,) in self._whole(f"/health/{device}", schema.HEALTH):
+        for t, row, (port,) in self._decoded_messages(f"/health/{device}", schema.HEALTH):
             n_in, n_frames, n_bad, n_unparsed, n_dropped, n_again = (int(row[name]) for name in _COUNTERS)
             bias, spread = float(row["clock_bias"]), float(row["clock_spread"])
             name = printable(port.decode("utf-8", errors="replace"))
@@ -455,7 +455,7 @@ class Log:
 
     def raw(self, device: str) -> Iterator[tuple[float, str, bytes]]:
         """Yield the bytes of the port of a device as (time [s since 1970], "rx" or "tx", data), in file order."""
-        for t, row, (data,) in self._whole(f"/raw/{device}", schema.RAW):
+        for t, row, (data,) in self._decoded_messages(f"/raw/{device}", schema.RAW):
             yield t, _DIRECTIONS[min(int(row["direction"]), 1)], data
 
     def messages(self) -> Iterator[tuple[int, str, bytes]]:
@@ -468,7 +468,7 @@ class Log:
 
     def unit(self, signal: str) -> str:
         """Return the unit of an imported signal; empty if it is unknown."""
-        return self._about(signal).get("unit", "")
+        return self._channel_metadata(signal).get("unit", "")
 
     def hold(self, signal: str) -> str:
         """Return the hold of an imported signal, which describes the values between two samples.
@@ -476,13 +476,13 @@ class Log:
         "zero": the last value stays constant. "linear": values are interpolated. "sampled": a held output that is
         sampled at a rate; its value changed at an unknown time since the sample before.
         """
-        return self._about(signal).get("hold", "linear")
+        return self._channel_metadata(signal).get("hold", "linear")
 
     def role(self, signal: str) -> str:
         """Return whether an imported signal is an "input" or an "output" of the system."""
-        return self._about(signal).get("role", "output")
+        return self._channel_metadata(signal).get("role", "output")
 
-    def _about(self, signal: str) -> dict[str, str]:
+    def _channel_metadata(self, signal: str) -> dict[str, str]:
         """Return the metadata of the channel of a signal."""
         return self._file.channels[self._channels(schema.topic(Scalar, signal))[0]].metadata
 
@@ -510,7 +510,7 @@ class Log:
                 raise self._error(f"{topic}: the message type is {written_type}, not {type_name} (cdr)")
         return found
 
-    def _lacking(self, topic: str, type_name: str) -> tuple[str, ...]:
+    def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
         """Return the fields that the messages of a topic lack, because an older version wrote the log."""
         channels = [self._file.channels[number] for number in self._channels(topic)]
         written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
@@ -526,7 +526,7 @@ class Log:
             If a message is too short, or is not in little-endian CDR.
         """
         wrong = self._error(f"a message on {topic} is not a valid {type_name} in little-endian CDR")
-        lacking = self._lacking(topic, type_name)
+        lacking = self._missing_fields(topic, type_name)
         lengths = messages.lengths
         if np.any(lengths < HEAD.itemsize):
             raise wrong
@@ -550,7 +550,7 @@ class Log:
                 rows[name][mask] = decoded[name]
         return rows
 
-    def _whole(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
+    def _decoded_messages(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
         """Yield time stamp [s since 1970], fixed part and variable fields of each message of a topic, in file order."""
         for messages in self._file.read(self._channels(topic, type_name), *self._span_ns):
             rows = self._rows(messages, topic, type_name)
@@ -580,7 +580,7 @@ def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtyp
     return np.dtype([(name, "i8" if name in integers else "f8") for name in names])
 
 
-class _Growing:
+class _GrowingArray:
     """Array to which rows are added. It has at most an eighth more memory than its rows need."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
@@ -609,7 +609,7 @@ class _Rows:
 
     def __init__(self, log: Log, topic: str, channels: list[int], dtype: np.dtype[np.void]) -> None:
         self.topic, self.channels = topic, channels
-        self._log, self._table = log, _Growing(dtype)
+        self._log, self._table = log, _GrowingArray(dtype)
 
     def take(self, messages: Messages) -> None:
         """Add the next messages of these channels. Raises SeatrialError if they cannot be decoded."""
@@ -630,6 +630,7 @@ class _SampleRows(_Rows):
         super().__init__(log, topic, log._channels(topic, self._type_name), _table_type(kind, whole))
 
     def take(self, messages: Messages) -> None:
+        """Add the next messages, each of which is a sample."""
         rows = self._log._rows(messages, self.topic, self._type_name)
         part = self._table.more(len(rows))
         part["t"] = stamps(rows)
@@ -655,20 +656,21 @@ class _AhrsRows(_Rows):
                 self._numbers[name] = log._channels(f"/{source}/{name}", type_name)
         channels = [number for group in self._numbers.values() for number in group]
         super().__init__(log, topic, channels, _table_type(Ahrs))
-        self._order = _Growing(np.dtype(np.uint32))
+        self._order = _GrowingArray(np.dtype(np.uint32))
         self._waiting = {name: _Waiting(np.zeros(0, np.uint32), {}) for name in self._numbers}
         self._last = -1
 
     def take(self, messages: Messages) -> None:
+        """Add the next Imu messages, and join the companions to them by their sequence numbers."""
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
-        own = parts.pop("imu")
-        rows, part = self._log._rows(own, self.topic, schema.IMU), self._table.more(len(own.heads))
-        part["t"], part["t_rx"], part["t_device"] = stamps(rows), own.heads["log_ns"] / NANO, np.nan
+        imu = parts.pop("imu")
+        rows, part = self._log._rows(imu, self.topic, schema.IMU), self._table.more(len(imu.heads))
+        part["t"], part["t_rx"], part["t_device"] = stamps(rows), imu.heads["log_ns"] / NANO, np.nan
         for name in ("mx", "my", "mz"):
             part[name] = np.nan
         for name, column in schema.imu_columns(rows).items():
             part[name] = column
-        sequence = np.append(self._last, own.heads["sequence"])
+        sequence = np.append(self._last, imu.heads["sequence"])
         if parts and np.any(np.diff(sequence) <= 0):
             raise _NotNumberedError(self.topic)
         self._order.more(len(rows))[:] = sequence[1:]

@@ -105,6 +105,7 @@ class WholeRecordStream:
         return len(data)
 
     def _write_all(self, data: bytes) -> None:
+        """Write all bytes at the end of the file. Raises OSError, also after a part of the bytes is written."""
         view = memoryview(data)
         at = self._size
         while view:

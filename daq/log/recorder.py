@@ -215,7 +215,7 @@ class Recorder:
             if _identity(segment.path) != segment.identity:
                 return  # another file has this name now
             segment.path.unlink()
-            text = f"deleted {segment.path.name}: keep_gb is {keep:g}"
+            text = f"deleted {segment.path.name}, because the log is larger than keep_gb = {keep:g}"
         except OSError as error:
             text = f"{segment.path.name} could not be deleted ({error.strerror})"
         self.event(self._log_ns / NANO, "disk", text)
@@ -290,6 +290,7 @@ class Recorder:
         return round(t * NANO) if 0.0 <= t < 2**31 else otherwise
 
     def _add(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
+        """Write a message to the current segment, or keep it in memory during a pause."""
         if self.paused:
             self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
             return

@@ -125,12 +125,12 @@ def messages(device: str, frame: Frame) -> list[Message]:
     sample = frame.sample
     if isinstance(sample, Ahrs):
         return _ahrs(device, sample, (frame.t_rx, frame.t_device))
-    own = TYPES.get(type(sample))
-    if own is None:
+    type_name = TYPES.get(type(sample))
+    if type_name is None:
         raise TypeError(f"{type(sample).__name__} is not a measurement")
     node = sample.node if isinstance(sample, (Esc, Command, Servo)) else None
     values = (frame.t_rx, frame.t_device, *_GETTERS[type(sample)](sample))
-    first = Message(topic(type(sample), device, node), own, device, values)  # type: ignore[arg-type]
+    first = Message(topic(type(sample), device, node), type_name, device, values)  # type: ignore[arg-type]
     if isinstance(sample, Gnss):
         return [first, *_gnss(device, sample)]
     if isinstance(sample, LoadCell) and not math.isnan(sample.force):
@@ -145,12 +145,13 @@ def _names(device: str) -> tuple[str, str, str, str]:
 
 
 def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
+    """Return the messages of a sample of an AHRS. The covariances mark unknown quantities (see `_NONE9`)."""
     frame_id, time, imu, mag = _names(device)
-    known = s.yaw == s.yaw  # False for NaN; faster than math.isnan, for every sample
-    level = known and math.isnan(s.pitch + s.roll)
+    has_yaw = s.yaw == s.yaw  # False for NaN; faster than math.isnan, for every sample
+    only_yaw = has_yaw and math.isnan(s.pitch + s.roll)
     values = (
-        *(quaternion(s.yaw, 0.0, 0.0) if level else quaternion(s.yaw, s.pitch, s.roll) if known else _LEVEL),
-        _YAW9 if level else _ZERO9 if known else _NONE9,
+        *(quaternion(s.yaw, 0.0, 0.0) if only_yaw else quaternion(s.yaw, s.pitch, s.roll) if has_yaw else _LEVEL),
+        _YAW9 if only_yaw else _ZERO9 if has_yaw else _NONE9,
         *(s.p, s.q, s.r),
         _NONE9 if math.isnan(s.p + s.q + s.r) else _ZERO9,
         *(s.ax, s.ay, s.az),
@@ -163,6 +164,7 @@ def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
 
 
 def _gnss(device: str, s: Gnss) -> list[Message]:
+    """Return the standard ROS messages of a GNSS sample: NavSatFix, and TwistStamped if the velocity is known."""
     # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
     status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0
     variance = s.sigma_h * s.sigma_h

@@ -86,13 +86,16 @@ class SegmentedLog:
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.counts: Counter[int] = Counter()
-        self._known: dict[tuple[object, ...], int] = {}
-        self._numbers = [
-            {own: self._number(channel, raw.schemas.get(channel.schema_id)) for own, channel in raw.channels.items()}
+        self._number_by_content: dict[tuple[object, ...], int] = {}
+        self._numbers = [  # for each file: number of a channel in the log, by its number in the file
+            {
+                local: self._number(channel, raw.schemas.get(channel.schema_id))
+                for local, channel in raw.channels.items()
+            }
             for raw in files
         ]
         for raw, numbers in zip(files, self._numbers, strict=True):
-            self.counts.update({numbers[own]: n for own, n in raw.counts.items()})
+            self.counts.update({numbers[local]: n for local, n in raw.counts.items()})
         spans = [raw.span_ns for raw in files if raw.span_ns]
         self.span_ns = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
 
@@ -112,13 +115,13 @@ class SegmentedLog:
     ) -> Iterator[Messages]:
         """Yield the messages of all files, one file after the other, as `RawLog.read` does."""
         for raw, numbers in zip(self.files, self._numbers, strict=True):
-            new = np.zeros(1 << 16, np.uint16)
-            new[list(numbers)] = list(numbers.values())
-            own = [number for number in numbers if channels is None or numbers[number] in channels]
+            renumbered = np.zeros(1 << 16, np.uint16)
+            renumbered[list(numbers)] = list(numbers.values())
+            local_channels = [number for number in numbers if channels is None or numbers[number] in channels]
             if not raw.span_ns or raw.span_ns[1] < begin_ns or raw.span_ns[0] >= end_ns:
                 continue
-            for batch in raw.read(own, begin_ns, end_ns):
-                batch.heads["channel"] = new[batch.heads["channel"]]
+            for batch in raw.read(local_channels, begin_ns, end_ns):
+                batch.heads["channel"] = renumbered[batch.heads["channel"]]
                 yield batch
             raw.close()
 
@@ -126,8 +129,8 @@ class SegmentedLog:
         """Return the number of a channel in the whole log. A channel that is new gets the next number."""
         content = ("", b"") if schema is None else (schema.name, schema.data)
         key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), content)
-        if key not in self._known:
-            number = self._known[key] = len(self._known) + 1
+        if key not in self._number_by_content:
+            number = self._number_by_content[key] = len(self._number_by_content) + 1
             if schema is not None:
                 self.schemas[number] = Schema(id=number, name=schema.name, encoding=schema.encoding, data=schema.data)
             self.channels[number] = Channel(
@@ -137,7 +140,7 @@ class SegmentedLog:
                 metadata=channel.metadata,
                 schema_id=number if schema is not None else 0,
             )
-        return self._known[key]
+        return self._number_by_content[key]
 
     def close(self) -> None:
         """Close all files."""

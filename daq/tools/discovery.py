@@ -115,7 +115,11 @@ class _Listener:
     @property
     def condition(self) -> str:
         """Text for the user about a GNSS receiver without a fix; empty for a receiver with a fix and other devices."""
-        return "; alive, without a fix: open sky, antenna and its cable" if self.gnss and not self.fixes else ""
+        return (
+            "; it sends data, but has no fix: check view of the sky, antenna and cable"
+            if self.gnss and not self.fixes
+            else ""
+        )
 
     def rate(self) -> float:
         """Return the rate of the samples [Hz] from their times of arrival; NaN if there is a single time."""
@@ -213,7 +217,7 @@ def identify_protocol(
         framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= LINES]
         best = max(candidates, key=_Listener.score, default=None)
         if best is not None and best.score() > (0.0, 0):
-            says = "CAN adapter (slcan), its channel open" if best.protocol == SLCAN else types[best.protocol].says
+            says = "CAN adapter (slcan) with open channel" if best.protocol == SLCAN else types[best.protocol].says
             says += best.condition
             return DiscoveredDevice(path, description, best.protocol, baud, best.rate(), says, hint)
     if framed:

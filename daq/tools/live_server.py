@@ -169,6 +169,7 @@ class OriginGate:
         self._loop.close()
 
     async def _end(self) -> None:
+        """Close the listening socket and all connections, and wait for their tasks."""
         self._server.close()
         for task, client in list(self._tasks.items()):
             client.close()  # a task that has not started yet would not close its client
@@ -176,7 +177,7 @@ class OriginGate:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await asyncio.sleep(0)  # asyncio frees closed connections in the next cycle of its loop
 
-    def _is_welcome(self, head: bytes) -> bool:
+    def _is_allowed(self, head: bytes) -> bool:
         """Return whether the head of a request has no origin, or accepted origins only."""
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
@@ -191,7 +192,7 @@ class OriginGate:
         """Check the origin of a client, and forward all bytes between client and server, or answer 403."""
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
-            if self._is_welcome(head):
+            if self._is_allowed(head):
                 server_reader, server_writer = await asyncio.open_connection(*self._behind)
                 server_writer.write(head)
                 await asyncio.gather(_pump(reader, server_writer), _pump(server_reader, writer))

@@ -91,7 +91,7 @@ def _pause(clock: RunClock, deadline: float, until_wall: float) -> float:
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
 
 
-def _as_of(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
+def _update_ages(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
     """Update the ages and rates of a status to the run time `now`. Also return whether the acquisition still answers.
 
     Without this update a hanging acquisition would seem to work, because it computes the ages in its status itself.
@@ -121,7 +121,7 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
     now
         Time of the run clock [s since 1970].
     """
-    status, answers = _as_of(status, rig, now)
+    status, answers = _update_ages(status, rig, now)
     wide = width >= WIDE
     rows = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style="bold")
     columns = ["device", "rate/Hz", "of", "age/s", "frames", "errors", "latest"]
@@ -171,7 +171,7 @@ def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
     kinds, nodes = senders(status, port.name)
     rate = port.expected if source[1] is None else port.expected / nodes
     seldom = SELDOM if kinds > 1 or source[0] != port.name else 1.0
-    stale = age > seldom * _patience(rate, rig.speed)
+    stale = age > seldom * _stale_after(rate, rig.speed)
     # An autopilot without a fix repeats its last message, and a repetition is no new sample: it is not stale.
     waits = isinstance(latest.sample, Gnss) and latest.sample.fix == 0 and not _is_silent(port, rig.speed)
     return Text(f"STALE {age:.0f} s: {text}", style=BAD) if stale and not waits else Text(text)
@@ -179,10 +179,10 @@ def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
 
 def _is_silent(port: PortStatus, speed: float) -> bool:
     """Return whether a port has been silent for too long."""
-    return port.age > _patience(port.expected, speed)
+    return port.age > _stale_after(port.expected, speed)
 
 
-def _patience(rate: float, speed: float) -> float:
+def _stale_after(rate: float, speed: float) -> float:
     """Return the time [s of the run clock] after which a source with this rate [Hz] is stale."""
     return max(STALE_S, STALE_PERIODS / rate, STALE_WALL_S * speed)
 
@@ -281,7 +281,7 @@ def _join(*parts: tuple[str, float, str, str]) -> str:
 
 def line(status: Status, rig: Rig, now: float) -> str:
     """Return the status as one line, for a file or a pipe. `now`: time of the run clock [s since 1970]."""
-    status, answers = _as_of(status, rig, now)
+    status, answers = _update_ages(status, rig, now)
     ports = []
     for port in status.ports.values():
         rate = "-" if math.isnan(port.rate) else f"{port.rate:.1f}"

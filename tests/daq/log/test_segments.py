@@ -284,7 +284,7 @@ def test_the_oldest_segments_but_the_first_go_beyond_the_budget(tmp_path: Path) 
         deleted = [text for _, kind, text in opened.events() if kind == "disk"]
     second = next(k for k, (a, b) in enumerate(pairwise(times)) if b != a + 1) + 1
     assert times == [*range(second), *range(times[second], 300)]
-    assert all(text.endswith("keep_gb is 0.004") for text in deleted)
+    assert all(text.endswith(", because the log is larger than keep_gb = 0.004") for text in deleted)
 
 
 def names_of(log: Log) -> range:
