@@ -19,12 +19,12 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-MAX_CHUNK = 64 * 2**20  # bytes, uncompressed
+MAX_CHUNK_BYTES = 64 * 2**20  # bytes, uncompressed
 MAX_KINDS = 70_000  # schemas and channels between two messages: a file has at most 2^16 channels
 # Application records can be empty, and millions of empty records compress to a few bytes. Limits for real files:
 MAX_PRIVATE = 65_536  # application records between two messages of the index
 MAX_PRIVATE_PER_MESSAGE = 16  # further application records for each message that no index contains
-MAX_PACKED = MAX_CHUNK + 2**20  # bytes, compressed; data that cannot be compressed become a little longer
+MAX_PACKED_BYTES = MAX_CHUNK_BYTES + 2**20  # bytes, compressed; data that cannot be compressed become a little longer
 RECORD = struct.Struct("<BQ")  # opcode, length
 HEADER = RECORD.size
 HEAD_BYTES = 22  # bytes of the content of a message before its data
@@ -78,7 +78,7 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     Raises
     ------
     One of DAMAGE
-        If the header is invalid, or if the chunk is larger than `MAX_CHUNK`.
+        If the header is invalid, or if the chunk is larger than `MAX_CHUNK_BYTES`.
     """
     _, _, size, checksum, n_name = _CHUNK.unpack_from(head)
     at = _CHUNK.size
@@ -87,8 +87,8 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     begin = start + at + n_name + 8
     if name not in ("", "zstd", "lz4") or (not cut and begin + length != stop):
         raise ValueError("invalid header of a chunk")
-    if size > MAX_CHUNK or (not cut and length > MAX_PACKED):
-        raise ValueError(f"a chunk of {size} bytes; {MAX_CHUNK} is the limit")
+    if size > MAX_CHUNK_BYTES or (not cut and length > MAX_PACKED_BYTES):
+        raise ValueError(f"a chunk of {size} bytes; {MAX_CHUNK_BYTES} is the limit")
     return ChunkAt(begin, stop, name, size, checksum)
 
 
@@ -105,7 +105,7 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
         # The library allocates the size that the zstd frame states. Check this size first.
         if zstandard.frame_content_size(packed) not in (-1, chunk.size):
             raise ValueError("wrong size of a chunk")
-        data = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).decompress(packed, chunk.size + 1)
+        data = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).decompress(packed, chunk.size + 1)
     elif chunk.compression == "lz4":
         with lz4.frame.LZ4FrameFile(BytesIO(packed)) as file:
             data = file.read(chunk.size + 1)
@@ -128,8 +128,8 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
         raise ValueError("a cut chunk with lz4 compression cannot be read")
     data = packed
     if chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(packed) as reader:
-            data = reader.read(MAX_CHUNK)
+        with zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).stream_reader(packed) as reader:
+            data = reader.read(MAX_CHUNK_BYTES)
     return np.frombuffer(data, np.uint8)
 
 

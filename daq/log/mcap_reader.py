@@ -36,7 +36,7 @@ from seatrial.daq.log.mcap_chunk import (
     DAMAGE,
     HEADER,
     INDEX_HEAD,
-    MAX_CHUNK,
+    MAX_CHUNK_BYTES,
     RECORD,
     Buffer,
     Messages,
@@ -51,9 +51,9 @@ from seatrial.daq.log.mcap_chunk import (
 
 BATCH_BYTES = 4 * 2**20  # uncompressed chunks read at a time
 CACHE_BYTES = 24 * 2**20  # uncompressed chunks kept for the next table
-MAX_HELD = 64 * 2**20  # bytes of attachments, metadata, schemas and channels of a file together
-MAX_TEXT = 2**16  # characters of a name; a longer name is an error
-MAX_UNPACKED = 2**28  # uncompressed bytes of all chunks together; a larger file may have more:
+MAX_HELD_BYTES = 64 * 2**20  # bytes of attachments, metadata, schemas and channels of a file together
+MAX_NAME_CHARACTERS = 2**16  # characters of a name; a longer name is an error
+MAX_UNPACKED_BYTES = 2**28  # uncompressed bytes of all chunks together; a larger file may have more:
 MAX_RATIO = 256  # uncompressed bytes of all chunks over the size of the file
 MAX_WARNINGS = 20
 FEW_MESSAGES = 2_000_000  # allowed for a file of any size
@@ -205,8 +205,8 @@ class RawLog:
         Compression reduces the data of instruments by a factor of some tens at most. A file with a much larger factor
         would only cost time.
         """
-        total = np.cumsum(np.minimum(self._chunks["size"], MAX_CHUNK))
-        n = int(np.searchsorted(total, max(MAX_UNPACKED, MAX_RATIO * self._size), side="right"))
+        total = np.cumsum(np.minimum(self._chunks["size"], MAX_CHUNK_BYTES))
+        n = int(np.searchsorted(total, max(MAX_UNPACKED_BYTES, MAX_RATIO * self._size), side="right"))
         if n < len(self._chunks):
             size = f"{total[-1] / 1e9:.1f} GB, {total[-1] / self._size:.0f} times the size of the file"
             self._warn(f"the uncompressed chunks have {size}, far more than a real log: the last chunks are left out")
@@ -266,7 +266,9 @@ class RawLog:
             self._seen[number] = 1
             return self._partial, b""
         try:
-            data = self._read(at, stop + min(index_bytes, MAX_CHUNK) if stop - at <= 2 * MAX_CHUNK else at + CHUNK_HEAD)
+            # Of a chunk that is too large only the head is read, which is enough to reject it.
+            too_large = stop - at > 2 * MAX_CHUNK_BYTES
+            data = self._read(at, at + CHUNK_HEAD if too_large else stop + min(index_bytes, MAX_CHUNK_BYTES))
             opcode, length = RECORD.unpack_from(data)
             if opcode == Opcode.MESSAGE:  # messages outside any chunk
                 found = np.frombuffer(data[: stop - at], np.uint8), b""
@@ -452,7 +454,9 @@ class RawLog:
         with contextlib.suppress(*DAMAGE):
             if opcode == Opcode.CHUNK:
                 chunk = chunk_at(self._read(start, start + CHUNK_HEAD), start, self._size, cut=True)
-                self._partial = unpack_cut(self._read(chunk.start, min(chunk.stop, chunk.start + MAX_CHUNK)), chunk)
+                self._partial = unpack_cut(
+                    self._read(chunk.start, min(chunk.stop, chunk.start + MAX_CHUNK_BYTES)), chunk
+                )
                 found.append(at, self._size, len(self._partial), 0, LAST_NS)
         return True
 
@@ -466,9 +470,9 @@ class RawLog:
         """
         if opcode not in _KEPT:
             return
-        if self._held_bytes + (stop - at) > MAX_HELD:
+        if self._held_bytes + (stop - at) > MAX_HELD_BYTES:
             kind = _KEPT[Opcode(opcode)].__name__.lower()
-            size, limit = f"{(stop - at) / 1e6:.0f} MB", f"{MAX_HELD / 1e6:.0f} MB"
+            size, limit = f"{(stop - at) / 1e6:.0f} MB", f"{MAX_HELD_BYTES / 1e6:.0f} MB"
             self._warn(f"{kind} at byte {at} is left out: {size}, and a log has at most {limit} beside its messages")
             return
         self._held_bytes += stop - at
@@ -497,14 +501,14 @@ class RawLog:
                 _check_name(schema.name)
                 if schema.id not in self.schemas:
                     self._held_bytes += len(data)
-                if self._held_bytes <= MAX_HELD:
+                if self._held_bytes <= MAX_HELD_BYTES:
                     self.schemas[schema.id] = replace(schema, name=printable(schema.name))
             else:
                 channel = _parse(Channel.read, data)
                 _check_name(channel.topic)
                 if channel.id not in self.channels:
                     self._held_bytes += len(data)
-                if self._held_bytes <= MAX_HELD:
+                if self._held_bytes <= MAX_HELD_BYTES:
                     about = {printable(key): printable(value) for key, value in channel.metadata.items()}
                     self.channels[channel.id] = replace(channel, topic=printable(channel.topic), metadata=about)
         except DAMAGE as error:
@@ -681,7 +685,7 @@ def _chunk_indexes(
 
 def _check_name(name: str) -> None:
     """Raise ValueError if a text is too long for a name."""
-    if len(name) > MAX_TEXT:
+    if len(name) > MAX_NAME_CHARACTERS:
         raise ValueError(f"a name of {len(name)} characters is too long")
 
 

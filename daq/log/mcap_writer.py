@@ -57,9 +57,9 @@ _SUMMARY_REST = 512  # bytes; upper bound of statistics without its counts, six 
 MAX_CHANNELS = 65_535  # the file stores channel numbers in 16 bits
 CHUNK_BYTES = 256 * 1024
 FLUSH_S = 0.25  # s of wall time; a flush ends a chunk, and a killed run keeps only ended chunks
-FEW, FEW_S = 16, 0.1  # up to 16 messages wait only 0.1 s: if messages are rare, each one is important
+FEW_WAITING, FEW_FLUSH_S = 16, 0.1  # up to 16 messages wait only 0.1 s: if messages are rare, each one is important
 SYNC_S = 1.0  # s of wall time
-FULL = (errno.ENOSPC, errno.EDQUOT)  # error numbers of a full disk
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)  # error numbers of a full disk
 QOS = (  # QoS profile as rosbag2 stores it: keep the last 10 messages, reliable, volatile
     "- {history: 1, depth: 10, reliability: 1, durability: 2, deadline: {sec: 2147483647, nsec: 4294967295}, "
     "lifespan: {sec: 2147483647, nsec: 4294967295}, liveliness: 1, "
@@ -125,7 +125,7 @@ class LogWriter:
             raise SeatrialError(f"{path}: the file exists already; a log is never overwritten") from error
         except OSError as error:
             text = f"{path}: the log cannot be created: {error.strerror}"
-            raise (DiskFull(text, complete=True) if error.errno in FULL else SeatrialError(text)) from error
+            raise (DiskFull(text, complete=True) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)) from error
         self._syncer = FileSyncer(self._stream)
         self._syncer.start()
         self._failed: SeatrialError | None = None
@@ -207,7 +207,7 @@ class LogWriter:
         n_waiting = self._writer.n_waiting
         if not n_waiting:
             self._waits = now
-        elif now - self._waits >= (FLUSH_S if n_waiting > FEW else FEW_S):
+        elif now - self._waits >= (FLUSH_S if n_waiting > FEW_WAITING else FEW_FLUSH_S):
             self._waits = now
             self.flush()
         if now - self._synced >= SYNC_S:
@@ -290,7 +290,7 @@ class LogWriter:
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
             "free disk space and start a new one"
         )
-        return DiskFull(text, complete) if error.errno in FULL else SeatrialError(text)
+        return DiskFull(text, complete) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)
 
 
 class Output(Protocol):

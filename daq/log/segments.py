@@ -19,7 +19,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.mcap_chunk import Messages
 from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
-SAME = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
+SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
 
 
 def open_raw(path: Path) -> RawLog | SegmentedLog:
@@ -51,7 +51,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
             warnings.append(f"a segment is left out: {error}")
             continue
         raw.close()
-        if all(_about(raw).get(key) == _about(first).get(key) for key in SAME):
+        if all(_about(raw).get(key) == _about(first).get(key) for key in SHARED_METADATA):
             files.append(raw)
             last = number
         else:

@@ -21,8 +21,8 @@ UNITS = {  # unit of each column; daq/samples.py explains the columns
     "sigma_h": "m", "rpm": "rev/min", "current": "A", "voltage": "V", "temperature": "degC", "force": "N", "pwm": "us",
 }  # fmt: skip
 KINDS: tuple[type[Any], ...] = (Ahrs, Gnss, Esc, Command, Servo, LoadCell, Battery, Autopilot, Scalar)
-HELD = (Command, Servo, Autopilot)  # kinds whose values stay constant until the next sample
-CLOCKS = ("t", "t_rx", "t_device", "utc")  # columns that are times; they are not resampled
+HELD_KINDS = (Command, Servo, Autopilot)  # kinds whose values stay constant until the next sample
+TIME_COLUMNS = ("t", "t_rx", "t_device", "utc")  # columns that are times; they are not resampled
 GAP_S = 2.0  # s; over a gap longer than this and than five usual intervals no value is interpolated
 MAX_ROWS = 50_000_000
 
@@ -77,7 +77,7 @@ def log_tables(log: Log) -> Iterator[LogTable]:
                 middle = "" if node is None else f"_{node}"
                 name = source if kind is Scalar else f"{source}{middle}_{kind.__name__.lower()}"
                 units = {column: UNITS[column] for column in rows.dtype.names or () if column in UNITS}
-                held = kind in HELD
+                held = kind in HELD_KINDS
                 if kind is Scalar:
                     units["value"], held = log.unit(source), log.hold(source) in ("zero", "sampled")
                 yield LogTable(name, kind, rows, units, held)
@@ -121,7 +121,7 @@ def resample(log: Log, rate: float) -> Resampled:
     units: dict[str, str] = {}
     for table in tables:
         for column in table.rows.dtype.names or ():
-            if column in CLOCKS:
+            if column in TIME_COLUMNS:
                 continue
             name = table.name if table.kind is Scalar else f"{table.name}_{column}"
             values = table.rows[column].astype(np.float64)

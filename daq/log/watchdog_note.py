@@ -12,8 +12,8 @@ from pathlib import Path
 
 from seatrial.daq.errors import printable
 
-LONGEST = 500  # characters of a note that are read
-NOTE = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # the beginning of every note
+MAX_CHARACTERS = 500  # characters of a note that are read
+NOTE_BEGINNING = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # the beginning of every note
 
 
 def note_path(log: Path) -> Path:
@@ -37,10 +37,10 @@ def read_note(log: Path) -> str:
     """Return the note that a watchdog wrote beside a log, as one line. The text is empty if there is no note."""
     path = note_path(log)
     try:
-        text = path.read_bytes()[: 4 * LONGEST].decode("utf-8", errors="replace") if path.is_file() else ""
+        text = path.read_bytes()[: 4 * MAX_CHARACTERS].decode("utf-8", errors="replace") if path.is_file() else ""
     except OSError:
         return ""
-    return printable(" ".join(text.split())[:LONGEST])
+    return printable(" ".join(text.split())[:MAX_CHARACTERS])
 
 
 def discard_note(log: Path) -> None:
@@ -48,6 +48,6 @@ def discard_note(log: Path) -> None:
 
     A file of the same name that is not the note of a watchdog stays.
     """
-    if NOTE.match(read_note(log)):
+    if NOTE_BEGINNING.match(read_note(log)):
         with contextlib.suppress(OSError):
             note_path(log).unlink()

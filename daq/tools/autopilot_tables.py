@@ -19,16 +19,17 @@ from seatrial.daq.tools.discovery import DiscoveredDevice
 from seatrial.daq.transport import Port, PortError, make_port
 
 # s of wall time: to wait for a heartbeat, to wait for all parameters, and between two rounds of requests
-LISTEN_S, ANSWERS_S, AGAIN_S = 4.0, 6.0, 0.7
-ASK_AS = 253  # system id of the requests; ground stations usually have 255
-LOOP_PART = 0.8  # largest rate of a message over SCHED_LOOP_RATE; the autopilot refuses faster messages
+LISTEN_S, ANSWERS_S, ROUND_S = 4.0, 6.0, 0.7
+REQUEST_SYSTEM_ID = 253  # system id of the requests; ground stations usually have 255
+MAX_RATE_RATIO = 0.8  # largest rate of a message over SCHED_LOOP_RATE; the autopilot refuses faster messages
 RATE_HZ = 25.0  # of the messages of a device
 OUTPUTS_HZ = 50.0  # of the outputs, by a network; a fit knows its inputs only at their samples
 STEERING, THROTTLE = 26.0, 70.0  # SERVOn_FUNCTION
 MOTORS = range(33, 41)  # SERVOn_FUNCTION of ArduSub and ArduCopter
 SIDES = {LEFT: ("left", -0.3), RIGHT: ("right", 0.3)}  # name, and assumed position to starboard [m]
-OF_TABLES = ("BATT_LOW_VOLT", "INS_GYRO_FILTER", "GPS1_POS_X", "GPS1_POS_Y", "GPS1_POS_Z")  # shown as comments
-ENDS = ("MIN", "TRIM", "MAX")
+# Parameters that appear in comments only.
+COMMENTED_PARAMETERS = ("BATT_LOW_VOLT", "INS_GYRO_FILTER", "GPS1_POS_X", "GPS1_POS_Y", "GPS1_POS_Z")
+PULSE_SUFFIXES = ("MIN", "TRIM", "MAX")
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
             begin with the name of the device.
         """
         p = self.parameters
-        loop = LOOP_PART * p.get("SCHED_LOOP_RATE", math.inf)
+        loop = MAX_RATE_RATIO * p.get("SCHED_LOOP_RATE", math.inf)
         own = int(p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS", 255.0)))
         lines = [f"# {self.vehicle}", "[[device]]", f'name = "{name}"', 'protocol = "mavlink"', f'port = "{self.port}"']
         lines += [f"baud = {self.baud}"] if self.baud else []
@@ -140,7 +141,9 @@ class DiscoveredAutopilot(DiscoveredDevice):
 
 def _pulses(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
     """Return the lowest, neutral and highest pulse [us] of a channel or output, with defaults for missing ones."""
-    low, neutral, high = (p.get(f"{prefix}_{end}", us) for end, us in zip(ENDS, (1000.0, 1500.0, 2000.0), strict=True))
+    low, neutral, high = (
+        p.get(f"{prefix}_{end}", us) for end, us in zip(PULSE_SUFFIXES, (1000.0, 1500.0, 2000.0), strict=True)
+    )
     return low, neutral, high
 
 
@@ -200,7 +203,7 @@ class _Listener:
             for name in missing:
                 self._port.write(codec.encode("PARAM_REQUEST_READ", system, 1, name.encode(), -1))
                 self.until(lambda: False, 0.005)
-            self.until(lambda wanted=names: all(name in self.parameters for name in wanted), AGAIN_S)  # type: ignore[misc]
+            self.until(lambda wanted=names: all(name in self.parameters for name in wanted), ROUND_S)  # type: ignore[misc]
 
 
 def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
@@ -241,9 +244,9 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
         vehicle = vehicle_name(listener.heartbeat.autopilot, listener.heartbeat.type)
         system = listener.heartbeat.get_srcSystem()
         if ask and vehicle == ROVER:
-            codec = Codec(ASK_AS, 190)
+            codec = Codec(REQUEST_SYSTEM_ID, 190)
             functions = (f"SERVO{node}_FUNCTION" for node in range(1, 17))
-            listener.ask(codec, system, [*parameter_names(()), *OF_TABLES, *functions])
+            listener.ask(codec, system, [*parameter_names(()), *COMMENTED_PARAMETERS, *functions])
             thrusters = DiscoveredAutopilot(port, "", parameters=listener.parameters).thrusters("")
             listener.ask(codec, system, parameter_names(thrusters))
         t = listener.attitudes

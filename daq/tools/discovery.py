@@ -19,9 +19,9 @@ from seatrial.daq.transport import PortError, SerialPort, list_serial_ports
 
 LISTEN_S = 1.3  # s of wall time at each baud rate; a GNSS receiver sends once a second
 SILENT_S = 2.0  # s; after this time without any byte, other baud rates are not tried
-ENOUGH = 3  # reads with samples that are sufficient for a protocol with checksums
+ENOUGH_READS = 3  # reads with samples that are sufficient for a protocol with checksums
 JUDGED_BYTES = 20  # smallest number of bytes after the first sample for a score from these bytes alone
-LINES = 5  # smallest number of lines without a checksum, or of frames without a sample; fewer may be chance
+MIN_LINES = 5  # smallest number of lines without a checksum, or of frames without a sample; fewer may be chance
 CAN_TYPE = 280  # ARPHRD_CAN, linux/if_arp.h
 SLCAN = "slcan"  # protocol of an adapter to a CAN bus, not of a device
 SLCAN_BAUDS = (115200, 1_000_000)
@@ -101,7 +101,7 @@ class _Listener:
 
         Larger is better. (0, 0) excludes the protocol.
         """
-        if self.samples == 0 or (not self.checked and self.samples < LINES):
+        if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0
         n_bytes, unparsed = self.n_bytes, self.decoder.unparsed_bytes
         if self._joined is not None and n_bytes - self._joined[0] >= JUDGED_BYTES:
@@ -214,7 +214,7 @@ def identify_protocol(
                 path, description, says="silent; devices that send only on request cannot be found", hint=hint
             )
         answered_at.append(baud)
-        framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= LINES]
+        framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= MIN_LINES]
         best = max(candidates, key=_Listener.score, default=None)
         if best is not None and best.score() > (0.0, 0):
             says = "CAN adapter (slcan) with open channel" if best.protocol == SLCAN else types[best.protocol].says
@@ -245,7 +245,7 @@ def _listen(port: SerialPort, candidates: Sequence[_Listener], seconds: float, s
             n_bytes += len(data)
             for candidate in candidates:
                 candidate.feed(data, t)
-            if t - start > 0.3 * seconds and any(c.checked and len(set(c.times)) >= ENOUGH for c in candidates):
+            if t - start > 0.3 * seconds and any(c.checked and len(set(c.times)) >= ENOUGH_READS for c in candidates):
                 break
     finally:
         port.close()

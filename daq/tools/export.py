@@ -14,8 +14,8 @@ from seatrial.daq.files import new_file, require_new
 from seatrial.daq.log import Log, LogTable, Resampled, log_tables, resample
 from seatrial.daq.samples import Scalar
 
-ROWS = 65536  # rows of CSV that are written at a time
-RATE = 10.0  # Hz, default for file formats with one table only
+CSV_BATCH_ROWS = 65536  # rows of CSV that are written at a time
+DEFAULT_RATE_HZ = 10.0  # Hz, default for file formats with one table only
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
@@ -46,7 +46,7 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
         If the log has no samples, a file exists already or cannot be written, or a package is not installed.
     """
     if form not in ("csv", "parquet"):
-        return [export_resampled(log, form, folder, RATE, force)]
+        return [export_resampled(log, form, folder, DEFAULT_RATE_HZ, force)]
     write = _csv if form == "csv" else _parquet()
     written: list[Path] = []
     try:
@@ -184,7 +184,9 @@ def _csv(path: Path, part: LogTable) -> None:
     """Write a table as CSV, with units in the heads and empty cells for NaN."""
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
-    rows = (row for at in range(0, len(part.rows), ROWS) for row in part.rows[at : at + ROWS].tolist())
+    rows = (
+        row for at in range(0, len(part.rows), CSV_BATCH_ROWS) for row in part.rows[at : at + CSV_BATCH_ROWS].tolist()
+    )
     _write_csv(path, heads, (["" if value != value else repr(value) for value in row] for row in rows))
 
 

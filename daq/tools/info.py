@@ -24,13 +24,15 @@ _ABOUT = {  # texts of the metadata that are shown, with their names for the use
     "speed": "run seconds per wall second",
     "import.map": "import.map",
 }
-LONGEST = 2000  # characters of a text that are shown; longer texts are not meant for readers
+MAX_CHARACTERS = 2000  # characters of a text that are shown; longer texts are not meant for readers
 FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetitions become one line
 
 
 def escape(text: str) -> str:
     """Escape the markup in a text of a log, so that the console prints it unchanged. Long texts are shortened."""
-    return markup.escape(text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)")
+    return markup.escape(
+        text if len(text) <= MAX_CHARACTERS else f"{text[:MAX_CHARACTERS]}... ({len(text)} characters)"
+    )
 
 
 def show_log(log: Log, console: Console) -> None:

@@ -29,11 +29,12 @@ FIRST_LINE_S = 0.5  # s of wall time before the first line
 STALE_PERIODS = 5.0  # expected periods
 STALE_S = 1.0  # s of the run clock
 STALE_WALL_S = 0.25  # s of wall time
-SELDOM = 3.0  # factor of this time for a device with several kinds: fixes and batteries have lower rates than rate_hz
+# Factor of this time for a device with several kinds of samples: fixes and batteries have lower rates than rate_hz.
+SEVERAL_KINDS_FACTOR = 3.0
 NO_ANSWER = "the acquisition does not answer"
 RATE_TOLERANCE = 0.1  # relative difference from the expected rate beyond which a rate is highlighted
-WIDE = 110  # characters; a narrower terminal shows fewer columns
-FIX = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
+WIDE_CHARACTERS = 110  # characters; a narrower terminal shows fewer columns
+FIX_NAMES = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
 # Each state has a word besides its colour. Blue and orange are distinguishable with most colour blindness.
 GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
 ALARM = "bold white on red"
@@ -122,7 +123,7 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
         Time of the run clock [s since 1970].
     """
     status, answers = _update_ages(status, rig, now)
-    wide = width >= WIDE
+    wide = width >= WIDE_CHARACTERS
     rows = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style="bold")
     columns = ["device", "rate/Hz", "of", "age/s", "frames", "errors", "latest"]
     if wide:
@@ -170,7 +171,7 @@ def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
     text, age = describe(latest.sample, rig, port.name), status.t - latest.t
     kinds, nodes = senders(status, port.name)
     rate = port.expected if source[1] is None else port.expected / nodes
-    seldom = SELDOM if kinds > 1 or source[0] != port.name else 1.0
+    seldom = SEVERAL_KINDS_FACTOR if kinds > 1 or source[0] != port.name else 1.0
     stale = age > seldom * _stale_after(rate, rig.speed)
     # An autopilot without a fix repeats its last message, and a repetition is no new sample: it is not stale.
     waits = isinstance(latest.sample, Gnss) and latest.sample.fix == 0 and not _is_silent(port, rig.speed)
@@ -244,7 +245,7 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
             ("pitch", math.degrees(sample.pitch), ".1f", "°"),
         )
     if isinstance(sample, Gnss):
-        fix = FIX[sample.fix] if 0 <= sample.fix < len(FIX) else f"fix {sample.fix}"
+        fix = FIX_NAMES[sample.fix] if 0 <= sample.fix < len(FIX_NAMES) else f"fix {sample.fix}"
         fix += " 2D" if sample.fix > 2 and sample.dimensions == 2 else ""
         satellites = f"{sample.n_sat} sat " if sample.n_sat >= 0 else ""
         velocity_and_position = _join(

@@ -30,7 +30,9 @@ WAIT_S = 0.05  # s between two checks
 READ_BYTES = 65536
 Chunk = tuple[float, str, bytes]  # time [s since 1970], device, bytes
 RIG = "replay.toml"
-HEAD = "# Written by `seatrial replay`, and deleted when it ends: the rig of the log with the ports of the replay.\n"
+RIG_HEADER = (
+    "# Written by `seatrial replay`, and deleted when it ends: the rig of the log with the ports of the replay.\n"
+)
 
 
 def replay_log(
@@ -328,4 +330,4 @@ def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
         document.pop(key, None)
     document["clock"] = {"speed": speed}
     document["log"] = {**document.get("log", {}), "directory": str(log.path.parent.absolute())}
-    return HEAD + tomlkit.dumps(document)
+    return RIG_HEADER + tomlkit.dumps(document)

@@ -28,15 +28,15 @@ from seatrial.daq.rig import Rig
 from seatrial.daq.samples import NAN, Ahrs, Frame
 from seatrial.daq.tools.ros_export import rep_103_imu, ros_topic, ros_types
 
-NODE = "seatrial"
-COMMAND = "std_msgs/msg/Float64"
+NODE_NAME = "seatrial"
+COMMAND_TYPE = "std_msgs/msg/Float64"
 QOS = "::,10:,:,:,,"  # defaults of rmw_zenoh (reliable, volatile) with the depth 10 of ROS 2
-THREAD = "ROS 2"  # command_line.main does not wait for a thread of this name
-QUEUE = 5_000  # largest number of samples that wait for publication
+THREAD_NAME = "ROS 2"  # command_line.main does not wait for a thread of this name
+QUEUE_SAMPLES = 5_000  # largest number of samples that wait for publication
 FLOOD = 512  # largest number of commands of a thruster between two calls of `take`, which happen every 20 ms
-LARGEST = 65_536  # bytes; larger messages are not received
+MAX_MESSAGE_BYTES = 65_536  # bytes; larger messages are not received
 ATTACHMENT = struct.Struct("<qqB16s")  # of rmw_zenoh: sequence number, time of sending [ns], bytes of the id, the id
-DRIFT = 5e-4  # s/s, largest drift between two clocks: NTP changes the rate of a clock at most so much
+MAX_CLOCK_DRIFT = 5e-4  # s/s, largest drift between two clocks: NTP changes the rate of a clock at most so much
 # s of wall time: waiting for samples, between two connections, between two checks of the router, for the end.
 WAIT_S, RETRY_S, CONNECTED_S, END_S = 0.05, 1.0, 0.5, 1.0
 _ROS2 = "live ROS 2 needs the packages eclipse-zenoh and rosbags: pip install 'seatrial[ros2]'"
@@ -84,7 +84,7 @@ class LateCommands:
             return False
         difference = now - command.sent
         least, at = self._least.get(command.sender, (difference, now))
-        least = min(difference, least + DRIFT * (now - at))
+        least = min(difference, least + MAX_CLOCK_DRIFT * (now - at))
         self._least[command.sender] = least, now
         late = difference - least > self._allowed
         self.number += late
@@ -109,7 +109,7 @@ class Ros2Node:
         self._ros2, self._thrusters = rig.ros2, thrusters
         self._queue: deque[StreamedSample] = deque()
         self._filled, self._ending = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=THREAD_NAME, daemon=True)
         self._session: Any = None
         self._entities = itertools.count(1)
         self._tokens: list[Any] = []
@@ -150,7 +150,7 @@ class Ros2Node:
             Total number of samples that were lost before this queue.
         """
         self._dropped_before = dropped
-        room = max(QUEUE - len(self._queue), 0)
+        room = max(QUEUE_SAMPLES - len(self._queue), 0)
         self._queue.extend(samples[:room])
         self._lost += len(samples[room:])
         self._filled.set()
@@ -213,7 +213,7 @@ class Ros2Node:
             "connect": {"endpoints": [self._ros2.router], "timeout_ms": 0},
             "listen": {"endpoints": []},
             "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-            "transport": {"link": {"rx": {"max_message_size": LARGEST}}},
+            "transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE_BYTES}}},
         })  # fmt: skip
 
     def _declare(self) -> None:
@@ -223,9 +223,9 @@ class Ros2Node:
         for name in self._thrusters:
             topic = self._topic(f"/thrusters/{name}/command")
             # ROS 2 Humble has no type hashes: accept any text in the place of the hash.
-            key = f"{self._ros2.domain}{topic}/{_dds(COMMAND)}/*"
+            key = f"{self._ros2.domain}{topic}/{_dds(COMMAND_TYPE)}/*"
             self._subscribers[name] = self._session.declare_subscriber(key, self._zenoh.handlers.RingChannel(FLOOD))
-            self._token("MS", next(self._entities), topic, COMMAND)
+            self._token("MS", next(self._entities), topic, COMMAND_TYPE)
 
     def _token(self, kind: str, entity: int, topic: str = "", type_name: str = "") -> str:
         """Declare a node or an endpoint in the ROS 2 graph, and return its key expression.
@@ -234,7 +234,7 @@ class Ros2Node:
         """
         space = self._ros2.namespace and f"/{self._ros2.namespace}"
         parts = ["@ros2_lv", str(self._ros2.domain), str(self._session.info.zid()), "0", str(entity), kind]
-        parts += ["%", space.replace("/", "%") or "%", NODE]
+        parts += ["%", space.replace("/", "%") or "%", NODE_NAME]
         if topic:
             parts += [topic.replace("/", "%"), _dds(type_name), self._types.hash_rihs01(type_name), QOS]
         key = "/".join(parts)

@@ -20,7 +20,7 @@ from seatrial.daq import cli
 from seatrial.daq.checks.device_checks import check_devices
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.cdr import NANO, cdr_layout
-from seatrial.daq.log.mcap_chunk import MAX_CHUNK, scan
+from seatrial.daq.log.mcap_chunk import MAX_CHUNK_BYTES, scan
 from seatrial.daq.log.mcap_reader import RawLog
 from seatrial.daq.log.mcap_writer import LogWriter
 from seatrial.daq.log.reader import open_log
@@ -336,7 +336,7 @@ def test_records_beside_the_messages_are_bounded(tmp_path: Path, monkeypatch: py
     log.event(T0, "mark", "x")
     log.close()
     assert set(open_log(path).attachments) == {"rig.toml", "huge.bin", "small.txt"}
-    monkeypatch.setattr("seatrial.daq.log.mcap_reader.MAX_HELD", 200_000)
+    monkeypatch.setattr("seatrial.daq.log.mcap_reader.MAX_HELD_BYTES", 200_000)
     for data in (path.read_bytes(), path.read_bytes()[:-20]):
         path.write_bytes(data)
         with open_log(path) as opened:
@@ -371,7 +371,7 @@ def record(opcode: int, content: bytes) -> bytes:
 
 def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path: Path) -> None:
     """62 kB: ten chunks of seven million records without content each, which took more than a minute."""
-    plain = record(0x80, b"") * (MAX_CHUNK // RECORD.size)
+    plain = record(0x80, b"") * (MAX_CHUNK_BYTES // RECORD.size)
     packed = zstandard.ZstdCompressor().compress(plain)
     head = struct.pack("<QQQII", 0, 9, len(plain), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
     header = record(1, struct.pack("<II", 0, 0))

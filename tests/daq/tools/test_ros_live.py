@@ -165,7 +165,7 @@ def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
             wait_for(lambda: node.connected, what="the router again")
             node.put(STREAM, 3)
             wait_for(lambda: node.published == 44, what="all messages")
-    monkeypatch.setattr(ros_live, "QUEUE", 20)
+    monkeypatch.setattr(ros_live, "QUEUE_SAMPLES", 20)
     node.put(STREAM, 3)  # its thread has ended: nothing is taken out any more
     node.put(STREAM, 3)
     assert "47 samples could not be published" in node.summary()
