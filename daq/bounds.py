@@ -1,13 +1,13 @@
-"""Bounds for commands that read files of others: a child process with limits of memory, processor time and disk.
+"""Resource limits for commands that read files from strangers: a child process with limited memory, time and disk.
 
-A file of some kilobytes can ask for gigabytes, for minutes, or for an endless search: by a length that is not true, by
-data that is compressed thousands of times, or by a fault in a library that reads it. The command therefore continues in
-a child process (`continue_in_child`). The parent process only waits, passes signals on, watches the disk, and removes
-what a killed child has left. The limits grow with the size of the files, so a large log is read as it always was. The
-child has the terminal of its parent: progress and error lines are those of a command without a child.
+A file of some kilobytes can cause a reader to use gigabytes of memory or minutes of time. Possible causes are a false
+length in the file, data with an extreme compression ratio, and faults in the libraries that read the file. Therefore
+the command continues in a child process (`continue_in_child`). The parent process waits, forwards signals, monitors
+the disk, and deletes the scratch files of a killed child. The limits grow with the size of the files, so that large
+logs can be read. The child uses the terminal of its parent: the user sees the same output as without a child.
 
-Limits of a process are those of setrlimit(2). The disk is also watched from outside, because RLIMIT_FSIZE holds for
-each file alone.
+The limits of the process are set by setrlimit(2). The parent also monitors the disk, because RLIMIT_FSIZE limits only
+the size of each single file.
 """
 
 from __future__ import annotations
@@ -35,55 +35,64 @@ import click
 from seatrial.daq.errors import SeatrialError, printable
 from seatrial.daq.files import report_scratch_to, require_file
 
-# What a command may take without a file, and in addition for each byte of the files.
-# A table of 110 MB took 12 bytes of memory and 0.6 us of processor time for each of its bytes.
-# The import of one of 21 MB took 10 to 11 s with the limits and without them.
+# Limits of a command without files, and additional amounts for each byte of the files.
+# Measured: a table of 110 MB needed 12 bytes of memory and 0.6 us of processor time for each of its bytes.
+# The import of a table of 21 MB took 10 to 11 s both with and without the limits.
 MEMORY_BYTES, MEMORY_RATIO = 1_900_000_000, 64
 CPU_S, CPU_S_PER_BYTE = 15.0, 20e-6
 DISK_BYTES, DISK_RATIO = 256 << 20, 64
-GRACE_S = 2  # of processor time between the signal that ends a command in good order and the one that kills it
-WATCH_S = 0.1  # wall, between two looks at the disk
-REPEAT_S = 1.0  # wall; a second Ctrl-C within this is the same one, which came by the parent
-MAX_FILES = 10_000  # of a folder, that are looked at
-ADVICE = "it is damaged, or made to do harm; --trust-file reads it without limits"
+GRACE_S = 2  # s of processor time between the signal that ends a command with a message and the signal that kills it
+WATCH_S = 0.1  # s of wall time between two checks of the disk
+REPEAT_S = 1.0  # s of wall time; a second SIGINT within this time is the same Ctrl-C, forwarded by the parent
+MAX_FILES = 10_000  # largest number of files in a folder
+ADVICE = "the file is damaged or malicious; --trust-file reads it without limits"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Bounds(NamedTuple):
-    """Limits of one command, and the file that is named where one is reached."""
+    """Resource limits of one command."""
 
-    path: Path
+    path: Path  # file that the error messages name
     memory: int  # bytes of address space
-    cpu_s: int
-    disk: int  # bytes of all that it writes to the temporary folder, and of each file elsewhere
+    cpu_s: int  # s of processor time
+    disk: int  # bytes; limit of all files in the temporary folder together, and of each single file elsewhere
 
 
-_enabled = False  # whether this process is the command itself, and no test or program that calls it
-_bounds: Bounds | None = None  # those of this process, where it is the child
+_enabled = False  # whether this process is the command itself, not a test or a program that calls its functions
+_bounds: Bounds | None = None  # limits of this process; None if this process is not a child
 
 
 def enable() -> None:
-    """Let commands of this process continue in a child. A program that only calls their functions stays as it is."""
+    """Allow the commands of this process to continue in a child process.
+
+    Only the command-line program calls this. Programs that call the functions of the commands are not limited.
+    """
     global _enabled
     _enabled = True
 
 
 def require_files(path: Path) -> None:
-    """Raise SeatrialError where a path, or anything in the folder that it is, is no regular file."""
+    """Check that a path is a regular file, or a folder that contains regular files only.
+
+    Raises
+    ------
+    SeatrialError
+        If a file is not regular, or if the folder has too many files.
+    """
     for file in _files(path):
         require_file(file)
 
 
 def _files(path: Path) -> Iterator[Path]:
-    """The file itself, or what is in a folder and its folders, links to folders not followed."""
+    """Yield the file itself, or all files in a folder and its subfolders. Links to folders are not followed."""
     if not path.is_dir():
         yield path
         return
-    n = 0
+    n_files = 0
     for folder, _, names in os.walk(path):
         for name in names:
-            n += 1
-            if n > MAX_FILES:
+            n_files += 1
+            if n_files > MAX_FILES:
                 raise SeatrialError(f"{path}: is a folder of more than {MAX_FILES} files; name the file to read")
             yield Path(folder, name)
 
@@ -91,22 +100,24 @@ def _files(path: Path) -> Iterator[Path]:
 def bounded(
     *names: str, when: Callable[[dict[str, Any]], bool] = lambda _: True
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a click command that reads foreign files: it runs in a bounded child, but for `--trust-file`.
+    """Return a decorator for click commands that read files from strangers. The command runs in a limited child.
+
+    The decorator adds the option `--trust-file`, which turns the limits off.
 
     Parameters
     ----------
     names
-        The parameters of the command that are files to read: paths, tuples of paths, or None.
+        Names of the parameters of the command that are files to read: paths, tuples of paths, or None.
     when
-        Whether the command is one that reads foreign files, by its parameters.
+        Function that returns whether the limits apply, from the parameters of the command by name.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(command)
         def run(*args: Any, trust_file: bool, **options: Any) -> Any:
             if _enabled and not trust_file and when(options):
-                given = (options[name] for name in names)
-                paths = [path for one in given for path in (one if isinstance(one, tuple) else (one,)) if path]
+                values = (options[name] for name in names)
+                paths = [path for value in values for path in (value if isinstance(value, tuple) else (value,)) if path]
                 continue_in_child(paths)
             return command(*args, **options)
 
@@ -117,10 +128,20 @@ def bounded(
 
 
 def continue_in_child(paths: Sequence[Path]) -> None:
-    """Return in a new child process that has the limits of these files.
+    """Continue the program in a new child process with limits for these files.
 
-    In the parent this never returns: it waits for the child and leaves with the child's exit status. Raises
-    SeatrialError there where the child was ended by a limit or crashed.
+    This function returns in the child only. The parent waits for the child, and ends with the exit status of the
+    child.
+
+    Parameters
+    ----------
+    paths
+        Files and folders that the command reads. The limits depend on their size.
+
+    Raises
+    ------
+    SeatrialError
+        If a path is not a regular file. In the parent also if a limit ended the child, or if the child crashed.
     """
     for path in paths:
         require_files(path)
@@ -132,8 +153,8 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     scratch = tempfile.mkdtemp(prefix="seatrial-")
-    told, reports = os.pipe()
-    child, early = 0, list[int]()
+    incoming, reports = os.pipe()  # names of scratch files, from the child to the parent
+    child, early = 0, list[int]()  # `early`: signals before the child existed
 
     def forward(number: int, frame: FrameType | None) -> None:
         early.append(number)
@@ -147,34 +168,35 @@ def continue_in_child(paths: Sequence[Path]) -> None:
             signal.signal(number, forward)
     child = os.fork()
     if child == 0:
-        os.close(told)
+        os.close(incoming)
         for number, handler in before.items():
             signal.signal(number, handler)
         _become_child(bounds, scratch, reports)
-        for missed in early:  # signals that came before there was a child to send them to
+        for missed in early:  # signals that arrived before the child existed
             os.kill(os.getpid(), missed)
         return
     os.close(reports)
     try:
-        _wait(child, told, bounds, Path(scratch))
+        _wait(child, incoming, bounds, Path(scratch))
     finally:
-        os.close(told)
+        os.close(incoming)
         shutil.rmtree(scratch, ignore_errors=True)
 
 
 def _segments(path: Path) -> Iterator[Path]:
-    """The later segments of a log, and the logs of a database, which are read with it."""
+    """Yield the files that are read together with a file: later segments of a log, or journals of a database."""
     if path.suffix == ".db3":
-        yield from (one for end in ("-wal", "-journal") if (one := Path(f"{path}{end}")).is_file())
+        yield from (journal for end in ("-wal", "-journal") if (journal := Path(f"{path}{end}")).is_file())
     if path.suffix == ".mcap":
         yield from path.parent.glob(f"{glob.escape(path.stem)}.*{path.suffix}")
 
 
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
+    """Set the limits, the signal handlers and the temporary folder of the child process."""
     global _bounds
     _bounds = bounds
     report_scratch_to(reports)
-    with contextlib.suppress(ImportError, OSError, AttributeError):  # Linux: end with the parent, however that ends
+    with contextlib.suppress(ImportError, OSError, AttributeError):  # on Linux: end when the parent ends for any reason
         import ctypes
 
         ctypes.CDLL(None).prctl(1, signal.SIGKILL, 0, 0, 0)  # PR_SET_PDEATHSIG
@@ -195,7 +217,11 @@ def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
 
 
 def _interrupt_once() -> Callable[[int, FrameType | None], None]:
-    """A Ctrl-C reaches the child from the terminal and from its parent; a second must not interrupt the cleaning up."""
+    """Return a signal handler for SIGINT that ignores repetitions.
+
+    A Ctrl-C reaches the child twice, from the terminal and from its parent. The second signal must not interrupt the
+    clean-up.
+    """
     last = -REPEAT_S
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -209,44 +235,64 @@ def _interrupt_once() -> Callable[[int, FrameType | None], None]:
 
 
 def _too_slow(number: int, frame: FrameType | None) -> NoReturn:
+    """Handle SIGXCPU: raise the error of the limit of processor time."""
     assert _bounds is not None
-    signal.signal(number, signal.SIG_IGN)  # what it says is said once; the hard limit follows
-    raise SeatrialError(_of_time(_bounds))
+    signal.signal(number, signal.SIG_IGN)  # raise this error only once; the hard limit kills the process later
+    raise SeatrialError(_time_message(_bounds))
 
 
-def _of_time(bounds: Bounds) -> str:
+def _time_message(bounds: Bounds) -> str:
     return f"{bounds.path}: reading it took more than {bounds.cpu_s} s of processor time: {ADVICE}"
 
 
-def _of_disk(bounds: Bounds) -> str:
+def _disk_message(bounds: Bounds) -> str:
     return f"{bounds.path}: reading it wrote more than {bounds.disk / 1e6:.0f} MB to the disk: {ADVICE}"
 
 
 def exceeded(error: BaseException) -> str:
-    """Return the line for an error that a limit of this process has caused; "" where there is no such limit."""
+    """Return the error message of a limit if a limit of this process caused an error; otherwise an empty text."""
     if _bounds is None:
         return ""
     cause: BaseException | None = error
-    while cause is not None:  # a reader may have said in its own words what the limit has caused
+    while cause is not None:  # a reader may have replaced the original error by an error of its own
         if isinstance(cause, MemoryError):
             return f"{_bounds.path}: reading it took more than {_bounds.memory / 1e9:.1f} GB of memory: {ADVICE}"
         if isinstance(cause, OSError) and cause.errno == errno.EFBIG:
-            return _of_disk(_bounds)
+            return _disk_message(_bounds)
         cause = cause.__cause__
     return ""
 
 
-def _wait(child: int, told: int, bounds: Bounds, scratch: Path) -> NoReturn:
-    """Wait for the child and leave with its status. Raises SeatrialError where it was killed."""
-    made, full = b"", False
+def _wait(child: int, incoming: int, bounds: Bounds, scratch: Path) -> NoReturn:
+    """Wait until the child ends, delete the scratch files of a killed child, and end with its exit status.
+
+    Parameters
+    ----------
+    child
+        Process id of the child.
+    incoming
+        Pipe on which the child reports the names of its scratch files.
+    bounds
+        Limits of the child.
+    scratch
+        Temporary folder of the child.
+
+    Raises
+    ------
+    click.exceptions.Exit
+        With the exit status of the child.
+    SeatrialError
+        If a limit ended the child, or if the child crashed.
+    """
+    created, full = b"", False
     poll = select.poll()
-    poll.register(told, select.POLLIN)
+    poll.register(incoming, select.POLLIN)
     while True:
         if poll.poll(1000 * WATCH_S):
-            block = os.read(told, 1 << 16)
+            block = os.read(incoming, 1 << 16)
             if not block:  # the child has ended
                 break
-            made += block
+            created += block
         elif _used(scratch) > bounds.disk:
             full = True
             os.kill(child, signal.SIGKILL)
@@ -254,29 +300,29 @@ def _wait(child: int, told: int, bounds: Bounds, scratch: Path) -> NoReturn:
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     if status >= 0:
         raise click.exceptions.Exit(status)
-    for left in filter(None, made.split(b"\0")):
+    for left in filter(None, created.split(b"\0")):
         with contextlib.suppress(OSError):
             if stat.S_ISREG(os.lstat(left).st_mode):
                 os.unlink(left)
     number = -status
     if full:
-        raise SeatrialError(_of_disk(bounds))
-    if number in SIGNALS:  # somebody has ended the command: this process ends likewise
+        raise SeatrialError(_disk_message(bounds))
+    if number in SIGNALS:  # the user or the system has ended the command: this process ends by the same signal
         shutil.rmtree(scratch, ignore_errors=True)
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     if number in (signal.SIGXCPU, signal.SIGKILL) and used.ru_utime + used.ru_stime >= bounds.cpu_s:
-        raise SeatrialError(_of_time(bounds))
+        raise SeatrialError(_time_message(bounds))
     name = signal.Signals(number).name if number in signal.valid_signals() else f"signal {number}"
     raise SeatrialError(f"{printable(str(bounds.path))}: the reader of the file was ended by {name}: {ADVICE}")
 
 
 def _used(folder: Path) -> int:
-    """Bytes on the disk of all that is in a folder."""
+    """Return the number of bytes on the disk that the files in a folder and its subfolders use."""
     used = 0
     for place, _, names in os.walk(folder):
         for name in names:
-            with contextlib.suppress(OSError):  # it is gone by now
+            with contextlib.suppress(OSError):  # the file has been deleted in the meantime
                 used += 512 * os.lstat(os.path.join(place, name)).st_blocks
     return used

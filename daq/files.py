@@ -1,8 +1,8 @@
-"""Files: regular files to read, and one writer for every output.
+"""Checks of files before reading, and the writer of all output files.
 
-The writer makes a new scratch file beside the output and renames it when it is complete. It follows no symbolic link:
-one that somebody has planted under the name of an output would otherwise lead the output to any place. What is no
-regular file is never replaced.
+The writer creates a scratch file beside the output, and renames it when it is complete. It does not follow symbolic
+links. Otherwise an attacker could create a link with the name of an output, and so redirect the output to any file.
+Folders, pipes, devices and other special files are never replaced.
 """
 
 from __future__ import annotations
@@ -18,13 +18,23 @@ from typing import IO
 
 from seatrial.daq.errors import SeatrialError
 
-_reports = -1  # a pipe to the parent process of a bounded command, which removes scratch files of a killed child
+# Descriptor of a pipe to the parent process of a bounded command; the parent deletes the scratch files of a killed
+# child. -1 in other processes.
+_reports = -1
 
 
 def require_file(path: Path) -> None:
-    """Raise SeatrialError where a path is no regular file: a named pipe would wait for its writer, a device never ends.
+    """Check that a path is a regular file. No byte is read.
 
-    The path is opened without waiting and looked at before anything is read.
+    Raises
+    ------
+    SeatrialError
+        If the path is not a regular file or cannot be opened.
+
+    Notes
+    -----
+    A reader of a named pipe would wait for a writer, and a device may never end. The path is therefore opened without
+    waiting.
     """
     try:
         opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
@@ -40,41 +50,63 @@ def require_file(path: Path) -> None:
 
 
 def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
-    """Raise SeatrialError where an output cannot be made at a path.
+    """Check that an output may be created at a path.
 
     Parameters
     ----------
     path
         The output.
     force
-        Whether a regular file there may be replaced.
+        Whether an existing regular file may be replaced.
     option
-        The option that names another output, for the message.
+        The command-line option that names another output, for the error message.
+
+    Raises
+    ------
+    SeatrialError
+        If the path is a symbolic link or a special file, or if it is an existing file and `force` is false.
     """
     try:
         mode = os.lstat(path).st_mode
-    except OSError:  # what else is wrong with the path, the writer finds
+    except OSError:  # the path does not exist, or the writer will report the error
         return
     if stat.S_ISLNK(mode):
-        raise SeatrialError(f"{path}: is a symbolic link, and outputs follow none; remove it, or name another output")
+        raise SeatrialError(
+            f"{path}: is a symbolic link, and outputs follow no links; remove it, or name another output"
+        )
     if not stat.S_ISREG(mode):
-        raise SeatrialError(f"{path}: is there, and is not a file; name another output")
+        raise SeatrialError(f"{path}: exists already and is not a regular file; name another output")
     if not force:
         raise SeatrialError(f"{path}: the file exists already; --force replaces it, {option} names another")
 
 
 @contextlib.contextmanager
 def new_file(path: Path, force: bool = True) -> Iterator[Path]:
-    """Yield a scratch path beside `path`, which becomes `path` when the block ends well and is removed otherwise.
+    """Yield the path of a scratch file beside an output, for a `with` block that writes it.
 
-    Raises SeatrialError as `require_new` does, and OSError with the name of `path` where the disk refuses.
+    At the end of the block the scratch file gets the name of the output. If the block raises an error, the scratch
+    file is deleted.
+
+    Parameters
+    ----------
+    path
+        The output.
+    force
+        Whether an existing regular file may be replaced.
+
+    Raises
+    ------
+    SeatrialError
+        If the output may not be created (see `require_new`).
+    OSError
+        If the output cannot be written. The error has the name of the output, not of the scratch file.
     """
     require_new(path, force)
-    scratch = path.with_name(f".{path.name[:200]}.{secrets.token_hex(8)}.part")  # a name that nobody can plant
+    scratch = path.with_name(f".{path.name[:200]}.{secrets.token_hex(8)}.part")  # random: nobody can guess the name
     note_scratch(scratch)
     try:
         yield scratch
-        require_new(path, force)  # the block may have taken minutes
+        require_new(path, force)  # again, because the block may have taken minutes
         if force:
             os.replace(scratch, path)
         else:
@@ -89,17 +121,34 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
 
 
 def _link(scratch: Path, path: Path) -> None:
-    """Give a complete file its name, which nothing has got in the meantime."""
+    """Rename a complete scratch file. Fail if a file of the new name has been created in the meantime."""
     try:
         os.link(scratch, path)
     except OSError as error:
         if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
-        os.rename(scratch, path)  # a memory stick has no hard links
+        os.rename(scratch, path)  # file systems of memory sticks have no hard links
 
 
 def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
-    """Write a whole output: text as UTF-8 with its line ends as they are. Raises as `new_file` does."""
+    """Write a whole output. Text is encoded as UTF-8, and its line ends are not changed.
+
+    Parameters
+    ----------
+    path
+        The output.
+    content
+        Text or bytes.
+    force
+        Whether an existing regular file may be replaced.
+
+    Raises
+    ------
+    SeatrialError
+        If the output may not be created (see `require_new`).
+    OSError
+        If the output cannot be written.
+    """
     with new_file(path, force) as scratch:
         opened = os.open(scratch, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
         with os.fdopen(opened, "wb") as file:
@@ -107,19 +156,27 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
 
 
 def append_to(path: Path) -> IO[str]:
-    """Open an output to append UTF-8 text. Raises SeatrialError where it is a link or no file, OSError otherwise."""
+    """Open an output for appending UTF-8 text.
+
+    Raises
+    ------
+    SeatrialError
+        If the path is a symbolic link or a special file.
+    OSError
+        If the file cannot be opened.
+    """
     require_new(path, force=True)
     opened = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
     return os.fdopen(opened, "a", encoding="utf-8")
 
 
 def report_scratch_to(pipe: int) -> None:
-    """Name scratch files on this pipe from now on (see `seatrial.daq.bounds`)."""
+    """Report the names of all later scratch files on a pipe, given by its file descriptor (see `daq.bounds`)."""
     global _reports
     _reports = pipe
 
 
 def note_scratch(path: Path) -> None:
-    """Name a file that has to be removed where this process is killed before it has removed or renamed it."""
+    """Report a scratch file, which the parent process deletes if this process is killed. Without a pipe do nothing."""
     if _reports >= 0:
         os.write(_reports, os.fsencode(path.absolute()) + b"\0")

@@ -1,13 +1,15 @@
-"""Protocols, effects and models that other installed packages add by entry points.
+"""Plugins: protocols, effects and models that other installed packages add by entry points.
 
-A package of a lab names its objects in its own pyproject.toml:
+The package of a laboratory names its objects in its own pyproject.toml:
 
     [project.entry-points."seatrial.protocols"]
     os5000 = "lab_boat.os5000:DEVICE"
 
-Groups: `seatrial.protocols` (`seatrial.daq.protocol.DeviceType`), `seatrial.effects` (`seatrial.ident.model.Effect`,
-a sequence of them, or a module that defines EFFECT or EFFECTS) and `seatrial.models` (a function that returns a
-`seatrial.ident.model.Model`).
+Groups of entry points, and the objects that they name:
+
+- `seatrial.protocols`: a `seatrial.daq.protocol.DeviceType`.
+- `seatrial.effects`: a `seatrial.ident.model.Effect`, a sequence of effects, or a module with EFFECT or EFFECTS.
+- `seatrial.models`: a function that returns a `seatrial.ident.model.Model`.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ T = TypeVar("T")
 
 @cache
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name; no code of the other packages is imported.
+    """Return the entry points of a group by name. No code of the other packages is imported.
 
     Raises
     ------
@@ -53,7 +55,7 @@ def load_plugin(point: EntryPoint, kind: type[T]) -> T:
     place = f"{point.name!r} of the package {_package(point)} ({point.value})"
     try:
         loaded = point.load()
-    except Exception as error:  # code of others may raise anything
+    except Exception as error:  # code of other packages may raise any exception
         raise SeatrialError(f"{place} cannot be imported: {type(error).__name__}: {error}") from error
     if not isinstance(loaded, kind):
         raise SeatrialError(f"{place} has the type {type(loaded).__name__}; {point.group} needs a {kind.__name__}")
@@ -61,9 +63,9 @@ def load_plugin(point: EntryPoint, kind: type[T]) -> T:
 
 
 def load_or_warn(point: EntryPoint, kind: type[T]) -> T | None:
-    """Import the object that an entry point names, or warn and return None if that fails.
+    """Import the object that an entry point names. If that fails, warn and return None.
 
-    For lists of all protocols or effects: one broken package must not hide the others.
+    This function is for lists of all protocols or effects, in which a broken package must not hide the other packages.
     """
     try:
         return load_plugin(point, kind)
@@ -73,5 +75,5 @@ def load_or_warn(point: EntryPoint, kind: type[T]) -> T | None:
 
 
 def _package(point: EntryPoint) -> str:
-    """Return name and version of the package that an entry point belongs to."""
+    """Return name and version of the package of an entry point."""
     return f"{point.dist.name} {point.dist.version}" if point.dist is not None else "unknown"

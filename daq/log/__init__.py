@@ -1,4 +1,4 @@
-"""The log: samples to MCAP and back, segments, recovery, provenance."""
+"""Logs: writing samples to MCAP files and reading them back, segments, recovery and provenance."""
 
 import lazy_loader
 

@@ -1,8 +1,9 @@
-"""CDR (little endian, XCDR1) of the messages in daq/msg: layouts from the definitions, packing, unpacking.
+"""CDR encoding (little endian, XCDR1) of the messages in daq/msg: layouts, packing and unpacking.
 
-A message is a fixed-size part and then, for a few types, strings or bytes. The header's `frame_id` counts as fixed,
-since a channel never changes it; so one precompiled `struct` writes that part and one numpy dtype reads it.
-Source: OMG DDS-XTypes 1.3, 7.4.1 (PLAIN_CDR); alignment counts from behind the four encapsulation bytes.
+The layouts are derived from the message definitions. A message consists of a part of fixed size and, for a few types,
+of strings or bytes after it. The `frame_id` of the header belongs to the fixed part, because a channel never changes
+its `frame_id`. One precompiled `struct` therefore writes the fixed part, and one numpy dtype reads it.
+Source: OMG DDS-XTypes 1.3, 7.4.1 (PLAIN_CDR). Alignment counts from the first byte after the four encapsulation bytes.
 """
 
 from __future__ import annotations
@@ -33,21 +34,21 @@ HEAD = np.dtype(
 
 
 class Field(NamedTuple):
-    """One flattened field: dotted name, primitive type, length (0: variable)."""
+    """Field of a message type after nested types have been expanded."""
 
-    name: str
-    primitive: str
-    length: int = 1
+    name: str  # dotted, such as "header.stamp.sec"
+    primitive: str  # type of one element
+    length: int = 1  # elements of an array; 0 for a sequence of variable length
 
     @property
     def variable(self) -> bool:
-        """Whether its size differs from message to message."""
+        """Return whether the size of the field differs from message to message."""
         return self.primitive == "string" or self.length == 0
 
 
 @cache
 def definition(type_name: str) -> str:
-    """The text of a `package/msg/Name` from daq/msg."""
+    """Return the text of the definition of a type `package/msg/Name` from daq/msg."""
     package, _, name = type_name.split("/")
     return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 
@@ -64,20 +65,31 @@ def _nested(kind: str) -> str | None:
 
 @cache
 def full_definition(type_name: str) -> str:
-    """The definition with all it depends on, as the `ros2msg` encoding wants it."""
-    parts, todo, seen = [definition(type_name)], [type_name], {type_name}
-    while todo:
-        for kind, _ in _fields(todo.pop(0)):
+    """Return the definition of a type and of all types that it uses, in the `ros2msg` schema encoding of MCAP.
+
+    Parameters
+    ----------
+    type_name
+        Name of the type, `package/msg/Name`.
+
+    Returns
+    -------
+    str
+        The definitions, separated by lines of 80 "=".
+    """
+    parts, pending, seen = [definition(type_name)], [type_name], {type_name}
+    while pending:
+        for kind, _ in _fields(pending.pop(0)):
             nested = _nested(kind)
             if nested is not None and nested not in seen:
                 seen.add(nested)
-                todo.append(nested)
+                pending.append(nested)
                 parts.append(f"{'=' * 80}\nMSG: {kind}\n{definition(nested)}")
     return "".join(parts)
 
 
 def flatten(type_name: str, prefix: str = "") -> list[Field]:
-    """All fields of a type in wire order, nested ones with dotted names."""
+    """Return all fields of a type in the order of the encoding; fields of nested types have dotted names."""
     found: list[Field] = []
     for kind, name in _fields(type_name):
         nested = _nested(kind)
@@ -90,9 +102,21 @@ def flatten(type_name: str, prefix: str = "") -> list[Field]:
 
 
 class CdrLayout:
-    """How one message type looks on the wire for one `frame_id`.
+    """Byte layout of one message type for one `frame_id`.
 
-    `dtype` is the fixed part, encapsulation included; `tail` are the variable fields behind it.
+    Attributes
+    ----------
+    dtype
+        numpy type of the fixed part, which includes the encapsulation bytes.
+    fixed
+        Fields of the fixed part after the header.
+    tail
+        Fields of variable size, which follow the fixed part.
+
+    Raises
+    ------
+    ValueError
+        If the message type does not begin with a header.
     """
 
     def __init__(self, type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> None:
@@ -113,7 +137,7 @@ class CdrLayout:
         for field in self.fixed:
             size = struct.calcsize(f"<{_CODES[field.primitive]}")
             pad = -(end - len(ENCAPSULATION)) % size
-            # An array is given as its bytes: a covariance that never changes is packed once for all messages.
+            # The caller passes an array as bytes: a covariance that never changes is packed once for all messages.
             code += f"{pad}x{_CODES[field.primitive]}" if field.length == 1 else f"{pad}x{size * field.length}s"
             names.append(field.name)
             numpy_code = f"<{_CODES[field.primitive]}" if size > 1 else _CODES[field.primitive]
@@ -124,7 +148,17 @@ class CdrLayout:
         self.dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
 
     def pack(self, stamp_ns: int, *values: float | bytes, tail: tuple[bytes, ...] = ()) -> bytes:
-        """One message: the fixed fields in order, arrays as bytes (`doubles`), then the variable fields' bytes."""
+        """Encode one message.
+
+        Parameters
+        ----------
+        stamp_ns
+            Time stamp of the header [ns since 1970].
+        values
+            Values of the fixed fields in order; arrays as bytes (see `doubles`).
+        tail
+            Bytes of each field of variable size.
+        """
         sec, nanosec = divmod(stamp_ns, NANO)
         message = self._pack(ENCAPSULATION, sec, nanosec, self._n_frame, self._frame, *values)
         if not (tail or self.tail):
@@ -135,33 +169,49 @@ class CdrLayout:
         return message
 
     def unpack_tail(self, message: bytes | memoryview) -> tuple[bytes, ...]:
-        """The variable fields' bytes of one message. Raises ValueError where it is cut."""
-        found, at = [], self.dtype.itemsize
+        """Return the bytes of each field of variable size of one message.
+
+        Raises
+        ------
+        ValueError
+            If the message ends before its last field.
+        """
+        parts, at = [], self.dtype.itemsize
         for field in self.tail:
             at += -at % 4
             if at + 4 > len(message):
-                raise ValueError("message is cut")
+                raise ValueError("message ends too early")
             (length,) = struct.unpack_from("<I", message, at)
             at += 4
             if at + length > len(message):
-                raise ValueError("message is cut")
+                raise ValueError("message ends too early")
             data = bytes(message[at : at + length])
-            found.append(data.removesuffix(b"\0") if field.primitive == "string" else data)
+            parts.append(data.removesuffix(b"\0") if field.primitive == "string" else data)
             at += length
-        return tuple(found)
+        return tuple(parts)
 
 
 def doubles(*values: float) -> bytes:
-    """An array of float64 as `Layout.pack` takes it."""
+    """Return an array of float64 as bytes, in the form that `CdrLayout.pack` needs."""
     return struct.pack(f"<{len(values)}d", *values)
 
 
 @cache
 def cdr_layout(type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> CdrLayout:
-    """The layout of a type for a frame_id (computed once), without the fields ``lacking`` in an older version."""
+    """Return the layout of a message type for a `frame_id`. Each layout is computed once.
+
+    Parameters
+    ----------
+    type_name
+        Name of the type, `package/msg/Name`.
+    frame_id
+        The `frame_id` of the header, without the final NUL.
+    lacking
+        Names of fields that the older version of the type, which wrote the messages, did not have yet.
+    """
     return CdrLayout(type_name, frame_id, lacking)
 
 
 def stamps(rows: NDArray[np.void]) -> NDArray[np.float64]:
-    """`header.stamp` of decoded rows as seconds since 1970, shape (n,)."""
+    """Return the time stamps of the headers of decoded rows, shape (n,) [s since 1970]."""
     return np.asarray(rows["sec"] + rows["nanosec"] / NANO, dtype=np.float64)

@@ -1,7 +1,7 @@
-"""MCAP chunks: unpacked within limits, and where their messages are.
+"""MCAP chunks: decompression within limits, and search for their messages.
 
-The message indexes behind a chunk only speed things up: each entry is checked against the chunk, and what they
-leave out is scanned.
+The message indexes after a chunk only save time. Each entry is checked against the chunk, and the parts of the chunk
+that no entry covers are scanned record by record.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-MAX_CHUNK = 64 * 2**20  # bytes, uncompressed
+MAX_CHUNK_BYTES = 64 * 2**20  # bytes, uncompressed
 MAX_KINDS = 70_000  # schemas and channels between two messages: a file has at most 2^16 channels
-# Records of applications can have no content, and millions of them compress to nothing. What a real file has of them:
-MAX_PRIVATE = 65_536  # between two messages of the index,
-MAX_PRIVATE_PER_MESSAGE = 16  # and for each message that no index names
-MAX_PACKED = MAX_CHUNK + 2**20  # what does not compress becomes a little longer
+# Application records can be empty, and millions of empty records compress to a few bytes. Limits for real files:
+MAX_PRIVATE = 65_536  # application records between two messages of the index
+MAX_PRIVATE_PER_MESSAGE = 16  # further application records for each message that no index contains
+MAX_PACKED_BYTES = MAX_CHUNK_BYTES + 2**20  # bytes, compressed; data that cannot be compressed become a little longer
 RECORD = struct.Struct("<BQ")  # opcode, length
 HEADER = RECORD.size
-HEAD_BYTES = 22  # of a message's content, before its data
-INDEX_HEAD = 6  # of a message index's content, before its entries
+HEAD_BYTES = 22  # bytes of the content of a message before its data
+INDEX_HEAD = 6  # bytes of the content of a message index before its entries
 _CHUNK = struct.Struct("<QQQII")  # start, end, uncompressed size, checksum, length of the compression's name
 CHUNK_NAME = _CHUNK.size - 4  # offset of the length of the compression's name
-CHUNK_HEAD = _CHUNK.size + 16  # bytes that hold all of a chunk's header
-MESSAGE_HEAD = np.dtype(  # of a message record, up to its data
+CHUNK_HEAD = _CHUNK.size + 16  # bytes that contain the whole header of a chunk
+MESSAGE_HEAD = np.dtype(  # a message record up to its data
     {
         "names": ["opcode", "length", "channel", "sequence", "log_ns", "stamp_ns"],
         "formats": ["u1", "<u8", "<u2", "<u4", "<u8", "<u8"],
@@ -40,7 +40,7 @@ MESSAGE_HEAD = np.dtype(  # of a message record, up to its data
         "itemsize": 31,
     }
 )
-DAMAGE = (
+DAMAGE = (  # errors that the decoding of a damaged record raises
     struct.error,
     ValueError,
     OverflowError,
@@ -54,19 +54,31 @@ Offsets = NDArray[np.int64]
 
 
 class ChunkAt(NamedTuple):
-    """Position of a chunk's data in the file, and its compression."""
+    """Position of the data of a chunk in the file, and their compression."""
 
-    start: int
-    stop: int
-    compression: str
-    size: int
-    checksum: int
+    start: int  # byte of the file
+    stop: int  # first byte after the data
+    compression: str  # "", "zstd" or "lz4"
+    size: int  # uncompressed bytes
+    checksum: int  # CRC-32 of the uncompressed bytes; 0 if there is none
 
 
 def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
-    """Read the header of the chunk record whose content lies at `start` .. `stop` of the file and begins with `head`.
+    """Decode the header of a chunk record.
 
-    Raises one of DAMAGE where it makes no sense; `cut` allows a chunk that the file does not hold to its end.
+    Parameters
+    ----------
+    head
+        First bytes of the content of the record.
+    start, stop
+        Bytes of the file between which the content lies.
+    cut
+        Whether the chunk may end after the end of the file.
+
+    Raises
+    ------
+    One of DAMAGE
+        If the header is invalid, or if the chunk is larger than `MAX_CHUNK_BYTES`.
     """
     _, _, size, checksum, n_name = _CHUNK.unpack_from(head)
     at = _CHUNK.size
@@ -74,72 +86,101 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     (length,) = struct.unpack_from("<Q", head, at + n_name)
     begin = start + at + n_name + 8
     if name not in ("", "zstd", "lz4") or (not cut and begin + length != stop):
-        raise ValueError("header of a chunk")
-    if size > MAX_CHUNK or (not cut and length > MAX_PACKED):
-        raise ValueError(f"a chunk of {size} bytes; {MAX_CHUNK} is the limit")
+        raise ValueError("invalid header of a chunk")
+    if size > MAX_CHUNK_BYTES or (not cut and length > MAX_PACKED_BYTES):
+        raise ValueError(f"a chunk of {size} bytes; {MAX_CHUNK_BYTES} is the limit")
     return ChunkAt(begin, stop, name, size, checksum)
 
 
 def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
-    """The uncompressed bytes. Raises one of DAMAGE where size or checksum does not hold."""
+    """Decompress a chunk and return its bytes, shape (size,).
+
+    Raises
+    ------
+    One of DAMAGE
+        If size or checksum is wrong, or if the data cannot be decompressed.
+    """
     data: bytes | memoryview = packed
     if chunk.compression == "zstd":
-        # The frame's own claim of its size decides what the library allocates: check it first.
+        # The library allocates the size that the zstd frame states. Check this size first.
         if zstandard.frame_content_size(packed) not in (-1, chunk.size):
-            raise ValueError("size of a chunk")
-        data = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).decompress(packed, chunk.size + 1)
+            raise ValueError("wrong size of a chunk")
+        data = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).decompress(packed, chunk.size + 1)
     elif chunk.compression == "lz4":
         with lz4.frame.LZ4FrameFile(BytesIO(packed)) as file:
             data = file.read(chunk.size + 1)
     if len(data) != chunk.size:
-        raise ValueError("size of a chunk")
+        raise ValueError("wrong size of a chunk")
     if chunk.checksum and zlib.crc32(data) != chunk.checksum:
-        raise ValueError("checksum of a chunk")
+        raise ValueError("wrong checksum of a chunk")
     return np.frombuffer(data, np.uint8)
 
 
 def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
-    """What the beginning of a chunk still gives: zstd has blocks of 128 KiB. Raises one of DAMAGE."""
+    """Decompress the beginning of a chunk whose end is missing. zstd blocks have at most 128 KiB each.
+
+    Raises
+    ------
+    One of DAMAGE
+        If the compression is lz4, or if no block can be decompressed.
+    """
     if chunk.compression == "lz4":
-        raise ValueError("lz4")
+        raise ValueError("a cut chunk with lz4 compression cannot be read")
     data = packed
     if chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK).stream_reader(packed) as reader:
-            data = reader.read(MAX_CHUNK)
+        with zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).stream_reader(packed) as reader:
+            data = reader.read(MAX_CHUNK_BYTES)
     return np.frombuffer(data, np.uint8)
 
 
 class Messages(NamedTuple):
-    """Messages of some chunks: their bytes one behind the other, where each message begins in them, and its head."""
+    """Messages of some chunks."""
 
-    buffer: Buffer
-    offsets: Offsets  # shape (n,), of the whole record
+    buffer: Buffer  # uncompressed bytes of the chunks, one chunk after the other
+    offsets: Offsets  # offset of each message record in the buffer, shape (n,)
     heads: NDArray[np.void]  # dtype MESSAGE_HEAD, shape (n,)
 
     @property
     def lengths(self) -> NDArray[np.int64]:
-        """Bytes of each payload, shape (n,)."""
+        """Number of bytes of the data of each message, shape (n,)."""
         return self.heads["length"].astype(np.int64) - HEAD_BYTES
 
-    def where(self, these: NDArray[np.bool_]) -> Messages:
-        """Those of them."""
-        return self if these.all() else Messages(self.buffer, self.offsets[these], self.heads[these])
+    def where(self, mask: NDArray[np.bool_]) -> Messages:
+        """Return the messages that a mask of shape (n,) selects."""
+        return self if mask.all() else Messages(self.buffer, self.offsets[mask], self.heads[mask])
 
     def rows(self, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-        """The payloads, each at least as long as `dtype`; shape (n,)."""
+        """Return the beginning of the data of each message as an array of `dtype`, shape (n,).
+
+        The caller checks first that no message is shorter than `dtype`.
+        """
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
     def payloads(self) -> Iterator[memoryview]:
-        """The bytes of each message."""
+        """Yield the data of each message."""
         view, starts = memoryview(self.buffer.data), self.offsets + MESSAGE_HEAD.itemsize
         for start, length in zip(starts.tolist(), self.lengths.tolist(), strict=True):
             yield view[start : start + length]
 
 
 def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], None]) -> Messages:
-    """The messages of chunks: by the index of each where it is right, else by its records.
+    """Find the messages of uncompressed chunks.
 
-    A chunk comes with the entries of its message indexes; schemas and channels go to `register(opcode, content)`.
+    Parameters
+    ----------
+    chunks
+        Bytes of each chunk, and the entries of its message indexes (see `index_entries`).
+    register
+        Function that receives opcode and content of each schema and channel record.
+
+    Returns
+    -------
+    Messages
+        Messages in file order.
+
+    Notes
+    -----
+    The index of a chunk is used if all its entries are valid. Otherwise the records of the chunk are scanned.
     """
     buffer = chunks[0][0] if len(chunks) == 1 else np.concatenate([data for data, _ in chunks])
     bounds = np.cumsum([0, *(len(data) for data, _ in chunks)])
@@ -153,23 +194,26 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
     ends = offsets + HEADER + np.minimum(heads["length"], len(buffer)).astype(np.int64)
     good &= ends <= bounds[chunk + 1]
     good[1:] &= offsets[1:] >= ends[:-1]
-    if not good.all():  # a wrong index is no index
-        right = ~np.isin(chunk, chunk[~good])
-        offsets, ends, heads = offsets[right], ends[right], heads[right]
-    # What lies between messages, or between them and the ends of their chunk.
+    if not good.all():  # ignore all entries of a chunk that has a wrong one
+        valid = ~np.isin(chunk, chunk[~good])
+        offsets, ends, heads = offsets[valid], ends[valid], heads[valid]
+    # Gaps: bytes between two messages, or between a message and the beginning or end of its chunk.
     starts, stops = np.sort(np.append(bounds[:-1], ends)), np.sort(np.append(offsets, bounds[1:]))
     view = memoryview(buffer.data)
-    found: list[int] = []
+    unindexed: list[int] = []
     for i in np.flatnonzero(stops > starts):
-        found += _read_gap(view, int(starts[i]), int(stops[i]), register)
-    if found:
-        offsets = np.sort(np.append(offsets, np.asarray(found, np.int64)))
+        unindexed += _read_gap(view, int(starts[i]), int(stops[i]), register)
+    if unindexed:
+        offsets = np.sort(np.append(offsets, np.asarray(unindexed, np.int64)))
         heads = rows_at(buffer, offsets, MESSAGE_HEAD)
     return Messages(buffer, offsets, heads)
 
 
 def index_entries(data: bytes, at: int) -> bytes:
-    """The entries (time, offset) of the message indexes that lie in `data` from `at` on, as bytes."""
+    """Return the entries (time, offset) of the message index records in `data` from byte `at` on.
+
+    The entries are returned as bytes, 16 for each. The search ends at the first record that is no valid index.
+    """
     parts = []
     while at + HEADER + INDEX_HEAD <= len(data):
         opcode, length = RECORD.unpack_from(data, at)
@@ -182,6 +226,10 @@ def index_entries(data: bytes, at: int) -> bytes:
 
 
 def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, bytes], None]) -> list[int]:
+    """Scan the records between two offsets. Return the offsets of messages; pass schemas and channels to `register`.
+
+    The scan ends at the first invalid record, and after too many records that are no messages.
+    """
     found: list[int] = []
     n_kinds = n_private = 0
     while at + HEADER <= stop and n_kinds < MAX_KINDS:
@@ -203,11 +251,11 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
 
 
 def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Items of `dtype` at these offsets, all within the buffer; shape (n,)."""
+    """Return items of `dtype` at offsets of a buffer, shape (n,). All items must lie within the buffer."""
     return _records_at(buffer, offsets, dtype.itemsize).view(dtype) if len(offsets) else np.zeros(0, dtype)
 
 
 def _records_at(buffer: Buffer, offsets: Offsets, size: int) -> NDArray[np.void]:
-    """As `rows_at`, without the fields: those make numpy slow."""
+    """Return the items as `rows_at` does, but without named fields, with which numpy is slow."""
     starts: NDArray[np.void] = np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer.data, strides=(1,))
     return starts[offsets]

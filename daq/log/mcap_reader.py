@@ -1,9 +1,10 @@
-"""An MCAP file read in pieces: the messages of some topics and times, some chunks at a time.
+"""Reader of one MCAP file: messages of selected channels and times, a few chunks at a time.
 
-Where the chunks are stands in the summary at the end of the file. It is believed where its checksum holds and its parts
-make up the whole file; otherwise (a killed run has none) the file is read once from front to back, and damaged parts
-are skipped and reported. No length is believed: records are bounded by the file and by limits, and a chunk counts only
-when its checksum holds. Source: MCAP specification 0 (mcap.dev/spec).
+The summary at the end of the file contains the positions of the chunks. The summary is used if its checksum is right
+and if its records cover the whole file. Otherwise the file is read once from beginning to end; the log of a killed run
+has no summary. Damaged parts are skipped and reported. The reader trusts no length in the file: the size of the file
+and fixed limits bound every record, and a chunk is used only if its checksum is right.
+Source: MCAP specification 0 (mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from seatrial.daq.log.mcap_chunk import (
     DAMAGE,
     HEADER,
     INDEX_HEAD,
-    MAX_CHUNK,
+    MAX_CHUNK_BYTES,
     RECORD,
     Buffer,
     Messages,
@@ -50,22 +51,23 @@ from seatrial.daq.log.mcap_chunk import (
 
 BATCH_BYTES = 4 * 2**20  # uncompressed chunks read at a time
 CACHE_BYTES = 24 * 2**20  # uncompressed chunks kept for the next table
-MAX_HELD = 64 * 2**20  # attachments, metadata, schemas and channels of a file, all together
-MAX_TEXT = 2**16  # characters of a name; a longer one is no name
-MAX_UNPACKED = 2**28  # bytes of all chunks together, that any file may have; else
-MAX_RATIO = 256  # times its own bytes
+MAX_HELD_BYTES = 64 * 2**20  # bytes of attachments, metadata, schemas and channels of a file together
+MAX_NAME_CHARACTERS = 2**16  # characters of a name; a longer name is an error
+MAX_UNPACKED_BYTES = 2**28  # uncompressed bytes of all chunks together; a larger file may have more:
+MAX_RATIO = 256  # uncompressed bytes of all chunks over the size of the file
 MAX_WARNINGS = 20
-FEW_MESSAGES = 2_000_000  # so many any file may have
+FEW_MESSAGES = 2_000_000  # allowed for a file of any size
 LAST_NS = 2**64 - 1
 _BLOCK = 2**20
-_ZSTD = b"\x04\0\0\0zstd"  # what every zstd chunk has at CHUNK_NAME
+_ZSTD = b"\x04\0\0\0zstd"  # bytes of every zstd chunk at the offset CHUNK_NAME
 _END = struct.Struct("<BQQQI8s")  # footer and magic
 _END_CHECKED = 25  # bytes of the footer that its checksum covers
 _DATA_END = HEADER + 4
-_CHUNK = np.dtype(  # a chunk: its record at `at` .. `stop`, its indexes behind it, and what its index record says
+# A chunk: its record lies at `at` .. `stop`, its message indexes follow; the rest is from its index record.
+_CHUNK = np.dtype(
     [(name, "i8") for name in ("at", "stop", "index_bytes", "size")] + [("begin_ns", "u8"), ("end_ns", "u8")]
 )
-_CHUNK_INDEX = np.dtype(  # up to the offsets of its message indexes
+_CHUNK_INDEX = np.dtype(  # a chunk index record up to the offsets of the message indexes
     {
         "names": ["begin_ns", "end_ns", "at", "length", "n_map"],
         "formats": ["<u8", "<u8", "<i8", "<i8", "<u4"],
@@ -73,7 +75,7 @@ _CHUNK_INDEX = np.dtype(  # up to the offsets of its message indexes
         "itemsize": 45,
     }
 )
-_KEPT = {
+_KEPT = {  # records that are kept in memory
     Opcode.HEADER: Header, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
     Opcode.ATTACHMENT: Attachment, Opcode.METADATA: Metadata,
 }  # fmt: skip
@@ -82,16 +84,20 @@ Chunks = NDArray[np.void]
 
 
 class RawLog:
-    """A file: its channels, schemas, metadata, attachments and warnings; its messages by `read`.
+    """One MCAP file with its channels, schemas, metadata, attachments and warnings. `read` yields its messages.
 
-    `warnings` are those of what was read so far, `verify` reads the rest. Raises SeatrialError where the file cannot
-    be opened or is no MCAP at all.
+    `warnings` contains the faults of the parts that were read so far; `verify` reads the other parts.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be opened, is empty or is no MCAP file.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.warnings: list[str] = []
-        self.complete = False  # whether the file has its end
+        self.complete = False  # whether the file has its footer
         self.profile = ""
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
@@ -99,25 +105,29 @@ class RawLog:
         self.attachments: list[Attachment] = []
         self.counts: Counter[int] = Counter()  # messages by channel
         self.span_ns: tuple[int, int] | None = None  # log times of the first and the last message
-        self._held = 0
+        self._held_bytes = 0
         self._chunks: Chunks = np.zeros(0, _CHUNK)
-        # Which channels a chunk has, by its message indexes: pairs; and the chunks that do not say.
-        self._holds: tuple[NDArray[np.int32], NDArray[np.uint16]] = (np.zeros(0, np.int32), np.zeros(0, np.uint16))
-        self._unknown: NDArray[np.bool_] = np.zeros(0, bool)
-        self._partial: Buffer | None = None  # of the last chunk, where the file holds it in part
-        self._seen: NDArray[np.int8] = np.zeros(0, np.int8)  # chunks that were read: 1, or -1 where damaged
+        # Pairs of chunk and channel from the message indexes, and a mask of the chunks without message indexes.
+        self._chunk_channels: tuple[NDArray[np.int32], NDArray[np.uint16]] = (
+            np.zeros(0, np.int32),
+            np.zeros(0, np.uint16),
+        )
+        self._unindexed: NDArray[np.bool_] = np.zeros(0, bool)
+        self._partial: Buffer | None = None  # the last chunk, if the file contains only its beginning
+        self._seen: NDArray[np.int8] = np.zeros(0, np.int8)  # by chunk: 0 not read, 1 read, -1 damaged or left out
         self._cache: dict[int, tuple[Buffer, bytes]] = {}
         self._cached = 0
         self._fd, self._size, self._same = self._open()
-        if not self._believe_summary():
-            self._walk()
+        if not self._read_summary():
+            self._read_records()
         elif (n := self._bound_chunks()) < len(self._chunks):
             self._seen[n:] = -1
 
     def _open(self) -> tuple[int, int, tuple[int, int]]:
-        # Plain reads, no mmap: the file may still be growing, and a disk that fails must end in a line, not a signal.
+        """Open the file. Return its descriptor, its size [bytes], and device and inode."""
+        # Plain reads, no mmap: the file may still grow, and a failing disk must cause an error message, not a signal.
         try:
-            fd = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)  # a named pipe would wait for a writer
+            fd = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)  # without O_NONBLOCK a named pipe waits for a writer
             about = os.fstat(fd)
             if not stat.S_ISREG(about.st_mode):
                 os.close(fd)
@@ -129,15 +139,21 @@ class RawLog:
             os.close(fd)
             if not magic:
                 raise SeatrialError(f"{self.path}: the file is empty; there is nothing to recover")
-            raise SeatrialError(f"{self.path}: not an MCAP log; foreign logs come in by `seatrial import`")
+            raise SeatrialError(f"{self.path}: not an MCAP log; use `seatrial import` for logs of other formats")
         return fd, size, (about.st_dev, about.st_ino)
 
     def _read(self, start: int, stop: int) -> bytes:
-        """Bytes of the file; fewer where it has become shorter. Raises SeatrialError where the disk fails."""
+        """Return bytes of the file; fewer bytes if the file is shorter now.
+
+        Raises
+        ------
+        SeatrialError
+            If the disk fails, or if the file was replaced by another file.
+        """
         if self._fd < 0:
             self._fd, _, same = self._open()
             if same != self._same:
-                raise SeatrialError(f"{self.path}: is another file than when it was opened")
+                raise SeatrialError(f"{self.path}: the file was replaced while it was read")
         try:
             return os.pread(self._fd, max(stop - start, 0), start)
         except OSError as error:
@@ -145,11 +161,11 @@ class RawLog:
 
     @property
     def files(self) -> list[RawLog]:
-        """This file alone; a log of several segments has more."""
+        """List of this file alone; a log of several segments has more files."""
         return [self]
 
     def close(self) -> None:
-        """Let go of the file and of what was unpacked; it is opened again where more is read."""
+        """Close the file and free the uncompressed chunks. A later read opens the file again."""
         self._cache.clear()
         self._cached = 0
         if self._fd >= 0:
@@ -163,60 +179,70 @@ class RawLog:
     def read(
         self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[Messages]:
-        """Messages in file order, some chunks at a time: of these channels (of all that are known), with log times from
-        `begin_ns` to before `end_ns`. What can hold none of them is not read."""
+        """Yield messages in file order, a few chunks at a time. Chunks without such messages are not read.
+
+        Parameters
+        ----------
+        channels
+            Numbers of the channels; None for all channels.
+        begin_ns, end_ns
+            Interval of log times [ns since 1970], without `end_ns` itself.
+        """
         ids = np.fromiter(self.channels if channels is None else channels, np.uint16)
         n_found = 0
         for part in self._batches(self._choose(ids, begin_ns, end_ns)):
-            found = self._messages(part, _ignore)
-            n_found += len(found.offsets)
-            number, t = found.heads["channel"], found.heads["log_ns"]
-            these = number == ids[0] if len(ids) == 1 else np.isin(number, ids)
-            yield found.where(these & (t >= begin_ns) & ((t < end_ns) | (end_ns == LAST_NS)))
+            batch = self._messages(part, _ignore)
+            n_found += len(batch.offsets)
+            number, t = batch.heads["channel"], batch.heads["log_ns"]
+            selected = number == ids[0] if len(ids) == 1 else np.isin(number, ids)
+            yield batch.where(selected & (t >= begin_ns) & ((t < end_ns) | (end_ns == LAST_NS)))
             if self._too_many(n_found):
                 return
 
     def _bound_chunks(self) -> int:
-        """Return how many chunks from the first on may be unpacked, and warn where that is not all of them.
+        """Return the number of chunks, from the first on, that may be decompressed. Warn if other chunks are left out.
 
-        The data of an instrument shrinks by a factor of some tens at most. A file that claims more only costs time.
+        Compression reduces the data of instruments by a factor of some tens at most. A file with a much larger factor
+        would only cost time.
         """
-        total = np.cumsum(np.minimum(self._chunks["size"], MAX_CHUNK))
-        n = int(np.searchsorted(total, max(MAX_UNPACKED, MAX_RATIO * self._size), side="right"))
+        total = np.cumsum(np.minimum(self._chunks["size"], MAX_CHUNK_BYTES))
+        n = int(np.searchsorted(total, max(MAX_UNPACKED_BYTES, MAX_RATIO * self._size), side="right"))
         if n < len(self._chunks):
-            whole = f"{total[-1] / 1e9:.1f} GB, {total[-1] / self._size:.0f} times the file"
-            self._warn(f"its chunks unpack to {whole}, which no instrument writes: the last of them are left out")
+            size = f"{total[-1] / 1e9:.1f} GB, {total[-1] / self._size:.0f} times the size of the file"
+            self._warn(f"the uncompressed chunks have {size}, far more than a real log: the last chunks are left out")
         return n
 
     def _too_many(self, n_messages: int) -> bool:
-        if n_messages <= max(FEW_MESSAGES, self._size):  # a message takes some bytes, however well it is packed
+        """Return whether a file of this size has too many messages, and warn if so."""
+        if n_messages <= max(FEW_MESSAGES, self._size):  # a real message takes at least one compressed byte
             return False
-        self._warn(f"more messages than {self._size} bytes can hold in earnest: what follows is left out")
+        self._warn(f"more messages than a real log of its size has ({self._size} bytes): the rest is left out")
         return True
 
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
-        """Read what was not read yet, of chunks with these log times, for its warnings."""
+        """Read the unread chunks in an interval of log times [ns since 1970], to complete `warnings`."""
         inside = (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns)
         for number in np.flatnonzero(inside & (self._seen == 0)).tolist():
             with contextlib.suppress(*DAMAGE):
                 self._chunk(number)
 
     def _choose(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
-        """Numbers of the whole chunks that may have messages of these channels and times."""
-        chunk, channel = self._holds
-        wanted = self._unknown.copy()
+        """Return the numbers of the undamaged chunks that may have messages of these channels and log times."""
+        chunk, channel = self._chunk_channels
+        wanted = self._unindexed.copy()
         wanted[chunk[np.isin(channel, ids)]] = True
         wanted &= (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns) & (self._seen >= 0)
         return np.flatnonzero(wanted)
 
     def _batches(self, numbers: Offsets) -> Iterator[list[int]]:
+        """Split the numbers of chunks into lists of about `BATCH_BYTES` uncompressed bytes."""
         group = np.cumsum(self._chunks["size"][numbers]) // BATCH_BYTES
         for part in np.split(numbers, np.flatnonzero(np.diff(group)) + 1):
             if len(part):
                 yield part.tolist()
 
     def _messages(self, numbers: list[int], register: Callable[[int, bytes], None]) -> Messages:
-        """All messages of these chunks, without those that are damaged."""
+        """Return all messages of these chunks. Damaged chunks are left out."""
         chunks = []
         for number in numbers:
             with contextlib.suppress(*DAMAGE):
@@ -224,7 +250,13 @@ class RawLog:
         return scan(chunks or [(np.zeros(0, np.uint8), b"")], register)
 
     def _chunk(self, number: int) -> tuple[Buffer, bytes]:
-        """The uncompressed bytes of a chunk and the entries of its indexes. Raises one of DAMAGE, and warns once."""
+        """Return the uncompressed bytes of a chunk and the entries of its message indexes.
+
+        Raises
+        ------
+        One of DAMAGE
+            If the chunk is damaged or was left out. The first time a warning is added.
+        """
         if number in self._cache:
             return self._cache[number]
         if self._seen[number] < 0:
@@ -234,19 +266,21 @@ class RawLog:
             self._seen[number] = 1
             return self._partial, b""
         try:
-            data = self._read(at, stop + min(index_bytes, MAX_CHUNK) if stop - at <= 2 * MAX_CHUNK else at + CHUNK_HEAD)
+            # Of a chunk that is too large only the head is read, which is enough to reject it.
+            too_large = stop - at > 2 * MAX_CHUNK_BYTES
+            data = self._read(at, at + CHUNK_HEAD if too_large else stop + min(index_bytes, MAX_CHUNK_BYTES))
             opcode, length = RECORD.unpack_from(data)
-            if opcode == Opcode.MESSAGE:  # without a chunk around it
+            if opcode == Opcode.MESSAGE:  # messages outside any chunk
                 found = np.frombuffer(data[: stop - at], np.uint8), b""
             elif opcode != Opcode.CHUNK or at + HEADER + length != stop:
-                raise ValueError("no chunk is there")
+                raise ValueError("not a chunk")
             else:
                 chunk = chunk_at(data[HEADER : HEADER + CHUNK_HEAD], at + HEADER, stop)
                 packed = memoryview(data)[chunk.start - at : stop - at]
                 found = unpack_chunk(packed, chunk), index_entries(data, stop - at)
         except DAMAGE as error:
             if self._seen[number] >= 0:
-                self._warn(f"the chunk at byte {at} is damaged and left out ({_what(error)})")
+                self._warn(f"the chunk at byte {at} is damaged and left out ({_one_line(error)})")
             self._seen[number] = -1
             raise
         self._seen[number] = 1
@@ -255,8 +289,8 @@ class RawLog:
             self._cached += found[0].nbytes
         return found
 
-    def _believe_summary(self) -> bool:
-        """Read the index of the file from its summary. Return False, and change nothing, if no summary is valid."""
+    def _read_summary(self) -> bool:
+        """Read the index of the file from its summary. Return False if the file has no valid summary."""
         size = self._size
         try:
             opcode, length, start, _, checksum, magic = _END.unpack(self._read(max(0, size - _END.size), size))
@@ -265,48 +299,56 @@ class RawLog:
                 return False
             if self._checksum(start, stop + _END_CHECKED) != checksum:
                 return False
-            return self._take(_Summary(self._read, start, stop))
+            return self._use_summary(_Summary(self._read, start, stop))
         except DAMAGE:
             return False
 
     def _checksum(self, start: int, stop: int) -> int:
+        """Return the CRC-32 of bytes of the file."""
         checksum = 0
         for at in range(start, stop, _BLOCK):
             checksum = zlib.crc32(self._read(at, min(at + _BLOCK, stop)), checksum)
         return checksum
 
-    def _take(self, summary: _Summary) -> bool:
-        chunks, told = summary.chunks, summary.statistics
-        if told is None or (told.chunk_count, told.channel_count) != (len(chunks), len(summary.channels)):
+    def _use_summary(self, summary: _Summary) -> bool:
+        """Use a summary as the index of the file. Return False if the summary does not cover the whole file."""
+        chunks, statistics = summary.chunks, summary.statistics
+        if statistics is None or (statistics.chunk_count, statistics.channel_count) != (
+            len(chunks),
+            len(summary.channels),
+        ):
             return False
         opcode, length = RECORD.unpack(self._read(len(MCAP0_MAGIC), len(MCAP0_MAGIC) + HEADER))
         first = len(MCAP0_MAGIC) + HEADER + length
         ends = chunks["stop"] + chunks["index_bytes"]
         parts = int((ends - chunks["at"]).sum()) + sum(length for _, length in summary.records)
         if opcode != Opcode.HEADER or first + parts + _DATA_END != summary.start:
-            return False  # there is something that the summary does not tell
+            return False  # the file has bytes that the summary does not cover
         if np.any(chunks["at"] < first) or np.any(chunks["at"][1:] < ends[:-1]) or np.any(ends > summary.start):
             return False
-        self._chunks, self._holds, self._unknown = chunks, summary.holds, summary.unknown
+        self._chunks, self._chunk_channels, self._unindexed = chunks, summary.chunk_channels, summary.unindexed
         self._seen = np.zeros(len(chunks), np.int8)
         for kind, data in [*summary.schemas, *summary.channels]:
             self._register(kind, data)
-        self.counts.update({k: n for k, n in told.channel_message_counts.items() if k in self.channels and n})
-        self.span_ns = (told.message_start_time, told.message_end_time) if self.counts else None
+        self.counts.update({k: n for k, n in statistics.channel_message_counts.items() if k in self.channels and n})
+        self.span_ns = (statistics.message_start_time, statistics.message_end_time) if self.counts else None
         for at, length in [(len(MCAP0_MAGIC), first - len(MCAP0_MAGIC)), *summary.records]:
             try:
                 opcode, content = RECORD.unpack(self._read(at, at + HEADER))
                 if content != length - HEADER:
-                    raise ValueError("length")
+                    raise ValueError("wrong length of a record")
                 self._visit(opcode, at, at + length)
             except DAMAGE as error:
-                self._warn(f"the record at byte {at} is damaged and left out ({_what(error)})")
+                self._warn(f"the record at byte {at} is damaged and left out ({_one_line(error)})")
         self.complete = True
         return True
 
-    def _walk(self) -> None:
-        """Visit the records of the file in order, as far as they make sense, and then the chunks."""
-        found, whole = _Walk(), True
+    def _read_records(self) -> None:
+        """Build the index without a summary: read all records of the file in order, and then the chunks.
+
+        After a damaged record the search continues at the next whole chunk.
+        """
+        found, whole = _FoundChunks(), True
         at, size = len(MCAP0_MAGIC), self._size
         while at + HEADER <= size:
             opcode, length = RECORD.unpack(self._read(at, at + HEADER))
@@ -324,7 +366,7 @@ class RawLog:
                 if not found.add(opcode, at, stop, self._read(at, min(stop, at + HEADER + CHUNK_HEAD))):
                     self._visit(opcode, at, stop)
             except DAMAGE as error:
-                self._warn(f"the record at byte {at} is damaged and left out ({_what(error)})")
+                self._warn(f"the record at byte {at} is damaged and left out ({_one_line(error)})")
                 whole = False
             at = stop
             if opcode == Opcode.FOOTER:
@@ -334,27 +376,31 @@ class RawLog:
             self._warn("the recording was cut off or still goes on (no footer): everything up to there is used")
         self._chunks, self._seen = found.chunks(), np.zeros(len(found.at), np.int8)
         self._seen[self._bound_chunks() :] = -1
-        # Only chunks have a checksum: their channel records go before those elsewhere.
+        # Only chunks have a checksum: channel records in chunks replace channel records outside of chunks.
         channels, schemas, self.channels, self.schemas = self.channels, self.schemas, {}, {}
         self._scan(found, only_new=whole and not self.complete)
         self.channels, self.schemas = {**channels, **self.channels}, {**schemas, **self.schemas}
         if lost := sum(n for channel, n in self.counts.items() if channel not in self.channels):
-            self._warn(f"left out: {counted(lost, 'message')} whose channel stood in a damaged part")
+            self._warn(f"left out: {counted(lost, 'message')} whose channel record is damaged or missing")
         self.counts = Counter({channel: n for channel, n in self.counts.items() if channel in self.channels})
 
-    def _scan(self, found: _Walk, only_new: bool) -> None:
-        """Read the chunks; with `only_new` those alone that are not told by their indexes or have a new channel."""
-        self._unknown = np.ones(len(self._chunks), bool)
-        holds: tuple[list[int], list[int]] = ([], [])
+    def _scan(self, found: _FoundChunks, only_new: bool) -> None:
+        """Read the chunks to count their messages and to find the channels.
+
+        With `only_new`, a chunk is not read if its message indexes contain known channels only.
+        """
+        self._unindexed = np.ones(len(self._chunks), bool)
+        pairs: tuple[list[int], list[int]] = ([], [])
         waiting: list[int] = []
         n_bytes = 0
         for number in range(len(self._chunks)):
-            told = found.counts[number] if only_new and number + 1 < len(self._chunks) else {}  # the last may be cut
-            if told and not waiting and all(channel in self.channels for channel in told):
-                self._unknown[number] = False
-                holds[0].extend([number] * len(told))
-                holds[1].extend(told)
-                self.counts.update(told)
+            # The last chunk is always read, because it may be cut.
+            indexed = found.counts[number] if only_new and number + 1 < len(self._chunks) else {}
+            if indexed and not waiting and all(channel in self.channels for channel in indexed):
+                self._unindexed[number] = False
+                pairs[0].extend([number] * len(indexed))
+                pairs[1].extend(indexed)
+                self.counts.update(indexed)
                 self._span(*(int(self._chunks[name][number]) for name in ("begin_ns", "end_ns")))
                 continue
             waiting.append(number)
@@ -369,14 +415,18 @@ class RawLog:
                 if self._too_many(self.counts.total()):
                     self._seen[number + 1 :] = -1
                     break
-        self._holds = (np.asarray(holds[0], np.int32), np.asarray(holds[1], np.uint16))
+        self._chunk_channels = (np.asarray(pairs[0], np.int32), np.asarray(pairs[1], np.uint16))
 
     def _span(self, begin_ns: int, end_ns: int) -> None:
+        """Extend the span of the file by an interval of log times."""
         before = self.span_ns or (begin_ns, end_ns)
         self.span_ns = min(before[0], begin_ns), max(before[1], end_ns)
 
     def _next_chunk(self, at: int) -> int | None:
-        """Where the next whole zstd chunk begins, at or behind `at`: damage need not cost all that follows."""
+        """Return the position of the next whole zstd chunk at or after a byte; None if there is none.
+
+        With this, damage in the middle of a file does not cost the chunks after it.
+        """
         while at < self._size:
             block = self._read(at, at + _BLOCK)
             place = block.find(_ZSTD)
@@ -391,40 +441,48 @@ class RawLog:
             at += _BLOCK - len(_ZSTD)
         return None
 
-    def _end(self, opcode: int, at: int, unknown: bool, found: _Walk) -> bool:
-        """Nothing whole follows `at`; of a chunk that is cut, the blocks that are there may still hold messages.
+    def _end(self, opcode: int, at: int, unknown: bool, found: _FoundChunks) -> bool:
+        """End the walk at a byte after which no whole record follows. Return whether the file is only cut off there.
 
-        Returns whether it is merely cut.
+        The existing blocks of a cut chunk are decompressed, because they may contain messages.
         """
         if unknown:
-            self._warn(f"damaged at byte {at}: what follows is left out")
+            self._warn(f"damaged at byte {at}: the rest of the file is left out")
             return False
         self._warn("the recording was cut off inside a record: everything up to there is used")
         start = at + HEADER
         with contextlib.suppress(*DAMAGE):
             if opcode == Opcode.CHUNK:
                 chunk = chunk_at(self._read(start, start + CHUNK_HEAD), start, self._size, cut=True)
-                self._partial = unpack_cut(self._read(chunk.start, min(chunk.stop, chunk.start + MAX_CHUNK)), chunk)
+                self._partial = unpack_cut(
+                    self._read(chunk.start, min(chunk.stop, chunk.start + MAX_CHUNK_BYTES)), chunk
+                )
                 found.append(at, self._size, len(self._partial), 0, LAST_NS)
         return True
 
     def _visit(self, opcode: int, at: int, stop: int) -> None:
-        """Keep the record at these bytes, if it is of the few that are kept. Raises one of DAMAGE."""
+        """Decode and keep the record at these bytes if it belongs to the kinds in `_KEPT`.
+
+        Raises
+        ------
+        One of DAMAGE
+            If the record is damaged.
+        """
         if opcode not in _KEPT:
             return
-        if self._held + (stop - at) > MAX_HELD:
-            what = _KEPT[Opcode(opcode)].__name__.lower()
-            size, limit = f"{(stop - at) / 1e6:.0f} MB", f"{MAX_HELD / 1e6:.0f} MB"
-            self._warn(f"{what} at byte {at} is left out: {size}, and a log has at most {limit} beside its messages")
+        if self._held_bytes + (stop - at) > MAX_HELD_BYTES:
+            kind = _KEPT[Opcode(opcode)].__name__.lower()
+            size, limit = f"{(stop - at) / 1e6:.0f} MB", f"{MAX_HELD_BYTES / 1e6:.0f} MB"
+            self._warn(f"{kind} at byte {at} is left out: {size}, and a log has at most {limit} beside its messages")
             return
-        self._held += stop - at
+        self._held_bytes += stop - at
         data = self._read(at + HEADER, stop)
         if opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
             self._register(opcode, data)
         elif opcode == Opcode.ATTACHMENT:
             (checksum,) = struct.unpack_from("<I", data, len(data) - 4)
             if checksum not in (0, zlib.crc32(memoryview(data)[:-4])):
-                raise ValueError("checksum of an attachment")
+                raise ValueError("wrong checksum of an attachment")
             found = _parse(Attachment.read, data)
             _check_name(found.name)
             self.attachments.append(replace(found, name=printable(found.name)))
@@ -436,50 +494,65 @@ class RawLog:
             self.profile = _parse(Header.read, data).profile
 
     def _register(self, opcode: int, data: bytes) -> None:
+        """Keep a schema or channel, and warn if its record is damaged."""
         try:
             if opcode == Opcode.SCHEMA:
                 schema = _parse(Schema.read, data)
                 _check_name(schema.name)
                 if schema.id not in self.schemas:
-                    self._held += len(data)
-                if self._held <= MAX_HELD:
+                    self._held_bytes += len(data)
+                if self._held_bytes <= MAX_HELD_BYTES:
                     self.schemas[schema.id] = replace(schema, name=printable(schema.name))
             else:
                 channel = _parse(Channel.read, data)
                 _check_name(channel.topic)
                 if channel.id not in self.channels:
-                    self._held += len(data)
-                if self._held <= MAX_HELD:
+                    self._held_bytes += len(data)
+                if self._held_bytes <= MAX_HELD_BYTES:
                     about = {printable(key): printable(value) for key, value in channel.metadata.items()}
                     self.channels[channel.id] = replace(channel, topic=printable(channel.topic), metadata=about)
         except DAMAGE as error:
-            self._warn(f"a schema or channel is damaged and left out ({_what(error)})")
+            self._warn(f"a schema or channel is damaged and left out ({_one_line(error)})")
 
     def _warn(self, text: str) -> None:
+        """Add a warning, up to `MAX_WARNINGS`."""
         if len(self.warnings) < MAX_WARNINGS:
             self.warnings.append(text)
         elif len(self.warnings) == MAX_WARNINGS:
-            self.warnings.append("and more of the kind")
+            self.warnings.append("and more warnings of this kind")
 
 
-class _Walk:
-    """Chunks as a walk through the file finds them."""
+class _FoundChunks:
+    """List of the chunks that are found when a file is read from beginning to end."""
 
     def __init__(self) -> None:
         self.at, self._stop, self._index_bytes, self._size = (array("q") for _ in range(4))
         self._begin_ns, self._end_ns = array("Q"), array("Q")
-        self.counts: list[dict[int, int]] = []  # messages by channel, as the indexes of each chunk have it
-        self._plain = False  # whether the last one is of messages without a chunk around them
+        self.counts: list[dict[int, int]] = []  # for each chunk: messages by channel, from its message indexes
+        self._plain = False  # whether the last item is a row of messages outside any chunk
 
     def append(self, at: int, stop: int, size: int, begin_ns: int, end_ns: int) -> None:
-        """A chunk."""
+        """Append a chunk: bytes of its record in the file, its uncompressed size, and its log times [ns since 1970]."""
         columns = (self.at, self._stop, self._index_bytes, self._size, self._begin_ns, self._end_ns)
         for column, value in zip(columns, (at, stop, 0, size, begin_ns, end_ns), strict=True):
             column.append(value)
         self.counts.append({})
 
     def add(self, opcode: int, at: int, stop: int, head: bytes) -> bool:
-        """A record that begins with `head`; False where it is no part of a chunk. Raises one of DAMAGE."""
+        """Add a record that lies at bytes `at` .. `stop` and begins with `head`.
+
+        Messages outside any chunk that follow each other become one item.
+
+        Returns
+        -------
+        bool
+            Whether the record is a chunk, a message or a message index. Other records are not added.
+
+        Raises
+        ------
+        One of DAMAGE
+            If the header of a chunk is invalid.
+        """
         if opcode == Opcode.CHUNK:
             found = chunk_at(head[HEADER:], at + HEADER, stop)
             self.append(at, stop, found.size, *struct.unpack_from("<QQ", head, HEADER))
@@ -498,15 +571,21 @@ class _Walk:
         return True
 
     def chunks(self) -> Chunks:
-        """All of them, dtype _CHUNK."""
-        found = np.zeros(len(self.at), _CHUNK)
-        found["at"], found["stop"], found["index_bytes"] = self.at, self._stop, self._index_bytes
-        found["size"], found["begin_ns"], found["end_ns"] = self._size, self._begin_ns, self._end_ns
-        return found
+        """Return all chunks, dtype _CHUNK, shape (n,)."""
+        table = np.zeros(len(self.at), _CHUNK)
+        table["at"], table["stop"], table["index_bytes"] = self.at, self._stop, self._index_bytes
+        table["size"], table["begin_ns"], table["end_ns"] = self._size, self._begin_ns, self._end_ns
+        return table
 
 
 class _Summary:
-    """The summary at bytes `start` .. `stop` of a file. Raises one of DAMAGE where it makes no sense."""
+    """Decoded summary of a file, which lies at bytes `start` .. `stop`.
+
+    Raises
+    ------
+    One of DAMAGE
+        If a record of the summary is invalid.
+    """
 
     def __init__(self, read: Callable[[int, int], bytes], start: int, stop: int) -> None:
         self.start = start
@@ -537,14 +616,15 @@ class _Summary:
             at += place
         before = np.cumsum([0, *(len(chunks) for chunks, _, _ in parts)], dtype=np.int32)
         self.chunks = np.concatenate([np.zeros(0, _CHUNK), *(chunks for chunks, _, _ in parts)])
-        self.holds = (
+        self.chunk_channels = (
             np.concatenate([np.zeros(0, np.int32), *(k + n for (_, k, _), n in zip(parts, before, strict=False))]),
             np.concatenate([np.zeros(0, np.uint16), *(channel for _, _, channel in parts)]),
         )
-        self.unknown = np.ones(len(self.chunks), bool)  # chunks without an index
-        self.unknown[self.holds[0]] = False
+        self.unindexed = np.ones(len(self.chunks), bool)  # chunks without an index
+        self.unindexed[self.chunk_channels[0]] = False
 
     def _add(self, opcode: int, data: bytes) -> None:
+        """Add a record of the summary by its opcode and content. Records of other kinds are ignored."""
         if opcode == Opcode.SCHEMA:
             self.schemas.append((opcode, data))
         elif opcode == Opcode.CHANNEL:
@@ -562,13 +642,32 @@ class _Summary:
 def _chunk_indexes(
     block: Buffer, begins: Offsets, ends: Offsets
 ) -> tuple[Chunks, NDArray[np.int32], NDArray[np.uint16]]:
-    """Chunk index records at these bytes: chunks, and pairs of chunk and channel. Raises ValueError."""
-    least = _CHUNK_INDEX.itemsize + 8 + 4 + 8 + 8
-    if np.any(ends - begins < least):
+    """Decode chunk index records.
+
+    Parameters
+    ----------
+    block
+        Bytes of the summary.
+    begins, ends
+        Offsets of the records in the block, shape (n,).
+
+    Returns
+    -------
+    tuple
+        Chunks, dtype _CHUNK, shape (n,); and pairs of chunk (by its position in this table) and channel, each with
+        shape (n_pairs,).
+
+    Raises
+    ------
+    ValueError
+        If the lengths within a record do not agree.
+    """
+    shortest = _CHUNK_INDEX.itemsize + 8 + 4 + 8 + 8
+    if np.any(ends - begins < shortest):
         raise ValueError("length of a chunk index")
     heads = rows_at(block, begins, _CHUNK_INDEX)
     n_map = heads["n_map"].astype(np.int64)
-    if np.any(n_map % 10) or np.any(ends - begins < least + n_map):
+    if np.any(n_map % 10) or np.any(ends - begins < shortest + n_map):
         raise ValueError("length of a chunk index")
     found = np.zeros(len(begins), _CHUNK)
     for name in ("at", "begin_ns", "end_ns"):
@@ -577,7 +676,7 @@ def _chunk_indexes(
     found["index_bytes"] = rows_at(block, begins + _CHUNK_INDEX.itemsize + n_map, np.dtype("<i8"))
     found["size"] = rows_at(block, ends - 8, np.dtype("<i8"))
     if min(heads["length"].min() - HEADER, found["index_bytes"].min(), found["size"].min()) < 0:
-        raise ValueError("lengths of a chunk index")
+        raise ValueError("negative length in a chunk index")
     chunk = np.repeat(np.arange(len(begins)), n_map // 10)
     k = np.arange(len(chunk)) - np.repeat(np.cumsum(n_map // 10) - n_map // 10, n_map // 10)
     channel = rows_at(block, begins[chunk] + _CHUNK_INDEX.itemsize + 10 * k, np.dtype("<u2"))
@@ -585,18 +684,20 @@ def _chunk_indexes(
 
 
 def _check_name(name: str) -> None:
-    """Raise ValueError where a text is too long for a name."""
-    if len(name) > MAX_TEXT:
-        raise ValueError(f"a name of {len(name)} characters")
+    """Raise ValueError if a text is too long for a name."""
+    if len(name) > MAX_NAME_CHARACTERS:
+        raise ValueError(f"a name of {len(name)} characters is too long")
 
 
 def _ignore(opcode: int, data: bytes) -> None:
-    """What a schema or channel is taken for once all are known."""
+    """Ignore a schema or channel record, because all of them are known already."""
 
 
 def _parse(read: Callable[[ReadDataStream], Record], data: bytes) -> Record:
+    """Decode the content of a record by a function of the mcap package."""
     return read(ReadDataStream(BytesIO(data)))
 
 
-def _what(error: BaseException) -> str:
+def _one_line(error: BaseException) -> str:
+    """Return the text of an error as one line; the name of its class if it has no text."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -1,10 +1,11 @@
-"""One MCAP segment on disk, written so that a kill, a power cut or a full disk costs at most the last moment.
+"""Writer of one MCAP file. A killed process, a power cut or a full disk costs at most the last moment of the log.
 
-`LogWriter` owns the file; `RecordWriter` makes its records. What is done for every message is our own code, every other
-record is mcap's own: a message is its head, by one precompiled struct, and its data, put on a list; counts, times and
-message indexes are made of whole columns when its chunk ends. mcap's own writer makes objects and one struct per field,
-at several times the cost (docs/decisions/0025-own-codecs.md). A chunk and its indexes go to the stream in one `write`,
-and so does the end of the file.
+`LogWriter` owns the file. `RecordWriter` encodes the records. Messages are encoded by code of this module; all other
+records are encoded by the mcap package. One precompiled struct packs the head of a message, and head and data are
+appended to a list. Counts, times and message indexes are computed from whole columns at the end of a chunk. The writer
+of the mcap package creates objects and one struct for each field, and takes several times as long
+(docs/decisions/0025-own-codecs.md). The stream receives a chunk and its indexes in one `write`. It also receives the
+end of the file in one `write`.
 Source: MCAP specification 0 (mcap.dev/spec).
 """
 
@@ -51,15 +52,15 @@ from seatrial.daq.log.record_stream import BALLAST_BYTES, FileSyncer, WholeRecor
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 _MESSAGE_CODE = int(Opcode.MESSAGE)
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
-_FOOTER = struct.Struct("<BQQQ")  # what of the footer its checksum covers
-_SUMMARY_REST = 512  # statistics without its counts, six offsets, footer and magic, generously
-MAX_CHANNELS = 65_535  # their numbers have 16 bits in the file
+_FOOTER = struct.Struct("<BQQQ")  # the part of the footer that its checksum covers
+_SUMMARY_REST = 512  # bytes; upper bound of statistics without its counts, six offsets, footer and magic
+MAX_CHANNELS = 65_535  # the file stores channel numbers in 16 bits
 CHUNK_BYTES = 256 * 1024
-FLUSH_S = 0.25  # wall; each flush ends a chunk, and a chunk is what a killed run keeps
-FEW, FEW_S = 16, 0.1  # so few messages wait no longer than this: where they are rare, each counts
-SYNC_S = 1.0  # wall
-FULL = (errno.ENOSPC, errno.EDQUOT)
-QOS = (
+FLUSH_S = 0.25  # s of wall time; a flush ends a chunk, and a killed run keeps only ended chunks
+FEW_WAITING, FEW_FLUSH_S = 16, 0.1  # up to 16 messages wait only 0.1 s: if messages are rare, each one is important
+SYNC_S = 1.0  # s of wall time
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)  # error numbers of a full disk
+QOS = (  # QoS profile as rosbag2 stores it: keep the last 10 messages, reliable, volatile
     "- {history: 1, depth: 10, reliability: 1, durability: 2, deadline: {sec: 2147483647, nsec: 4294967295}, "
     "lifespan: {sec: 2147483647, nsec: 4294967295}, liveliness: 1, "
     "liveliness_lease_duration: {sec: 2147483647, nsec: 4294967295}, avoid_ros_namespace_conventions: false}"
@@ -67,7 +68,13 @@ QOS = (
 
 
 class DiskFull(SeatrialError):
-    """The disk is full. `complete`: every message added so far is in the file, and its footer is written."""
+    """Error of a full disk.
+
+    Attributes
+    ----------
+    complete
+        Whether the file contains every message added so far, and its footer.
+    """
 
     def __init__(self, text: str, complete: bool) -> None:
         super().__init__(text)
@@ -75,10 +82,26 @@ class DiskFull(SeatrialError):
 
 
 class LogWriter:
-    """One MCAP file: metadata and attachments first, then channels and messages; `tick` keeps it safe.
+    """Writer of one MCAP log file: metadata and attachments first, then channels and messages.
 
-    Raises SeatrialError where the file cannot be made, and from any method once a write failed; by then the file
-    is closed, with a footer where the ballast allowed one.
+    The caller calls `tick` often, so that written messages reach the disk in time.
+
+    Parameters
+    ----------
+    path
+        The new file. An existing file is never overwritten.
+    metadata
+        Texts of the metadata record "seatrial", by name.
+    attachments
+        Contents of attached files, by name.
+    time_ns
+        Time of the attachments [ns since 1970].
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be created. After a failed write every method raises this error; the file is then closed,
+        and has a footer if the ballast had room for it.
     """
 
     def __init__(
@@ -102,7 +125,7 @@ class LogWriter:
             raise SeatrialError(f"{path}: the file exists already; a log is never overwritten") from error
         except OSError as error:
             text = f"{path}: the log cannot be created: {error.strerror}"
-            raise (DiskFull(text, complete=True) if error.errno in FULL else SeatrialError(text)) from error
+            raise (DiskFull(text, complete=True) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)) from error
         self._syncer = FileSyncer(self._stream)
         self._syncer.start()
         self._failed: SeatrialError | None = None
@@ -121,16 +144,26 @@ class LogWriter:
 
     @property
     def size(self) -> int:
-        """Bytes on disk."""
+        """Number of bytes in the file."""
         return self._stream.tell()
 
     @property
     def is_deleted(self) -> bool:
-        """Whether the file has been deleted."""
+        """Return whether the file has been deleted while it is open."""
         return not self._closed and self._stream.is_deleted
 
     def channel(self, topic: str, type_name: str, metadata: Mapping[str, str] | None = None) -> int:
-        """Register a topic and return the number of its channel."""
+        """Register a topic and return the number of its channel.
+
+        Parameters
+        ----------
+        topic
+            Name of the topic.
+        type_name
+            Message type, `package/msg/Name`.
+        metadata
+            Further texts of the channel, such as unit and hold of an imported signal.
+        """
         self._check()
         if type_name not in self._schemas:
             data = full_definition(type_name).encode()
@@ -139,10 +172,24 @@ class LogWriter:
         return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
 
     def add(self, channel: int, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
-        """Append one message; it is on disk after the next `tick` that flushes."""
+        """Append one message. The operating system receives it at the next flush.
+
+        Parameters
+        ----------
+        channel
+            Number of the channel.
+        log_ns
+            Time of receipt [ns since 1970].
+        stamp_ns
+            Time of the sample [ns since 1970], the publish time of the message.
+        sequence
+            Sequence number of the message.
+        data
+            Message in CDR.
+        """
         if self._closed:
             self._check()
-        try:  # `_guard` written out: this is called for every message
+        try:  # the code of `_guard` is repeated here, because a context manager for every message is too slow
             self._writer.add_message(channel, log_ns, data, stamp_ns, sequence)
         except OSError as error:
             self._fail(error, complete=False)
@@ -150,16 +197,17 @@ class LogWriter:
             self._end_saved()
 
     def tick(self) -> None:
-        """Flush what has waited for 0.25 s, or 0.1 s where it is little, and sync every second of wall time.
+        """Flush waiting messages and sync the file when it is time. The caller calls this often.
 
-        To be called often.
+        Messages are flushed after 0.25 s. At most 16 waiting messages are flushed after 0.1 s. The file is synced
+        every second of wall time.
         """
         self._check()
         now = time.monotonic()
         n_waiting = self._writer.n_waiting
         if not n_waiting:
             self._waits = now
-        elif now - self._waits >= (FLUSH_S if n_waiting > FEW else FEW_S):
+        elif now - self._waits >= (FLUSH_S if n_waiting > FEW_WAITING else FEW_FLUSH_S):
             self._waits = now
             self.flush()
         if now - self._synced >= SYNC_S:
@@ -169,17 +217,24 @@ class LogWriter:
             self._fail(self._syncer.error, complete=False)
 
     def flush(self) -> None:
-        """End the chunk and hand it to the operating system."""
+        """End the chunk and pass it to the operating system."""
         self._check()
         with self._guard():
             self._writer.flush()
-        # The end of the file has about 80 bytes and 10 a channel for every chunk: the ballast has to pay for it.
+        # The end of the file needs about 80 bytes for every chunk and 10 more for each of its channels. The ballast
+        # must have room for it.
         steps = -(-(2 * self._writer.summary_bytes) // BALLAST_BYTES)
-        with contextlib.suppress(OSError):  # nearly full: the write that fails will report it
+        with contextlib.suppress(OSError):  # the disk is nearly full: the first failed write reports it
             self._stream.ballast.grow((1 + steps) * BALLAST_BYTES)
 
     def close(self) -> None:
-        """Footer, sync, close; again is harmless. Raises SeatrialError where the file could not be completed."""
+        """Write the end of the file, sync and close it. A second call has no effect.
+
+        Raises
+        ------
+        SeatrialError
+            If the end of the file could not be written, or if the disk is full.
+        """
         if self._closed:
             return
         try:
@@ -193,15 +248,16 @@ class LogWriter:
 
     @contextlib.contextmanager
     def _guard(self) -> Iterator[None]:
+        """Close the file and raise SeatrialError if a write within the block fails."""
         try:
             yield
-        except OSError as error:  # records are lost: what the writer remembers no longer fits the file
+        except OSError as error:  # records are lost: the indexes of the writer no longer agree with the file
             self._fail(error, complete=False)
         if self._stream.failure is not None:
             self._end_saved()
 
     def _end_saved(self) -> NoReturn:
-        """A write that failed was saved by the ballast: nothing is lost, but this is the end."""
+        """End the file after the ballast has made room for the records of a failed write. No record is lost."""
         assert self._stream.failure is not None
         complete = True
         try:
@@ -211,7 +267,7 @@ class LogWriter:
         self._fail(self._stream.failure, complete)
 
     def _fail(self, error: OSError, complete: bool) -> NoReturn:
-        """Close and raise; `complete` when the footer is written."""
+        """Close the file and raise the error. `complete`: whether the footer is written."""
         self._end()
         self._failed = self._explain(error, complete)
         raise self._failed from error
@@ -228,64 +284,75 @@ class LogWriter:
             raise SeatrialError(f"{self.path}: the log is closed already")
 
     def _explain(self, error: OSError, complete: bool) -> SeatrialError:
-        state = "closed and complete up to there" if complete else "complete up to its last record, without a footer"
+        """Return the error for the user about a failed write."""
+        state = "closed and complete up to there" if complete else "whole up to its last record, but has no footer"
         text = (
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
             "free disk space and start a new one"
         )
-        return DiskFull(text, complete) if error.errno in FULL else SeatrialError(text)
+        return DiskFull(text, complete) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)
 
 
 class Output(Protocol):
-    """Destination of the records; gets whole records only."""
+    """Destination of a `RecordWriter`, which passes whole records only."""
 
     def write(self, data: bytes, /) -> object:
-        """Take all of it; raises OSError."""
+        """Write all bytes, or raise OSError."""
 
     def tell(self) -> int:
-        """Bytes written so far."""
+        """Return the number of bytes written so far."""
 
 
 class RecordWriter:
-    """Writes one MCAP file in zstd chunks, each ended by `flush` or beyond `chunk_bytes`.
+    """Encoder of the records of one MCAP file with zstd chunks.
 
-    Whatever the stream raises comes out of every method; the writer is of no use after that.
+    A chunk ends at `flush`, or when it is longer than `chunk_bytes`. Errors of the stream pass through every method;
+    do not use the writer after an error.
+
+    Parameters
+    ----------
+    stream
+        Destination of the records.
+    chunk_bytes
+        Number of uncompressed bytes after which a chunk ends.
+    profile, library
+        Texts of the header record.
     """
 
     def __init__(self, stream: Output, *, chunk_bytes: int, profile: str, library: str) -> None:
         self._stream, self._chunk_bytes = stream, chunk_bytes
         self._compressor = zstandard.ZstdCompressor()
-        # What the summary will repeat, as bytes: a day of chunks would be gigabytes of objects.
+        # Records that the summary repeats at the end, as bytes: objects for a day of chunks would take gigabytes.
         self._schemas, self._channels = bytearray(), bytearray()
         self._chunk_index, self._attachment_index, self._metadata_index = bytearray(), bytearray(), bytearray()
         self._n_schemas = self._n_channels = self._n_attachments = self._n_metadata = self.n_chunks = 0
         self._counts: Counter[int] = Counter()  # messages by channel
         self._begin_ns, self._end_ns = 2**64 - 1, 0
-        self._parts: list[bytes] = []  # the records of the chunk,
-        self._held = 0  # their bytes,
-        self._offsets: list[int] = []  # and where its messages begin
+        self._parts: list[bytes] = []  # records of the current chunk
+        self._held = 0  # bytes of these records
+        self._offsets: list[int] = []  # offset of each message in the chunk
         stream.write(MCAP0_MAGIC + _bytes(Header(profile, library)))
 
     @property
     def n_waiting(self) -> int:
-        """Messages in the chunk that is not written yet."""
+        """Number of messages in the current chunk, which is not written yet."""
         return len(self._offsets)
 
     @property
     def summary_bytes(self) -> int:
-        """Upper bound of the size of the summary and footer, as of now."""
+        """Upper bound of the size [bytes] of summary and footer, if the file ended now."""
         kept = (self._schemas, self._channels, self._chunk_index, self._attachment_index, self._metadata_index)
         return sum(map(len, kept)) + 10 * self._n_channels + _SUMMARY_REST
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record at once."""
+        """Write a metadata record immediately."""
         at, record = self._stream.tell(), _bytes(Metadata(name=name, metadata=dict(data)))
         self._stream.write(record)
         self._n_metadata += 1
         self._metadata_index += _bytes(MetadataIndex(offset=at, length=len(record), name=name))
 
     def add_attachment(self, create_ns: int, log_ns: int, name: str, media_type: str, data: bytes) -> None:
-        """Write an attachment at once."""
+        """Write an attachment immediately."""
         at = self._stream.tell()
         record = _bytes(Attachment(create_ns, log_ns, name, media_type, data))
         self._stream.write(record)
@@ -302,7 +369,13 @@ class RecordWriter:
         return self._n_schemas
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Register a topic and return the number of its channel; schema 0 is none."""
+        """Register a topic and return the number of its channel. `schema` is 0 for a channel without a schema.
+
+        Raises
+        ------
+        SeatrialError
+            If the file has the largest possible number of channels already.
+        """
         if self._n_channels == MAX_CHANNELS:
             raise SeatrialError(f"a log holds at most {MAX_CHANNELS} topics; leave some of them out")
         self._n_channels += 1
@@ -312,7 +385,7 @@ class RecordWriter:
         return self._n_channels
 
     def add_message(self, channel: int, log_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
-        """Append a message to the chunk."""
+        """Append a message to the current chunk. Times in ns since 1970."""
         head = _MESSAGE.pack(_MESSAGE_CODE, HEAD_BYTES + len(data), channel, sequence, log_ns, stamp_ns)
         record = head + data
         self._parts.append(record)
@@ -322,11 +395,12 @@ class RecordWriter:
             self.flush()
 
     def _hold(self, record: bytes) -> None:
+        """Append a schema or channel record to the current chunk."""
         self._parts.append(record)
         self._held += len(record)
 
     def flush(self) -> None:
-        """End the chunk and write it with its message indexes; nothing where it has no message yet."""
+        """End the current chunk and write it with its message indexes. A chunk without messages stays open."""
         if not self._offsets:
             return
         data, offsets = b"".join(self._parts), np.asarray(self._offsets, np.int64)
@@ -363,7 +437,7 @@ class RecordWriter:
         self._parts, self._offsets, self._held = [], [], 0
 
     def finish(self) -> None:
-        """Write the last chunk and the end of the file: summary and footer."""
+        """Write the last chunk and the end of the file, which consists of summary and footer."""
         self.flush()
         end = _bytes(DataEnd(0))
         start = self._stream.tell() + len(end)
@@ -386,6 +460,7 @@ class RecordWriter:
         self._stream.write(end + summary + offsets + _bytes(footer) + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
+        """Return the statistics record of the file."""
         return Statistics(
             attachment_count=self._n_attachments,
             channel_count=self._n_channels,
@@ -402,7 +477,10 @@ class RecordWriter:
 def _message_indexes(
     channels: NDArray[np.uint16], times: NDArray[np.uint64], offsets: NDArray[np.int64], at: int
 ) -> tuple[bytes, dict[int, int]]:
-    """The message index records of a chunk, one per channel, and the offset of each when the first is at `at`."""
+    """Return the message index records of a chunk, one per channel, and the offset of each in the file by channel.
+
+    `at` is the offset of the first record in the file.
+    """
     order = np.argsort(channels, kind="stable")
     entries = np.stack((times[order], offsets[order].astype(np.uint64)), axis=1).astype("<u8")
     numbers, firsts = np.unique(channels[order], return_index=True)
@@ -415,6 +493,7 @@ def _message_indexes(
 
 
 def _bytes(record: McapRecord) -> bytes:
+    """Encode a record by the mcap package."""
     builder = RecordBuilder()
     record.write(builder)
     written: bytes = builder.end()  # type: ignore[no-untyped-call]

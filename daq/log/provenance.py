@@ -1,4 +1,7 @@
-"""Who recorded a log, where, with which versions: the strings that go first into every segment."""
+"""Provenance of a log: operator, computer, software versions and command line, as texts for its metadata.
+
+Each segment of a log begins with these texts.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +19,19 @@ _PACKAGES = ("seatrial", "mcap", "numpy", "pyserial", "python-can", "zstandard")
 
 @cache
 def git_hash() -> str:
-    """The commit of the source tree that runs, with `-dirty` where files differ; `none` outside a repository."""
+    """Return the commit of the running source tree.
+
+    The suffix `-dirty` marks a tree with uncommitted changes. The result is `none` outside a git repository.
+    """
     folder = Path(__file__).resolve().parents[1]
     if not (folder.parent / ".git").exists():
         return "none"
     command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
     try:
-        found = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
+        completed = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True)
     except (OSError, subprocess.SubprocessError):
         return "none"
-    return found.stdout.strip()
+    return completed.stdout.strip()
 
 
 def _version(package: str) -> str:
@@ -43,7 +49,7 @@ def _operator() -> str:
 
 
 def collect() -> dict[str, str]:
-    """Versions, git hash, host, operator, wall time and command line, all as text."""
+    """Return software versions, git hash, host, operator, wall time and command line, as text by name."""
     return {
         "git": git_hash(),
         "host": platform.node(),

@@ -1,10 +1,10 @@
-"""MCAP -> numpy: tables of samples, events and raw bytes of a log (docs/formats/log.md).
+"""Reader of logs: tables of samples as numpy arrays, events and raw bytes (docs/formats/log.md).
 
     log = seatrial.daq.log.reader.open_log("run.mcap")
     ahrs = log.table(Ahrs, "ahrs")
     ahrs["t"], ahrs["yaw"]
 
-Killed and truncated files open like any other, with all complete messages; `log.warnings` reports the damage.
+Killed and truncated files open in the same way, with all complete messages. `log.warnings` describes the damage.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from seatrial.daq.samples import MEASURED, Ahrs, Command, Esc, PortHealth, Scala
 
 _COUNTERS = ("bytes_in", "frames", "checksum_errors", "unparsed_bytes", "dropped", "reconnects")
 _DIRECTIONS = ("rx", "tx")
-MAX_FRAME_ID = 256
-MAX_NODE_DIGITS = 9  # of a node id in a topic; Python converts no number of thousands of digits
-_COMPANIONS = {  # of an Imu: topics that have the rest of its sample, and which column is which field
+MAX_FRAME_ID = 256  # bytes
+MAX_NODE_DIGITS = 9  # of a node id in a topic; int() of a text with thousands of digits raises an error
+_COMPANIONS = {  # topics with the other columns of an AHRS sample: message type, and field of the message by column
     "device_time": (schema.DEVICE_TIME, {"t_rx": "t_rx", "t_device": "t_device"}),
     "mag": (schema.MAG, {f"m{axis}": f"magnetic_field.{axis}" for axis in "xyz"}),
 }
@@ -49,11 +49,23 @@ _WHOLE = (0, LAST_NS)
 
 
 def open_log(path: Path | str) -> Log:
-    """Open a log, whole or killed, with all its segments. Raises SeatrialError where it is no log at all."""
+    """Open a log with all its segments. The log may be whole, killed or damaged.
+
+    Parameters
+    ----------
+    path
+        First segment of the log.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or is no MCAP file.
+    """
     return Log(Path(path))
 
 
 def _library(name: str) -> Any:
+    """Import an optional library. Raise SeatrialError with the command that installs it if it is missing."""
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -61,12 +73,28 @@ def _library(name: str) -> Any:
 
 
 class Log:
-    """One log. Times are run seconds since 1970."""
+    """One log, with all its segments. Times are times of the run clock [s since 1970].
+
+    Attributes
+    ----------
+    path
+        First segment.
+    paths
+        All segments.
+    complete
+        Whether every segment has its footer.
+    metadata
+        Texts that the recorder wrote, by name.
+    attachments
+        Contents of the attached files, by name.
+    start, end
+        Times of receipt of the first and the last message [s since 1970]; 0 if the log has no messages.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._file = open_raw(path)
-        self.paths = [raw.path for raw in self._file.files]  # more than one where the log has segments
+        self.paths = [raw.path for raw in self._file.files]
         self._note = read_note(path)
         self.complete = self._file.complete
         self.metadata: dict[str, str] = {}
@@ -76,27 +104,38 @@ class Log:
         self.attachments = {record.name: record.data for record in self._file.attachments}
         self.start, self.end = (ns / NANO for ns in self._file.span_ns or (0, 0))
         self._span_ns = _WHOLE
-        self._kept: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
-        self._read_spans: set[tuple[int, int]] = set()  # of which all tables are kept
+        self._tables: dict[tuple[str, tuple[int, int]], NDArray[np.void]] | None = None
+        self._read_spans: set[tuple[int, int]] = set()  # intervals of time whose tables are all kept
 
     @contextlib.contextmanager
     def keeping_tables(self) -> Iterator[None]:
-        """Within this, all tables are read at once with the first, and are not to be written to: for who looks at many
-        of them, and more than once."""
-        self._kept, self._read_spans = {}, set()
+        """Keep all tables in memory within the block. The tables are read-only.
+
+        The first call of `table` reads all tables at once. This is faster if a caller uses many tables, or uses a
+        table more than once.
+        """
+        self._tables, self._read_spans = {}, set()
         try:
             yield
         finally:
-            self._kept = None
+            self._tables = None
 
     def part(self, begin: float, end: float) -> Log:
-        """The log as if it had only what was received from `begin` to before `end` [s since 1970]: the rest is not
-        read. What is counted (`counts`, sources and nodes) is that of the whole log, and so is `sha256`."""
-        found = copy.copy(self)
-        found.__dict__.pop("_spacing", None)
-        found._span_ns = _span_ns(begin, end, self._span_ns)
-        found.start, found.end = max(self.start, begin), max(min(self.end, end), begin)
-        return found
+        """Return a view of the log with the messages of an interval of time only.
+
+        Messages outside the interval are not read. `counts`, `sources`, `nodes` and `sha256` remain those of the
+        whole log.
+
+        Parameters
+        ----------
+        begin, end
+            Interval of the time of receipt [s since 1970], without `end` itself.
+        """
+        view = copy.copy(self)
+        view.__dict__.pop("_spacing", None)
+        view._span_ns = _span_ns(begin, end, self._span_ns)
+        view.start, view.end = max(self.start, begin), max(min(self.end, end), begin)
+        return view
 
     def __enter__(self) -> Log:
         return self
@@ -105,18 +144,18 @@ class Log:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file; tables already read stay."""
+        """Close the file. Tables that were read before stay valid."""
         self._file.close()
 
     @property
     def warnings(self) -> list[str]:
-        """What is wrong with the file; reads what was not read yet."""
+        """Faults of the log, and the note of a watchdog. The unread parts of the file are read first."""
         self._file.verify(*self._span_ns)
         return [*self._file.warnings, *([self._note] if self._note else [])]
 
     @property
     def duration(self) -> float:
-        """Seconds from the first message to the last."""
+        """Time from the first message to the last [s]."""
         return self.end - self.start
 
     @cached_property
@@ -131,9 +170,14 @@ class Log:
 
     @cached_property
     def rig(self) -> Rig | None:
-        """The rig file attached to the log, parsed once; None for an import.
+        """Rig of the log, from the attached rig file. None for an imported log.
 
-        Its relative paths count from the log's folder. Raises SeatrialError where the attachment is no valid rig.
+        Relative paths in the rig are relative to the folder of the log.
+
+        Raises
+        ------
+        SeatrialError
+            If the attached file is no valid rig file.
         """
         data = self.attachments.get("rig.toml")
         if data is None:
@@ -141,12 +185,20 @@ class Log:
         try:
             return parse_rig(data.decode(), self.path.parent / f"{self.path.name}:rig.toml", recorded=True)
         except UnicodeDecodeError as error:
-            raise self._error("the rig.toml inside is not UTF-8 text") from error
+            raise self._error("the attached rig.toml is not UTF-8 text") from error
 
     @cached_property
     def vehicle(self) -> Mapping[str, float]:
-        """What is known of the boat, model parameters by name: the rig's [vehicle]; of an import, its map's [geometry]
-        and [scale]. Raises SeatrialError where the attachment is damaged."""
+        """Known model parameters of the boat, by name.
+
+        The values are from the [vehicle] table of the rig. For an imported log they are from the [geometry] and
+        [scale] tables of the import map.
+
+        Raises
+        ------
+        SeatrialError
+            If the attached file is damaged.
+        """
         data = self.attachments.get("vehicle.toml")
         if data is None:
             return self.rig.vehicle if self.rig else {}
@@ -155,33 +207,36 @@ class Log:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Messages per topic, topics in alphabetical order."""
+        """Number of messages of each topic, sorted by topic."""
         found: Counter[str] = Counter()
         for number, n in self._file.counts.items():
             found[self._file.channels[number].topic] += n
         return dict(sorted(found.items()))
 
     def types(self) -> dict[str, str]:
-        """Message type of each topic that has messages."""
+        """Return the message type of each topic that has messages; "?" if the type is unknown."""
         schemas = self._file.schemas
         names = {c.topic: schemas[c.schema_id].name for c in self._file.channels.values() if c.schema_id in schemas}
         return {name: names.get(name, "?") for name in self.counts}
 
     def rate_and_gap(self, topic: str) -> tuple[float, float]:
-        """Mean rate [Hz] and longest gap [s] of a topic's messages by their own time; NaN where there is one only."""
+        """Return mean rate [Hz] and longest gap [s] of the time stamps of a topic. Both are NaN for a single time."""
         return self._spacing[topic].rate_and_gap()
 
     @property
     def clock_steps(self) -> dict[str, tuple[int, float]]:
-        """Topics whose times run back by more than 0.5 s from one message to the next: how often, and the longest [s].
-        It is a clock that was set, or two of them."""
-        found = {topic: (one.n_back, one.longest_back) for topic, one in self._spacing.items() if one.n_back}
+        """Number of backward steps of the time stamps and the longest of them [s], by topic.
+
+        Only steps of more than 0.5 s from one message to the next count. They show that a clock was set, or that the
+        stamps are from two clocks. Topics without such steps are left out, and so are events.
+        """
+        found = {topic: (item.n_back, item.longest_back) for topic, item in self._spacing.items() if item.n_back}
         found.pop("/event", None)
         return found
 
     @cached_property
     def _spacing(self) -> dict[str, _Spacing]:
-        """Of all topics, by one reading of the file."""
+        """Rate, gaps and backward steps of all topics, from one pass through the file."""
         found = {topic: _Spacing() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
@@ -191,9 +246,22 @@ class Log:
         return found
 
     def to_pandas(self, rate: float = 10.0) -> Any:
-        """A pandas.DataFrame of the whole log at `rate` [Hz], by UTC; units in ``attrs["units"]``. As `resample` does.
+        """Return the whole log on one time grid as a pandas.DataFrame. `seatrial.daq.log.resample` has the rules.
 
-        Raises SeatrialError where pandas is not there, or the log has no samples.
+        Parameters
+        ----------
+        rate
+            Rate of the grid [Hz].
+
+        Returns
+        -------
+        pandas.DataFrame
+            One column for each number, with the UTC time as index. ``attrs["units"]`` has the units by column.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed, or if the log has no samples.
         """
         pandas = _library("pandas")
         table = resample(self, rate)
@@ -203,7 +271,23 @@ class Log:
         return frame
 
     def to_xarray(self, rate: float = 10.0) -> Any:
-        """An xarray.Dataset as `to_pandas` has it; ``time`` is UTC, units are attributes. Raises SeatrialError."""
+        """Return the whole log on one time grid as an xarray.Dataset. `seatrial.daq.log.resample` has the rules.
+
+        Parameters
+        ----------
+        rate
+            Rate of the grid [Hz].
+
+        Returns
+        -------
+        xarray.Dataset
+            One variable for each number over ``time`` (UTC). The attribute ``units`` of a variable has its unit.
+
+        Raises
+        ------
+        SeatrialError
+            If xarray is not installed, or if the log has no samples.
+        """
         xarray = _library("xarray")
         table = resample(self, rate)
         time = np.rint(table.t * NANO).astype(np.int64).astype("datetime64[ns]")
@@ -211,7 +295,7 @@ class Log:
         return xarray.Dataset(variables, coords={"time": time})
 
     def sources(self, kind: type[Measured] | type[PortHealth]) -> list[str]:
-        """Devices (or signal names, for Scalar) that have samples of this kind."""
+        """Return the names of the devices (for `Scalar`: of the signals) that have samples of a kind."""
         if kind is PortHealth:
             return [name.split("/")[2] for name in self.counts if name.startswith("/health/")]
         if kind is Scalar:
@@ -223,49 +307,68 @@ class Log:
         return [pair[0] for pair in pairs if len(pair) == 2 and pair[1] == last and pair[0] not in ("raw", "health")]
 
     def nodes(self, kind: type[Esc] | type[Command] | type[Servo], source: str) -> list[int]:
-        """Controller ids on the bus of a device that have samples of this kind."""
+        """Return the sorted controller ids on the bus of a device that have samples of a kind."""
         return sorted(node for name, node in self._nodes(kind) if name == source)
 
     def _nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
+        """Return pairs of device and controller id that have samples of a kind, from the names of the topics."""
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
-        mine = [(p[0], p[1]) for p in parts if len(p) == 3 and p[2] == last]
-        return [(name, int(node)) for name, node in mine if node.isdecimal() and len(node) <= MAX_NODE_DIGITS]
+        pairs = [(p[0], p[1]) for p in parts if len(p) == 3 and p[2] == last]
+        return [(name, int(node)) for name, node in pairs if node.isdecimal() and len(node) <= MAX_NODE_DIGITS]
 
     def table(
         self, kind: type[Measured], source: str, node: int | None = None, begin: float = 0.0, end: float = np.inf
     ) -> NDArray[np.void]:
-        """Samples of a kind, shape (n,): t, t_rx, t_device, then the sample's fields.
+        """Return the samples of one device or signal.
 
-        `t` is the estimated time of the sample in s since 1970 and never decreases. `begin` and `end` [s since 1970]
-        bound the time of receipt (`begin <= t_rx < end`): what lies outside is not read. Raises SeatrialError where the
-        log has no such samples, and where the memory does not hold them.
+        Parameters
+        ----------
+        kind
+            Class of the samples.
+        source
+            Name of the device, or of the signal for `Scalar`.
+        node
+            Controller id, for the kinds in `NODE_TOPICS`. It may be None if the device has a single controller.
+        begin, end
+            Interval of the time of receipt [s since 1970]: `begin <= t_rx < end`. Samples outside are not read.
+
+        Returns
+        -------
+        Array (n,)
+            Structured array with the columns t, t_rx, t_device and the fields of the sample. `t` is the estimated
+            time of the sample [s since 1970] and never decreases.
+
+        Raises
+        ------
+        SeatrialError
+            If the log has no such samples, or if the memory is too small for them.
         """
         if kind is Esc or kind is Command or kind is Servo:
             node = self._only_node(kind, source, node)
         topic = schema.topic(kind, source, node)
         span = _span_ns(begin, end, self._span_ns)
         try:
-            if self._kept is None:
+            if self._tables is None:
                 return self._read_table(kind, topic, source, span)
             if span not in self._read_spans:
                 self._read_spans.add(span)
-                self._kept |= self._read_tables(span)
-            if (topic, span) not in self._kept:
-                self._kept[topic, span] = self._read_table(kind, topic, source, span)
-            table = self._kept[topic, span]
+                self._tables |= self._read_tables(span)
+            if (topic, span) not in self._tables:
+                self._tables[topic, span] = self._read_table(kind, topic, source, span)
+            table = self._tables[topic, span]
             table.flags.writeable = False
             return table
         except MemoryError:
             raise self._error(
-                f"{topic} has {self.counts.get(topic, 0)} messages, which the memory of this computer does not hold: "
-                "read a part of the time (begin, end), or a segment by itself"
+                f"{topic} has {self.counts.get(topic, 0)} messages, too many for the memory of this computer: "
+                "read a shorter interval of time (begin, end), or a single segment"
             ) from None
 
     def _read_table(
         self, kind: type[Measured], topic: str, source: str, span: tuple[int, int], join: bool = True
     ) -> NDArray[np.void]:
-        """One table, by its own reading of the file."""
+        """Read the table of one topic from the file. `join`: add the companions of an AHRS."""
         rows = self._rows_of(kind, topic, source, join)
         try:
             for messages in self._file.read(rows.channels, *span):
@@ -275,13 +378,20 @@ class Log:
         return self._in_order(rows.done(), topic, span)
 
     def _rows_of(self, kind: type[Measured], topic: str, source: str, join: bool = True) -> _Rows:
-        """What becomes the table of a topic; of an AHRS with its other topics, where they are to ``join``. Raises
-        SeatrialError."""
+        """Return an empty table that collects the messages of a topic, and of the companion topics of an AHRS.
+
+        Raises
+        ------
+        SeatrialError
+            If the topic has no messages, or messages of another type.
+        """
         return _AhrsRows(self, topic, source, join) if kind is Ahrs else _SampleRows(self, kind, topic)
 
     def _read_tables(self, span: tuple[int, int]) -> dict[tuple[str, tuple[int, int]], NDArray[np.void]]:
-        """Every table of the log by one reading of the file: its chunks hold all topics. What is wrong with one is said
-        when it is asked for by itself."""
+        """Read every table of the log in one pass through the file, because each chunk contains all topics.
+
+        Tables with errors are left out. `table` then reads the topic alone and raises the error.
+        """
         rows: dict[str, _Rows] = {}
         for kind in (*MEASURED, Command):
             for source in self.sources(kind):
@@ -290,51 +400,53 @@ class Log:
                     topic = schema.topic(kind, source, node)
                     with contextlib.suppress(SeatrialError):
                         rows[topic] = self._rows_of(kind, topic, source)
-        every = [number for one in rows.values() for number in one.channels]
-        for messages in self._file.read(every, *span):
+        channels = [number for collector in rows.values() for number in collector.channels]
+        for messages in self._file.read(channels, *span):
             channel = messages.heads["channel"]
-            for topic, one in list(rows.items()):
-                part = messages.where(np.isin(channel, one.channels))
+            for topic, collector in list(rows.items()):
+                part = messages.where(np.isin(channel, collector.channels))
                 try:
                     if len(part.offsets):
-                        one.take(part)
+                        collector.take(part)
                 except SeatrialError:
                     del rows[topic]
-        found = {}
-        for topic, one in rows.items():
+        tables = {}
+        for topic, collector in rows.items():
             with contextlib.suppress(SeatrialError):
-                found[topic, span] = self._in_order(one.done(), topic, span)
-        return found
+                tables[topic, span] = self._in_order(collector.done(), topic, span)
+        return tables
 
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
+        """Return the controller id, by default the id of the only controller of a device."""
         nodes = self.nodes(kind, source)
         if node is None and len(nodes) == 1:
             return nodes[0]
         if node is None and len(nodes) > 1:
-            raise self._error(f"{source} has nodes {nodes}: name one")
+            raise self._error(f"{source} has several nodes, {nodes}: choose a node")
         return 0 if node is None else node
 
     def _in_order(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
+        """Make the times of a table non-decreasing. Raise SeatrialError if no message of the whole log is readable."""
         if not len(table) and span == _WHOLE:
             raise self._error(f"no message on {topic} is readable")
-        # Estimates of the clock may jitter; the order of the samples is the device's and is kept.
+        # Time estimates of the clock may jitter. The order of the samples is the order of the device and stays.
         np.maximum.accumulate(table["t"], out=table["t"])
         return table
 
     def events(self) -> list[tuple[float, str, str]]:
-        """Every event as (t, kind, text), in the order written."""
+        """Return all events as (time [s since 1970], kind, text), in the order of the file."""
         if "/event" not in self.counts:
             return []
         found = []
-        for t, _, tail in self._whole("/event", schema.EVENT):
+        for t, _, tail in self._decoded_messages("/event", schema.EVENT):
             kind, text = (printable(part.decode("utf-8", errors="replace")) for part in tail)
             found.append((t, kind, text))
         return found
 
     def health(self, device: str) -> list[tuple[float, PortHealth]]:
-        """The counters of a device's port over time, as (t, counters)."""
+        """Return the counters of the port of a device over time, as (time [s since 1970], counters)."""
         found = []
-        for t, row, (port,) in self._whole(f"/health/{device}", schema.HEALTH):
+        for t, row, (port,) in self._decoded_messages(f"/health/{device}", schema.HEALTH):
             n_in, n_frames, n_bad, n_unparsed, n_dropped, n_again = (int(row[name]) for name in _COUNTERS)
             bias, spread = float(row["clock_bias"]), float(row["clock_spread"])
             name = printable(port.decode("utf-8", errors="replace"))
@@ -342,12 +454,12 @@ class Log:
         return found
 
     def raw(self, device: str) -> Iterator[tuple[float, str, bytes]]:
-        """Bytes of a device's port as (t, "rx" or "tx", data), in the order written."""
-        for t, row, (data,) in self._whole(f"/raw/{device}", schema.RAW):
+        """Yield the bytes of the port of a device as (time [s since 1970], "rx" or "tx", data), in file order."""
+        for t, row, (data,) in self._decoded_messages(f"/raw/{device}", schema.RAW):
             yield t, _DIRECTIONS[min(int(row["direction"]), 1)], data
 
     def messages(self) -> Iterator[tuple[int, str, bytes]]:
-        """Every message as it stands: log time [ns since 1970], topic, data; in the order written."""
+        """Yield every message without decoding: log time [ns since 1970], topic and data, in file order."""
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
             heads = (messages.heads[name].tolist() for name in ("log_ns", "channel"))
@@ -355,144 +467,161 @@ class Log:
                 yield log_ns, topics[channel], bytes(data)
 
     def unit(self, signal: str) -> str:
-        """Unit of an imported signal."""
-        return self._about(signal).get("unit", "")
+        """Return the unit of an imported signal; empty if it is unknown."""
+        return self._channel_metadata(signal).get("unit", "")
 
     def hold(self, signal: str) -> str:
-        """How an imported signal goes on between its samples: "zero", "linear" or, of an output that comes at a rate,
-        "sampled": a change came at some time since the sample before."""
-        return self._about(signal).get("hold", "linear")
+        """Return the hold of an imported signal, which describes the values between two samples.
+
+        "zero": the last value stays constant. "linear": values are interpolated. "sampled": a held output that is
+        sampled at a rate; its value changed at an unknown time since the sample before.
+        """
+        return self._channel_metadata(signal).get("hold", "linear")
 
     def role(self, signal: str) -> str:
-        """What an imported signal is to the system: "input" or "output"."""
-        return self._about(signal).get("role", "output")
+        """Return whether an imported signal is an "input" or an "output" of the system."""
+        return self._channel_metadata(signal).get("role", "output")
 
-    def _about(self, signal: str) -> dict[str, str]:
+    def _channel_metadata(self, signal: str) -> dict[str, str]:
+        """Return the metadata of the channel of a signal."""
         return self._file.channels[self._channels(schema.topic(Scalar, signal))[0]].metadata
 
     def _error(self, text: str) -> SeatrialError:
-        """An error of this log, in one line whatever a damaged file has for names."""
+        """Return an error about this log as one line; names in a damaged file may contain line ends."""
         return SeatrialError(f"{self.path}: {' '.join(text.split())}")
 
     def _channels(self, topic: str, type_name: str = "") -> list[int]:
-        """Numbers of a topic's channels. Raises SeatrialError where it has no messages, or those of another type."""
+        """Return the numbers of the channels of a topic.
+
+        Raises
+        ------
+        SeatrialError
+            If the topic has no messages, or if its message type is not `type_name`.
+        """
         found = [number for number, channel in self._file.channels.items() if channel.topic == topic]
         if not found or topic not in self.counts:
-            there = ", ".join(self.counts) or "nothing"
-            raise self._error(f"no messages on {topic}; there is: {there}")
+            topics = ", ".join(self.counts) or "none"
+            raise self._error(f"no messages on {topic}; topics with messages: {topics}")
         for number in found if type_name else ():
             channel = self._file.channels[number]
-            told = self._file.schemas.get(channel.schema_id)
-            if told is None or told.name != type_name or channel.message_encoding != "cdr":
-                what = "an unknown type" if told is None else f"{told.name} ({channel.message_encoding})"
-                raise self._error(f"{topic} is {what}, not {type_name} (cdr)")
+            written = self._file.schemas.get(channel.schema_id)
+            if written is None or written.name != type_name or channel.message_encoding != "cdr":
+                written_type = "unknown" if written is None else f"{written.name} ({channel.message_encoding})"
+                raise self._error(f"{topic}: the message type is {written_type}, not {type_name} (cdr)")
         return found
 
-    def _lacking(self, topic: str, type_name: str) -> tuple[str, ...]:
-        """The fields that the version that wrote a topic did not have."""
+    def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
+        """Return the fields that the messages of a topic lack, because an older version wrote the log."""
         channels = [self._file.channels[number] for number in self._channels(topic)]
         written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
         added = schema.ADDED.get(type_name, ())
         return tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
 
     def _rows(self, messages: Messages, topic: str, type_name: str) -> NDArray[np.void]:
-        """Decoded fixed parts of messages, shape (n,)."""
-        wrong = self._error(f"a message on {topic} is no {type_name} in little-endian CDR")
-        lacking = self._lacking(topic, type_name)
+        """Decode the fixed parts of messages, shape (n,).
+
+        Raises
+        ------
+        SeatrialError
+            If a message is too short, or is not in little-endian CDR.
+        """
+        wrong = self._error(f"a message on {topic} is not a valid {type_name} in little-endian CDR")
+        lacking = self._missing_fields(topic, type_name)
         lengths = messages.lengths
         if np.any(lengths < HEAD.itemsize):
             raise wrong
-        # Our own logs have one frame_id a topic: what the first message has is tried for all.
+        # In logs of seatrial a topic has one frame_id: try the layout of the first message for all messages.
         heads = messages.rows(HEAD)
-        found = _layout(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
-        if found is not None and np.all(lengths >= found.dtype.itemsize):
-            rows = messages.rows(found.dtype)
+        layout = _layout(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
+        if layout is not None and np.all(lengths >= layout.dtype.itemsize):
+            rows = messages.rows(layout.dtype)
             if not len(rows) or (np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE)):
                 return rows
         if np.any(heads["endian"] != _LITTLE):
             raise wrong
         rows = np.zeros(len(heads), cdr_layout(type_name, b"", lacking).dtype)
         for n_frame in np.unique(heads["n_frame"]):
-            these = heads["n_frame"] == n_frame
-            found = _layout(type_name, n_frame, lacking)
-            if found is None or np.any(lengths[these] < found.dtype.itemsize):
+            mask = heads["n_frame"] == n_frame
+            layout = _layout(type_name, n_frame, lacking)
+            if layout is None or np.any(lengths[mask] < layout.dtype.itemsize):
                 raise wrong
-            decoded = messages.where(these).rows(found.dtype)
+            decoded = messages.where(mask).rows(layout.dtype)
             for name in rows.dtype.names or ():
-                rows[name][these] = decoded[name]
+                rows[name][mask] = decoded[name]
         return rows
 
-    def _whole(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
-        """Stamp, fixed part and variable fields of each message of a topic, in the order written."""
+    def _decoded_messages(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
+        """Yield time stamp [s since 1970], fixed part and variable fields of each message of a topic, in file order."""
         for messages in self._file.read(self._channels(topic, type_name), *self._span_ns):
             rows = self._rows(messages, topic, type_name)
             for t, row, data in zip(stamps(rows), rows, messages.payloads(), strict=True):
-                found = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
+                layout = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
                 try:
-                    tail = found.unpack_tail(data)
+                    tail = layout.unpack_tail(data)
                 except ValueError as error:
-                    raise self._error(f"a message on {topic} is no {type_name}") from error
+                    raise self._error(f"a message on {topic} is not a valid {type_name}") from error
                 yield float(t), row, tail
 
 
 def _span_ns(begin: float, end: float, within: tuple[int, int]) -> tuple[int, int]:
-    """From s to ns since 1970, and within another."""
+    """Convert an interval from s to ns since 1970, and cut it to the interval `within` [ns]."""
     first, last = (LAST_NS if t >= LAST_NS / NANO else max(0, round(t * NANO)) for t in (begin, end))
     return max(first, within[0]), min(last, within[1])
 
 
 def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
-    """The layout for a frame_id of so many bytes, its end included; None where that makes no sense."""
+    """Return the layout for a `frame_id` of `n_frame` bytes with its final NUL; None if this length is invalid."""
     return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
 def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtype[np.void]:
+    """Return the numpy type of a table of samples. `integers`: columns of whole numbers."""
     names = ["t", "t_rx", "t_device", *schema.field_names(kind)]
     return np.dtype([(name, "i8" if name in integers else "f8") for name in names])
 
 
-class _Growing:
-    """An array to which rows are added, with at most an eighth more memory than they take."""
+class _GrowingArray:
+    """Array to which rows are added. It has at most an eighth more memory than its rows need."""
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self._all, self._n = np.zeros(0, dtype), 0
 
     @property
     def rows(self) -> NDArray[Any]:
-        """Those so far; not to be kept while more are added."""
+        """Rows so far. This array is invalid after the next call of `more`."""
         return self._all[: self._n]
 
     def more(self, n: int) -> NDArray[Any]:
-        """The place for `n` more rows. Raises MemoryError."""
+        """Add `n` rows and return them, for the caller to fill. Raises MemoryError."""
         self._n += n
         if self._n > len(self._all):
             self._all.resize(self._n + self._n // 8, refcheck=False)
         return self._all[self._n - n : self._n]
 
     def done(self) -> NDArray[Any]:
-        """All of them."""
+        """Free the unused memory and return all rows."""
         self._all.resize(self._n, refcheck=False)
         return self._all
 
 
 class _Rows:
-    """The table of a topic, that grows with the messages of its ``channels``."""
+    """Table of a topic that grows with the messages of its ``channels``."""
 
     def __init__(self, log: Log, topic: str, channels: list[int], dtype: np.dtype[np.void]) -> None:
         self.topic, self.channels = topic, channels
-        self._log, self._table = log, _Growing(dtype)
+        self._log, self._table = log, _GrowingArray(dtype)
 
     def take(self, messages: Messages) -> None:
-        """The next messages of these channels. Raises SeatrialError."""
+        """Add the next messages of these channels. Raises SeatrialError if they cannot be decoded."""
         raise NotImplementedError
 
     def done(self) -> NDArray[np.void]:
-        """The table."""
+        """Return the whole table."""
         return self._table.done()
 
 
 class _SampleRows(_Rows):
-    """Of one topic, whose messages are samples."""
+    """Table of a topic in which each message is a sample."""
 
     def __init__(self, log: Log, kind: type[Measured], topic: str) -> None:
         self._kind, self._type_name = kind, schema.TYPES[kind]
@@ -501,6 +630,7 @@ class _SampleRows(_Rows):
         super().__init__(log, topic, log._channels(topic, self._type_name), _table_type(kind, whole))
 
     def take(self, messages: Messages) -> None:
+        """Add the next messages, each of which is a sample."""
         rows = self._log._rows(messages, self.topic, self._type_name)
         part = self._table.more(len(rows))
         part["t"] = stamps(rows)
@@ -510,51 +640,55 @@ class _SampleRows(_Rows):
 
 
 class _NotNumberedError(SeatrialError):
-    """Messages of an Imu whose numbers do not ascend: not ours, so that nothing is joined to them."""
+    """Error of Imu messages whose sequence numbers do not ascend.
+
+    Another program wrote such messages, and they cannot be joined with other topics by sequence number.
+    """
 
 
 class _AhrsRows(_Rows):
-    """Of an Imu and the topics that have the rest of its sample."""
+    """Table of an AHRS, from its Imu messages and the companion topics that have the other columns."""
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
         self._source, self._numbers = source, {"imu": log._channels(topic, schema.IMU)}
         for name, (type_name, _) in _COMPANIONS.items() if join else ():
             with contextlib.suppress(SeatrialError):
                 self._numbers[name] = log._channels(f"/{source}/{name}", type_name)
-        every = [number for group in self._numbers.values() for number in group]
-        super().__init__(log, topic, every, _table_type(Ahrs))
-        self._order = _Growing(np.dtype(np.uint32))
+        channels = [number for group in self._numbers.values() for number in group]
+        super().__init__(log, topic, channels, _table_type(Ahrs))
+        self._order = _GrowingArray(np.dtype(np.uint32))
         self._waiting = {name: _Waiting(np.zeros(0, np.uint32), {}) for name in self._numbers}
         self._last = -1
 
     def take(self, messages: Messages) -> None:
+        """Add the next Imu messages, and join the companions to them by their sequence numbers."""
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
-        own = parts.pop("imu")
-        rows, part = self._log._rows(own, self.topic, schema.IMU), self._table.more(len(own.heads))
-        part["t"], part["t_rx"], part["t_device"] = stamps(rows), own.heads["log_ns"] / NANO, np.nan
+        imu = parts.pop("imu")
+        rows, part = self._log._rows(imu, self.topic, schema.IMU), self._table.more(len(imu.heads))
+        part["t"], part["t_rx"], part["t_device"] = stamps(rows), imu.heads["log_ns"] / NANO, np.nan
         for name in ("mx", "my", "mz"):
             part[name] = np.nan
         for name, column in schema.imu_columns(rows).items():
             part[name] = column
-        sequence = np.append(self._last, own.heads["sequence"])
+        sequence = np.append(self._last, imu.heads["sequence"])
         if parts and np.any(np.diff(sequence) <= 0):
             raise _NotNumberedError(self.topic)
         self._order.more(len(rows))[:] = sequence[1:]
         self._last = sequence[-1]
         for name, companions in parts.items():
             type_name, fields = _COMPANIONS[name]
-            found = self._log._rows(companions, f"/{self._source}/{name}", type_name)
-            columns = {column: found[field] for column, field in fields.items()}
+            decoded = self._log._rows(companions, f"/{self._source}/{name}", type_name)
+            columns = {column: decoded[field] for column, field in fields.items()}
             waiting = self._waiting[name]
             table, order = self._table.rows, self._order.rows
             self._waiting[name] = waiting.join(companions.heads["sequence"], columns, table, order)
 
 
 class _Waiting(NamedTuple):
-    """Companions whose sample may stand in the next chunks: sequence numbers and columns."""
+    """Companion messages whose Imu message may be in the next chunks."""
 
-    sequence: NDArray[np.uint32]
-    columns: dict[str, NDArray[np.float64]]
+    sequence: NDArray[np.uint32]  # shape (n,)
+    columns: dict[str, NDArray[np.float64]]  # shape (n,), by name
 
     def join(
         self,
@@ -563,14 +697,28 @@ class _Waiting(NamedTuple):
         table: NDArray[np.void],
         order: NDArray[np.uint32],
     ) -> _Waiting:
-        """Write these and more companions into the rows of `table` that have their number in `order`, which ascends;
-        returns what waits on."""
+        """Write the waiting and the new companions into the rows with the same sequence number.
+
+        Parameters
+        ----------
+        sequence, columns
+            Sequence numbers and columns of the new companions, shape (n,).
+        table
+            Table of the AHRS, shape (m,). Its rows are changed.
+        order
+            Ascending sequence numbers of the rows of the table, shape (m,).
+
+        Returns
+        -------
+        _Waiting
+            New companions with numbers after the last row of the table.
+        """
         sequence = np.append(self.sequence, sequence)
         columns = {name: np.append(self.columns.get(name, ()), column) for name, column in columns.items()}
         place = np.searchsorted(order, sequence)
         here = np.flatnonzero(place < len(order))
         here = here[order[place[here]] == sequence[here]]
-        rows, first = np.unique(place[here], return_index=True)  # of two with one number the first counts
+        rows, first = np.unique(place[here], return_index=True)  # of two companions with one number, use the first
         for name, column in columns.items():
             table[name][rows] = column[here[first]]
         later = (place == len(order)) & (np.arange(len(place)) >= len(self.sequence))
@@ -578,14 +726,14 @@ class _Waiting(NamedTuple):
 
 
 class _Spacing:
-    """Rate and longest gap of the stamps of a topic."""
+    """Rate, longest gap and backward steps of the time stamps of a topic, computed from batches of stamps."""
 
     def __init__(self) -> None:
         self._n, self._first, self._last, self._gap, self._newest = 0, np.inf, -np.inf, 0.0, -np.inf
         self.n_back, self.longest_back = 0, 0.0  # steps back in the order of the file
 
     def add(self, t: NDArray[np.float64]) -> None:
-        """More stamps [s], behind those before but for jitter."""
+        """Add time stamps [s], shape (n,). They must follow the stamps before, except for jitter."""
         steps = -np.diff(np.append(self._newest, t))
         self.n_back += int(np.sum(steps > CLOCK_STEP_S))
         self.longest_back, self._newest = max(self.longest_back, float(steps.max())), t[-1]
@@ -596,7 +744,7 @@ class _Spacing:
         self._first, self._last = min(self._first, t[0]), max(self._last, t[-1])
 
     def rate_and_gap(self) -> tuple[float, float]:
-        """Hz and s; NaN of a single time."""
+        """Return mean rate [Hz] and longest gap [s]; both are NaN for a single time."""
         if self._n < 2 or self._first == self._last:
             return float("nan"), float("nan")
         return float((self._n - 1) / (self._last - self._first)), float(self._gap)

@@ -1,4 +1,7 @@
-"""A file that always ends with a whole record, and the disk space kept back to end it with."""
+"""Output file that always ends with a whole record, and reserved disk space for its last records.
+
+The reserved space is called the ballast. It is released when the disk is full, so that the end of the file fits.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,10 @@ BALLAST_BYTES = 512 * 1024
 
 
 class ReservedSpace:
-    """Disk space held by a nameless file, so that it is free again at `release` or when the process dies."""
+    """Disk space that a file without a name occupies.
+
+    The space is free again after `release`, or when the process ends for any reason.
+    """
 
     def __init__(self, folder: Path) -> None:
         name = folder / f".seatrial-ballast-{os.getpid()}-{id(self):x}"
@@ -21,31 +27,44 @@ class ReservedSpace:
         self.size = 0
 
     def grow(self, size: int) -> None:
-        """Hold at least `size` bytes. Raises OSError where the disk has not got them."""
+        """Reserve at least `size` bytes in all.
+
+        Raises
+        ------
+        OSError
+            If the disk has too little space.
+        """
         if self._fd < 0 or size <= self.size:
             return
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self._fd, 0, size)
-        else:  # macOS
+        else:  # macOS has no posix_fallocate
             os.pwrite(self._fd, b"\0" * (size - self.size), self.size)
         self.size = size
 
     def release(self) -> None:
-        """Give the space back; again is harmless."""
+        """Free the space. A second call has no effect."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 class WholeRecordStream:
-    """The file below `mcap.Writer`, which hands over whole records only; so the file always ends with one."""
+    """Output file of a `RecordWriter`. The writer passes whole records only, so the file always ends with one.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be created or the ballast cannot be reserved.
+    """
 
     def __init__(self, path: Path) -> None:
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-        for folder in (path.parent, path.absolute().parent.parent):  # or a loss of power may take the whole file
+        # Without this a loss of power may remove the name of the file, and with the name the whole file.
+        for folder in (path.parent, path.absolute().parent.parent):
             sync_folder(folder)
         self._size = 0
-        self.failure: OSError | None = None  # the first failed write, even where the ballast saved it
+        self.failure: OSError | None = None  # first failed write, even if the ballast made room for its records
         try:
             self.ballast = ReservedSpace(path.parent)
             self.ballast.grow(BALLAST_BYTES)
@@ -55,11 +74,18 @@ class WholeRecordStream:
             raise
 
     def tell(self) -> int:
-        """Bytes in the file."""
+        """Return the number of bytes in the file."""
         return self._size
 
     def write(self, data: bytes) -> int:
-        """Write whole records. Raises OSError when they do not fit even without the ballast; none is torn then."""
+        """Write whole records and return their number of bytes. If the disk is full, use the space of the ballast.
+
+        Raises
+        ------
+        OSError
+            If the records do not fit even without the ballast, or after any other failure. The file then ends with
+            the last record before them.
+        """
         try:
             self._write_all(data)
         except OSError as error:
@@ -69,7 +95,7 @@ class WholeRecordStream:
                 raise
             self.failure = error
             self.ballast.release()
-            # The same records once more, at the same place: the writer above has counted on them.
+            # Write the same records again at the same place: the caller has already counted them in its indexes.
             try:
                 self._write_all(data)
             except OSError:
@@ -79,6 +105,7 @@ class WholeRecordStream:
         return len(data)
 
     def _write_all(self, data: bytes) -> None:
+        """Write all bytes at the end of the file. Raises OSError, also after a part of the bytes is written."""
         view = memoryview(data)
         at = self._size
         while view:
@@ -88,14 +115,14 @@ class WholeRecordStream:
 
     @property
     def is_deleted(self) -> bool:
-        """Whether no name leads to the file any more: what is written is lost when it is closed."""
+        """Return whether the file has been deleted. The data of a deleted file are lost when it is closed."""
         return os.fstat(self._fd).st_nlink == 0
 
     def flush(self) -> None:
-        """Nothing is buffered here."""
+        """Do nothing: this class has no buffer."""
 
     def sync(self) -> None:
-        """Wait until the disk has it. Raises OSError."""
+        """Wait until the written data are on the disk. Raises OSError if the disk reports an error."""
         os.fsync(self._fd)
 
     def close(self) -> None:
@@ -105,7 +132,7 @@ class WholeRecordStream:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the disk has the names in a folder, where the system can do that."""
+    """Wait until the names of the files in a folder are on the disk, if the operating system supports this."""
     with contextlib.suppress(OSError):
         fd = os.open(folder, os.O_RDONLY)
         try:
@@ -115,7 +142,13 @@ def sync_folder(folder: Path) -> None:
 
 
 class FileSyncer(threading.Thread):
-    """Calls `sync` on request, in a separate thread: on a memory card it can take a second."""
+    """Thread that calls `sync` of a stream on request. On a memory card one call can take a second.
+
+    Attributes
+    ----------
+    error
+        Error of the call that failed; the thread has ended then. None before.
+    """
 
     def __init__(self, stream: WholeRecordStream) -> None:
         super().__init__(name="log-sync", daemon=True)
@@ -123,7 +156,7 @@ class FileSyncer(threading.Thread):
         self._stream, self._wanted, self._ending = stream, threading.Event(), False
 
     def run(self) -> None:
-        """Sync at every request until `end`."""
+        """Call `sync` after every request, until `end` is called or a call fails."""
         while True:
             self._wanted.wait()
             self._wanted.clear()
@@ -136,11 +169,11 @@ class FileSyncer(threading.Thread):
                 return
 
     def request(self) -> None:
-        """Ask for one sync."""
+        """Request one call of `sync`."""
         self._wanted.set()
 
     def end(self) -> None:
-        """Stop the thread and wait for it."""
+        """Stop the thread and wait until it has ended."""
         self._ending = True
         self._wanted.set()
         self.join()

@@ -1,4 +1,7 @@
-"""Samples, raw bytes, events and counters -> one MCAP log (docs/formats/log.md). Called from one thread."""
+"""Recorder of samples, raw bytes, events and port counters to one MCAP log (docs/formats/log.md).
+
+Only one thread may call a recorder.
+"""
 
 from __future__ import annotations
 
@@ -22,34 +25,56 @@ from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Event, Frame, PortHealth
 
 LOG_FORMAT = "seatrial-log 1"
-RETRY_S = 0.25  # wall; how often a full disk is looked at
-ROOM_BYTES = 2 * 2**20  # a segment's ballast, and something to write
+RETRY_S = 0.25  # s of wall time between two checks of a full disk
+ROOM_BYTES = 2 * 2**20  # space for the ballast of a segment and for some data
 _DIRECTIONS = {"rx": 0, "tx": 1}
 
 
 class Clock(Protocol):
-    """What the recorder needs of `seatrial.daq.clock.RunClock`."""
+    """Interface to `seatrial.daq.clock.RunClock` with the parts that the recorder uses."""
 
     @property
     def speed(self) -> float:
-        """Run seconds a wall second."""
+        """Seconds of the run clock in one second of wall time."""
 
     @property
     def origin(self) -> object:
         """Plain numbers from which another process can rebuild the clock."""
 
     def now(self) -> float:
-        """Run seconds since 1970."""
+        """Return the time of the run clock [s since 1970]."""
 
 
 class Recorder:
-    """Writes one log, in as many files as the rig's [log] requires: NAME.mcap, NAME.1.mcap, NAME.2.mcap, ...
+    """Recorder of one log, in as many segments as the [log] table of the rig requires.
 
-    Each holds all that a reader needs. Beyond `keep_gb` the oldest files that it has made are deleted, but for the
-    first, which has the beginning and the name of the log. `log_time` is the receive time, but never before that of
-    the message written last. A `patient` recorder does not fail when the disk is full: it ends its file, keeps what it
-    is given (`paused` is the reason), and goes on in a new file when there is room; the caller should not write
-    meanwhile.
+    Parameters
+    ----------
+    path
+        First segment, NAME.mcap. Later segments are NAME.1.mcap, NAME.2.mcap and so on.
+    rig
+        Rig of the log. Its [log] table contains the limits of the segments.
+    clock
+        Run clock of the times in the log.
+    attachments
+        Contents of further attached files, by name. The rig file is always attached.
+    metadata
+        Further texts of the metadata, by name.
+    patient
+        Whether recording goes on after a full disk. A patient recorder ends its file if the disk is full. It keeps
+        new messages in memory, `paused` contains the reason, and a new segment begins when there is room. The caller
+        should write little while `paused` is not empty.
+
+    Raises
+    ------
+    SeatrialError
+        If a file cannot be created or written.
+
+    Notes
+    -----
+    Each segment has all metadata and attachments that a reader needs. If the log is larger than `keep_gb`, the oldest
+    segments are deleted. The first segment stays, because it has the beginning and the name of the log.
+    The log time of a message is the time of receipt, but never earlier than the log time of the message before.
     """
 
     def __init__(
@@ -69,19 +94,19 @@ class Recorder:
         self._log_ns = self._ns(clock.now(), 0)
         self._segments, self._patient = rig.segments, patient
         self.first_path = Path(path)
-        self.paused = ""  # why nothing is written now
-        self._kept: list[_Message] = []  # since then
+        self.paused = ""  # the reason if recording is paused
+        self._kept: list[_Message] = []  # messages since the beginning of the pause
         self._retry_at = self._paused_at = 0.0
         self._lost_some = False
         self._sequences: dict[str, int] = {}
         self._packers: dict[str, Callable[..., bytes]] = {}
         self._size_before = 0
-        self._past: deque[_Segment] = deque()  # what may be deleted
+        self._past: deque[_Segment] = deque()  # finished segments that may be deleted
         self._open(self.first_path, 0)
         discard_note(self.first_path)
 
     def _open(self, path: Path, number: int) -> None:
-        """Begin a segment: each contains everything that a reader needs."""
+        """Begin a segment with all metadata and attachments."""
         about = {**self._metadata, "segment": str(number)}
         self._writer = LogWriter(path, metadata=about, attachments=self._attachments, time_ns=self._log_ns)
         self._number, self._started_ns = number, self._log_ns
@@ -89,21 +114,31 @@ class Recorder:
 
     @property
     def path(self) -> Path:
-        """The file being written."""
+        """Segment that is being written."""
         return self._writer.path
 
     @property
     def is_deleted(self) -> bool:
-        """Whether the file being written has been deleted."""
+        """Return whether the segment that is being written has been deleted."""
         return self._writer.is_deleted
 
     @property
     def size(self) -> int:
-        """Bytes on disk, of all segments that are kept."""
+        """Number of bytes on the disk, in all segments that have not been deleted."""
         return self._size_before + self._writer.size
 
     def write(self, device: str, frame: Frame, t: float) -> None:
-        """One sample of a device (or of a signal, for Scalar); t is its estimated time, run seconds since 1970."""
+        """Write one sample, event or set of port counters.
+
+        Parameters
+        ----------
+        device
+            Name of the device, or of the signal for `Scalar`.
+        frame
+            The sample with its time of receipt.
+        t
+            Estimated time of the sample by the run clock [s since 1970].
+        """
         sample = frame.sample
         if isinstance(sample, Event):
             self.event(t, sample.kind, sample.text)
@@ -113,7 +148,7 @@ class Recorder:
             return
         log_ns, stamp_ns = self._times(frame.t_rx, t)
         messages = schema.messages(device, frame)
-        # All messages of one sample carry the sequence number of the first: the reader joins them by it.
+        # All messages of one sample have the same sequence number: the reader joins them by this number.
         key = messages[0].topic
         sequence = self._sequences[key] = (self._sequences.get(key, 0) + 1) & 0xFFFFFFFF
         for topic, type_name, frame_id, values in messages:
@@ -123,19 +158,19 @@ class Recorder:
             self._add(topic, type_name, log_ns, stamp_ns, sequence, pack(stamp_ns, *values))
 
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
-        """Bytes as read from ("rx") or written to ("tx") a port at t."""
+        """Write bytes that were read from ("rx") or written to ("tx") the port of a device at time t [s since 1970]."""
         log_ns, stamp_ns = self._times(t, t)
         message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
         self._add(f"/raw/{device}", schema.RAW, log_ns, stamp_ns, 0, message)
 
     def event(self, t: float, kind: str, text: str) -> None:
-        """Something that happened at t."""
+        """Write an event at time t [s since 1970]."""
         log_ns, stamp_ns = self._times(t, t)
         message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_line(kind), _line(text)))
         self._add("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
 
     def health(self, device: str, health: PortHealth, t: float) -> None:
-        """The counters of a device's port at t."""
+        """Write the counters of the port of a device at time t [s since 1970]."""
         log_ns, stamp_ns = self._times(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
             stamp_ns,
@@ -152,7 +187,11 @@ class Recorder:
         self._add(f"/health/{device}", schema.HEALTH, log_ns, stamp_ns, 0, message)
 
     def tick(self) -> None:
-        """Flush, sync, begin the next segment, look for room again when it is time; call it at least every 50 ms."""
+        """Do the periodic work when it is due. The caller calls this at least every 50 ms.
+
+        The work: flush and sync the segment, begin the next segment, delete the oldest segments, and check whether a
+        full disk has room again.
+        """
         if self.paused:
             if time.monotonic() >= self._retry_at:
                 self._resume()
@@ -170,28 +209,35 @@ class Recorder:
             self._delete(self._past.popleft(), keep)
 
     def _delete(self, segment: _Segment, keep: float) -> None:
+        """Delete a finished segment and record the deletion as an event. `keep`: limit of the log [GB]."""
         self._size_before -= segment.size
         try:
             if _identity(segment.path) != segment.identity:
-                return  # another file has its name
+                return  # another file has this name now
             segment.path.unlink()
-            text = f"deleted {segment.path.name}: keep_gb is {keep:g}"
+            text = f"deleted {segment.path.name}, because the log is larger than keep_gb = {keep:g}"
         except OSError as error:
             text = f"{segment.path.name} could not be deleted ({error.strerror})"
         self.event(self._log_ns / NANO, "disk", text)
 
     def close(self) -> None:
-        """End the log. Raises SeatrialError where its end could not be written."""
+        """End the log.
+
+        Raises
+        ------
+        SeatrialError
+            If the end of the log, or messages since the beginning of a pause, could not be written.
+        """
         if self.paused:
             self._resume()
         if self.paused:
             lost = counted(len(self._kept), "message")
-            raise SeatrialError(f"{self.paused}; {lost} that came since could not be written")
+            raise SeatrialError(f"{self.paused}; {lost} received since then could not be written")
         self._writer.close()
 
     @contextlib.contextmanager
     def _waiting(self) -> Iterator[None]:
-        """A full disk within the block pauses a patient recorder."""
+        """Pause a patient recorder if the disk is full within the block."""
         try:
             yield
         except DiskFull as error:
@@ -206,7 +252,7 @@ class Recorder:
         self._retry_at = self._paused_at + RETRY_S
 
     def _resume(self) -> None:
-        """Go on in a new segment where there is room for one."""
+        """Continue in a new segment, and write the kept messages to it, if the disk has room."""
         self._retry_at = time.monotonic() + RETRY_S
         if free_bytes(self.first_path) < ROOM_BYTES:
             return
@@ -218,22 +264,23 @@ class Recorder:
         for message in kept:
             self._add(*message)
         seconds = time.monotonic() - self._paused_at
-        loss = "; what came in the last moment before is lost" if self._lost_some else ""
+        loss = "; the last messages before are lost" if self._lost_some else ""
         self.event(self._log_ns / NANO, "disk", f"full for {seconds:.1f} s; kept {counted(len(kept), 'message')}{loss}")
 
     def _next(self) -> None:
-        """Begin the next segment; a name that is taken is passed over."""
+        """Begin the next segment. Numbers whose file exists already are skipped."""
         before, number = self._size_before + self._writer.size, self._number + 1
         past = self._writer.path
         while (path := segment_path(self.first_path, number)).exists():
             number += 1
         self._open(path, number)
         self._size_before = before
-        with contextlib.suppress(OSError):  # somebody has deleted it
+        with contextlib.suppress(OSError):  # another program has deleted the segment
             if past != self.first_path:
                 self._past.append(_Segment(past, past.stat().st_size, _identity(past)))
 
     def _times(self, t_log: float, t_stamp: float) -> tuple[int, int]:
+        """Return log time, which never decreases, and time stamp [ns since 1970] from times [s since 1970]."""
         self._log_ns = max(self._log_ns, self._ns(t_log, self._log_ns))
         return self._log_ns, self._ns(t_stamp, self._log_ns)
 
@@ -243,6 +290,7 @@ class Recorder:
         return round(t * NANO) if 0.0 <= t < 2**31 else otherwise
 
     def _add(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
+        """Write a message to the current segment, or keep it in memory during a pause."""
         if self.paused:
             self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
             return
@@ -255,26 +303,27 @@ class Recorder:
             if not self._patient:
                 raise
             self._pause(error)
-            if not error.complete:  # else this message is in the file, too
+            if not error.complete:  # a complete file contains this message already
                 self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
 
 
 class _Segment(NamedTuple):
-    """A file that is finished."""
+    """Finished segment."""
 
     path: Path
-    size: int
-    identity: tuple[int, ...]
+    size: int  # bytes
+    identity: tuple[int, ...]  # see `_identity`
 
 
 def _identity(path: Path) -> tuple[int, ...]:
-    """What tells a file that is finished from any other; an inode alone is given again."""
+    """Return numbers that distinguish a finished file from other files: device, inode, time of change [ns], size."""
+    # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
     about = path.stat(follow_symlinks=False)
     return about.st_dev, about.st_ino, about.st_mtime_ns, about.st_size
 
 
 class _Message(NamedTuple):
-    """What `Recorder._add` takes."""
+    """Arguments of `Recorder._add` for one message."""
 
     topic: str
     type_name: str
@@ -285,21 +334,35 @@ class _Message(NamedTuple):
 
 
 def free_bytes(path: Path) -> int:
-    """Room on the disk that holds the nearest folder above `path` that there is."""
+    """Return the free space [bytes] of the disk of a path, by the nearest parent folder that exists."""
     folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path("/"))
     return shutil.disk_usage(folder).free
 
 
 def check_room(path: Path, megabytes: float) -> None:
-    """Raises SeatrialError where the disk has less than that."""
+    """Check that the disk of a new log has enough free space.
+
+    Parameters
+    ----------
+    path
+        The log.
+    megabytes
+        Free space that the rig requires [MB].
+
+    Raises
+    ------
+    SeatrialError
+        If the disk has less free space.
+    """
     free = free_bytes(path) / 1e6
     if free < megabytes:
         raise SeatrialError(
-            f"{path.parent}: only {free:.0f} MB free and the rig asks for {megabytes:.0f} to begin a log; "
+            f"{path.parent}: only {free:.0f} MB free, but the rig requires {megabytes:.0f} MB to begin a log; "
             "free disk space or lower free_mb in [log]"
         )
 
 
 def _line(text: str) -> bytes:
-    """Text as CDR can carry it: a NUL would end it, a lone surrogate has no UTF-8."""
+    """Encode a text for CDR, as UTF-8 without NUL characters."""
+    # A NUL would end the string; a lone surrogate cannot be encoded in UTF-8.
     return text.replace("\0", "").encode("utf-8", errors="replace")

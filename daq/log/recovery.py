@@ -1,4 +1,4 @@
-"""What a killed or damaged log still holds -> a whole log that any MCAP tool opens."""
+"""Recovery of killed or damaged logs: all readable records are copied to a new log that any MCAP tool opens."""
 
 from __future__ import annotations
 
@@ -17,19 +17,37 @@ CHUNK_BYTES = 1024 * 1024
 
 
 class RecoveredLog(NamedTuple):
-    """What came of it."""
+    """Result of a recovery."""
 
-    messages: int
-    files: int  # segments that it was read from
-    warnings: list[str]  # what is wrong with them; nothing where the log was whole
+    messages: int  # number of copied messages
+    files: int  # number of segments that were read
+    warnings: list[str]  # faults of these segments; empty if the log was whole
 
 
 def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
-    """Copy everything readable of the log that begins at `path`, all its segments, to `out`. Raises SeatrialError."""
+    """Copy all readable records of a log, with all its segments, to one new log.
+
+    Parameters
+    ----------
+    path
+        First segment of the log. The log is not changed.
+    out
+        The new log.
+    force
+        Whether an existing file `out` may be replaced.
+
+    Raises
+    ------
+    SeatrialError
+        If `path` is no log, if no message is readable, if `out` is one of the segments or exists already, or if `out`
+        cannot be written.
+    """
     log = open_raw(path)
     try:
         if out.exists() and any(out.samefile(raw.path) for raw in log.files):
-            raise SeatrialError(f"{out}: is the log itself, which is not changed; -o names another")
+            raise SeatrialError(
+                f"{out}: belongs to the log itself, which must not be changed; use -o to name another file"
+            )
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             with new_file(out, force) as part:
@@ -45,23 +63,24 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
 
 
 def _copy(log: RawLog | SegmentedLog, part: Path) -> int:
+    """Copy metadata, attachments, schemas, channels and messages to a new file. Return the number of messages."""
     n_messages = 0
     with part.open("xb") as file:
         writer = RecordWriter(file, chunk_bytes=CHUNK_BYTES, profile=log.profile, library="seatrial")
         for record in log.metadata:
             writer.add_metadata(record.name, record.metadata)
-        for one in log.attachments:
-            writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
+        for item in log.attachments:
+            writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
         schemas = {key: writer.register_schema(s.name, s.encoding, s.data) for key, s in log.schemas.items()}
         channels = {
             key: writer.register_channel(c.topic, c.message_encoding, schemas.get(c.schema_id, 0), c.metadata)
             for key, c in log.channels.items()
         }
-        for found in log.read():
-            heads = (found.heads[name].tolist() for name in ("channel", "log_ns", "stamp_ns", "sequence"))
-            for channel, log_ns, stamp_ns, sequence, data in zip(*heads, found.payloads(), strict=True):
+        for batch in log.read():
+            heads = (batch.heads[name].tolist() for name in ("channel", "log_ns", "stamp_ns", "sequence"))
+            for channel, log_ns, stamp_ns, sequence, data in zip(*heads, batch.payloads(), strict=True):
                 writer.add_message(channels[channel], log_ns, bytes(data), stamp_ns, sequence)
-            n_messages += len(found.heads)
+            n_messages += len(batch.heads)
         writer.finish()
         file.flush()
         os.fsync(file.fileno())

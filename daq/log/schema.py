@@ -1,6 +1,6 @@
-"""Samples <-> messages: topics and types of a sample, and its columns from decoded rows.
+"""Conversion between samples and messages: topics and message types of a sample, and its columns from decoded rows.
 
-The table of topics is docs/formats/log.md; the definitions of the messages are the files in daq/msg.
+docs/formats/log.md has the table of topics; the files in daq/msg define the messages.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ DEVICE_TIME = "seatrial_msgs/msg/DeviceTime"
 RAW = "seatrial_msgs/msg/RawBytes"
 EVENT = "seatrial_msgs/msg/Event"
 HEALTH = "seatrial_msgs/msg/PortHealth"
-TYPES = {  # samples whose message has the sample's own fields behind t_rx and t_device
+TYPES = {  # samples whose message consists of header, t_rx, t_device and the fields of the sample
     Gnss: "seatrial_msgs/msg/Gnss",
     Esc: "seatrial_msgs/msg/Esc",
     Command: "seatrial_msgs/msg/Command",
@@ -62,30 +62,30 @@ _LAST: dict[type, str] = {
 }
 Columns = dict[str, NDArray[np.float64] | NDArray[np.int64]]
 
-ADDED = {TYPES[Gnss]: ("speed", "dimensions")}  # fields at the end that logs of older versions lack
+ADDED = {TYPES[Gnss]: ("speed", "dimensions")}  # last fields of a message that logs of older versions lack
 
 _ZERO9 = doubles(*(0.0,) * 9)  # "covariance unknown" in sensor_msgs
 _NONE9 = doubles(-1.0, *(0.0,) * 8)  # "no estimate of this quantity"
-_UNKNOWN_VARIANCE = 1e6  # rad2, variance of an angle that a compass does not measure; it is written as level
-_LEVEL = (0.0, 0.0, 0.0, 1.0)  # the quaternion where no attitude is known
+_UNKNOWN_VARIANCE = 1e6  # rad2, marks roll and pitch, which a compass does not measure and which are written as 0
+_LEVEL = (0.0, 0.0, 0.0, 1.0)  # quaternion that is written if the attitude is unknown
 _YAW9 = doubles(_UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, 0.0)
 
 
 class Message(NamedTuple):
-    """One message to write: topic, type, frame_id and the fixed fields as `cdr.Layout.pack` takes them."""
+    """One message to write."""
 
     topic: str
-    type_name: str
+    type_name: str  # package/msg/Name
     frame_id: str
-    values: tuple[float | bytes, ...]
+    values: tuple[float | bytes, ...]  # the fixed fields in the form that `cdr.CdrLayout.pack` needs
 
     def pack(self, stamp_ns: int) -> bytes:
-        """The message in CDR."""
+        """Return the message in CDR with a time stamp [ns since 1970]."""
         return cdr_layout(self.type_name, self.frame_id.encode()).pack(stamp_ns, *self.values)
 
 
 def field_names(kind: type[Measured]) -> list[str]:
-    """The sample's own fields, in order."""
+    """Return the names of the fields of a sample, in order."""
     return [field.name for field in fields(kind)]
 
 
@@ -96,7 +96,17 @@ _GETTERS[Scalar] = lambda sample: (sample.value,)  # type: ignore[attr-defined]
 
 
 def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
-    """The topic that holds every field of a kind of sample."""
+    """Return the topic whose messages contain the samples of a kind.
+
+    Parameters
+    ----------
+    kind
+        Class of the sample.
+    source
+        Name of the device, or of the signal for `Scalar`.
+    node
+        Controller id, for the kinds in `NODE_TOPICS`.
+    """
     if kind is Scalar:
         return f"/signal/{source}"
     if kind in NODE_TOPICS:
@@ -105,16 +115,22 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
 
 
 def messages(device: str, frame: Frame) -> list[Message]:
-    """The messages of one sample, that with its times first. Raises TypeError for events and counters."""
+    """Return the messages of one sample. The first of them contains t_rx and t_device.
+
+    Raises
+    ------
+    TypeError
+        If the sample is an event or a set of port counters, which are no measurements.
+    """
     sample = frame.sample
     if isinstance(sample, Ahrs):
         return _ahrs(device, sample, (frame.t_rx, frame.t_device))
-    own = TYPES.get(type(sample))
-    if own is None:
+    type_name = TYPES.get(type(sample))
+    if type_name is None:
         raise TypeError(f"{type(sample).__name__} is not a measurement")
     node = sample.node if isinstance(sample, (Esc, Command, Servo)) else None
     values = (frame.t_rx, frame.t_device, *_GETTERS[type(sample)](sample))
-    first = Message(topic(type(sample), device, node), own, device, values)  # type: ignore[arg-type]
+    first = Message(topic(type(sample), device, node), type_name, device, values)  # type: ignore[arg-type]
     if isinstance(sample, Gnss):
         return [first, *_gnss(device, sample)]
     if isinstance(sample, LoadCell) and not math.isnan(sample.force):
@@ -124,17 +140,18 @@ def messages(device: str, frame: Frame) -> list[Message]:
 
 @cache
 def _names(device: str) -> tuple[str, str, str, str]:
-    """Of an AHRS: frame_id and topics."""
+    """Return the frame_id and the topics of an AHRS: device times, Imu and magnetic field."""
     return f"{device}_frd_ned", f"/{device}/device_time", f"/{device}/imu", f"/{device}/mag"
 
 
 def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
+    """Return the messages of a sample of an AHRS. The covariances mark unknown quantities (see `_NONE9`)."""
     frame_id, time, imu, mag = _names(device)
-    known = s.yaw == s.yaw  # not NaN; this is done for every sample
-    level = known and math.isnan(s.pitch + s.roll)
+    has_yaw = s.yaw == s.yaw  # False for NaN; faster than math.isnan, for every sample
+    only_yaw = has_yaw and math.isnan(s.pitch + s.roll)
     values = (
-        *(quaternion(s.yaw, 0.0, 0.0) if level else quaternion(s.yaw, s.pitch, s.roll) if known else _LEVEL),
-        _YAW9 if level else _ZERO9 if known else _NONE9,
+        *(quaternion(s.yaw, 0.0, 0.0) if only_yaw else quaternion(s.yaw, s.pitch, s.roll) if has_yaw else _LEVEL),
+        _YAW9 if only_yaw else _ZERO9 if has_yaw else _NONE9,
         *(s.p, s.q, s.r),
         _NONE9 if math.isnan(s.p + s.q + s.r) else _ZERO9,
         *(s.ax, s.ay, s.az),
@@ -147,12 +164,13 @@ def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
 
 
 def _gnss(device: str, s: Gnss) -> list[Message]:
+    """Return the standard ROS messages of a GNSS sample: NavSatFix, and TwistStamped if the velocity is known."""
     # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
     status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0
     variance = s.sigma_h * s.sigma_h
     if math.isnan(variance):
         covariance, kind = _ZERO9, 0
-    else:  # the vertical one is not reported; twice the horizontal is the usual rule
+    else:  # receivers do not report sigma_v; twice sigma_h is the usual rule, so the variance is four times as large
         covariance, kind = doubles(variance, 0.0, 0.0, 0.0, variance, 0.0, 0.0, 0.0, 4.0 * variance), 1
     found = [Message(f"/{device}/fix", FIX, device, (status, 1, s.lat, s.lon, s.alt, covariance, kind))]
     if s.fix and not (math.isnan(s.vel_n) or math.isnan(s.vel_e)):
@@ -162,7 +180,10 @@ def _gnss(device: str, s: Gnss) -> list[Message]:
 
 
 def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:
-    """Rotation body (FRD) to NED as x, y, z, w from ZYX angles in rad; Diebel 2006, eq. 290."""
+    """Return the quaternion (x, y, z, w) of the rotation from the body frame (FRD) to NED.
+
+    The angles [rad] are Euler angles in the order ZYX. Source: Diebel 2006, eq. 290.
+    """
     cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
     cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
     cr, sr = math.cos(roll / 2), math.sin(roll / 2)
@@ -177,7 +198,7 @@ def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, flo
 def angles(
     x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], w: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Yaw, pitch, roll in rad of quaternions, each shape (n,); yaw and roll within -pi..pi."""
+    """Return yaw, pitch and roll [rad] of quaternions, each shape (n,). Yaw and roll are within -pi..pi."""
     yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
@@ -185,7 +206,10 @@ def angles(
 
 
 def local_ned(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Degrees -> metres north and east of the first point, on the ellipsoid's radii there (Groves 2013, 2.4.2)."""
+    """Convert latitude and longitude [deg], shape (n,), to metres north and east of the first point.
+
+    The radii of curvature of the WGS84 ellipsoid at the first point are used (Groves 2013, 2.4.2).
+    """
     phi = np.radians(lat[0])
     w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2
     meridian = WGS84_SEMI_MAJOR_AXIS * (1 - WGS84_ECCENTRICITY_2) / w**1.5
@@ -195,7 +219,10 @@ def local_ned(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> tuple[NDArr
 
 
 def imu_columns(rows: NDArray[np.void]) -> Columns:
-    """The columns of Ahrs but the magnetic field, from decoded rows of IMU; NaN where not reported."""
+    """Return the columns of `Ahrs`, except the magnetic field, from decoded Imu messages.
+
+    Unknown angles are NaN. Angular rates and accelerations are copied without change.
+    """
     yaw, pitch, roll = angles(*(rows[f"orientation.{axis}"] for axis in "xyzw"))
     unknown = rows["orientation_covariance"][:, 0] == -1.0
     columns: Columns = {"yaw": yaw, "pitch": pitch, "roll": roll}
@@ -211,9 +238,9 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 
 
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
-    """The columns of any other kind, t_rx and t_device among them, from decoded rows of its own message."""
+    """Return the columns of a kind other than `Ahrs`, t_rx and t_device included, from decoded messages of its type."""
     columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
-    if kind is Gnss and "speed" not in columns:  # as `Gnss` fills them in
+    if kind is Gnss and "speed" not in columns:  # a log of an older version: same rule as the defaults of `Gnss`
         fix = columns["fix"]
         columns["speed"] = np.hypot(columns["vel_n"], columns["vel_e"])
         columns["dimensions"] = np.where(np.isin(fix, (0, 2, 3)), fix, -1)

@@ -1,7 +1,7 @@
-"""The segments of a log, NAME.mcap, NAME.1.mcap, NAME.2.mcap, ..., read as one.
+"""Segments of a log, the files NAME.mcap, NAME.1.mcap, NAME.2.mcap and so on, read as one log.
 
-A file is a segment of the first one when its metadata has the same run clock, rig and host: a name alone may be
-chance. Numbers may be missing, and each segment may be cut off or damaged by itself.
+A file belongs to the log of the first file if the metadata of both have the same run clock, rig and host. The name of
+a file alone is not sufficient. Segments may be missing, and each segment may be cut off or damaged.
 """
 
 from __future__ import annotations
@@ -19,49 +19,61 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.mcap_chunk import Messages
 from seatrial.daq.log.mcap_reader import LAST_NS, MAX_WARNINGS, RawLog
 
-SAME = ("origin", "rig", "host")  # what segments of one log have in common
+SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all segments of one log
 
 
 def open_raw(path: Path) -> RawLog | SegmentedLog:
-    """The log at `path` with all its segments. Raises SeatrialError as `RawLog` does."""
+    """Open the log that begins at `path`, with all its segments.
+
+    Later segments that cannot be read or that belong to another run are left out, with a warning.
+
+    Raises
+    ------
+    SeatrialError
+        If the first file cannot be read or is no MCAP file.
+    """
     later = segments(path)
     try:
         first = RawLog(path)
     except SeatrialError as error:
         if not later:
             raise
-        names = ", ".join(other.name for other in later.values())
-        raise SeatrialError(f"{error}; what may be its later segments opens by itself: {names}") from error
+        names = ", ".join(segment.name for segment in later.values())
+        raise SeatrialError(f"{error}; open its possible later segments one by one: {names}") from error
     if not later or not _about(first).get("origin"):
         return first
     files, warnings, last = [first], [], 0
-    first.close()  # a week has more files than a process may have open
-    for number, other in later.items():
+    first.close()  # a log of a week has more files than a process may have open
+    for number, segment in later.items():
         try:
-            raw = RawLog(other)
+            raw = RawLog(segment)
         except SeatrialError as error:
             warnings.append(f"a segment is left out: {error}")
             continue
         raw.close()
-        if all(_about(raw).get(key) == _about(first).get(key) for key in SAME):
+        if all(_about(raw).get(key) == _about(first).get(key) for key in SHARED_METADATA):
             files.append(raw)
             last = number
         else:
-            warnings.append(f"{other.name} is of another run and left out")
-    there = [0, *(number for number in later if number <= last)]
-    for before, after in pairwise(there):
-        gone = dict.fromkeys(segment_path(path, number).name for number in (before + 1, after - 1))
+            warnings.append(f"{segment.name} belongs to another run and is left out")
+    present = [0, *(number for number in later if number <= last)]
+    for before, after in pairwise(present):
+        missing = dict.fromkeys(segment_path(path, number).name for number in (before + 1, after - 1))
         if after - before > 1 and len(warnings) < MAX_WARNINGS:
-            warnings.append(f"a segment is missing: {' to '.join(gone)}")
+            warnings.append(f"a segment is missing: {' to '.join(missing)}")
     return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
 
 
 def _about(raw: RawLog) -> dict[str, str]:
+    """Return the metadata that the recorder wrote; empty if a file has none."""
     return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
 
 
 class SegmentedLog:
-    """Several files with the face of one `RawLog`: channels that are alike are one. One file is open at a time."""
+    """Log of several segments, with the interface of `RawLog`.
+
+    Equal channels of different files become one channel. Only one file is open at a time.
+    """
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
         self.files = files
@@ -74,23 +86,26 @@ class SegmentedLog:
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
         self.counts: Counter[int] = Counter()
-        self._known: dict[tuple[object, ...], int] = {}
-        self._numbers = [
-            {own: self._number(channel, raw.schemas.get(channel.schema_id)) for own, channel in raw.channels.items()}
+        self._number_by_content: dict[tuple[object, ...], int] = {}
+        self._numbers = [  # for each file: number of a channel in the log, by its number in the file
+            {
+                local: self._number(channel, raw.schemas.get(channel.schema_id))
+                for local, channel in raw.channels.items()
+            }
             for raw in files
         ]
         for raw, numbers in zip(files, self._numbers, strict=True):
-            self.counts.update({numbers[own]: n for own, n in raw.counts.items()})
+            self.counts.update({numbers[local]: n for local, n in raw.counts.items()})
         spans = [raw.span_ns for raw in files if raw.span_ns]
         self.span_ns = (min(a for a, _ in spans), max(b for _, b in spans)) if spans else None
 
     @property
     def warnings(self) -> list[str]:
-        """Those of all files, as far as they were read."""
+        """Warnings about all files, for the parts that have been read so far."""
         return [f"{raw.path.name}: {text}" for raw in self.files for text in raw.warnings] + self._warnings
 
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
-        """As `RawLog.verify`, of all files."""
+        """Read the unread chunks of all files, as `RawLog.verify` does."""
         for raw in self.files:
             raw.verify(begin_ns, end_ns)
             raw.close()
@@ -98,24 +113,24 @@ class SegmentedLog:
     def read(
         self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[Messages]:
-        """As `RawLog.read`, the files one after the other."""
+        """Yield the messages of all files, one file after the other, as `RawLog.read` does."""
         for raw, numbers in zip(self.files, self._numbers, strict=True):
-            new = np.zeros(1 << 16, np.uint16)
-            new[list(numbers)] = list(numbers.values())
-            own = [number for number in numbers if channels is None or numbers[number] in channels]
+            renumbered = np.zeros(1 << 16, np.uint16)
+            renumbered[list(numbers)] = list(numbers.values())
+            local_channels = [number for number in numbers if channels is None or numbers[number] in channels]
             if not raw.span_ns or raw.span_ns[1] < begin_ns or raw.span_ns[0] >= end_ns:
                 continue
-            for found in raw.read(own, begin_ns, end_ns):
-                found.heads["channel"] = new[found.heads["channel"]]
-                yield found
+            for batch in raw.read(local_channels, begin_ns, end_ns):
+                batch.heads["channel"] = renumbered[batch.heads["channel"]]
+                yield batch
             raw.close()
 
     def _number(self, channel: Channel, schema: Schema | None) -> int:
-        """The number of this channel in the set; new ones are given in the order of the files."""
-        what = ("", b"") if schema is None else (schema.name, schema.data)
-        key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), what)
-        if key not in self._known:
-            number = self._known[key] = len(self._known) + 1
+        """Return the number of a channel in the whole log. A channel that is new gets the next number."""
+        content = ("", b"") if schema is None else (schema.name, schema.data)
+        key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), content)
+        if key not in self._number_by_content:
+            number = self._number_by_content[key] = len(self._number_by_content) + 1
             if schema is not None:
                 self.schemas[number] = Schema(id=number, name=schema.name, encoding=schema.encoding, data=schema.data)
             self.channels[number] = Channel(
@@ -125,38 +140,41 @@ class SegmentedLog:
                 metadata=channel.metadata,
                 schema_id=number if schema is not None else 0,
             )
-        return self._known[key]
+        return self._number_by_content[key]
 
     def close(self) -> None:
-        """Let go of all files."""
+        """Close all files."""
         for raw in self.files:
             raw.close()
 
 
 def segment_path(first: Path, number: int) -> Path:
-    """Where segment `number`, 1 and up, of the log that begins at `first` lies."""
+    """Return the path of a later segment of a log. Numbers begin at 1; `first` is the first segment."""
     return first.with_suffix(f".{number}{first.suffix}")
 
 
 def segments(path: Path) -> dict[int, Path]:
-    """The files beside `path` that are named as its later segments, by their number, ascending."""
+    """Return the files in the folder of `path` that have names of its later segments, by number, ascending."""
     name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
     try:
-        found = [(int(match[1]), other) for other in path.parent.iterdir() if (match := name.fullmatch(other.name))]
+        found = [(int(match[1]), file) for file in path.parent.iterdir() if (match := name.fullmatch(file.name))]
     except OSError:
         return {}
     return dict(sorted(found))
 
 
 def first_segments(folder: Path) -> list[Path]:
-    """The logs in a folder, each by its first segment, in the order of their names."""
+    """Return the first segment of each log in a folder, sorted by name."""
     paths = sorted(folder.glob("*.mcap"))
-    later = {other for path in paths for other in segments(path).values()}
+    later = {segment for path in paths for segment in segments(path).values()}
     return [path for path in paths if path not in later]
 
 
 def first_of(path: Path) -> Path | None:
-    """The first segment of the log that `path` is named as a later segment of, where it is there."""
+    """Return the first segment of a log if `path` has the name of a later segment.
+
+    None if `path` has no such name, or if the first segment does not exist.
+    """
     match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
     first = path.with_name(f"{match[1]}{path.suffix}") if match else path
     return first if first != path and first.is_file() else None

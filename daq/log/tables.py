@@ -1,4 +1,4 @@
-"""The tables of a log with their units, and all of them on one grid of times."""
+"""Tables of a log with their units, and resampling of all tables to one time grid."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.schema import NODE_TOPICS
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, Scalar, Servo
 
-UNITS = {  # of daq/samples.py, where they are explained
+UNITS = {  # unit of each column; daq/samples.py explains the columns
     "t": "s", "t_rx": "s", "t_device": "s", "utc": "s",
     "yaw": "rad", "pitch": "rad", "roll": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s",
     "ax": "m/s2", "ay": "m/s2", "az": "m/s2", "mx": "T", "my": "T", "mz": "T",
@@ -21,55 +21,55 @@ UNITS = {  # of daq/samples.py, where they are explained
     "sigma_h": "m", "rpm": "rev/min", "current": "A", "voltage": "V", "temperature": "degC", "force": "N", "pwm": "us",
 }  # fmt: skip
 KINDS: tuple[type[Any], ...] = (Ahrs, Gnss, Esc, Command, Servo, LoadCell, Battery, Autopilot, Scalar)
-HELD = (Command, Servo, Autopilot)  # kinds that stay as they are until the next sample
-CLOCKS = ("t", "t_rx", "t_device", "utc")
-GAP_S = 2.0  # s without a sample, and five usual intervals: nothing is made up in between
+HELD_KINDS = (Command, Servo, Autopilot)  # kinds whose values stay constant until the next sample
+TIME_COLUMNS = ("t", "t_rx", "t_device", "utc")  # columns that are times; they are not resampled
+GAP_S = 2.0  # s; over a gap longer than this and than five usual intervals no value is interpolated
 MAX_ROWS = 50_000_000
 
 Array = NDArray[np.float64]
 
 
 class Log(Protocol):
-    """What is needed of `seatrial.daq.log.Log`."""
+    """Interface to `seatrial.daq.log.Log` with the parts that this module uses."""
 
     path: Path
 
     def sources(self, kind: type[Any]) -> list[str]:
-        """Devices or signals that have samples of this kind."""
+        """Return the names of the devices or signals that have samples of a kind."""
 
     def nodes(self, kind: type[Any], source: str) -> list[int]:
-        """Controller ids of a device."""
+        """Return the controller ids of a device."""
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
-        """The samples."""
+        """Return the samples of a device or signal, shape (n,)."""
 
     def unit(self, signal: str) -> str:
-        """Of an imported signal."""
+        """Return the unit of an imported signal."""
 
     def hold(self, signal: str) -> str:
-        """Of an imported signal."""
+        """Return the hold of an imported signal: "zero", "linear" or "sampled"."""
 
 
 class LogTable(NamedTuple):
-    """One table of a log: its name, its kind, its rows, its units by column, and whether its values are held."""
+    """One table of samples of a log."""
 
-    name: str
-    kind: type[Any]
-    rows: NDArray[np.void]
-    units: dict[str, str]
-    held: bool
+    name: str  # device, node and kind, such as "esc_1_command"; a signal has its own name
+    kind: type[Any]  # class of the samples
+    rows: NDArray[np.void]  # shape (n,)
+    units: dict[str, str]  # by column
+    held: bool  # whether a value stays constant until the next sample
 
 
 class Resampled(NamedTuple):
-    """A log on one grid: times (n,) in s since 1970, columns (n,) by name, NaN where nothing is known, their units."""
+    """A log on one time grid."""
 
-    t: Array
-    columns: dict[str, Array]
-    units: dict[str, str]
+    t: Array  # s since 1970, shape (n,)
+    columns: dict[str, Array]  # shape (n,), by name; NaN for unknown values
+    units: dict[str, str]  # by name of the column
 
 
 def log_tables(log: Log) -> Iterator[LogTable]:
-    """Every table of samples, in the order of the kinds."""
+    """Yield every table of samples of a log, in the order of `KINDS`."""
     for kind in KINDS:
         for source in log.sources(kind):
             for node in log.nodes(kind, source) if kind in NODE_TOPICS else [None]:
@@ -77,24 +77,42 @@ def log_tables(log: Log) -> Iterator[LogTable]:
                 middle = "" if node is None else f"_{node}"
                 name = source if kind is Scalar else f"{source}{middle}_{kind.__name__.lower()}"
                 units = {column: UNITS[column] for column in rows.dtype.names or () if column in UNITS}
-                held = kind in HELD
+                held = kind in HELD_KINDS
                 if kind is Scalar:
                     units["value"], held = log.unit(source), log.hold(source) in ("zero", "sampled")
                 yield LogTable(name, kind, rows, units, held)
 
 
 def resample(log: Log, rate: float) -> Resampled:
-    """Every number of a log at `rate` [Hz], from the first sample to the last.
+    """Return all numbers of a log on one time grid, from the first sample to the last.
 
-    What is held (commands, outputs, whole numbers, signals with hold "zero" or
-    "sampled") keeps its last value; of anything else the
-    samples of an interval about each time are averaged where there are several, and interpolated where there are none;
-    angles [rad] and longitudes over the shortest way. Columns are named TABLE_COLUMN, signals by themselves. Raises
-    SeatrialError.
+    Parameters
+    ----------
+    log
+        The log.
+    rate
+        Rate of the grid [Hz].
+
+    Returns
+    -------
+    Resampled
+        Columns have the name TABLE_COLUMN; the column of a signal has the name of the signal.
+
+    Raises
+    ------
+    SeatrialError
+        If the log has no samples, or if the grid has too many rows.
+
+    Notes
+    -----
+    Held quantities keep the value of the last sample: commands, servo outputs, states of the autopilot, whole numbers,
+    and signals with hold "zero" or "sampled". Other quantities are averaged over the samples in the interval around
+    each time of the grid. Without a sample in this interval they are interpolated linearly. Angles [rad] and
+    longitudes are averaged and interpolated over the shortest way.
     """
     tables = [table for table in log_tables(log) if len(table.rows)]
     if not tables:
-        raise SeatrialError(f"{log.path}: holds no samples to export")
+        raise SeatrialError(f"{log.path}: the log has no samples to export")
     begin, end = min(table.rows["t"][0] for table in tables), max(table.rows["t"][-1] for table in tables)
     if (end - begin) * rate > MAX_ROWS:
         raise SeatrialError(f"{log.path}: {end - begin:.0f} s at {rate:g} Hz are too many rows; take a lower rate")
@@ -103,7 +121,7 @@ def resample(log: Log, rate: float) -> Resampled:
     units: dict[str, str] = {}
     for table in tables:
         for column in table.rows.dtype.names or ():
-            if column in CLOCKS:
+            if column in TIME_COLUMNS:
                 continue
             name = table.name if table.kind is Scalar else f"{table.name}_{column}"
             values = table.rows[column].astype(np.float64)
@@ -122,26 +140,39 @@ def resample(log: Log, rate: float) -> Resampled:
 
 
 def _held(grid: Array, t: Array, values: Array) -> Array:
+    """Return the value of the last sample at each time of the grid, NaN before the first sample."""
     newest = np.searchsorted(t, grid + 1e-9, side="right") - 1
     return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)
 
 
 def _smooth(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
-    """Straight lines between the samples, or between the means of those about each time of the grid. ``period``: of an
-    angle, 0 of what is none; one that was unwrapped before stays so."""
-    within = (-0.5 * period, 0.5 * period), (0.0, period)  # the turn that it is written in
+    """Interpolate linearly between the means of the samples around each time of the grid.
+
+    Parameters
+    ----------
+    grid
+        Times of the grid [s], shape (n,).
+    t, values
+        Times [s] and values of the samples, shape (m,).
+    step
+        Step of the grid [s].
+    period
+        Period of an angle; 0 for other quantities. An angle that leaves the range of one turn is taken as unwrapped.
+    """
+    within = (-0.5 * period, 0.5 * period), (0.0, period)  # the possible ranges of a wrapped angle
     turn = next(((low, high) for low, high in within if low <= values.min() and values.max() <= high + 1e-9), None)
     values = np.unwrap(values, period=period) if period and turn is not None else values
     cell = np.rint((t - grid[0]) / step).astype(np.int64)
-    _, which, count = np.unique(cell, return_inverse=True, return_counts=True)
-    at, mean = (np.bincount(which, of) / count for of in (t, values))
-    found = np.interp(grid, at, mean)
-    found[(grid < t[0] - 1e-9) | (grid > t[-1] + 1e-9)] = np.nan
-    if len(at) > 1:
-        gap = np.diff(at)
-        behind = np.clip(np.searchsorted(at, grid), 1, len(at) - 1)
-        inside = (grid > at[behind - 1]) & (grid < at[behind])
-        found[inside & (gap[behind - 1] > max(GAP_S, 5.0 * float(np.median(gap))))] = np.nan
+    _, cell_number, count = np.unique(cell, return_inverse=True, return_counts=True)
+    mean_t, mean = (np.bincount(cell_number, weights) / count for weights in (t, values))
+    resampled = np.interp(grid, mean_t, mean)
+    resampled[(grid < t[0] - 1e-9) | (grid > t[-1] + 1e-9)] = np.nan
+    if len(mean_t) > 1:
+        gap = np.diff(mean_t)
+        after = np.clip(np.searchsorted(mean_t, grid), 1, len(mean_t) - 1)
+        inside = (grid > mean_t[after - 1]) & (grid < mean_t[after])
+        resampled[inside & (gap[after - 1] > max(GAP_S, 5.0 * float(np.median(gap))))] = np.nan
     if not period or turn is None:
-        return found
-    return np.asarray(np.mod(found, period) if turn[0] == 0.0 else turn[1] - np.mod(turn[1] - found, period))
+        return resampled
+    # Wrap the angle to the range of the samples: [0, period) or (-period/2, period/2].
+    return np.asarray(np.mod(resampled, period) if turn[0] == 0.0 else turn[1] - np.mod(turn[1] - resampled, period))

@@ -1,6 +1,6 @@
-"""The note of a watchdog, LOG.stop: what it did when no process wrote the log any more, and why.
+"""Note of a watchdog, the file LOG.stop: its action after the process that writes the log has stopped, and the reason.
 
-Imports nothing that a watchdog would wait for or need memory for.
+A watchdog imports this module. The module therefore imports no library that loads slowly or needs much memory.
 """
 
 from __future__ import annotations
@@ -12,35 +12,42 @@ from pathlib import Path
 
 from seatrial.daq.errors import printable
 
-LONGEST = 500  # characters
-NOTE = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # how it begins
+MAX_CHARACTERS = 500  # characters of a note that are read
+NOTE_BEGINNING = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # the beginning of every note
 
 
 def note_path(log: Path) -> Path:
-    """Where it is written, beside the log."""
+    """Return the path of the note of a log; the note lies beside the log."""
     return log.with_name(f"{log.name}.stop")
 
 
 def write_note(log: Path, text: str) -> None:
-    """Write it, in the place of an earlier one. A disk that is full or a name that is no plain file (a pipe without a
-    reader, a link to what is somebody else's) leaves it unwritten: nothing must hold up a watchdog."""
+    """Write the note of a log. An earlier note is replaced.
+
+    No note is written, and no error is raised, if the disk is full or if the path is not a regular file.
+    """
+    # A watchdog must never wait or fail here: a pipe without a reader would block, and a symbolic link may lead to a
+    # file of another user.
     flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0)
     with contextlib.suppress(OSError), os.fdopen(os.open(note_path(log), flags, 0o666), "w", encoding="utf-8") as file:
         file.write(f"{text}\n")
 
 
 def read_note(log: Path) -> str:
-    """What a watchdog wrote beside a log, in one line; empty where it did not have to."""
+    """Return the note that a watchdog wrote beside a log, as one line. The text is empty if there is no note."""
     path = note_path(log)
     try:
-        text = path.read_bytes()[: 4 * LONGEST].decode("utf-8", errors="replace") if path.is_file() else ""
+        text = path.read_bytes()[: 4 * MAX_CHARACTERS].decode("utf-8", errors="replace") if path.is_file() else ""
     except OSError:
         return ""
-    return printable(" ".join(text.split())[:LONGEST])
+    return printable(" ".join(text.split())[:MAX_CHARACTERS])
 
 
 def discard_note(log: Path) -> None:
-    """Take away what a watchdog wrote of an earlier log of this name: a new one must not be blamed for it."""
-    if NOTE.match(read_note(log)):
+    """Delete the note of an earlier log of the same name, so that the new log does not show this note.
+
+    A file of the same name that is not the note of a watchdog stays.
+    """
+    if NOTE_BEGINNING.match(read_note(log)):
         with contextlib.suppress(OSError):
             note_path(log).unlink()

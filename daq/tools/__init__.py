@@ -1,4 +1,4 @@
-"""Tools on ports and logs: discovery, live table, live ROS 2, info, export, replay."""
+"""Tools for ports and logs: discovery of devices, live table, live ROS 2, and info, export and replay of logs."""
 
 import lazy_loader
 

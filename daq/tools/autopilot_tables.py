@@ -1,6 +1,6 @@
-"""`seatrial devices tcp:...`: what an autopilot is, and from its own parameters the tables that drive it in a rig.
+"""Identification of an autopilot, and tables for a rig file from its parameters, for `seatrial devices tcp:...`.
 
-Nothing of it is changed: parameters are read under a system id of our own, without heartbeats.
+The autopilot is not changed. Its parameters are read with a separate system id and without heartbeats.
 """
 
 from __future__ import annotations
@@ -18,59 +18,81 @@ from seatrial.daq.rig import AutopilotOutput, Device, MavlinkSettings, Thruster
 from seatrial.daq.tools.discovery import DiscoveredDevice
 from seatrial.daq.transport import Port, PortError, make_port
 
-LISTEN_S, ANSWERS_S, AGAIN_S = 4.0, 6.0, 0.7  # wall: for a heartbeat, for all answers, between two requests
-ASK_AS = 253  # our system id: no autopilot's ground station
-LOOP_PART = 0.8  # of SCHED_LOOP_RATE: a faster message is denied
-RATE_HZ = 25.0
-OUTPUTS_HZ = 50.0  # by a network: what feeds a fit is known at its samples
+# s of wall time: to wait for a heartbeat, to wait for all parameters, and between two rounds of requests
+LISTEN_S, ANSWERS_S, ROUND_S = 4.0, 6.0, 0.7
+REQUEST_SYSTEM_ID = 253  # system id of the requests; ground stations usually have 255
+MAX_RATE_RATIO = 0.8  # largest rate of a message over SCHED_LOOP_RATE; the autopilot refuses faster messages
+RATE_HZ = 25.0  # of the messages of a device
+OUTPUTS_HZ = 50.0  # of the outputs, by a network; a fit knows its inputs only at their samples
 STEERING, THROTTLE = 26.0, 70.0  # SERVOn_FUNCTION
 MOTORS = range(33, 41)  # SERVOn_FUNCTION of ArduSub and ArduCopter
-SIDES = {LEFT: ("left", -0.3), RIGHT: ("right", 0.3)}
-OF_TABLES = ("BATT_LOW_VOLT", "INS_GYRO_FILTER", "GPS1_POS_X", "GPS1_POS_Y", "GPS1_POS_Z")
-ENDS = ("MIN", "TRIM", "MAX")
+SIDES = {LEFT: ("left", -0.3), RIGHT: ("right", 0.3)}  # name, and assumed position to starboard [m]
+# Parameters that appear in comments only.
+COMMENTED_PARAMETERS = ("BATT_LOW_VOLT", "INS_GYRO_FILTER", "GPS1_POS_X", "GPS1_POS_Y", "GPS1_POS_Z")
+PULSE_SUFFIXES = ("MIN", "TRIM", "MAX")
 
 
 @dataclass(frozen=True)
 class DiscoveredAutopilot(DiscoveredDevice):
-    """An autopilot, and the parameters that it has told."""
+    """Autopilot at a port, with the parameters that it reported."""
 
-    vehicle: str = ""
+    vehicle: str = ""  # such as "ArduPilot Rover"
     system_id: int = 1
-    signed: bool = False
+    signed: bool = False  # whether it signs its frames
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def toml(self, name: str, alone: bool = True) -> str:
-        """A [[device]], and a [[thruster]] for each side that it drives; a comment for each caveat."""
+        """Return tables for a rig file: a [[device]], and a [[thruster]] for each side. Caveats become comments.
+
+        Parameters
+        ----------
+        name
+            Name of the device in the rig file.
+        alone
+            Whether no other device in the rig file has [[thruster]] tables. Otherwise the names of the thrusters
+            begin with the name of the device.
+        """
         p = self.parameters
-        loop = LOOP_PART * p.get("SCHED_LOOP_RATE", math.inf)
+        loop = MAX_RATE_RATIO * p.get("SCHED_LOOP_RATE", math.inf)
         own = int(p.get("MAV_GCS_SYSID", p.get("SYSID_MYGCS", 255.0)))
         lines = [f"# {self.vehicle}", "[[device]]", f'name = "{name}"', 'protocol = "mavlink"', f'port = "{self.port}"']
         lines += [f"baud = {self.baud}"] if self.baud else []
         lines += [f"rate_hz = {min(RATE_HZ, loop):.1f}", f"system_id = {self.system_id}", f"own_system_id = {own}"]
-        lines += ['# caveat: it signs its frames; key_file = "signing.key" is missing here'] if self.signed else []
+        lines += ['# caveat: it signs its frames; add key_file = "signing.key"'] if self.signed else []
         lever = [p.get(f"GPS1_POS_{axis}", 0.0) for axis in "XYZ"]
         if any(lever):
-            lines.append(f"# caveat: it knows its GNSS antenna at {lever} m; only fused fixes are corrected for it")
+            lines.append(f"# caveat: its GNSS antenna is set to {lever} m; only fused fixes are corrected for this")
         if not self.baud and RATE_HZ < loop < math.inf:
             lines += ["[device.rates]", f"SERVO_OUTPUT_RAW = {min(OUTPUTS_HZ, loop):.1f}"]
         if self.vehicle != ROVER:
-            return "\n".join([*lines, f"# caveat: only {ROVER} is driven: no [[thruster]] behind {self.vehicle}", ""])
+            return "\n".join([*lines, f"# caveat: only {ROVER} is driven: no [[thruster]] of {self.vehicle}", ""])
         if not p:
-            return "\n".join([*lines, "# caveat: it has told no parameter: thrusters are yours to write", ""])
+            return "\n".join([*lines, "# caveat: it reported no parameters: write each [[thruster]] yourself", ""])
         thrusters = self.thrusters(name, "" if alone else f"{name}_")
         for thruster in thrusters:
             lines += _thruster_lines(thruster)
         lines += self._without(thrusters)
         lines += [f"# caveat: {finding}" for finding in check_parameters(p, thrusters, own)]
         if p.get("BATT_LOW_VOLT", 0.0) > 0.0:
-            lines += [f"# of [limits]: voltage_min_v = {p['BATT_LOW_VOLT']:.1f}, its BATT_LOW_VOLT"]
+            lines += [f"# for [limits]: voltage_min_v = {p['BATT_LOW_VOLT']:.1f}, its BATT_LOW_VOLT"]
         if p.get("INS_GYRO_FILTER", 0.0) > 0.0:
-            late = 1e3 / (2.0 * math.pi * p["INS_GYRO_FILTER"] / math.sqrt(2.0))
-            lines += [f"# INS_GYRO_FILTER {p['INS_GYRO_FILTER']:g} Hz makes its yaw rate about {late:.0f} ms late"]
+            # Delay of a second-order Butterworth low-pass at low frequencies: sqrt(2) / (2 pi f).
+            delay_ms = 1e3 / (2.0 * math.pi * p["INS_GYRO_FILTER"] / math.sqrt(2.0))
+            lines += [f"# INS_GYRO_FILTER {p['INS_GYRO_FILTER']:g} Hz delays its yaw rate by about {delay_ms:.0f} ms"]
         return "\n".join([*lines, ""])
 
     def thrusters(self, device: str, prefix: str = "") -> list[Thruster]:
-        """One for each channel of a two-paddle mix, at the first output that it moves, named by its side."""
+        """Return a thruster for each RC channel that drives a side (left or right throttle), named by the side.
+
+        The node of a thruster is the first output that the channel drives.
+
+        Parameters
+        ----------
+        device
+            Name of the device in the rig file.
+        prefix
+            Text before the name of each thruster.
+        """
         p = self.parameters
         found: dict[int, Thruster] = {}
         for node in range(1, 17):
@@ -95,7 +117,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
         return list(found.values())
 
     def _without(self, thrusters: Sequence[Thruster]) -> list[str]:
-        """What else hangs on its outputs and cannot be driven."""
+        """Return a comment for each output that cannot be driven or that no thruster monitors."""
         p = self.parameters
         functions = {node: p.get(f"SERVO{node}_FUNCTION", 0.0) for node in range(1, 17)}
         driven = {thruster.node for thruster in thrusters}
@@ -103,24 +125,30 @@ class DiscoveredAutopilot(DiscoveredDevice):
         for node, function in functions.items():
             if function in PADDLES and node not in driven:
                 side, channel = SIDES[function][0], int(p.get(*PADDLES[function]))
-                lines.append(f"# caveat: output {node} ({side}) turns with channel {channel}, too: nothing watches it")
+                lines.append(f"# caveat: output {node} ({side}) turns with channel {channel}, too: it is not monitored")
             elif function == STEERING:
-                lines.append(f"# caveat: output {node} steers (SERVO{node}_FUNCTION 26): a rudder is not driven")
+                lines.append(f"# caveat: output {node} steers (SERVO{node}_FUNCTION 26): rudders cannot be driven")
             elif function == THROTTLE:
-                lines.append(f"# caveat: output {node} is the throttle of both sides (70): only 73 and 74 are driven")
+                lines.append(
+                    f"# caveat: output {node} is the throttle of both sides (70): only 73 and 74 can be driven"
+                )
             elif int(function) in MOTORS:
-                lines.append(f"# caveat: output {node} is motor {int(function) - 32}: omni frames are not driven")
+                lines.append(f"# caveat: output {node} is motor {int(function) - 32}: omni frames cannot be driven")
         if not thrusters:
             lines.append("# caveat: no output is a left (73) or right (74) throttle: no [[thruster]]")
         return lines
 
 
 def _pulses(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
-    low, neutral, high = (p.get(f"{prefix}_{end}", us) for end, us in zip(ENDS, (1000.0, 1500.0, 2000.0), strict=True))
+    """Return the lowest, neutral and highest pulse [us] of a channel or output, with defaults for missing ones."""
+    low, neutral, high = (
+        p.get(f"{prefix}_{end}", us) for end, us in zip(PULSE_SUFFIXES, (1000.0, 1500.0, 2000.0), strict=True)
+    )
     return low, neutral, high
 
 
 def _thruster_lines(thruster: Thruster) -> list[str]:
+    """Return the lines of a [[thruster]] table."""
     assert thruster.output is not None
     out = thruster.output
     return [
@@ -131,18 +159,19 @@ def _thruster_lines(thruster: Thruster) -> list[str]:
     ]
 
 
-class _Ears:
-    """One open port: everything that the autopilot says until a condition is met."""
+class _Listener:
+    """Receiver of the messages of an autopilot at one open port."""
 
     def __init__(self, port: Port) -> None:
         self._port = port
         self.decoder = MavlinkDecoder(Samples({}), 0, 1)
-        self.decoder.listener = self._take
-        self.heartbeat: Any = None
+        self.decoder.listener = self._receive
+        self.heartbeat: Any = None  # the newest heartbeat of an autopilot
         self.parameters: dict[str, float] = {}
-        self.attitudes: list[float] = []  # s since its boot
+        self.attitudes: list[float] = []  # times of the attitudes, s since the start of the autopilot
 
-    def _take(self, m: Any) -> None:
+    def _receive(self, m: Any) -> None:
+        """Keep the content of a decoded message."""
         if m.get_type() == "HEARTBEAT" and m.autopilot != INVALID:
             self.heartbeat = m
         elif m.get_type() == "PARAM_VALUE":
@@ -151,7 +180,7 @@ class _Ears:
             self.attitudes.append(m.time_boot_ms * 1e-3)
 
     def until(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Listen, for so long at most."""
+        """Receive messages until a condition is true, at most for a time [s]."""
         deadline = time.monotonic() + seconds
         while not condition() and (left := deadline - time.monotonic()) > 0.0:
             if select.select([self._port.fileno()], [], [], min(left, 0.1))[0]:
@@ -161,49 +190,73 @@ class _Ears:
                     self._port.confirm()
 
     def ask(self, codec: Codec, system: int, names: Sequence[str]) -> None:
-        """Read these parameters; what it has not it does not answer for."""
+        """Request parameters until all have arrived, or until a round of requests brings no answer.
+
+        Autopilots do not answer requests for parameters that they do not have.
+        """
         deadline = time.monotonic() + ANSWERS_S
-        before = -1
+        n_before = -1
         while (missing := [name for name in names if name not in self.parameters]) and time.monotonic() < deadline:
-            if len(missing) == before:
-                return  # a whole round without an answer: it has none of those
-            before = len(missing)
+            if len(missing) == n_before:
+                return  # a whole round without an answer: the autopilot has none of the missing parameters
+            n_before = len(missing)
             for name in missing:
                 self._port.write(codec.encode("PARAM_REQUEST_READ", system, 1, name.encode(), -1))
                 self.until(lambda: False, 0.005)
-            self.until(lambda wanted=names: all(name in self.parameters for name in wanted), AGAIN_S)  # type: ignore[misc]
+            self.until(lambda wanted=names: all(name in self.parameters for name in wanted), ROUND_S)  # type: ignore[misc]
 
 
 def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
-    """Listen for an autopilot at a port; with `ask` its parameters are read. `says` holds the fault.
+    """Identify the autopilot at a port by its heartbeat.
 
-    Raises nothing but ValueError, for an address that is none.
+    Parameters
+    ----------
+    port
+        Serial port or network address.
+    baud
+        Baud rate of a serial port; 0 for a network address.
+    ask
+        Whether to read the parameters of an ArduPilot Rover.
+
+    Returns
+    -------
+    DiscoveredDevice
+        `DiscoveredAutopilot` if an autopilot was found. Otherwise `says` has the reason, such as an error of the port.
+
+    Raises
+    ------
+    ValueError
+        If `port` is not a valid address.
     """
     settings = MavlinkSettings()
     opened = make_port(Device("autopilot", "mavlink", port, baud or 115200, 0, RATE_HZ, mavlink=settings))
     try:
         opened.open()
-        ears = _Ears(opened)
-        ears.until(lambda: ears.heartbeat is not None, LISTEN_S)
-        if ears.heartbeat is None:
-            frames = ears.decoder.frames
-            says = f"{frames} MAVLink frames, none of an autopilot" if frames else "silent: no MAVLink heartbeat"
+        listener = _Listener(opened)
+        listener.until(lambda: listener.heartbeat is not None, LISTEN_S)
+        if listener.heartbeat is None:
+            frames = listener.decoder.frames
+            says = (
+                f"{frames} MAVLink frames, but no heartbeat of an autopilot" if frames else "silent: no MAVLink frames"
+            )
             return DiscoveredDevice(port, "", says=says)
-        ears.until(lambda: len(ears.attitudes) > 1, 1.0)
-        vehicle = vehicle_name(ears.heartbeat.autopilot, ears.heartbeat.type)
-        system = ears.heartbeat.get_srcSystem()
+        listener.until(lambda: len(listener.attitudes) > 1, 1.0)
+        vehicle = vehicle_name(listener.heartbeat.autopilot, listener.heartbeat.type)
+        system = listener.heartbeat.get_srcSystem()
         if ask and vehicle == ROVER:
-            codec = Codec(ASK_AS, 190)
+            codec = Codec(REQUEST_SYSTEM_ID, 190)
             functions = (f"SERVO{node}_FUNCTION" for node in range(1, 17))
-            ears.ask(codec, system, [*parameter_names(()), *OF_TABLES, *functions])
-            thrusters = DiscoveredAutopilot(port, "", parameters=ears.parameters).thrusters("")
-            ears.ask(codec, system, parameter_names(thrusters))
-        t = ears.attitudes
+            listener.ask(codec, system, [*parameter_names(()), *COMMENTED_PARAMETERS, *functions])
+            thrusters = DiscoveredAutopilot(port, "", parameters=listener.parameters).thrusters("")
+            listener.ask(codec, system, parameter_names(thrusters))
+        t = listener.attitudes
         rate = (len(t) - 1) / (t[-1] - t[0]) if len(t) > 1 and t[-1] > t[0] else math.nan
-        signed = ears.decoder.signed > 0
-        driven = "" if vehicle == ROVER else f"; only {ROVER} is driven, this is logged"
+        signed = listener.decoder.signed > 0
+        driven = "" if vehicle == ROVER else f"; only {ROVER} can be driven, this vehicle is only logged"
         says = f"{vehicle}, system {system}{', it signs its frames' * signed}{driven}"
-        return DiscoveredAutopilot(port, "", "mavlink", baud, rate, says, "", vehicle, system, signed, ears.parameters)
+        return DiscoveredAutopilot(
+            port, "", "mavlink", baud, rate, says, "", vehicle, system, signed, listener.parameters
+        )
     except PortError as error:
         return DiscoveredDevice(port, "", says=str(error))
     finally:

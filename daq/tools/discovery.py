@@ -1,4 +1,7 @@
-"""`seatrial devices`: finds serial ports and CAN buses, and identifies protocol and baud rate of their devices."""
+"""Search for serial ports and CAN buses, and identification of their devices, for `seatrial devices`.
+
+A device is identified by its protocol and its baud rate.
+"""
 
 from __future__ import annotations
 
@@ -14,30 +17,38 @@ from seatrial.daq.protocol import DEVICES, Decoder, nmea, slcan, ubx
 from seatrial.daq.samples import Frame, Gnss
 from seatrial.daq.transport import PortError, SerialPort, list_serial_ports
 
-LISTEN_S = 1.3  # wall, at each baud rate; a GNSS receiver sends once a second
-SILENT_S = 2.0  # with nothing at all for so long, no baud rate will help
-ENOUGH = 3  # reads with samples in them
-JUDGED_BYTES = 20
-LINES = 5  # of text without a checksum, or of frames without a sample; fewer may be chance
+LISTEN_S = 1.3  # s of wall time at each baud rate; a GNSS receiver sends once a second
+SILENT_S = 2.0  # s; after this time without any byte, other baud rates are not tried
+ENOUGH_READS = 3  # reads with samples that are sufficient for a protocol with checksums
+JUDGED_BYTES = 20  # smallest number of bytes after the first sample for a score from these bytes alone
+MIN_LINES = 5  # smallest number of lines without a checksum, or of frames without a sample; fewer may be chance
 CAN_TYPE = 280  # ARPHRD_CAN, linux/if_arp.h
-SLCAN = "slcan"  # not a device of its own: an adapter to a bus
+SLCAN = "slcan"  # protocol of an adapter to a CAN bus, not of a device
 SLCAN_BAUDS = (115200, 1_000_000)
 
 
 @dataclass(frozen=True)
 class DiscoveredDevice:
-    """One port and the device identified there."""
+    """Port with the device that was identified at it."""
 
     port: str
-    description: str
-    protocol: str = ""  # a name of the table of devices, or SLCAN; empty when nothing was recognised
+    description: str  # description of the port by the operating system
+    protocol: str = ""  # a name in the table of devices, or SLCAN; empty if no protocol was recognised
     baud: int = 0
     rate: float = math.nan  # samples per second
-    says: str = ""  # for people: what it is, or why it is not known
-    hint: str = ""  # what could be better about the port
+    says: str = ""  # text for the user: the device, or the reason why it was not identified
+    hint: str = ""  # advice on how to improve the settings of the port
 
     def toml(self, name: str, alone: bool = True) -> str:
-        """A [[device]] for the rig file; ``alone``: no other one there names thrusters."""
+        """Return the [[device]] table of the device for a rig file.
+
+        Parameters
+        ----------
+        name
+            Name of the device in the rig file.
+        alone
+            Whether no other device in the rig file has [[thruster]] tables. Not used by devices without thrusters.
+        """
         rate = f"{self.rate:.3g}" if math.isfinite(self.rate) else "1"
         return (
             f'[[device]]\nname = "{name}"\nprotocol = "{self.protocol}"\nport = "{self.port}"\nbaud = {self.baud}\n'
@@ -46,45 +57,51 @@ class DiscoveredDevice:
 
 
 class _Listener:
-    """One candidate protocol at one port: its decoder and the samples so far."""
+    """Candidate protocol at one port, with its decoder and the counts of the samples so far."""
 
     def __init__(self, protocol: str) -> None:
         self.protocol = protocol
         self.decoder: Decoder | slcan.Decoder = slcan.Decoder() if protocol == SLCAN else default_decoder(protocol)
         self.decoder.reset()
-        self.samples = self.n_bytes = self.gnss = self.fixes = 0  # of `gnss` samples, so many have a fix
+        self.samples = self.n_bytes = 0
+        self.gnss = self.fixes = 0  # number of GNSS samples, and of GNSS samples with a fix
         self._joined: tuple[int, int] | None = None  # bytes received and unparsed at the first sample
-        self.times: list[float] = []
+        self.times: list[float] = []  # time of arrival of each sample [s]
 
     def feed(self, data: bytes, t: float) -> None:
-        """Take the bytes that were read."""
+        """Decode bytes that were read at time t [s]."""
         found = self.decoder.feed(data, t)
         self.n_bytes += len(data)
         self.samples += len(found)
-        self._look_at(found)
+        self._count_fixes(found)
         self.times += [t] * len(found)
-        if found and self._joined is None:  # what comes before may be of another baud rate, or half a frame
+        if found and self._joined is None:  # bytes before may be from another baud rate, or the end of a frame
             self._joined = (self.n_bytes, self.decoder.unparsed_bytes)
 
     def close(self) -> None:
+        """Count the last samples, which the decoders of GNSS receivers keep until their epoch is complete."""
         if isinstance(self.decoder, (nmea.Decoder, ubx.Decoder)):
             found = self.decoder.flush()
             self.samples += len(found)
-            self._look_at(found)
+            self._count_fixes(found)
 
-    def _look_at(self, found: Sequence[object]) -> None:
+    def _count_fixes(self, found: Sequence[object]) -> None:
+        """Count GNSS samples, and GNSS samples with a fix."""
         samples = [frame.sample for frame in found if isinstance(frame, Frame) and isinstance(frame.sample, Gnss)]
         self.gnss += len(samples)
         self.fixes += sum(sample.fix > 0 for sample in samples)
 
     @property
     def checked(self) -> bool:
-        """Whether the protocol has checksums, so that little is enough."""
+        """Return whether the protocol has checksums. A few samples of such a protocol are sufficient."""
         return self.protocol not in ("loadcell", "openscale", SLCAN)
 
     def score(self) -> tuple[float, int]:
-        """Confidence that this is the protocol, larger is better; (0, 0) where it is not."""
-        if self.samples == 0 or (not self.checked and self.samples < LINES):
+        """Return the confidence in this protocol as (share of the bytes in frames, number of frames).
+
+        Larger is better. (0, 0) excludes the protocol.
+        """
+        if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0
         n_bytes, unparsed = self.n_bytes, self.decoder.unparsed_bytes
         if self._joined is not None and n_bytes - self._joined[0] >= JUDGED_BYTES:
@@ -92,26 +109,45 @@ class _Listener:
         share = 1.0 - unparsed / max(n_bytes, 1)
         if share < (0.2 if self.checked else 0.8):
             return 0.0, 0
-        # OpenScale's lines may match a load cell's pattern by chance, never the other way round.
+        # Protocols with checksums win ties: text lines without a checksum may match a pattern by chance.
         return share + 0.01 * self.checked, self.decoder.frames
 
     @property
     def condition(self) -> str:
-        """What keeps a receiver from measuring, to be shown behind its name; empty if it measures."""
-        return "; alive, without a fix: open sky, antenna and its cable" if self.gnss and not self.fixes else ""
+        """Text for the user about a GNSS receiver without a fix; empty for a receiver with a fix and other devices."""
+        return (
+            "; it sends data, but has no fix: check view of the sky, antenna and cable"
+            if self.gnss and not self.fixes
+            else ""
+        )
 
     def rate(self) -> float:
-        """Samples per second, from their times of arrival."""
+        """Return the rate of the samples [Hz] from their times of arrival; NaN if there is a single time."""
         if not self.times or self.times[-1] == self.times[0]:
             return math.nan
-        # The first read may contain buffered bytes; it is not counted.
+        # The first read is not counted, because it may contain buffered bytes.
         return (len(self.times) - self.times.count(self.times[0])) / (self.times[-1] - self.times[0])
 
 
 def find(
     listen: float = LISTEN_S, bauds: Sequence[int] = (), said: Callable[[str], None] = lambda text: None
 ) -> list[DiscoveredDevice]:
-    """Every port of this machine, with its protocol where identified."""
+    """Find all serial ports and CAN buses of this computer, and identify the devices at the serial ports.
+
+    Parameters
+    ----------
+    listen
+        Time to listen at each baud rate [s].
+    bauds
+        Baud rates to try; by default the usual ones of all protocols.
+    said
+        Function that receives progress messages.
+
+    Returns
+    -------
+    list
+        All ports. The field `protocol` is empty if no device was identified.
+    """
     found = []
     for path, description in list_serial_ports():
         said(f"listening on {path}")
@@ -125,7 +161,7 @@ def find(
 
 
 def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
-    """The baud rates to try, the likeliest first."""
+    """Return the baud rates to try, in the order of their probability, or the wanted ones if there are any."""
     if wanted:
         return list(wanted)
     rows = [row.bauds for row in DEVICES.usable().values() if row.bauds] + [SLCAN_BAUDS]
@@ -139,13 +175,32 @@ def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
 def identify_protocol(
     path: str, description: str = "", *, bauds: Sequence[int] = (), listen: float = LISTEN_S
 ) -> DiscoveredDevice:
-    """Listen on a port at one baud rate after the other. Nothing is ever sent: the device is unknown."""
+    """Identify the device at a serial port by listening at one baud rate after the other.
+
+    No byte is sent, because the device is unknown and may react to it.
+
+    Parameters
+    ----------
+    path
+        The port.
+    description
+        Description of the port, for the result.
+    bauds
+        Baud rates to try; by default the usual ones of all protocols.
+    listen
+        Time to listen at each baud rate [s].
+
+    Returns
+    -------
+    DiscoveredDevice
+        The device. If no device was identified, `protocol` is empty and `says` has the reason.
+    """
     types = DEVICES.usable()
     answered_at: list[int] = []
-    framed: list[str] = []  # protocols whose checksums were right, without one sample
+    framed: list[str] = []  # protocols with right checksums but without any sample
     hint = ""
     for baud in baud_rates(bauds):
-        # A rate that the user names is tried with every protocol: devices are set to other rates than their usual ones.
+        # A rate from the user is tried with every protocol: a device may be set to a rate that is unusual for it.
         candidates = [_Listener(name) for name, row in types.items() if baud in row.bauds or (bauds and row.bauds)]
         candidates += [_Listener(SLCAN)] if baud in SLCAN_BAUDS or bauds else []
         port = SerialPort(path, baud)
@@ -156,24 +211,28 @@ def identify_protocol(
         hint = port.hint
         if n_bytes == 0 and not answered_at:
             return DiscoveredDevice(
-                path, description, says="silent; what speaks only when asked is not found", hint=hint
+                path, description, says="silent; devices that send only on request cannot be found", hint=hint
             )
         answered_at.append(baud)
-        framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= LINES]
+        framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= MIN_LINES]
         best = max(candidates, key=_Listener.score, default=None)
         if best is not None and best.score() > (0.0, 0):
-            says = "CAN adapter (slcan), its channel open" if best.protocol == SLCAN else types[best.protocol].says
+            says = "CAN adapter (slcan) with open channel" if best.protocol == SLCAN else types[best.protocol].says
             says += best.condition
             return DiscoveredDevice(path, description, best.protocol, baud, best.rate(), says, hint)
     if framed:
-        says = f"frames of {' or '.join(framed)}, none with a measurement: is the right output switched on?"
+        says = f"frames of {' or '.join(framed)}, but without measurements: check which outputs are switched on"
         return DiscoveredDevice(path, description, says=says, hint=hint)
     tried = ", ".join(map(str, answered_at))
-    return DiscoveredDevice(path, description, says=f"bytes that no protocol explains at {tried} baud", hint=hint)
+    return DiscoveredDevice(path, description, says=f"bytes of no known protocol at {tried} baud", hint=hint)
 
 
 def _listen(port: SerialPort, candidates: Sequence[_Listener], seconds: float, silent: float) -> int:
-    """Feed the candidates for `seconds` from the first byte, or until one is certain; returns the number of bytes."""
+    """Feed the candidates with the bytes of a port, and return the number of bytes.
+
+    Listening ends `seconds` after the first byte, after `silent` seconds without a byte, or earlier if a protocol with
+    checksums has enough samples.
+    """
     n_bytes, start = 0, time.monotonic()
     end = start + silent
     port.open()
@@ -186,7 +245,7 @@ def _listen(port: SerialPort, candidates: Sequence[_Listener], seconds: float, s
             n_bytes += len(data)
             for candidate in candidates:
                 candidate.feed(data, t)
-            if t - start > 0.3 * seconds and any(c.checked and len(set(c.times)) >= ENOUGH for c in candidates):
+            if t - start > 0.3 * seconds and any(c.checked and len(set(c.times)) >= ENOUGH_READS for c in candidates):
                 break
     finally:
         port.close()

@@ -1,4 +1,4 @@
-"""`seatrial export`: the tables of a log as CSV or Parquet files, one per source, or one resampled table."""
+"""Export of logs for `seatrial export`: the tables as CSV or Parquet files, or one resampled table."""
 
 from __future__ import annotations
 
@@ -14,18 +14,39 @@ from seatrial.daq.files import new_file, require_new
 from seatrial.daq.log import Log, LogTable, Resampled, log_tables, resample
 from seatrial.daq.samples import Scalar
 
-ROWS = 65536  # written at a time
-RATE = 10.0  # Hz, of forms that hold one table only
+CSV_BATCH_ROWS = 65536  # rows of CSV that are written at a time
+DEFAULT_RATE_HZ = 10.0  # Hz, default for file formats with one table only
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
-    """Write every table, and the events as events.csv, to `folder`; returns the files. Raises SeatrialError.
+    """Write every table of a log to a file, and the events to events.csv.
 
-    `form` is "csv" or "parquet". Numbers are written with all their digits; what was not measured is an empty cell
-    in CSV and NaN in Parquet. Times are seconds since 1970.
+    Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
+    seconds since 1970.
+
+    Parameters
+    ----------
+    log
+        The log.
+    form
+        "csv" or "parquet". For other formats of `export_resampled` one resampled table is written.
+    folder
+        Folder of the files.
+    force
+        Whether existing files may be replaced.
+
+    Returns
+    -------
+    list
+        The written files.
+
+    Raises
+    ------
+    SeatrialError
+        If the log has no samples, a file exists already or cannot be written, or a package is not installed.
     """
     if form not in ("csv", "parquet"):
-        return [export_resampled(log, form, folder, RATE, force)]
+        return [export_resampled(log, form, folder, DEFAULT_RATE_HZ, force)]
     write = _csv if form == "csv" else _parquet()
     written: list[Path] = []
     try:
@@ -43,15 +64,34 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     if not written:
-        raise SeatrialError(f"{log.path}: holds no samples to export")
+        raise SeatrialError(f"{log.path}: the log has no samples to export")
     return written
 
 
 def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool = False) -> Path:
-    """Write one table of the whole log at `rate` [Hz] to `folder`; returns its file. Raises SeatrialError.
+    """Write the whole log as one resampled table, and return the file.
 
-    Times are seconds since 1970: ``t`` in CSV, Parquet and MATLAB, the coordinate ``time`` in NetCDF. Units stand in
-    the heads of CSV, the metadata of Parquet's columns, the struct ``units`` of MATLAB, the attributes of NetCDF.
+    Times are seconds since 1970: ``t`` in CSV, Parquet and MATLAB, the coordinate ``time`` in NetCDF. The units are in
+    the column heads of CSV, the metadata of the columns of Parquet, the struct ``units`` of MATLAB, and the attributes
+    of NetCDF.
+
+    Parameters
+    ----------
+    log
+        The log.
+    form
+        "csv", "parquet", "mat" or "netcdf".
+    folder
+        Folder of the file. The file has the name of the log.
+    rate
+        Rate of the table [Hz].
+    force
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    SeatrialError
+        If the log has no samples, the file exists already or cannot be written, or a package is not installed.
     """
     table = resample(log, rate)
     try:
@@ -70,7 +110,7 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
 
 
 def _rows_of(table: Resampled, name: str) -> LogTable:
-    """The table with its times as the column ``t``; a signal that is called t becomes ``t_``."""
+    """Return the resampled table with its times as the column ``t``. A signal with the name t becomes ``t_``."""
     names = {name: "t_" if name == "t" else name for name in table.columns}
     columns = {"t": table.t, **{names[name]: values for name, values in table.columns.items()}}
     rows = np.empty(len(table.t), [(name, np.float64) for name in columns])
@@ -81,18 +121,20 @@ def _rows_of(table: Resampled, name: str) -> LogTable:
 
 
 def _mat(path: Path, table: Resampled) -> None:
+    """Write a resampled table as a MATLAB file."""
     try:
         from scipy.io import savemat
     except ModuleNotFoundError as error:
         raise SeatrialError("MATLAB files need the package scipy: pip install 'seatrial[matlab]'") from error
 
-    names = _identifiers(table.columns, 63)  # as MATLAB has them
+    names = _identifiers(table.columns, 63)  # the longest name in MATLAB
     columns = {names[name]: values for name, values in table.columns.items()}
     units = {names[name]: unit or "1" for name, unit in table.units.items()}
     savemat(path, {"t": table.t, **columns, "units": units}, long_field_names=True, oned_as="column", appendmat=False)
 
 
 def _netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
+    """Write a resampled table as a NetCDF file."""
     try:
         from scipy.io import netcdf_file
     except ModuleNotFoundError as error:
@@ -105,12 +147,12 @@ def _netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
         time = file.createVariable("time", "d", ("time",))
         time[:], time.units = table.t, "seconds since 1970-01-01 00:00:00"
         for name, values in table.columns.items():
-            one = file.createVariable(names[name], "d", ("time",))
-            one[:], one.units = values, table.units[name] or "1"
+            variable = file.createVariable(names[name], "d", ("time",))
+            variable[:], variable.units = values, table.units[name] or "1"
 
 
 def _identifiers(names: Iterable[str], longest: int) -> dict[str, str]:
-    """Names of variables that every program takes, each its own."""
+    """Return valid and unique names of variables by name of the column: letters, digits and underscores only."""
     found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
@@ -124,7 +166,10 @@ def _identifiers(names: Iterable[str], longest: int) -> dict[str, str]:
 
 
 def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
-    """A path within `folder`, also for names of foreign logs with separators."""
+    """Return the path of a new file in the folder.
+
+    Characters that are not safe in a file name are replaced: names in a log from a stranger may contain separators.
+    """
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", name) or "table"
     path = folder / f"{stem}.{ending}"
     number = 1
@@ -136,9 +181,12 @@ def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool)
 
 
 def _csv(path: Path, part: LogTable) -> None:
+    """Write a table as CSV, with units in the heads and empty cells for NaN."""
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
-    rows = (row for at in range(0, len(part.rows), ROWS) for row in part.rows[at : at + ROWS].tolist())
+    rows = (
+        row for at in range(0, len(part.rows), CSV_BATCH_ROWS) for row in part.rows[at : at + CSV_BATCH_ROWS].tolist()
+    )
     _write_csv(path, heads, (["" if value != value else repr(value) for value in row] for row in rows))
 
 
@@ -150,6 +198,7 @@ def _write_csv(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
 
 
 def _parquet() -> Callable[[Path, LogTable], None]:
+    """Return a function that writes a table as a Parquet file. Raise SeatrialError if pyarrow is not installed."""
     try:
         import pyarrow
         import pyarrow.parquet

@@ -1,4 +1,4 @@
-"""`seatrial info`: the content of a log as tables."""
+"""Content of a log as tables, for `seatrial info`."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import Log, first_of, schema
 from seatrial.daq.samples import PortHealth, Scalar
 
-FIRST_EVENTS, LAST_EVENTS = 25, 15  # shown of many: the end of a run is last
-_ABOUT = {
+FIRST_EVENTS, LAST_EVENTS = 25, 15  # of many events only these are shown: the last events are about the end of the run
+_ABOUT = {  # texts of the metadata that are shown, with their names for the user
     "rig": "rig",
     "operator": "operator",
     "host": "host",
     "git": "git",
     "command_line": "command",
-    "speed": "run seconds a wall second",
+    "speed": "run seconds per wall second",
     "import.map": "import.map",
 }
-LONGEST = 2000  # characters of one text that are shown; what is longer was never meant to be read
-FOLDED = ("skipped", "parameter")  # kinds of events that come in swarms
+MAX_CHARACTERS = 2000  # characters of a text that are shown; longer texts are not meant for readers
+FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetitions become one line
 
 
 def escape(text: str) -> str:
-    """A text of the log as the console prints it unchanged; of a very long one the beginning."""
-    return markup.escape(text if len(text) <= LONGEST else f"{text[:LONGEST]}... ({len(text)} characters)")
+    """Escape the markup in a text of a log, so that the console prints it unchanged. Long texts are shortened."""
+    return markup.escape(
+        text if len(text) <= MAX_CHARACTERS else f"{text[:MAX_CHARACTERS]}... ({len(text)} characters)"
+    )
 
 
 def show_log(log: Log, console: Console) -> None:
-    """Print duration, topics with rates, health counters, events and warnings."""
+    """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings."""
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
     state = "complete" if log.complete else "cut off, or still being written"
@@ -42,14 +44,14 @@ def show_log(log: Log, console: Console) -> None:
     if log.counts:
         begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
         n_samples = sum(log.counts[topic] for topic, kind in log.types().items() if kind in schema.SAMPLE_TYPES)
-        what = f"{counted(n_samples, 'sample')} in {counted(sum(log.counts.values()), 'message')}"
-        console.print(f"from {begin}, {log.duration:.3f} s, {what}")
+        content = f"{counted(n_samples, 'sample')} in {counted(sum(log.counts.values()), 'message')}"
+        console.print(f"from {begin}, {log.duration:.3f} s, {content}")
     else:
         console.print("no messages")
     first = first_of(log.path)
     if first is not None and log.metadata.get("segment", "0") != "0":
         number = escape(log.metadata["segment"])
-        console.print(f"  segment {number} of {escape(first.name)}, which opens with all of them")
+        console.print(f"  segment {number} of {escape(first.name)}; open that file for the whole log")
     for key, words in _ABOUT.items():
         if log.metadata.get(key) and (key, log.metadata[key]) != ("speed", "1.0"):
             console.print(f"  {words}: {escape(log.metadata[key])}")
@@ -69,10 +71,11 @@ def show_log(log: Log, console: Console) -> None:
 
 
 def _topics(log: Log) -> Table:
+    """Return the table of topics: types, numbers of messages, rates and gaps."""
     signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
     notes = [""] if signals else []
     heads = ("topic", "type", "messages", "rate [Hz]", "longest gap [s]", *notes)
-    table = Table(*(escape(head) for head in heads))  # [s] would be struck out, and not be seen
+    table = Table(*(escape(head) for head in heads))  # without `escape` the console takes [s] as markup
     for column in table.columns[2:5]:
         column.justify = "right"
     for topic, type_name in log.types().items():
@@ -87,6 +90,7 @@ def _topics(log: Log) -> Table:
 
 
 def _health(log: Log) -> Table:
+    """Return the table of the last port counters of each device."""
     heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
     table = Table("device", *(escape(head) for head in heads))
     for column in table.columns[2:]:
@@ -109,6 +113,7 @@ def _health(log: Log) -> Table:
 
 
 def _events(log: Log, console: Console) -> None:
+    """Print the first and the last events of a log."""
     try:
         events = log.events()
     except SeatrialError as error:
@@ -124,7 +129,13 @@ def _events(log: Log, console: Console) -> None:
 
 
 def _folded(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
-    """One line for repeated events: the first, the number of repetitions, and the time of the last."""
+    """Replace repeated events of the kinds in `FOLDED` by one event with the number of repetitions.
+
+    Parameters
+    ----------
+    events
+        Time [s since 1970], kind and text of each event.
+    """
     lines: list[tuple[float, str, str]] = []
     for kind, group in groupby(events, key=lambda event: event[1]):
         first, *more = group

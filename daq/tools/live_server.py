@@ -1,8 +1,8 @@
-"""`seatrial log --live`: the newest samples on a WebSocket that Foxglove opens (extra `live`).
+"""WebSocket server of the newest samples for Foxglove, for `seatrial log --live` (extra `live`).
 
-The messages are those of the log: the same topics, types and encoding. It runs in the process that shows the table,
-never in the one that records. The library's server asks nobody where he comes from, so a gate stands before it: else
-any page in a browser of this computer could read the samples.
+The messages have the topics, types and encoding of the log. The server runs in the process that shows the live table,
+never in the process that records. The server of the library does not check the origin of a connection. Therefore
+connections pass a gate that checks it. Otherwise every web page in a browser of this computer could read the samples.
 """
 
 from __future__ import annotations
@@ -24,19 +24,29 @@ from seatrial.daq.log import NANO, full_definition, schema
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import NAN, Frame
 
-PERIOD_S = 0.05  # wall; the status is no newer
-HEAD_S, HEAD_BYTES = 5.0, 16_384  # of a request's head
+PERIOD_S = 0.05  # s of wall time; the acquisition does not update its status more often
+HEAD_S, HEAD_BYTES = 5.0, 16_384  # limits of the head of a request
 _OURS = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?|file://")  # pages and programs of this computer
 _ORIGIN = re.compile(rb"^origin:[ \t]*(.*?)[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
 _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial[live]'"
 
 
 class LiveServer:
-    """Serves the samples of `status` at the address of `rig.live` while in the `with` block.
+    """Server of the newest samples within a `with` block, at the address in `rig.live`.
 
-    Raises SeatrialError at entry.
+    The server sends the newest sample of each source twenty times a second. Only the log has all samples.
 
-    What is shown is the newest sample of each source twenty times a second; the log has them all.
+    Parameters
+    ----------
+    rig
+        Rig with the address.
+    status
+        Function that returns the status of the acquisition.
+
+    Raises
+    ------
+    SeatrialError
+        At the beginning of the block, if a package is not installed or the address is not available.
     """
 
     def __init__(self, rig: Rig, status: Callable[[], Status]) -> None:
@@ -48,7 +58,7 @@ class LiveServer:
 
     @property
     def address(self) -> str:
-        """The address to open in Foxglove."""
+        """Address to open in Foxglove."""
         return f"ws://{self._rig.live.host}:{self._gate.port}"
 
     def __enter__(self) -> LiveServer:
@@ -56,21 +66,22 @@ class LiveServer:
             import foxglove
         except ModuleNotFoundError as error:
             raise SeatrialError(_FOXGLOVE) from error
-        foxglove.set_log_level("CRITICAL")  # a client that leaves without a farewell would be a line in the live table
+        # Otherwise the library prints a line into the live table when a client disconnects without a close message.
+        foxglove.set_log_level("CRITICAL")
         self._foxglove = foxglove
         self._context = foxglove.Context()
         live = self._rig.live
         behind = "127.0.0.1"
-        if sys.platform == "linux":  # all of 127.0.0.0/8 is this computer: where a page does not find it
+        if sys.platform == "linux":  # all of 127.0.0.0/8 is this computer: a web page cannot guess a random address
             behind = "127." + ".".join(str(random.SystemRandom().randrange(1, 255)) for _ in range(3))
         with contextlib.ExitStack() as stack:
             try:
                 self._server = foxglove.start_server(name="seatrial", host=behind, port=0, context=self._context)
                 stack.callback(self._server.stop)
                 self._gate = OriginGate(live.host, live.port, (behind, self._server.port), live.origins)
-            except Exception as error:  # the library raises errors of its own
-                why = " ".join(str(error).split())
-                raise SeatrialError(f"{live.host}:{live.port}: the live view cannot listen there: {why}") from error
+            except Exception as error:  # the library raises errors of other classes, too
+                reason = " ".join(str(error).split())
+                raise SeatrialError(f"{live.host}:{live.port}: the live view cannot listen there: {reason}") from error
             stack.pop_all()
         self._thread.start()
         return self
@@ -80,10 +91,12 @@ class LiveServer:
     ) -> None:
         self._ending.set()
         self._thread.join()
-        self._server.stop()  # before the gate, which passes on its farewell; else it prints that clients were reset
+        # Stop the server before the gate, which forwards its close messages. Otherwise the library prints errors.
+        self._server.stop()
         self._gate.close()
 
     def _run(self) -> None:
+        """Publish the status periodically until the end of the block or of the acquisition."""
         while not self._ending.wait(PERIOD_S):
             try:
                 self.publish(self._status())
@@ -91,17 +104,18 @@ class LiveServer:
                 return
 
     def publish(self, status: Status) -> None:
-        """Send every sample that is newer than the last one sent of its source."""
+        """Send each sample of a status that is newer than the last sent sample of its source."""
         for source, latest in status.latest.items():
             if latest.t <= self._sent.get(source, -math.inf):
                 continue
             self._sent[source] = latest.t
             t_ns = round(latest.t * NANO)
-            device = source[0].partition("/")[0]  # one of several kinds is DEVICE/KIND
+            device = source[0].partition("/")[0]  # DEVICE/KIND for a device with several kinds of samples
             for message in schema.messages(device, Frame(latest.sample, latest.t, NAN)):
                 self._channel(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
 
     def _channel(self, topic: str, type_name: str) -> Any:
+        """Return the channel of a topic; create it if it does not exist."""
         if topic not in self._channels:
             definition = full_definition(type_name).encode()
             self._channels[topic] = self._foxglove.Channel(
@@ -114,13 +128,29 @@ class LiveServer:
 
 
 class OriginGate:
-    """Listens at an address, and connects to the server behind it whoever is no page of a foreign site: programs, which
-    name no origin, pages of this computer, and those of `origins` (RFC 6454, 7). Raises OSError."""
+    """Gate in front of a server, which rejects connections from web pages of foreign sites (RFC 6454, section 7).
+
+    Accepted are programs, which send no origin, pages of this computer, and pages of the sites in `origins`.
+
+    Parameters
+    ----------
+    host, port
+        Address of the gate; port 0 for any free port.
+    behind
+        Address of the server.
+    origins
+        Accepted origins, such as "https://app.foxglove.dev".
+
+    Raises
+    ------
+    OSError
+        If the address is not available.
+    """
 
     def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:
         self._behind, self._origins = behind, origins
         self._loop = asyncio.new_event_loop()
-        self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # of connections, each with its client
+        self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # task of each connection, and its client
         try:
             listening = asyncio.start_server(self._accept, host, port, limit=HEAD_BYTES)
             self._server = self._loop.run_until_complete(listening)
@@ -132,34 +162,37 @@ class OriginGate:
         self._thread.start()
 
     def close(self) -> None:
-        """End it and its connections."""
+        """Close the gate and all its connections."""
         asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
 
     async def _end(self) -> None:
+        """Close the listening socket and all connections, and wait for their tasks."""
         self._server.close()
         for task, client in list(self._tasks.items()):
-            client.close()  # of a task that has not begun, too
+            client.close()  # a task that has not started yet would not close its client
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        await asyncio.sleep(0)  # what was closed is let go of in the next turn
+        await asyncio.sleep(0)  # asyncio frees closed connections in the next cycle of its loop
 
-    def _is_welcome(self, head: bytes) -> bool:
+    def _is_allowed(self, head: bytes) -> bool:
+        """Return whether the head of a request has no origin, or accepted origins only."""
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a connection in a task of our own: asyncio prints a traceback where it cancels one of its own."""
+        """Serve a connection in a task of this class. asyncio prints a traceback when it cancels tasks of its own."""
         task = self._loop.create_task(self._serve(reader, writer))
         self._tasks[task] = writer
         task.add_done_callback(self._tasks.pop)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Check the origin of a client, and forward all bytes between client and server, or answer 403."""
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
-            if self._is_welcome(head):
+            if self._is_allowed(head):
                 server_reader, server_writer = await asyncio.open_connection(*self._behind)
                 server_writer.write(head)
                 await asyncio.gather(_pump(reader, server_writer), _pump(server_reader, writer))
@@ -173,11 +206,12 @@ class OriginGate:
 
 
 async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Forward bytes from a reader to a writer until the end, and close the writer."""
     try:
         while data := await reader.read(65_536):
             writer.write(data)
             await writer.drain()
-    except OSError:  # one side is gone: the other is closed, and its pump ends likewise
+    except OSError:  # one side has closed the connection: the other side is closed, which ends its `_pump`
         pass
     finally:
         writer.close()

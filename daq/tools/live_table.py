@@ -1,4 +1,7 @@
-"""Live table of a running acquisition: rates, ages, error counters and newest samples of its devices."""
+"""Live table of a running acquisition: rates, ages, error counters and newest samples of its devices.
+
+Without a terminal the status is printed as lines.
+"""
 
 from __future__ import annotations
 
@@ -19,24 +22,26 @@ from seatrial.daq.errors import counted
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Gnss, LoadCell, Sample, Servo
 
-TABLE_S = 0.2  # wall
-LINE_S = 5.0  # wall, where there is no terminal
-FIRST_LINE_S = 0.5
-STALE_PERIODS = 5.0
-STALE_S = 1.0
-STALE_WALL_S = 0.25
-SELDOM = 3.0  # times as long one of several kinds may be silent: fixes and batteries come more slowly than rate_hz
+TABLE_S = 0.2  # s of wall time between two updates of the table
+LINE_S = 5.0  # s of wall time between two lines, without a terminal
+FIRST_LINE_S = 0.5  # s of wall time before the first line
+# A source is stale after the longest of these three times without a sample.
+STALE_PERIODS = 5.0  # expected periods
+STALE_S = 1.0  # s of the run clock
+STALE_WALL_S = 0.25  # s of wall time
+# Factor of this time for a device with several kinds of samples: fixes and batteries have lower rates than rate_hz.
+SEVERAL_KINDS_FACTOR = 3.0
 NO_ANSWER = "the acquisition does not answer"
-RATE_TOLERANCE = 0.1
-WIDE = 110  # columns from which the table has all its columns
-FIX = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
-# Never colour alone: each state has a word too. Blue and orange are distinguishable with most colour blindness.
+RATE_TOLERANCE = 0.1  # relative difference from the expected rate beyond which a rate is highlighted
+WIDE_CHARACTERS = 110  # characters; a narrower terminal shows fewer columns
+FIX_NAMES = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")
+# Each state has a word besides its colour. Blue and orange are distinguishable with most colour blindness.
 GOOD, BAD, DIM = "bright_blue", "bold orange1", "dim"
 ALARM = "bold white on red"
 
 
 def default_log_path(rig: Rig) -> Path:
-    """`DIRECTORY/RIG-DATE-TIME.mcap` in local time; a number is added if the file exists."""
+    """Return the path `DIRECTORY/RIG-DATE-TIME.mcap` in local time. A number is added if the file exists."""
     stem = f"{'-'.join(rig.name.split())}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = rig.log_directory / f"{stem}.mcap"
     number = 1
@@ -49,13 +54,29 @@ def default_log_path(rig: Rig) -> Path:
 def watch(
     acquisition: Acquisition, rig: Rig, clock: RunClock, deadline: float, stop: threading.Event, console: Console
 ) -> None:
-    """Show the status until run time `deadline` or until `stop` is set: a table on a terminal, lines elsewhere."""
+    """Show the status of an acquisition: a table on a terminal, lines otherwise.
+
+    Parameters
+    ----------
+    acquisition
+        The acquisition.
+    rig
+        Its rig.
+    clock
+        Run clock.
+    deadline
+        Time of the run clock at which this function returns [s since 1970].
+    stop
+        Event that ends this function earlier.
+    console
+        Destination of the output.
+    """
     if not console.is_terminal:
         line_at, shown = time.monotonic() + FIRST_LINE_S, set[str]()
         while not stop.wait(_pause(clock, deadline, line_at)) and clock.now() < deadline:
             if time.monotonic() >= line_at:
                 status = acquisition.status()
-                for hint in set(status.hints) - shown:  # once; only a table has room to repeat it
+                for hint in set(status.hints) - shown:  # lines show a hint only once; the table repeats it
                     console.print(f"hint: {hint}", soft_wrap=True, markup=False)
                 shown.update(status.hints)
                 console.print(line(status, rig, clock.now()), soft_wrap=True, markup=False)
@@ -67,12 +88,15 @@ def watch(
 
 
 def _pause(clock: RunClock, deadline: float, until_wall: float) -> float:
+    """Return the wall time [s] until the deadline of the run clock or until a wall time, whichever is earlier."""
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
 
 
-def _as_of(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
-    """The status with its ages and rates as they are at run time `now`, and whether the acquisition still answers: it
-    counts ages itself, and one that hangs would seem alive."""
+def _update_ages(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
+    """Update the ages and rates of a status to the run time `now`. Also return whether the acquisition still answers.
+
+    Without this update a hanging acquisition would seem to work, because it computes the ages in its status itself.
+    """
     late = max(now - status.t, 0.0)
     answers = late <= NO_STATUS_S * rig.speed
     ports = {
@@ -83,10 +107,23 @@ def _as_of(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
 
 
 def table(status: Status, rig: Rig, width: int, now: float) -> Group:
-    """The live table for `width` columns at run time `now`: a header line, a row per device (or speed controller, or
-    further kind of samples), and the warnings."""
-    status, answers = _as_of(status, rig, now)
-    wide = width >= WIDE
+    """Return the live table: a header line, the rows of the devices, warnings and hints.
+
+    A device has further rows for further speed controllers and kinds of samples.
+
+    Parameters
+    ----------
+    status
+        Status of the acquisition.
+    rig
+        Its rig.
+    width
+        Width of the terminal [characters].
+    now
+        Time of the run clock [s since 1970].
+    """
+    status, answers = _update_ages(status, rig, now)
+    wide = width >= WIDE_CHARACTERS
     rows = Table(box=None, expand=True, padding=(0, 1, 0, 0), header_style="bold")
     columns = ["device", "rate/Hz", "of", "age/s", "frames", "errors", "latest"]
     if wide:
@@ -116,8 +153,8 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
         values = [
             _newest(source, port, status, rig)
             for source in sorted(status.latest, key=str)
-            if source[0].partition("/")[0] == port.name  # one of several kinds is DEVICE/KIND
-        ] or [Text(port.message or "nothing yet", style=BAD)]
+            if source[0].partition("/")[0] == port.name  # DEVICE/KIND for a device with several kinds of samples
+        ] or [Text(port.message or "no sample yet", style=BAD)]
         rows.add_row(*_cells(port, rig.speed, wide), values[0])
         for value in values[1:]:
             rows.add_row(*[""] * (len(columns) - 1), value)
@@ -129,28 +166,30 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
 
 
 def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
-    """A source's newest sample; the age of one that is old comes first, since the line may be cut off."""
+    """Return the text of the newest sample of a source. For an old sample the text begins with its age."""
     latest = status.latest[source]
-    said, age = describe(latest.sample, rig, port.name), status.t - latest.t
+    text, age = describe(latest.sample, rig, port.name), status.t - latest.t
     kinds, nodes = senders(status, port.name)
     rate = port.expected if source[1] is None else port.expected / nodes
-    seldom = SELDOM if kinds > 1 or source[0] != port.name else 1.0
-    stale = age > seldom * _patience(rate, rig.speed)
-    # An autopilot without a fix goes on saying so, and what it repeats is no new sample.
+    seldom = SEVERAL_KINDS_FACTOR if kinds > 1 or source[0] != port.name else 1.0
+    stale = age > seldom * _stale_after(rate, rig.speed)
+    # An autopilot without a fix repeats its last message, and a repetition is no new sample: it is not stale.
     waits = isinstance(latest.sample, Gnss) and latest.sample.fix == 0 and not _is_silent(port, rig.speed)
-    return Text(f"STALE {age:.0f} s: {said}", style=BAD) if stale and not waits else Text(said)
+    return Text(f"STALE {age:.0f} s: {text}", style=BAD) if stale and not waits else Text(text)
 
 
 def _is_silent(port: PortStatus, speed: float) -> bool:
-    return port.age > _patience(port.expected, speed)
+    """Return whether a port has been silent for too long."""
+    return port.age > _stale_after(port.expected, speed)
 
 
-def _patience(rate: float, speed: float) -> float:
-    """How long [run s] whoever sends at this rate may be silent."""
+def _stale_after(rate: float, speed: float) -> float:
+    """Return the time [s of the run clock] after which a source with this rate [Hz] is stale."""
     return max(STALE_S, STALE_PERIODS / rate, STALE_WALL_S * speed)
 
 
 def _header(status: Status, rig: Rig, answers: bool) -> Text:
+    """Return the header line: state of the recording, duration, speed, size and name of the log."""
     text = Text(no_wrap=True, overflow="ellipsis")
     if not answers:
         text.append(f"! {NO_ANSWER}", style=BAD)
@@ -166,6 +205,7 @@ def _header(status: Status, rig: Rig, answers: bool) -> Text:
 
 
 def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
+    """Return the cells of the row of a device, except its newest sample."""
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
     age = "never" if math.isinf(port.age) else f"{port.age:.1f}" if stale else f"{port.age:.2f}"
@@ -178,15 +218,25 @@ def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
     ]
     counts = [port.checksum_errors, port.unparsed_bytes, port.dropped, port.reconnects]
     if not wide:
-        said = zip(counts, ("chk", "unp", "drop", "reop"), strict=True)
-        short = " ".join(f"{count}{name}" for count, name in said if count)
+        named_counts = zip(counts, ("chk", "unp", "drop", "reop"), strict=True)
+        short = " ".join(f"{count}{name}" for count, name in named_counts if count)
         return [*cells, Text(short or "0", style=BAD if short else DIM)]
     cells += [Text(f"{count}", style=BAD if count else DIM) for count in counts]
     return [*cells, Text("-" if math.isnan(port.latency) else f"{1e3 * port.latency / speed:.1f}")]
 
 
 def describe(sample: Sample, rig: Rig, device: str) -> str:
-    """A sample in a few words, for people: angles in degrees, unknown values left out."""
+    """Return a short text about a sample for the user. Angles are in degrees; unknown values are left out.
+
+    Parameters
+    ----------
+    sample
+        The sample.
+    rig
+        Rig with the names of the thrusters.
+    device
+        Name of the device of the sample.
+    """
     if isinstance(sample, Ahrs):
         return _join(
             ("yaw", math.degrees(sample.yaw), ".1f", "°"),
@@ -195,11 +245,13 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
             ("pitch", math.degrees(sample.pitch), ".1f", "°"),
         )
     if isinstance(sample, Gnss):
-        fix = FIX[sample.fix] if 0 <= sample.fix < len(FIX) else f"fix {sample.fix}"
+        fix = FIX_NAMES[sample.fix] if 0 <= sample.fix < len(FIX_NAMES) else f"fix {sample.fix}"
         fix += " 2D" if sample.fix > 2 and sample.dimensions == 2 else ""
         satellites = f"{sample.n_sat} sat " if sample.n_sat >= 0 else ""
-        place = _join(("", sample.speed, ".2f", "m/s"), ("", sample.lat, ".6f", ""), ("", sample.lon, ".6f", ""))
-        return f"{fix} {satellites}{place}"
+        velocity_and_position = _join(
+            ("", sample.speed, ".2f", "m/s"), ("", sample.lat, ".6f", ""), ("", sample.lon, ".6f", "")
+        )
+        return f"{fix} {satellites}{velocity_and_position}"
     if isinstance(sample, Esc):
         names = [t.name for t in rig.thrusters if (t.device, t.node) == (device, sample.node)]
         values = (("", sample.rpm, ".0f", "rpm"), ("", sample.current, ".1f", "A"))
@@ -219,33 +271,34 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
 
 
 def _join(*parts: tuple[str, float, str, str]) -> str:
-    said = []
+    """Return values as one text, from (name, value, format, unit). NaN is left out."""
+    texts = []
     for name, value, form, unit in parts:
         if not math.isnan(value):
             gap = " " if unit and not unit.startswith("°") else ""
-            said.append(f"{name} {value:{form}}{gap}{unit}".strip())
-    return " ".join(said)
+            texts.append(f"{name} {value:{form}}{gap}{unit}".strip())
+    return " ".join(texts)
 
 
 def line(status: Status, rig: Rig, now: float) -> str:
-    """The status in one line at run time `now`, for a file or a pipe."""
-    status, answers = _as_of(status, rig, now)
+    """Return the status as one line, for a file or a pipe. `now`: time of the run clock [s since 1970]."""
+    status, answers = _update_ages(status, rig, now)
     ports = []
     for port in status.ports.values():
         rate = "-" if math.isnan(port.rate) else f"{port.rate:.1f}"
         rate = "silent" if math.isinf(port.age) else f"{rate}/{port.expected:g} Hz"
         counts = (port.checksum_errors, port.unparsed_bytes, port.dropped, port.reconnects)
         errors = counted(counts[0], "checksum error"), counted(counts[1], "unparsed byte")
-        said = (*errors, f"{counts[2]} dropped", f"{counts[3]} reopened")
-        wrong = "".join(f" {word}" for count, word in zip(counts, said, strict=True) if count)
-        ports.append(f"{port.name} {rate}{wrong}")
+        words = (*errors, f"{counts[2]} dropped", f"{counts[3]} reopened")
+        faults = "".join(f" {word}" for count, word in zip(counts, words, strict=True) if count)
+        ports.append(f"{port.name} {rate}{faults}")
     warnings = "".join(f"; {warning}" for warning in status.warnings)
     silence = f" {NO_ANSWER}" if not answers else " NOT RECORDING" if status.alarm else ""
     return f"{duration_text(status.duration)} {size_text(status.bytes)}{silence}: {', '.join(ports)}{warnings}"
 
 
 def log_summary(status: Status, path: Path) -> str:
-    """The last line: file, duration, samples, losses and silent devices."""
+    """Return the last line of a recording: file, duration, number of samples, lost samples and silent devices."""
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
     text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'sample')}, {size_text(status.bytes)}"
@@ -254,7 +307,7 @@ def log_summary(status: Status, path: Path) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """`1:02:03`, or `2:03.4` under an hour."""
+    """Return a duration [s] as a text: `1:02:03`, or `2:03.4` for less than an hour."""
     minutes, rest = divmod(max(seconds, 0.0), 60.0)
     if minutes < 60.0:
         return f"{int(minutes)}:{math.floor(rest * 10.0) / 10.0:04.1f}"
@@ -262,7 +315,7 @@ def duration_text(seconds: float) -> str:
 
 
 def size_text(n_bytes: int) -> str:
-    """`1.2 MB`, in powers of ten."""
+    """Return a number of bytes as a text such as `1.2 MB`, with decimal units."""
     size = float(n_bytes)
     for unit in ("B", "kB", "MB"):
         if size < 1000.0:

@@ -1,8 +1,8 @@
-"""`seatrial replay`: the raw bytes of a log, sent again on serial ports (ptys) at the times of receipt.
+"""Replay of a log for `seatrial replay`: its raw bytes are sent again on serial ports (ptys) at the recorded times.
 
-A rig file with these ports stands beside them, so that `seatrial log` records the log anew. Names come from the log,
-which may be anybody's: only those that a rig could give to a device are taken, everything is made anew within the one
-folder, and nothing but what was made here is taken away.
+A rig file with these ports is written beside them. With this rig file `seatrial log` records the log again.
+The names of devices are from the log, and the log may be from a stranger. Therefore only names that are valid in a rig
+are used, all files are created in one folder, no existing file is replaced, and only own files are deleted.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ from seatrial.daq.protocol import CAN_FRAME, EXTENDED, FRAME_BYTES
 from seatrial.daq.rig import NAME
 from seatrial.daq.samples import PortHealth
 
-SETTLE_S = 0.1  # a host configures the port after it has opened it
-WAIT_S = 0.05
+SETTLE_S = 0.1  # s; a host configures a port after it has opened the port
+WAIT_S = 0.05  # s between two checks
 READ_BYTES = 65536
-Chunk = tuple[float, str, bytes]
+Chunk = tuple[float, str, bytes]  # time [s since 1970], device, bytes
 RIG = "replay.toml"
-HEAD = "# Made by `seatrial replay`, and taken away when it ends: the log's own rig with the ports of the replay.\n"
+RIG_HEADER = (
+    "# Written by `seatrial replay`, and deleted when it ends: the rig of the log with the ports of the replay.\n"
+)
 
 
 def replay_log(
@@ -42,9 +44,34 @@ def replay_log(
     said: Callable[[str], None] = lambda text: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Serve the ports FOLDER/DEVICE and a rig for them, wait for a host on each, send; returns the bytes sent.
+    """Replay the raw bytes of a log on the ports FOLDER/DEVICE, beside a rig file for these ports.
 
-    `speed` is recorded seconds per second. `said` gets progress messages, `stopped` is called often.
+    The replay begins when a program has opened each port.
+
+    Parameters
+    ----------
+    log
+        The log.
+    devices
+        Names of the devices to replay; empty for all devices with raw bytes.
+    folder
+        Folder of the ports and of the rig file. Both are deleted at the end.
+    speed
+        Recorded seconds in one second of wall time.
+    said
+        Function that receives progress messages.
+    stopped
+        Function that is called often. The replay ends when the result is true.
+
+    Returns
+    -------
+    int
+        Number of bytes sent.
+
+    Raises
+    ------
+    SeatrialError
+        If the log has no raw bytes of a device, or if a port or the rig file cannot be created.
     """
     names = recorded(log, devices)
     place = ReplayFolder(folder)
@@ -53,9 +80,10 @@ def replay_log(
         rig = write_replay_rig(log, names, place, speed)
         for name in names:
             ports[name] = ReplayPort(place, name)
-        again = f"; `seatrial log {rig}` records them anew" if rig else ""
-        said(f"waiting for a reader of {', '.join(str(port.path) for port in ports.values())}{again}")
-        while {port.has_host() for port in ports.values()} != {True}:  # every port is called: the call holds it open
+        advice = f"; `seatrial log {rig}` records them again" if rig else ""
+        said(f"waiting for a program that opens {', '.join(str(port.path) for port in ports.values())}{advice}")
+        # The set is built from all ports on purpose: `has_host` must be called for each, because it holds a port open.
+        while {port.has_host() for port in ports.values()} != {True}:
             if stopped():
                 return 0
             time.sleep(WAIT_S)
@@ -68,7 +96,13 @@ def replay_log(
 
 
 class ReplayFolder:
-    """The folder of the ports. Nothing in it is replaced, and only what was made here is taken away."""
+    """Folder of the ports of a replay. No existing file is replaced, and only own files are deleted.
+
+    Raises
+    ------
+    SeatrialError
+        If the folder cannot be created or opened.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder
@@ -76,11 +110,11 @@ class ReplayFolder:
             folder.mkdir(parents=True, exist_ok=True)
             self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         except OSError as error:
-            raise SeatrialError(f"{folder}: {error.strerror}; --dir names another folder") from error
-        self._made: dict[str, tuple[int, int, int]] = {}  # by name
+            raise SeatrialError(f"{folder}: {error.strerror}; use --dir to name another folder") from error
+        self._made: dict[str, tuple[int, int, int]] = {}  # identity of each own file, by name
 
     def link(self, name: str, target: str) -> Path:
-        """Make a symbolic link. Raises SeatrialError where anything has that name."""
+        """Create a symbolic link. Raises SeatrialError if a file or folder has this name already."""
         return self._make(name, lambda: os.symlink(target, name, dir_fd=self._fd))
 
     def write(self, name: str, text: str) -> Path:
@@ -94,12 +128,13 @@ class ReplayFolder:
         return self._make(name, write)
 
     def _make(self, name: str, make: Callable[[], None]) -> Path:
+        """Create a file by calling `make`, note its identity, and return its path."""
         try:
             make()
         except FileExistsError:
             raise SeatrialError(
-                f"{self.path / name}: is there already, and a replay replaces nothing; take it away if an earlier "
-                "replay was killed, or name another folder with --dir"
+                f"{self.path / name}: exists already, and a replay replaces no file; delete it if an earlier replay "
+                "was killed, or use --dir to name another folder"
             ) from None
         except OSError as error:
             raise SeatrialError(f"{self.path / name}: {error.strerror}") from error
@@ -107,51 +142,70 @@ class ReplayFolder:
         return self.path / name
 
     def _identity(self, name: str) -> tuple[int, int, int]:
-        """What tells an entry from any other of that name; an inode alone is given again."""
-        there = os.stat(name, dir_fd=self._fd, follow_symlinks=False)
-        return there.st_dev, there.st_ino, there.st_ctime_ns
+        """Return numbers that distinguish a file from later files of the same name: device, inode, time [ns]."""
+        # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
+        status = os.stat(name, dir_fd=self._fd, follow_symlinks=False)
+        return status.st_dev, status.st_ino, status.st_ctime_ns
 
     def close(self) -> None:
-        """Take away what was made here and is still the same."""
-        for name, made in self._made.items():
+        """Delete the own files that another program has not replaced."""
+        for name, identity in self._made.items():
             with contextlib.suppress(OSError):
-                if self._identity(name) == made:
+                if self._identity(name) == identity:
                     os.unlink(name, dir_fd=self._fd)
         os.close(self._fd)
 
 
 def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
-    """The devices of a log whose bytes can be replayed. Raises SeatrialError for one without, and for a name that no
-    rig would have: it is a path in the folder of the ports."""
-    there = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
-    there = there or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
-    if not there:
-        raise SeatrialError(f"{log.path}: holds no raw bytes; only what seatrial itself has recorded can be replayed")
+    """Return the devices of a log whose raw bytes can be replayed.
+
+    Parameters
+    ----------
+    log
+        The log.
+    devices
+        Names of the devices to replay; empty for all devices with raw bytes.
+
+    Raises
+    ------
+    SeatrialError
+        If the log has no raw bytes of a device, or if a name is not valid in a rig.
+    """
+    available = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
+    available = available or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
+    if not available:
+        raise SeatrialError(f"{log.path}: the log has no raw bytes; only logs recorded by seatrial can be replayed")
     for name in devices:
-        if name not in there:
-            raise SeatrialError(f"{log.path}: no raw bytes of '{name}'; there are those of {', '.join(there)}")
-    names = list(devices) or there
-    for name in names:
+        if name not in available:
+            raise SeatrialError(f"{log.path}: no raw bytes of '{name}'; devices with raw bytes: {', '.join(available)}")
+    names = list(devices) or available
+    for name in names:  # a name becomes a path in the folder of the ports
         if not NAME.fullmatch(name):
-            raise SeatrialError(f"{log.path}: /raw/{name!r} names no device: a letter, then letters, digits or _")
+            raise SeatrialError(
+                f"{log.path}: {name!r} of topic /raw is not a valid name of a device: "
+                "a letter, then letters, digits or _"
+            )
     return names
 
 
 def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
-    """(time, device, bytes as they were on the wire) of all reads, in the order of time."""
+    """Yield all reads of the devices as (time [s since 1970], device, bytes on the wire), in the order of time.
+
+    CAN frames become lines of an slcan adapter.
+    """
     rig = log.rig
     can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
 
-    def of(name: str) -> Iterator[Chunk]:
+    def reads_of(name: str) -> Iterator[Chunk]:
         for t, direction, data in log.raw(name):
             if direction == "rx" and data:
                 yield t, name, as_slcan(data) if name in can else data
 
-    return heapq.merge(*(of(name) for name in devices), key=lambda chunk: chunk[0])
+    return heapq.merge(*(reads_of(name) for name in devices), key=lambda chunk: chunk[0])
 
 
 def as_slcan(data: bytes) -> bytes:
-    """CAN frames (16 bytes each, as the log keeps them) as the lines of an slcan adapter."""
+    """Convert CAN frames (16 bytes each, the format of the log) to lines of an slcan adapter."""
     out = []
     for word, length, body in CAN_FRAME.iter_unpack(data[: len(data) // FRAME_BYTES * FRAME_BYTES]):
         head = b"T%08X" % (word & ~EXTENDED) if word & EXTENDED else b"t%03X" % (word & 0x7FF)
@@ -160,6 +214,7 @@ def as_slcan(data: bytes) -> bytes:
 
 
 def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]) -> int:
+    """Send the bytes at their times, and return the number of bytes that were passed to the ports."""
     n_sent, start, first = 0, time.monotonic(), 0.0
     for t, name, data in pieces:
         first = first or t
@@ -185,14 +240,14 @@ def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, s
 
 
 class ReplayPort:
-    """The device's end of a pty, linked in the folder. The host's bytes are thrown away."""
+    """Device end of a pty, with a link to its host end in the folder. Bytes from the host are discarded."""
 
     def __init__(self, folder: ReplayFolder, name: str) -> None:
         self.backlog = bytearray()
         self._slave = -1
         self._master, slave = os.openpty()
         self._tty = os.ttyname(slave)
-        os.close(slave)  # so that a host that opens it can be detected
+        os.close(slave)  # while this end is closed, `has_host` can detect a host that opens it
         os.set_blocking(self._master, False)
         try:
             self.path = folder.link(name, self._tty)
@@ -201,7 +256,7 @@ class ReplayPort:
             raise
 
     def has_host(self) -> bool:
-        """Whether a host has the other end open; from then on we hold it open, too."""
+        """Return whether a host has opened the port. After that, this process keeps the host end open, too."""
         if self._slave >= 0:
             return True
         poll = select.poll()
@@ -210,20 +265,20 @@ class ReplayPort:
             return False
         time.sleep(SETTLE_S)
         self._slave = os.open(self._tty, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        tty.setraw(self._slave)  # else the first bytes would come back to us as an echo
+        tty.setraw(self._slave)  # otherwise the terminal returns the first bytes as an echo
         return True
 
     def pump(self) -> None:
-        """Send waiting bytes, as far as there is room, and drop those of the host."""
+        """Send waiting bytes, as many as the buffer of the pty accepts, and discard bytes from the host."""
         try:
             if self.backlog:
                 del self.backlog[: os.write(self._master, self.backlog)]
             os.read(self._master, READ_BYTES)
         except OSError:
-            return  # no room, nothing to read, or the host has gone
+            return  # the buffer is full, there are no bytes to read, or the host has closed the port
 
     def close(self) -> None:
-        """Hang up."""
+        """Close both ends of the pty."""
         for fd in (self._slave, self._master):
             if fd >= 0:
                 os.close(fd)
@@ -231,9 +286,19 @@ class ReplayPort:
 
 
 def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, speed: float) -> Path | None:
-    """Write FOLDER/replay.toml for `devices`, whose ports are FOLDER/DEVICE; None where the log has no rig for them.
+    """Write the rig file FOLDER/replay.toml for devices with the ports FOLDER/DEVICE, and return its path.
 
-    Logs go to the folder of `log`. Raises SeatrialError where another file is in the way.
+    The rig file records new logs in the folder of `log`.
+
+    Returns
+    -------
+    Path or None
+        None if the log has no valid rig with these devices.
+
+    Raises
+    ------
+    SeatrialError
+        If a file of this name exists already.
     """
     try:
         text = _text(log, devices, speed)
@@ -241,27 +306,28 @@ def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, spe
             return None
         parse_rig(text, folder.path / RIG)
     except (SeatrialError, tomlkit.exceptions.TOMLKitError):
-        return None  # the rig of another version: the bytes are replayed all the same
+        return None  # the rig is from another version: the bytes are replayed without a rig file
     return folder.write(RIG, text)
 
 
 def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
+    """Return the text of the rig file of a replay; None if the log has no rig with these devices."""
     rig = log.rig
     if rig is None or not {device.name for device in rig.devices}.issuperset(devices):
         return None
     document = tomlkit.parse(rig.text).unwrap()
-    here = [table for table in document["device"] if table["name"] in devices]
-    for table in here:
+    tables = [table for table in document["device"] if table["name"] in devices]
+    for table in tables:
         bus = "slcan:" if str(table["port"]).startswith(("slcan:", "socketcan:")) else ""
         table["port"] = f"{bus}{table['name']}"
         device = rig.device(table["name"])
         if device.dbc:
-            table["dbc"] = device.dbc  # relative paths count from another folder now
-        table.pop("key_file", None)  # the log does not hold it: signatures are not checked
-    document["device"] = here
+            table["dbc"] = device.dbc  # full path: the new rig file lies in another folder
+        table.pop("key_file", None)  # the log does not contain the key file: signatures are not checked
+    document["device"] = tables
     document["thruster"] = [table for table in document.get("thruster", []) if table["device"] in devices]
-    for key in ("live", "ros2"):  # a log does not decide who may listen, or command
+    for key in ("live", "ros2"):  # a log must not open network access to samples or commands
         document.pop(key, None)
     document["clock"] = {"speed": speed}
     document["log"] = {**document.get("log", {}), "directory": str(log.path.parent.absolute())}
-    return HEAD + tomlkit.dumps(document)
+    return RIG_HEADER + tomlkit.dumps(document)

@@ -1,7 +1,7 @@
-"""`seatrial export ros`: a log as ROS tools want it: bag with REP-103 frames, message package, viewers' layouts.
+"""Export of a log for ROS tools (`seatrial export ros`): a bag, a message package and layouts of viewers.
 
-The bag (rosbag2, storage MCAP) has every message of the log as it stands and beside them, in the axes of REP-103 (body
-forward, left, up; world east, north, up) and the frames of REP-105:
+The bag (rosbag2, storage MCAP) contains every message of the log without change. It also contains the following
+messages in the axes of REP-103 (body forward, left, up; world east, north, up) and the frames of REP-105:
 
 | topic | type | from |
 |---|---|---|
@@ -9,7 +9,8 @@ forward, left, up; world east, north, up) and the frames of REP-105:
 | `/odom` | nav_msgs/msg/Odometry, `odom` to `base_link` | the first AHRS with a heading and the first GNSS receiver |
 | `/tf` | tf2_msgs/msg/TFMessage, `odom` to `base_link` | the same |
 
-`odom` is where the first fix is; `base_link` is the origin that the rig file measures lever arms from.
+The origin of `odom` is the first fix. The origin of `base_link` is the reference point of the lever arms in the rig
+file.
 """
 
 from __future__ import annotations
@@ -36,25 +37,41 @@ from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scal
 
 PACKAGE = "seatrial_msgs"
 BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER = "bag", PACKAGE, "foxglove.json", "plotjuggler.xml"
-MAX_GAP_S = 2.0  # between fixes: where there is none for longer, no position is made up
-NO_MEASUREMENT = 1e6  # variance of a speed that no sensor gives: a zero there would be a measured standstill
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe and Ito: told apart by the colour-blind
+MAX_GAP_S = 2.0  # s; positions are not interpolated over a longer time between two fixes
+NO_MEASUREMENT = 1e6  # variance of an unmeasured velocity; with variance 0 its value 0 would be a measured standstill
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe and Ito; colour-blind people can distinguish them
 Array = NDArray[np.float64]
 
 
 class RosMessage(NamedTuple):
-    """One message to write: run time in ns, topic, and the message as rosbags makes it."""
+    """One message to write."""
 
-    stamp_ns: int
+    stamp_ns: int  # time of the run clock, ns since 1970
     topic: str
-    message: Any
+    message: Any  # object of rosbags, or bytes in CDR
 
 
 def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
-    """Write the bag, the interface package and the layouts to `folder`; returns what was written.
+    """Write the bag, the message package and the layouts of a log.
 
-    Raises SeatrialError where rosbags is not installed, something of that name is there already and `force` is not
-    given, or the disk refuses.
+    Parameters
+    ----------
+    log
+        The log.
+    folder
+        Folder of the outputs.
+    force
+        Whether existing outputs may be replaced.
+
+    Returns
+    -------
+    list
+        The written files and folders.
+
+    Raises
+    ------
+    SeatrialError
+        If rosbags is not installed, if an output is a symbolic link or exists already, or if it cannot be written.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -63,9 +80,9 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     made = [folder / name for name in (BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER)]
     for path in made:
         if path.is_symlink():
-            raise SeatrialError(f"{path}: is a symbolic link, and outputs follow none; remove it")
+            raise SeatrialError(f"{path}: is a symbolic link, and outputs follow no links; remove it")
         if path.exists() and not force:
-            raise SeatrialError(f"{path}: is there already; --force replaces it, --out names another folder")
+            raise SeatrialError(f"{path}: exists already; --force replaces it, --out names another folder")
     store = ros_types()
     ahrs = {source: log.table(Ahrs, source) for source in log.sources(Ahrs)}
     added = [*(_imus(source, rows) for source, rows in ahrs.items()), _odometry(log, ahrs, store.types)]
@@ -78,14 +95,14 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
             connections = {
                 name: bag.add_connection(ros_topic(name), kind, typestore=store) for name, kind in kinds.items()
             }
-            for stamp_ns, name, told in heapq.merge(log.messages(), *added, key=itemgetter(0)):
-                if isinstance(told, bytes):
-                    data = told
+            for stamp_ns, name, message in heapq.merge(log.messages(), *added, key=itemgetter(0)):
+                if isinstance(message, bytes):
+                    data = message
                 else:
-                    kind = told.__msgtype__
+                    kind = message.__msgtype__
                     if name not in connections:
                         connections[name] = bag.add_connection(name, kind, typestore=store)
-                    data = bytes(store.serialize_cdr(told, kind))
+                    data = bytes(store.serialize_cdr(message, kind))
                 bag.write(connections[name], stamp_ns, data)
         _write_package(made[1])
         plots = _plots(log)
@@ -97,7 +114,10 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
 
 
 def ros_topic(topic: str) -> str:
-    """The name of a topic of ours in ROS 2, where no part begins with a digit (`ros2 bag play` leaves those out)."""
+    """Return the ROS 2 name of a topic of the log.
+
+    In ROS 2 no part of a name may begin with a digit; `ros2 bag play` leaves such topics out.
+    """
     return re.sub(r"/(\d)", r"/node_\1", topic)
 
 
@@ -105,17 +125,30 @@ def ros_topic(topic: str) -> str:
 
 
 def rep_103_imu(device: str, sample: Ahrs) -> schema.Message:
-    """A message of the axes of REP-103, of a sample from forward, starboard, down and north: y and z turn round."""
+    """Convert a sample of an AHRS to an Imu message in the axes of REP-103.
+
+    The axes change from forward, starboard, down to forward, left, up: y and z change their signs. The heading counts
+    from east, anticlockwise, instead of from north, clockwise. The magnetic field is left out.
+
+    Parameters
+    ----------
+    device
+        Name of the AHRS.
+    sample
+        The sample, in the body frame (FRD) and NED.
+    """
     turned = replace(
         sample, yaw=np.pi / 2 - sample.yaw, pitch=-sample.pitch,
         q=-sample.q, r=-sample.r, ay=-sample.ay, az=-sample.az, mx=np.nan, my=np.nan, mz=np.nan,
     )  # fmt: skip
     imu = schema.messages(device, Frame(turned, np.nan, np.nan))[-1]
-    known = tuple(0.0 if value != value else value for value in imu.values)  # what is unknown has a covariance of -1
-    return schema.Message(f"/ros/{device}/imu", imu.type_name, "base_link", known)
+    # Zero for NaN: a covariance of -1 marks the unknown quantities.
+    finite = tuple(0.0 if value != value else value for value in imu.values)
+    return schema.Message(f"/ros/{device}/imu", imu.type_name, "base_link", finite)
 
 
 def _imus(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
+    """Yield the Imu messages of a table of an AHRS."""
     names = [field.name for field in fields(Ahrs)]
     for row in rows:
         message = rep_103_imu(source, Ahrs(*(float(row[name]) for name in names)))
@@ -123,7 +156,11 @@ def _imus(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
 
 
 def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
-    """Position and velocity of the rig's origin at the times of the AHRS, between the fixes on either side of each."""
+    """Yield odometry and transform of the reference point of the rig at the times of the AHRS.
+
+    Position and velocity are interpolated linearly between the fixes before and after each time. The log gives no
+    messages without a heading or without two fixes of one receiver.
+    """
     headed = [rows for rows in ahrs_of.values() if np.isfinite(rows["yaw"]).any()]
     fixed = [(name, rows[_fixes(rows)]) for name in log.sources(Gnss) for rows in [log.table(Gnss, name)]]
     fixed = [(name, rows) for name, rows in fixed if len(rows) > 1]
@@ -147,20 +184,36 @@ def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> 
         R = _rotation(*angles)  # body to NED
         measured = np.array([row[name] for name in "pqr"])
         rates = np.nan_to_num(measured)
-        place = (1 - w) * fixes[k - 1] + w * fixes[k] - R @ arm
+        position = (1 - w) * fixes[k - 1] + w * fixes[k] - R @ arm
         v = (1 - w) * speed[k - 1] + w * speed[k]
-        moving = bool(np.isfinite(v[:2]).all())  # many receivers do not tell how fast they rise and sink
-        velocity = R.T @ np.nan_to_num(v) - np.cross(rates, arm) if moving else np.zeros(3)
-        known = (moving, moving, moving and bool(np.isfinite(v[2])), *np.isfinite(measured).tolist())
-        yield from _pose(row["t"], place, angles, np.concatenate([velocity, rates]), known, types)
+        has_velocity = bool(np.isfinite(v[:2]).all())  # many receivers do not report the vertical velocity
+        velocity = R.T @ np.nan_to_num(v) - np.cross(rates, arm) if has_velocity else np.zeros(3)
+        known = (has_velocity, has_velocity, has_velocity and bool(np.isfinite(v[2])), *np.isfinite(measured).tolist())
+        yield from _pose(row["t"], position, angles, np.concatenate([velocity, rates]), known, types)
 
 
 def _pose(
-    t: float, place: Array, angles: Sequence[float], twist: Array, known: Sequence[bool], types: Any
+    t: float, position: Array, angles: Sequence[float], twist: Array, known: Sequence[bool], types: Any
 ) -> Iterator[RosMessage]:
-    """Odometry and transform: twist (6,) forward, starboard, down and about them, and which of it is ``known``."""
+    """Yield an odometry message and a transform.
+
+    Parameters
+    ----------
+    t
+        Time [s since 1970].
+    position
+        North, east and down from the first fix [m], shape (3,).
+    angles
+        Yaw, pitch and roll [rad].
+    twist
+        Velocity forward, starboard, down [m/s] and angular velocity about these axes [rad/s], shape (6,).
+    known
+        Whether each item of the twist is measured, shape (6,).
+    types
+        Message classes of rosbags by name.
+    """
     header = _header(t, "odom", types)
-    enu = {"x": float(place[1]), "y": float(place[0]), "z": float(-place[2])}
+    enu = {"x": float(position[1]), "y": float(position[0]), "z": float(-position[2])}
     turned = _quaternion(angles, types)
     pose = types["geometry_msgs/msg/Pose"](position=types["geometry_msgs/msg/Point"](**enu), orientation=turned)
     moved = types["geometry_msgs/msg/Twist"](linear=_vector(twist[:3], types), angular=_vector(twist[3:], types))
@@ -174,8 +227,8 @@ def _pose(
     transform = types["geometry_msgs/msg/Transform"](
         translation=types["geometry_msgs/msg/Vector3"](**enu), rotation=turned
     )
-    of = types["geometry_msgs/msg/TransformStamped"]
-    stamped = of(header=header, child_frame_id="base_link", transform=transform)
+    stamped_type = types["geometry_msgs/msg/TransformStamped"]
+    stamped = stamped_type(header=header, child_frame_id="base_link", transform=transform)
     yield RosMessage(_ns(t), "/tf", types["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
 
 
@@ -194,20 +247,23 @@ def _header(t: float, frame: str, types: Any) -> Any:
 
 
 def _vector(frd: Sequence[float] | Array, types: Any) -> Any:
-    """Forward, starboard, down -> forward, left, up."""
+    """Return a vector of rosbags in the axes forward, left, up from forward, starboard, down."""
     x, y, z = map(float, frd)
     return types["geometry_msgs/msg/Vector3"](x=x, y=-y, z=-z)
 
 
 def _quaternion(angles: Sequence[float], types: Any) -> Any:
-    """Yaw, pitch and roll of FRD in NED -> of FLU in ENU: from east, and the other way round about y and z."""
+    """Return the quaternion of the body (forward, left, up) in ENU from yaw, pitch and roll of the body (FRD) in NED.
+
+    Yaw counts from east instead of north. Yaw and pitch change their signs with the axes z and y.
+    """
     yaw, pitch, roll = angles
     x, y, z, w = quaternion(np.pi / 2 - yaw, -pitch, roll)
     return types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
 
 def _rotation(yaw: float, pitch: float, roll: float) -> Array:
-    """Body to NED (Fossen 2011, eq. 2.18)."""
+    """Return the rotation matrix from the body frame to NED, shape (3, 3) (Fossen 2011, eq. 2.18)."""
     x, y, z, w = quaternion(yaw, pitch, roll)
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -220,7 +276,13 @@ def _rotation(yaw: float, pitch: float, roll: float) -> Array:
 
 
 def ros_types() -> Any:
-    """The types of ROS 2 and our own, as rosbags knows them. Raises ModuleNotFoundError."""
+    """Return the type store of rosbags with the types of ROS 2 and of seatrial.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        If rosbags is not installed.
+    """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -230,13 +292,16 @@ def ros_types() -> Any:
 
 
 def _definitions() -> list[Path]:
-    """The definitions of our own messages."""
+    """Return the files with the definitions of the messages of seatrial."""
     with resources.as_file(resources.files("seatrial.daq").joinpath("msg", PACKAGE)) as folder:
         return sorted(folder.glob("*.msg"))
 
 
 def _write_package(folder: Path) -> None:
-    """A package for colcon: what `ros2 topic echo` and a bag's readers need to know our messages."""
+    """Write a ROS package for colcon with the message definitions of seatrial.
+
+    `ros2 topic echo` and readers of bags need this package to decode the messages.
+    """
     (folder / "msg").mkdir(parents=True)
     names = []
     for definition in _definitions():
@@ -285,14 +350,14 @@ PACKAGE_XML = """<?xml version="1.0"?>
 
 
 class Plot(NamedTuple):
-    """One plot: its title with the unit, and the curves as topic and field."""
+    """Plot of a layout."""
 
-    title: str
-    curves: list[tuple[str, str]]
+    title: str  # with the unit
+    curves: list[tuple[str, str]]  # topic and field
 
 
 def _plots(log: Log) -> list[Plot]:
-    """What one looks at first, of what the log has."""
+    """Return the plots of a layout: the most important signals of each device of the log."""
     found = []
     for source in log.sources(Ahrs):
         imu = f"/{source}/imu"
@@ -314,7 +379,7 @@ def _plots(log: Log) -> list[Plot]:
 
 
 def _foxglove(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, Any]:
-    """A layout of Foxglove Studio: a map and the frames of what has them, and the plots below each other."""
+    """Return a layout of Foxglove Studio: the plots below each other, a map of the fixes, and the frames of /tf."""
     panels: dict[str, Any] = {}
     for number, plot in enumerate(plots):
         panels[f"Plot!{number}"] = {
@@ -342,7 +407,7 @@ def _foxglove(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, An
 
 
 def _stacked(names: Sequence[str]) -> Any:
-    """Panels of equal height below each other, as the binary tree that a layout is."""
+    """Return panels of equal height below each other, as a binary tree, which is the format of a layout."""
     if len(names) < 2:
         return names[0] if names else None
     half = (len(names) + 1) // 2
@@ -351,7 +416,7 @@ def _stacked(names: Sequence[str]) -> Any:
 
 
 def _plotjuggler(plots: Sequence[Plot]) -> str:
-    """A layout of PlotJuggler: one tab, the plots below each other; it opens the bag beside it."""
+    """Return a layout of PlotJuggler as XML. It opens the bag beside it and has one tab with the plots."""
     root = ElementTree.Element("root")
     window = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     tab = ElementTree.SubElement(window, "Tab", tab_name="log", containers="1")

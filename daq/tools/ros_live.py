@@ -1,9 +1,9 @@
-"""ROS 2 without ROS: a node that rmw_zenoh's nodes see, on the Zenoh router that the rig names (extra `ros2`).
+"""Live ROS 2 node without an installation of ROS, over the Zenoh router of the rig file (extra `ros2`).
 
-Key expressions, liveliness tokens and attachments are those of rmw_zenoh's design (github.com/ros2/rmw_zenoh,
-docs/design.md), type hashes those of REP-2016; why Zenoh, see docs/decisions/0026-ros-2-over-zenoh.md. The node is a
-client of that router: it opens no port and looks for nobody. It runs in the process that shows the table, never in the
-one that records.
+ROS 2 nodes with rmw_zenoh can see this node. Key expressions, liveliness tokens and attachments follow the design of
+rmw_zenoh (github.com/ros2/rmw_zenoh, docs/design.md); type hashes follow REP-2016. The reason for Zenoh is in
+docs/decisions/0026-ros-2-over-zenoh.md. The node is a client of the router: it opens no port and searches for no other
+nodes. It runs in the process that shows the live table, never in the process that records.
 """
 
 from __future__ import annotations
@@ -28,76 +28,100 @@ from seatrial.daq.rig import Rig
 from seatrial.daq.samples import NAN, Ahrs, Frame
 from seatrial.daq.tools.ros_export import rep_103_imu, ros_topic, ros_types
 
-NODE = "seatrial"
-COMMAND = "std_msgs/msg/Float64"
-QOS = "::,10:,:,:,,"  # rmw_zenoh's defaults (reliable, volatile) with ROS 2's depth of 10
-THREAD = "ROS 2"  # command_line.main does not wait for a thread of this name
-QUEUE = 5_000  # samples that wait to be published
-FLOOD = 512  # commands of a thruster between two looks, one of which comes every 20 ms
-LARGEST = 65_536  # bytes of a message that is taken
+NODE_NAME = "seatrial"
+COMMAND_TYPE = "std_msgs/msg/Float64"
+QOS = "::,10:,:,:,,"  # defaults of rmw_zenoh (reliable, volatile) with the depth 10 of ROS 2
+THREAD_NAME = "ROS 2"  # command_line.main does not wait for a thread of this name
+QUEUE_SAMPLES = 5_000  # largest number of samples that wait for publication
+FLOOD = 512  # largest number of commands of a thruster between two calls of `take`, which happen every 20 ms
+MAX_MESSAGE_BYTES = 65_536  # bytes; larger messages are not received
 ATTACHMENT = struct.Struct("<qqB16s")  # of rmw_zenoh: sequence number, time of sending [ns], bytes of the id, the id
-DRIFT = 5e-4  # s/s between two clocks at most: as fast as NTP moves one
-# Wall seconds.
+MAX_CLOCK_DRIFT = 5e-4  # s/s, largest drift between two clocks: NTP changes the rate of a clock at most so much
+# s of wall time: waiting for samples, between two connections, between two checks of the router, for the end.
 WAIT_S, RETRY_S, CONNECTED_S, END_S = 0.05, 1.0, 0.5, 1.0
 _ROS2 = "live ROS 2 needs the packages eclipse-zenoh and rosbags: pip install 'seatrial[ros2]'"
 
 
 class ReceivedCommand(NamedTuple):
-    """A command of a thruster as it was received."""
+    """Received command of a thruster."""
 
-    n: float  # NaN if it was no Float64
+    n: float  # normalised shaft speed; NaN if the message was not a Float64
     sender: bytes  # unique id of the publisher; empty without a whole attachment
-    sent: float = NAN  # s, by the sender's clock; NaN without a whole attachment
+    sent: float = NAN  # time of sending by the clock of the sender [s]; NaN without a whole attachment
     number: int = 0  # sequence number of the publisher, from 1 on; 0 without a whole attachment
 
 
 class LateCommands:
-    """Finds commands that were under way for too long: a congested link delivers all of them, seconds late.
+    """Detector of commands that arrive too late. A congested link delivers all commands, but seconds late.
 
-    The clocks of two computers may differ by anything, so a command is compared with the quickest of its sender.
+    The clocks of two computers may differ by any value. Therefore each command is compared with the fastest command
+    of the same sender.
+
+    Parameters
+    ----------
+    allowed_s
+        Largest allowed delay after the fastest command [s].
     """
 
     def __init__(self, allowed_s: float) -> None:
         self._allowed = allowed_s
-        self._least: dict[bytes, tuple[float, float]] = {}  # difference of the clocks and the way, and when [s]
-        self.number = 0
+        # By sender: smallest difference of time of receipt and time of sending, which contains the difference of the
+        # clocks; and the time of the last update [s].
+        self._least: dict[bytes, tuple[float, float]] = {}
+        self.number = 0  # of late commands
 
     def is_late(self, command: ReceivedCommand, now: float) -> bool:
-        """Whether it took longer than the quickest by more than is allowed; `now` of any clock that is never set."""
+        """Return whether a command arrived too late. A command without a time of sending is never late.
+
+        Parameters
+        ----------
+        command
+            The command.
+        now
+            Time of receipt [s] of a monotonic clock.
+        """
         if not math.isfinite(command.sent):
             return False
-        took = now - command.sent
-        least, at = self._least.get(command.sender, (took, now))
-        least = min(took, least + DRIFT * (now - at))
+        difference = now - command.sent
+        least, at = self._least.get(command.sender, (difference, now))
+        least = min(difference, least + MAX_CLOCK_DRIFT * (now - at))
         self._least[command.sender] = least, now
-        late = took - least > self._allowed
+        late = difference - least > self._allowed
         self.number += late
         return late
 
 
 class Ros2Node:
-    """Publishes the samples that `put` is given, and takes commands for `thrusters`, while in the `with` block.
+    """Node that publishes the samples from `put` and receives commands of thrusters, within a `with` block.
 
-    Without a router it tries again every second: nobody waits for it, and what cannot be published is counted.
+    Without a router the node tries to connect every second. Callers never wait for the router. Samples that cannot be
+    published are counted.
+
+    Parameters
+    ----------
+    rig
+        Rig with the address of the router, the domain and the namespace.
+    thrusters
+        Names of the thrusters whose commands are received.
     """
 
     def __init__(self, rig: Rig, thrusters: Sequence[str] = ()) -> None:
         self._ros2, self._thrusters = rig.ros2, thrusters
         self._queue: deque[StreamedSample] = deque()
         self._filled, self._ending = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
+        self._thread = threading.Thread(target=self._run, name=THREAD_NAME, daemon=True)
         self._session: Any = None
         self._entities = itertools.count(1)
         self._tokens: list[Any] = []
         self._publishers: dict[str, _Publisher] = {}
         self._subscribers: dict[str, Any] = {}
         self._late = LateCommands(rig.ros2.timeout_s)
-        self._lost = self._dropped_before = 0  # by us, and in the acquisition
-        self.published = 0  # messages
+        self._lost = self._dropped_before = 0  # number of samples lost here, and in the acquisition
+        self.published = 0  # number of messages
         self.connected = False
 
     def __enter__(self) -> Ros2Node:
-        """Start to connect. Raises SeatrialError where a package is missing."""
+        """Start the thread that connects to the router. Raises SeatrialError if a package is not installed."""
         try:
             import zenoh
 
@@ -112,26 +136,36 @@ class Ros2Node:
     ) -> None:
         self._ending.set()
         self._filled.set()
-        # Zenoh waits for half a minute where the router hangs or the network was cut; the program's end does not.
+        # If the router hangs or the network is cut, Zenoh waits for half a minute. The program must not wait for it.
         self._thread.join(END_S)
 
     def put(self, samples: Sequence[StreamedSample], dropped: int) -> None:
-        """Queue samples to be published; never waits. `dropped`: samples that were lost before, in all."""
+        """Queue samples for publication. This never waits.
+
+        Parameters
+        ----------
+        samples
+            New samples. Samples that do not fit into the queue are lost.
+        dropped
+            Total number of samples that were lost before this queue.
+        """
         self._dropped_before = dropped
-        room = max(QUEUE - len(self._queue), 0)
+        room = max(QUEUE_SAMPLES - len(self._queue), 0)
         self._queue.extend(samples[:room])
         self._lost += len(samples[room:])
         self._filled.set()
 
     def take(self) -> Mapping[str, Sequence[ReceivedCommand]]:
-        """The commands since the last call by thruster, oldest first, the newest FLOOD at most; never waits.
+        """Return the commands since the last call by thruster, in the order of receipt. This never waits.
 
-        Late ones are left out, so that a link that only delivers late is silence; but a flood is told as it came.
+        At most the newest `FLOOD` commands of a thruster are returned. Late commands are left out: a link that
+        delivers only late commands then counts as silent. With `FLOOD` commands, however, late commands are included,
+        so that the caller can detect the flood.
         """
         found: dict[str, list[ReceivedCommand]] = {name: [] for name in self._thrusters}
         for name, subscriber in list(self._subscribers.items()):
             received = []
-            with contextlib.suppress(self._zenoh.ZError):  # the session was closed: no command is silence
+            with contextlib.suppress(self._zenoh.ZError):  # the session is closed: the same as no command
                 for _ in range(FLOOD):
                     if (sample := subscriber.handler.try_recv()) is None:
                         break
@@ -142,24 +176,25 @@ class Ros2Node:
         return found
 
     def summary(self) -> str:
-        """One line: where, and what was and was not published."""
+        """Return one line with the address and the numbers of published messages, lost samples and late commands."""
         dropped = self._lost + self._dropped_before + len(self._queue)
         lost = f"; {counted(dropped, 'sample')} could not be published" if dropped else ""
-        late = f"; {counted(self._late.number, 'command')} came too late to be followed" if self._late.number else ""
+        late = f"; {counted(self._late.number, 'command')} ignored because of late arrival" if self._late.number else ""
         where = f"ROS 2, domain {self._ros2.domain} at {self._ros2.router}"
         return f"{where}: {counted(self.published, 'message')}{lost}{late}"
 
     def await_router(self, seconds: float) -> str:
-        """Wait for the router; one line that says whether it is there."""
+        """Wait for the connection to the router, at most for a time [s]. Return the result as one line."""
         deadline = time.monotonic() + seconds
         while not self.connected and time.monotonic() < deadline:
             time.sleep(WAIT_S)
-        there = "is there" if self.connected else "is not there: it is tried again every second"
-        return f"ROS 2, domain {self._ros2.domain}: the router {self._ros2.router} {there}"
+        result = "is connected" if self.connected else "does not answer: the connection is tried again every second"
+        return f"ROS 2, domain {self._ros2.domain}: the router {self._ros2.router} {result}"
 
-    # The thread ------------------------------------------------------------------------------------------------
+    # Methods of the thread -------------------------------------------------------------------------------------
 
     def _run(self) -> None:
+        """Connect, declare the node and publish samples until the end. Connect again after an error."""
         while not self._ending.is_set():
             try:
                 with contextlib.closing(self._zenoh.open(self._zenoh.Config.from_json5(self._config()))) as session:
@@ -172,29 +207,34 @@ class Ros2Node:
                 self._ending.wait(RETRY_S)
 
     def _config(self) -> str:
+        """Return the configuration of Zenoh: a client of one router that does not listen and does not search."""
         return json.dumps({
             "mode": "client",
             "connect": {"endpoints": [self._ros2.router], "timeout_ms": 0},
             "listen": {"endpoints": []},
             "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
-            "transport": {"link": {"rx": {"max_message_size": LARGEST}}},
+            "transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE_BYTES}}},
         })  # fmt: skip
 
     def _declare(self) -> None:
+        """Declare the node and subscribe to the commands of the thrusters."""
         self._tokens, self._publishers = [], {}
         self._token("NN", 0)
         for name in self._thrusters:
             topic = self._topic(f"/thrusters/{name}/command")
-            # ROS 2 Humble has no type hashes: whatever stands in their place is taken.
-            key = f"{self._ros2.domain}{topic}/{_dds(COMMAND)}/*"
+            # ROS 2 Humble has no type hashes: accept any text in the place of the hash.
+            key = f"{self._ros2.domain}{topic}/{_dds(COMMAND_TYPE)}/*"
             self._subscribers[name] = self._session.declare_subscriber(key, self._zenoh.handlers.RingChannel(FLOOD))
-            self._token("MS", next(self._entities), topic, COMMAND)
+            self._token("MS", next(self._entities), topic, COMMAND_TYPE)
 
     def _token(self, kind: str, entity: int, topic: str = "", type_name: str = "") -> str:
-        """Declare a node or an endpoint to the graph of ROS 2; returns its key expression."""
+        """Declare a node or an endpoint in the ROS 2 graph, and return its key expression.
+
+        `kind` is NN for a node, MP for a publisher and MS for a subscription.
+        """
         space = self._ros2.namespace and f"/{self._ros2.namespace}"
         parts = ["@ros2_lv", str(self._ros2.domain), str(self._session.info.zid()), "0", str(entity), kind]
-        parts += ["%", space.replace("/", "%") or "%", NODE]
+        parts += ["%", space.replace("/", "%") or "%", NODE_NAME]
         if topic:
             parts += [topic.replace("/", "%"), _dds(type_name), self._types.hash_rihs01(type_name), QOS]
         key = "/".join(parts)
@@ -205,10 +245,11 @@ class Ros2Node:
         return f"/{self._ros2.namespace}{topic}" if self._ros2.namespace else topic
 
     def _publish_all(self) -> None:
-        look_at = 0.0
+        """Publish queued samples until the end; discard them while there is no router."""
+        check_at = 0.0
         while not self._ending.is_set():
-            if (now := time.monotonic()) >= look_at:
-                look_at, self.connected = now + CONNECTED_S, bool(self._session.info.routers_zid())
+            if (now := time.monotonic()) >= check_at:
+                check_at, self.connected = now + CONNECTED_S, bool(self._session.info.routers_zid())
             if not self.connected:
                 self._discard()
             while self._queue and not self._ending.is_set():
@@ -217,61 +258,64 @@ class Ros2Node:
             self._filled.clear()
 
     def _discard(self) -> None:
-        """What there is no router for is old when there is one."""
+        """Discard the queued samples, because they would be old when a router is connected."""
         with contextlib.suppress(IndexError):
             while True:
                 self._queue.popleft()
                 self._lost += 1
 
-    def _publish(self, one: StreamedSample) -> None:
-        found = schema.messages(one.device, Frame(one.sample, one.t, NAN))
-        if isinstance(one.sample, Ahrs):
-            found.append(rep_103_imu(one.device, one.sample))
-        for message in found:
+    def _publish(self, streamed: StreamedSample) -> None:
+        """Publish the messages of a sample; for an AHRS also the Imu message in the axes of REP-103."""
+        messages = schema.messages(streamed.device, Frame(streamed.sample, streamed.t, NAN))
+        if isinstance(streamed.sample, Ahrs):
+            messages.append(rep_103_imu(streamed.device, streamed.sample))
+        for message in messages:
             if message.topic not in self._publishers:
                 self._publishers[message.topic] = self._publisher(message.topic, message.type_name)
-            self._publishers[message.topic].send(message.pack(round(one.t * NANO)))
+            self._publishers[message.topic].send(message.pack(round(streamed.t * NANO)))
             self.published += 1
 
     def _publisher(self, topic: str, type_name: str) -> _Publisher:
+        """Declare a publisher for a topic of the log."""
         name = self._topic(ros_topic(topic))
         token = self._token("MP", next(self._entities), name, type_name)
         key = f"{self._ros2.domain}{name}/{_dds(type_name)}/{self._types.hash_rihs01(type_name)}"
-        # BLOCK: a router that hangs holds up this thread alone, and what is lost is lost in our queue, where it counts.
+        # BLOCK: a hanging router blocks only this thread. Samples are then lost in our queue, where they are counted.
         control = self._zenoh.CongestionControl.BLOCK
         return _Publisher(self._session.declare_publisher(key, congestion_control=control), token)
 
 
 class _Publisher:
-    """A publisher with rmw_zenoh's attachment: sequence number, time of sending [ns], and a unique id of 16 bytes."""
+    """Publisher that adds the attachment of rmw_zenoh: sequence number, time of sending [ns], unique id of 16 bytes."""
 
     def __init__(self, publisher: Any, token: str) -> None:
         self._publisher, self._numbers = publisher, itertools.count(1)
         self._gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
 
     def send(self, data: bytes) -> None:
-        about = ATTACHMENT.pack(next(self._numbers), time.time_ns(), len(self._gid), self._gid)
-        self._publisher.put(data, attachment=about)
+        """Publish a message in CDR."""
+        attachment = ATTACHMENT.pack(next(self._numbers), time.time_ns(), len(self._gid), self._gid)
+        self._publisher.put(data, attachment=attachment)
 
 
 def _dds(type_name: str) -> str:
-    """The name of a type in DDS, as rosidl makes it."""
+    """Return the DDS name of a message type, by the rule of rosidl."""
     package, _, name = type_name.split("/")
     return f"{package}::msg::dds_::{name}_"
 
 
 def _command(sample: Any) -> ReceivedCommand:
-    """Decode a sample: Float64 in CDR, with the attachment of rmw_zenoh."""
+    """Decode a received command: a Float64 in CDR, with the attachment of rmw_zenoh."""
     data = sample.payload.to_bytes()
-    about = b"" if sample.attachment is None else sample.attachment.to_bytes()
+    attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
     sender, sent, number = b"", NAN, 0
-    # Only a whole attachment names its sender: two senders with parts of one could not be told from each other.
-    if len(about) == ATTACHMENT.size:
-        number, sent_ns, length, gid = ATTACHMENT.unpack(about)
+    # Only a whole attachment is used: partial ids of two senders could be equal.
+    if len(attachment) == ATTACHMENT.size:
+        number, sent_ns, length, gid = ATTACHMENT.unpack(attachment)
         if length == len(gid) and number > 0:
             sender, sent = gid, sent_ns / NANO
         else:
             number = 0
-    if len(data) != 12 or data[0] != 0 or data[1] > 1:  # the encapsulation of CDR, either end first
+    if len(data) != 12 or data[0] != 0 or data[1] > 1:  # encapsulation of CDR: byte 1 is the byte order
         return ReceivedCommand(NAN, sender, sent, number)
     return ReceivedCommand(struct.unpack("<d" if data[1] else ">d", data[4:])[0], sender, sent, number)

@@ -37,7 +37,7 @@ def work(log):
 
 command_line.main(["work", *sys.argv[1:]])
 """
-NAMED = "it is damaged, or made to do harm; --trust-file reads it without limits"
+NAMED = "the file is damaged or malicious; --trust-file reads it without limits"
 FULL = "while True: Path(tempfile.mkdtemp(), 'x').write_bytes(bytes(1 << 20)); time.sleep(0.01)"
 
 

@@ -111,7 +111,7 @@ def test_a_file_that_comes_in_the_meantime_is_not_replaced(tmp_path: Path) -> No
 def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/null")):
-        with pytest.raises(SeatrialError, match="is there, and is not a file"):
+        with pytest.raises(SeatrialError, match="exists already and is not a regular file"):
             write_output(path, "x")
     with pytest.raises(OSError, match="No such file") as caught:
         write_output(tmp_path / "no/folder.txt", "x")

@@ -92,11 +92,11 @@ def break_messages(data: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (break_messages, "no seatrial_msgs/msg/Scalar in little-endian CDR"),
-        (lambda data: data[:20], "no seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:8], "no seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "no seatrial_msgs/msg/Scalar"),
-        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "no seatrial_msgs/msg/Scalar"),
+        (break_messages, "is not a valid seatrial_msgs/msg/Scalar in little-endian CDR"),
+        (lambda data: data[:20], "is not a valid seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:8], "is not a valid seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\xff\xff\xff\xff" + data[16:], "is not a valid seatrial_msgs/msg/Scalar"),
+        (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "is not a valid seatrial_msgs/msg/Scalar"),
     ],
 )
 def test_messages_that_are_none(tmp_path: Path, change: Callable[[bytes], bytes], line: str) -> None:
@@ -121,5 +121,7 @@ def test_a_topic_of_another_type(tmp_path: Path) -> None:
         channel = writer.register_channel("/signal/x", "json", writer.register_schema("Thing", "jsonschema", b"{}"))
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    with pytest.raises(SeatrialError, match=r"/signal/x is Thing \(json\), not seatrial_msgs/msg/Scalar \(cdr\)"):
+    with pytest.raises(
+        SeatrialError, match=r"/signal/x: the message type is Thing \(json\), not seatrial_msgs/msg/Scalar \(cdr\)"
+    ):
         open_log(path).table(Scalar, "x")

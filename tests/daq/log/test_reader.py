@@ -20,7 +20,7 @@ from seatrial.daq import cli
 from seatrial.daq.checks.device_checks import check_devices
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log.cdr import NANO, cdr_layout
-from seatrial.daq.log.mcap_chunk import MAX_CHUNK, scan
+from seatrial.daq.log.mcap_chunk import MAX_CHUNK_BYTES, scan
 from seatrial.daq.log.mcap_reader import RawLog
 from seatrial.daq.log.mcap_writer import LogWriter
 from seatrial.daq.log.reader import open_log
@@ -53,9 +53,9 @@ def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
 
 def test_asking_for_what_is_not_there(whole: Path) -> None:
     log = open_log(whole)
-    with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; there is: .*/gnss/gnss"):
+    with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; topics with messages: .*/gnss/gnss"):
         log.table(Gnss, "gps")
-    with pytest.raises(SeatrialError, match=r"esc has nodes \[1, 2\]: name one"):
+    with pytest.raises(SeatrialError, match=r"esc has several nodes, \[1, 2\]: choose a node"):
         log.table(Esc, "esc")
     with pytest.raises(SeatrialError, match="no messages on /signal/sway"):
         log.unit("sway")
@@ -85,7 +85,7 @@ def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
     assert (again.metadata, again.attachments) == (before.metadata, before.attachments)
     with pytest.raises(SeatrialError, match="the file exists already"):
         CliRunner().invoke(cli.recover, [str(killed), "-o", str(out)], catch_exceptions=False)
-    with pytest.raises(SeatrialError, match="is the log itself, which is not changed"):
+    with pytest.raises(SeatrialError, match="belongs to the log itself, which must not be changed"):
         CliRunner().invoke(cli.recover, [str(killed), "-o", str(killed), "--force"], catch_exceptions=False)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.mcap", "whole.mcap"]
 
@@ -336,7 +336,7 @@ def test_records_beside_the_messages_are_bounded(tmp_path: Path, monkeypatch: py
     log.event(T0, "mark", "x")
     log.close()
     assert set(open_log(path).attachments) == {"rig.toml", "huge.bin", "small.txt"}
-    monkeypatch.setattr("seatrial.daq.log.mcap_reader.MAX_HELD", 200_000)
+    monkeypatch.setattr("seatrial.daq.log.mcap_reader.MAX_HELD_BYTES", 200_000)
     for data in (path.read_bytes(), path.read_bytes()[:-20]):
         path.write_bytes(data)
         with open_log(path) as opened:
@@ -355,7 +355,7 @@ def test_a_name_of_megabytes_is_left_out(tmp_path: Path) -> None:
     before = time.process_time()
     with open_log(path) as opened:
         assert set(opened.attachments) == {"rig.toml", "small.txt"}
-        assert any("left out (a name of 4000000 characters)" in warning for warning in opened.warnings)
+        assert any("left out (a name of 4000000 characters is too long)" in warning for warning in opened.warnings)
         said = CliRunner().invoke(cli.info, [str(path)]).output
     assert time.process_time() - before < 5.0
     assert len(said) < 20_000
@@ -371,7 +371,7 @@ def record(opcode: int, content: bytes) -> bytes:
 
 def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path: Path) -> None:
     """62 kB: ten chunks of seven million records without content each, which took more than a minute."""
-    plain = record(0x80, b"") * (MAX_CHUNK // RECORD.size)
+    plain = record(0x80, b"") * (MAX_CHUNK_BYTES // RECORD.size)
     packed = zstandard.ZstdCompressor().compress(plain)
     head = struct.pack("<QQQII", 0, 9, len(plain), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
     header = record(1, struct.pack("<II", 0, 0))
@@ -380,7 +380,7 @@ def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path:
     before = time.process_time()
     with open_log(path) as opened:
         assert opened.counts == {}
-        assert any("unpack to 0.7 GB, 10" in warning for warning in opened.warnings)
+        assert any("the uncompressed chunks have 0.7 GB, 10" in warning for warning in opened.warnings)
     assert time.process_time() - before < 5.0
 
 

@@ -130,7 +130,7 @@ def test_a_time_that_is_none_takes_the_time_of_the_log(tmp_path: Path, t: float)
 
 
 def test_what_is_rare_does_not_wait_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mcap_writer, "FEW_S", 0.0)
+    monkeypatch.setattr(mcap_writer, "FEW_FLUSH_S", 0.0)
     monkeypatch.setattr(mcap_writer, "FLUSH_S", 1000.0)
     path = tmp_path / "run.mcap"
     log = recorder(path)
@@ -141,11 +141,11 @@ def test_what_is_rare_does_not_wait_for_more(tmp_path: Path, monkeypatch: pytest
 
     log.event(T0, "mark", "alone")
     assert on_disk() == 1
-    for k in range(mcap_writer.FEW + 1):
+    for k in range(mcap_writer.FEW_WAITING + 1):
         log.event(T0 + k, "mark", "one of many")
     assert on_disk() == 1
     monkeypatch.setattr(mcap_writer, "FLUSH_S", 0.0)
-    assert on_disk() == mcap_writer.FEW + 2
+    assert on_disk() == mcap_writer.FEW_WAITING + 2
     log.close()
 
 
@@ -185,7 +185,7 @@ def test_a_short_write_leaves_whole_records(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     count, lines = run_fill(path, str(1_000_000))
     assert "writing failed (File too large)" in lines[0]
-    assert "without a footer" in lines[0]
+    assert "has no footer" in lines[0]
     assert lines[1] == lines[0]
     assert path.stat().st_size <= 1_000_000
     log = open_log(path)

@@ -56,7 +56,7 @@ def test_all_segments_of_a_killed_run_become_one_whole_file(killed_set: Path) ->
     with open_log(out) as log:
         assert (log.complete, log.warnings) == (True, [])
         np.testing.assert_array_equal(log.table(Ahrs, "ahrs")["yaw"], yaw)
-    with pytest.raises(SeatrialError, match=r"run\.3\.mcap: is the log itself"):
+    with pytest.raises(SeatrialError, match=r"run\.3\.mcap: belongs to the log itself"):
         run("recover", killed_set, "-o", killed_set.with_name("run.3.mcap"), "--force")
 
 
@@ -85,7 +85,7 @@ def test_a_folder_stands_for_the_one_log_in_it(killed_set: Path) -> None:
 
 def test_a_later_segment_says_what_it_is_part_of(killed_set: Path) -> None:
     said = run("info", killed_set.with_name("run.2.mcap")).stdout
-    assert "segment 2 of run.mcap, which opens with all of them" in said
+    assert "segment 2 of run.mcap; open that file for the whole log" in said
     killed_set.rename(killed_set.with_name("away.mcap"))
     assert "segment 2" not in run("info", killed_set.with_name("run.2.mcap")).stdout
 
@@ -107,5 +107,7 @@ def test_a_missing_segment_is_said(killed_set: Path) -> None:
 
 def test_a_first_segment_that_is_lost_names_the_others(killed_set: Path) -> None:
     killed_set.write_bytes(b"")
-    with pytest.raises(SeatrialError, match=r"the file is empty.*opens by itself: run\.1\.mcap, run\.2\.mcap, run\.3"):
+    with pytest.raises(
+        SeatrialError, match=r"empty.*open its possible later segments one by one: run\.1\.mcap, run\.2\.mcap, run\.3"
+    ):
         run("recover", killed_set)

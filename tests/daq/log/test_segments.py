@@ -125,7 +125,7 @@ def test_a_name_that_is_taken_is_passed_over(tmp_path: Path) -> None:
 
 def test_a_log_is_not_begun_on_a_disk_that_is_nearly_full(tmp_path: Path) -> None:
     check_room(tmp_path / "new/folder/run.mcap", 0.0)
-    with pytest.raises(SeatrialError, match=r"MB free and the rig asks for 1000000000 to begin a log"):
+    with pytest.raises(SeatrialError, match=r"MB free, but the rig requires 1000000000 MB to begin a log"):
         check_room(tmp_path / "new/folder/run.mcap", 1e9)
     with TestBoat(tmp_path) as boat:
         text = boat.rig_path.read_text().replace("[clock]", "[log]\nfree_mb = 1e9\n\n[clock]")
@@ -188,7 +188,7 @@ def test_a_log_that_ends_on_a_full_disk_says_what_it_could_not_write(small_disk:
     while not log.paused:
         log.write_raw("ahrs", "rx", rng.bytes(20_000), T0)
     log.event(T0, "mark", "not on the disk")
-    with pytest.raises(SeatrialError, match=r"the disk is full.*; 1 message that came since could not be written"):
+    with pytest.raises(SeatrialError, match=r"the disk is full.*; 1 message received since then could not be written"):
         log.close()
 
 
@@ -284,7 +284,7 @@ def test_the_oldest_segments_but_the_first_go_beyond_the_budget(tmp_path: Path) 
         deleted = [text for _, kind, text in opened.events() if kind == "disk"]
     second = next(k for k, (a, b) in enumerate(pairwise(times)) if b != a + 1) + 1
     assert times == [*range(second), *range(times[second], 300)]
-    assert all(text.endswith("keep_gb is 0.004") for text in deleted)
+    assert all(text.endswith(", because the log is larger than keep_gb = 0.004") for text in deleted)
 
 
 def names_of(log: Log) -> range:

@@ -101,8 +101,8 @@ def test_other_vehicles_are_named_and_have_no_thruster(vehicle: str) -> None:
 
 
 @pytest.mark.parametrize(("autopilot", "vehicle", "said"), [
-    (12, 11, "PX4, system 1; only ArduPilot Rover is driven, this is logged"),
-    (3, 12, "ArduSub, system 1; only ArduPilot Rover is driven, this is logged"),
+    (12, 11, "PX4, system 1; only ArduPilot Rover can be driven, this vehicle is only logged"),
+    (3, 12, "ArduSub, system 1; only ArduPilot Rover can be driven, this vehicle is only logged"),
     (3, 11, "ArduPilot Rover, system 1"),
 ])  # fmt: skip
 def test_devices_says_what_is_driven(autopilot: int, vehicle: int, said: str) -> None:

@@ -112,7 +112,7 @@ def test_a_receiver_without_a_fix_is_recognised() -> None:
         done = CliRunner().invoke(cli.devices, [port, "--baud", "9600", "--seconds", "0.4"])
     assert done.exit_code == 0, done.output
     assert "nmea at 9600 baud" in done.output
-    assert "without a fix" in done.output
+    assert "it sends data, but has no fix" in done.output
 
 
 def test_right_frames_without_a_sample_are_no_wrong_baud_rate() -> None:
@@ -126,7 +126,7 @@ def test_right_frames_without_a_sample_are_no_wrong_baud_rate() -> None:
 def test_what_is_not_known_is_said() -> None:
     with device(115200, lambda k: b"\x00\xf7 nothing of the kind") as port:
         found = identify_protocol(port, bauds=(115200, 9600), listen=0.2)
-    assert (found.protocol, found.says) == ("", "bytes that no protocol explains at 115200, 9600 baud")
+    assert (found.protocol, found.says) == ("", "bytes of no known protocol at 115200, 9600 baud")
     assert "is not there" in identify_protocol("/dev/none", listen=0.1).says
 
 

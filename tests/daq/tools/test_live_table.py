@@ -55,7 +55,7 @@ def test_each_kind_of_a_device_has_its_line() -> None:
 def test_a_device_of_one_further_kind_delivers() -> None:
     text = "\n".join(rows(status("gnss", (("gnss/ahrs", None), Ahrs(0.3, NAN, NAN), 0.05)), boat()))
     assert "yaw 17.2°" in text
-    assert "nothing yet" not in text
+    assert "no sample yet" not in text
 
 
 @pytest.mark.parametrize("width", [80, 120])

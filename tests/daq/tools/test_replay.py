@@ -101,7 +101,7 @@ def test_the_logs_own_rig_stands_beside_the_ports_while_they_are_there(recorded:
         own = log.rig
     assert own is not None
     ((line, rig),) = seen
-    assert f"`seatrial log {tmp_path}/ports/replay.toml` records them anew" in line
+    assert f"`seatrial log {tmp_path}/ports/replay.toml` records them again" in line
     ports = {device.name: device.port for device in rig.devices}
     assert ports == {"ahrs": str(tmp_path / "ports/ahrs"), "esc": f"slcan:{tmp_path}/ports/esc"}
     assert [thruster.device for thruster in rig.thrusters] == ["esc"] * len(own.thrusters)
@@ -139,7 +139,7 @@ def test_nothing_that_is_there_is_replaced_or_taken_away(recorded: Path, tmp_pat
     else:
         there.symlink_to(tmp_path / ("mine" if kind == "link" else "nowhere"))
     before = os.lstat(there)
-    with open_log(recorded) as log, pytest.raises(SeatrialError, match="replaces nothing"):
+    with open_log(recorded) as log, pytest.raises(SeatrialError, match="a replay replaces no file"):
         replay_log(log, [], tmp_path / "ports", stopped=lambda: True)
     assert os.lstat(there).st_ino == before.st_ino
     assert [path.name for path in (tmp_path / "ports").iterdir()] == [name]
@@ -168,13 +168,13 @@ def test_a_log_without_raw_bytes_cannot_be_replayed(tmp_path: Path) -> None:
     log = recorder(tmp_path / "empty.mcap")
     log.event(T0, "mark", "nothing")
     log.close()
-    with open_log(tmp_path / "empty.mcap") as opened, pytest.raises(SeatrialError, match="holds no raw bytes"):
+    with open_log(tmp_path / "empty.mcap") as opened, pytest.raises(SeatrialError, match="the log has no raw bytes"):
         replay_log(opened, [], tmp_path)
 
 
 def test_a_device_that_is_not_there_is_named(recorded: Path, tmp_path: Path) -> None:
     with (
         open_log(recorded) as log,
-        pytest.raises(SeatrialError, match="no raw bytes of 'gps'; there are those of ahrs"),
+        pytest.raises(SeatrialError, match="no raw bytes of 'gps'; devices with raw bytes: ahrs"),
     ):
         replay_log(log, ["gps"], tmp_path)

@@ -58,7 +58,7 @@ def listener(router: Router) -> Iterator[Any]:
 def test_topics_and_messages_are_those_of_rmw_zenoh(router: Router, listener: Any) -> None:
     subscriber = listener.declare_subscriber("7/**", zenoh.handlers.FifoChannel(1000))
     with Ros2Node(rig(router, domain=7, namespace="boat")) as node:
-        assert "is there" in node.await_router(5.0)
+        assert "is connected" in node.await_router(5.0)
         node.put(STREAM, 0)
         wait_for(lambda: node.published == 22, what="all messages")
         time.sleep(0.3)
@@ -124,7 +124,7 @@ def test_a_command_that_was_held_up_is_not_taken(router: Router) -> None:
         commander.send(0.5, ago_s=1.0)
         time.sleep(0.3)
         assert [command.n for command in node.take()["left"]] == [0.25]
-        assert "1 command came too late to be followed" in node.summary()
+        assert "1 command ignored because of late arrival" in node.summary()
 
 
 def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any) -> None:
@@ -149,7 +149,7 @@ def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any)
 def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
     router = Router()
     with Ros2Node(rig(router)) as node:
-        assert "is not there" in node.await_router(0.2)
+        assert "does not answer" in node.await_router(0.2)
         before = time.monotonic()
         node.put(STREAM, 0)
         assert time.monotonic() - before < 0.05
@@ -165,7 +165,7 @@ def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
             wait_for(lambda: node.connected, what="the router again")
             node.put(STREAM, 3)
             wait_for(lambda: node.published == 44, what="all messages")
-    monkeypatch.setattr(ros_live, "QUEUE", 20)
+    monkeypatch.setattr(ros_live, "QUEUE_SAMPLES", 20)
     node.put(STREAM, 3)  # its thread has ended: nothing is taken out any more
     node.put(STREAM, 3)
     assert "47 samples could not be published" in node.summary()
