@@ -74,8 +74,11 @@ class TextTable(Table):
                 header = next(csv.reader([file.readline()], delimiter=style.delimiter), [])
                 n_before = style.skip_rows + 1
                 counter = count(n_before)
+                first = file.readline()
+                if not first.strip():
+                    return False  # no rows: numpy would warn
                 values = np.loadtxt(
-                    (line for line, _ in zip(file, counter, strict=False)),
+                    (line for line, _ in zip(chain([first], file), counter, strict=False)),
                     delimiter=style.delimiter,
                     comments=None,
                     ndmin=2,
