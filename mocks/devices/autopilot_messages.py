@@ -171,7 +171,7 @@ class Reports:
         return self._codec.encode(
             "GPS_RAW_INT",
             self._fix_ms * 1000,
-            {2: 2, 3: 3, 4: 4, 5: 6, 6: 5}.get(gnss.fix, NO_FIX),  # NMEA and MAVLink exchange RTK fixed and float
+            {2: 2, 3: 3, 4: 4, 5: 6, 6: 5}.get(gnss.fix, NO_FIX),  # MAVLink: 6 RTK fixed, 5 RTK float
             _whole(fix.lat * 1e7),
             _whole(fix.lon * 1e7),
             _whole(fix.alt * 1e3),
