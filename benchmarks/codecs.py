@@ -1,6 +1,7 @@
-"""Our own codecs beside libraries: messages per second on the same bytes (docs/decisions/0025-own-codecs.md).
+"""Benchmark of the codecs of seatrial and of libraries on the same bytes (docs/decisions/0025-own-codecs.md).
 
-A library is called the way its documentation shows. Ours makes samples in SI units, a library its own message objects.
+The figures are messages per second. The libraries are called as in their documentation. The codecs of seatrial return
+samples in SI units; the libraries return their own message objects.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss
 
 N = 2000  # messages of each kind
-READ_BYTES = 4096  # so many are given to a decoder at once
-T = 1_700_000_000.0
+READ_BYTES = 4096  # bytes in each call of a decoder
+T = 1_700_000_000.0  # s since 1970
 AHRS = Ahrs(1.5, 0.1, -0.2, 0.01, -0.02, 0.03, 0.1, -0.2, -9.8, 2e-5, 1e-6, 4e-5)
 GNSS = Gnss(T, 41.1234567, -8.7654321, 12.345, 0.5, -0.25, 0.125, 5, 12, 0.9, 0.014)
 ESC = Esc(1, 1234.0, 12.0, 0.5, 15.9, 31.0)
@@ -44,7 +45,7 @@ CanFrames = list[tuple[int, bytes]]
 
 
 def figures(seed: int) -> list[Figure]:
-    """All codecs; nothing in them is random."""
+    """Return the rates of all codecs. The seed has no effect, since the messages are not random."""
     found = []
     for name, n_messages, ours, library, note in codecs():
         rate = 1e3 * n_messages / best_ms(ours, 3)
@@ -54,22 +55,24 @@ def figures(seed: int) -> list[Figure]:
 
 
 def codecs() -> Iterator[tuple[str, int, Call, Call | None, str]]:
-    """Name, number of messages, our codec, the library's or None, and what the library is."""
+    """Yield for each codec its name, the number of messages, its call, the call of a library or None, and a note."""
     yield "slcan, reading", N, *_slcan(), "peer: python-can"
-    yield "VESC, reading", N, *_vesc(), "peer: cantools alone, which ours calls"
+    yield "VESC, reading", N, *_vesc(), "peer: cantools, which seatrial also uses"
     yield "UBX NAV-PVT, reading", N, *_ubx(), "peer: pyubx2"
-    yield "NMEA 0183, sentences of epochs, reading", 4 * N, *_nmea(), "peer: pynmeagps alone, which ours calls"
+    yield "NMEA 0183, sentences of epochs, reading", 4 * N, *_nmea(), "peer: pynmeagps, which seatrial also uses"
     yield "DroneCAN esc.Status, reading", N, *_dronecan_reading(), "peer: dronecan"
     yield "DroneCAN esc.RawCommand, writing", N, *_dronecan_writing(), "peer: dronecan"
     yield "NMEA 2000 heading and fix, reading", 2 * N, *_nmea2000(), "peer: nmea2000"
-    yield "MIP filter packets, reading", N, _mip(), None, "no peer: MSCL reads from its own ports"
-    yield "VectorNav binary, reading", N, _vectornav(), None, "no peer: libraries read from their own ports"
+    yield "MIP filter packets, reading", N, _mip(), None, "no peer: MSCL reads from ports only"
+    yield "VectorNav binary, reading", N, _vectornav(), None, "no peer: libraries read from ports only"
     yield "MCAP records, writing", N, *_mcap(), "peer: mcap"
     yield "CDR of Gnss, packing", N, *_cdr_packing(), "peer: rosbags"
     yield "CDR of Gnss, reading a column", N, *_cdr_reading(), "peer: rosbags"
 
 
 def _feed(make: Callable[[], Decoder], data: bytes) -> Call:
+    """Return a function that decodes ``data`` with a new decoder and checks the number of samples."""
+
     def call() -> None:
         decoder, n_found = make(), 0
         for at in range(0, len(data), READ_BYTES):
@@ -85,7 +88,7 @@ def _packed(frames: CanFrames) -> bytes:
 
 
 class _SerialBytes(io.BytesIO):
-    """Bytes as a serial port has them."""
+    """Bytes with the interface of a serial port."""
 
     @property
     def in_waiting(self) -> int:
