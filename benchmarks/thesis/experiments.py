@@ -173,8 +173,8 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
     ]
     rows = [f"| `{n}` | {' | '.join(f'{c[n]:.2g}' for c in columns)} |" for n in names]
     return [
-        "Predicted standard errors. The first column is predicted by output error for its own design. The other columns",
-        "are predicted by prediction error for the same design, for its own design, and for its best baseline.",
+        "Predicted standard errors. The first column is predicted by output error for its own design. The other",
+        "columns are predicted by prediction error for the same design, for its own design, and for its best baseline.",
         "",
         f"| | OE design, by OE | OE design | PE design | {best.kind} |",
         "|---|---|---|---|---|",
