@@ -22,8 +22,8 @@ def main() -> None:
         command, n = found["n_cmd_pod"], found["reported"]
         gaps = np.diff(n.t)
         print(
-            f"{path.stem}: {n.t.size} samples in {n.t[-1] - n.t[0]:.0f} s, {np.median(gaps):.1f} s apart in the median, "
-            f"{np.percentile(gaps, 95):.1f} s in one of twenty"
+            f"{path.stem}: {n.t.size} samples in {n.t[-1] - n.t[0]:.0f} s, "
+            f"{np.median(gaps):.1f} s apart in the median, {np.percentile(gaps, 95):.1f} s in one of twenty"
         )
         changes = np.flatnonzero(np.diff(command.value, prepend=np.nan) != 0)
         ends = np.append(command.t[changes[1:]], n.t[-1])
@@ -35,7 +35,8 @@ def main() -> None:
             settled = n.value[after & (n.t > command.t[k] + SETTLED) & (n.value != 0)]
             if settled.size:
                 rows[float(command.value[k])] = float(np.median(settled))
-        print(f"  first sample after a command: {min(first):.2f} to {max(first):.2f} s, median {np.median(first):.2f} s")
+        delays = f"{min(first):.2f} to {max(first):.2f} s, median {np.median(first):.2f} s"
+        print(f"  first sample after a command: {delays}")
         print("  settled: " + ", ".join(f"{c:+.1f} -> {v:+.3f}" for c, v in sorted(rows.items())))
         commanded = sample_and_hold(command, n.t)
         # Zeros are lost reports if the command was not zero now and 5 s before.
