@@ -84,6 +84,7 @@ def _feed(make: Callable[[], Decoder], data: bytes) -> Call:
 
 
 def _packed(frames: CanFrames) -> bytes:
+    """Return CAN frames in the byte format of the decoders."""
     return b"".join(pack_can(*frame) for frame in frames)
 
 
@@ -96,6 +97,7 @@ class _SerialBytes(io.BytesIO):
 
 
 def _slcan() -> tuple[Call, Call]:
+    """Return the calls that read frames of a CAN adapter by the slcan protocol."""
     data = b"".join(slcan.encode(0x901, bytes(8)) for _ in range(N))
 
     def library() -> None:
@@ -112,6 +114,7 @@ def _slcan() -> tuple[Call, Call]:
 
 
 def _vesc() -> tuple[Call, Call]:
+    """Return the calls that read STATUS 1 frames of a VESC."""
     frame = vesc.encode_status(ESC, 7)[0]
     database = cantools.database.load_file(Path(vesc.__file__).with_name("vesc.dbc"))
     assert isinstance(database, cantools.database.can.Database)
@@ -122,16 +125,19 @@ def _vesc() -> tuple[Call, Call]:
 
 
 def _ubx() -> tuple[Call, Call]:
+    """Return the calls that read NAV-PVT messages."""
     data = b"".join(ubx.encode(Gnss(T + k / 10, 41.1, -8.7, 12.0, 0.5, 0.2, 0.1, 3, 9)) for k in range(N))
     return _feed(ubx.Decoder, data), lambda: sum(1 for _ in UBXReader(io.BytesIO(data)))
 
 
 def _nmea() -> tuple[Call, Call]:
+    """Return the calls that read the sentences of GNSS fixes."""
     data = b"".join(nmea.encode(Gnss(T + k / 10, 41.1, -8.7, 12.0, 0.5, 0.2, 0.1, 3, 9)) for k in range(N))
     return _feed(nmea.Decoder, data), lambda: sum(1 for _ in NMEAReader(io.BytesIO(data)))
 
 
 def _dronecan_reading() -> tuple[Call, Call]:
+    """Return the calls that read esc.Status messages from their frames."""
     transfers = [dronecan.encode(ESC, 42, k % 32) for k in range(N)]
 
     def library() -> None:
@@ -142,6 +148,7 @@ def _dronecan_reading() -> tuple[Call, Call]:
 
 
 def _dronecan_writing() -> tuple[Call, Call]:
+    """Return the calls that write esc.RawCommand messages."""
     kind = pydronecan.uavcan.equipment.esc.RawCommand
 
     def library() -> None:
@@ -153,6 +160,7 @@ def _dronecan_writing() -> tuple[Call, Call]:
 
 
 def _nmea2000() -> tuple[Call, Call]:
+    """Return the calls that read messages with heading and position. The library reads lines of candump."""
     heading, fix = Ahrs(1.5, math.nan, math.nan), Gnss(T, 41.1, -8.7, 12.0, fix=3, n_sat=9, hdop=1.0)
     frames = [f for k in range(N) for f in (*nmea2000.encode(heading), *nmea2000.encode(fix, k % 250))]
     lines = [f"can0  {word:08X}   [{len(data)}]  {data.hex(' ').upper()}" for word, data in frames]
@@ -166,15 +174,18 @@ def _nmea2000() -> tuple[Call, Call]:
 
 
 def _mip() -> Call:
+    """Return the call that reads MIP packets with attitudes."""
     fields = {0x05: struct.pack(">3fH", 0.1, 0.2, 1.5, 1)}
     return _feed(mip.Decoder, mip.packet(mip.FILTER, fields) * N)
 
 
 def _vectornav() -> Call:
+    """Return the call that reads binary messages of a VectorNav."""
     return _feed(vectornav.Decoder, vectornav.encode_binary(AHRS, 1.0) * N)
 
 
 def _mcap() -> tuple[Call, Call]:
+    """Return the calls that write an MCAP file in memory."""
     body = np.random.default_rng(1).bytes(120)
 
     def ours() -> None:
@@ -196,6 +207,7 @@ def _mcap() -> tuple[Call, Call]:
 
 
 def _cdr_packing() -> tuple[Call, Call]:
+    """Return the calls that encode Gnss messages in CDR."""
     name, values = TYPES[Gnss], messages("gnss", Frame(GNSS, T, T))[0].values
     store, kinds = _typestore(name)
     header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](1, 2), "gnss")
@@ -206,6 +218,7 @@ def _cdr_packing() -> tuple[Call, Call]:
 
 
 def _cdr_reading() -> tuple[Call, Call]:
+    """Return the calls that read the latitudes of Gnss messages in CDR."""
     name = TYPES[Gnss]
     found = cdr_layout(name, b"gnss")
     body = found.pack(NANO, *messages("gnss", Frame(GNSS, T, T))[0].values)
@@ -216,6 +229,7 @@ def _cdr_reading() -> tuple[Call, Call]:
 
 
 def _typestore(name: str) -> tuple[Any, dict[str, Any]]:
+    """Return the type store of rosbags with a message type of seatrial, and its types."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(definition(name), name))
     return store, store.types
