@@ -1,7 +1,9 @@
-"""Acquisition: jitter beside a busy program, loss at full rate, device time behind a slow adapter, kill -9, segments.
+"""Benchmarks of the acquisition.
 
-`python -m benchmarks.acquisition --seconds 600 --kills 50 --days 7` measures for as long as the acceptance asks for;
-a day takes 72 min.
+They measure the jitter beside a busy program, the loss at full rate, the error of the device time behind a slow
+adapter, the loss after kill -9, and the continuity of segments.
+
+`python -m benchmarks.acquisition --seconds 600 --kills 50 --days 7` is the acceptance test. A day takes 72 min.
 """
 
 from __future__ import annotations
@@ -35,9 +37,10 @@ from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Ahrs
 
 ROOT = Path(__file__).parents[1]
-JITTER_S, LOSS_S, SOAK_S = 10.0, 20.0, 240.0
-LOSS_RATE = 1250.0  # frames a second and device
-NUMBERED = {DEVICE_TIME, *TYPES.values()}  # types of the first message of a sample
+JITTER_S, LOSS_S, SOAK_S = 10.0, 20.0, 240.0  # s, default durations of the measurements
+LOSS_RATE = 1250.0  # frames per second of each device
+NUMBERED = {DEVICE_TIME, *TYPES.values()}  # types of the first message of a sample, which has the sample's number
+# Program that records one device and writes the time of each recorded sample to stdout
 RECORD = """
 import os, struct, sys, time
 from pathlib import Path
@@ -63,12 +66,12 @@ while True:
 
 
 def figures(seed: int) -> list[Figure]:
-    """All of them, for a short time each."""
+    """Return the figures of all measurements with short durations."""
     return [*jitter(JITTER_S), *loss(LOSS_S), *device_time(seed), *kills(2, seed), *soak(SOAK_S, seed)]
 
 
 def rig_of(folder: Path, n_devices: int, rate: float) -> Rig:
-    """VectorNavs d0, d1, ... at ptys in the folder."""
+    """Return a rig of VectorNav devices d0, d1, ... at ptys in the folder."""
     devices = "".join(
         f'[[device]]\nname = "d{k}"\nprotocol = "vectornav"\nport = "d{k}"\nrate_hz = {rate}\n'
         for k in range(n_devices)
@@ -77,12 +80,33 @@ def rig_of(folder: Path, n_devices: int, rate: float) -> Rig:
 
 
 def record(folder: Path, n_devices: int, rate: float, seconds: float, busy: bool) -> tuple[dict[str, float], int]:
-    """Record senders; what they say of themselves, and how many samples the acquisition counts as dropped."""
+    """Record the messages of simulated devices (`benchmarks.sender`) to `log.mcap` in the folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder for ports and log.
+    n_devices : int
+        Number of devices.
+    rate : float
+        Messages per second of each device.
+    seconds : float
+        Duration of the recording [s].
+    busy : bool
+        Whether a thread of this process computes in pure Python meanwhile.
+
+    Returns
+    -------
+    dict of str to float
+        Report of the sender: numbers of sent and refused messages, and its largest delay [s].
+    int
+        Number of samples that the acquisition counts as dropped.
+    """
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     words = [sys.executable, "-m", "benchmarks.sender", str(folder), str(n_devices), str(rate), str(seconds)]
     ended = threading.Event()
 
-    def hog() -> None:
+    def compute() -> None:
         while not ended.is_set():
             sum(k * k for k in range(1000))
 
@@ -95,20 +119,20 @@ def record(folder: Path, n_devices: int, rate: float, seconds: float, busy: bool
         rig = rig_of(folder, n_devices, rate)
         with Acquisition(rig, folder / "log.mcap", clock=RunClock()) as acquisition:
             time.sleep(0.5)
-            thread = threading.Thread(target=hog)
+            thread = threading.Thread(target=compute)
             if busy:
                 thread.start()
             sender.stdin.write("go\n")
             sender.stdin.flush()
-            said: dict[str, float] = json.loads(sender.stdout.readline())
+            report: dict[str, float] = json.loads(sender.stdout.readline())
             ended.set()
             dropped = sum(port.dropped for port in acquisition.status().ports.values())
         sender.stdin.write("end\n")
-    return said, dropped
+    return report, dropped
 
 
 def jitter(seconds: float) -> Iterator[Figure]:
-    """One device at 1 kHz while a pure-Python loop holds the interpreter of the process that runs the experiment."""
+    """Yield the delay of receive times for one device at 1 kHz, while this process computes in pure Python."""
     with tempfile.TemporaryDirectory() as name:
         record(Path(name), 1, 1000.0, seconds, busy=True)
         with open_log(Path(name) / "log.mcap") as log:
@@ -122,19 +146,24 @@ def jitter(seconds: float) -> Iterator[Figure]:
 
 
 def loss(seconds: float) -> Iterator[Figure]:
-    """Four devices, 5,000 frames a second in all."""
+    """Yield the loss of four devices with 5,000 frames per second in total."""
     with tempfile.TemporaryDirectory() as name:
-        said, dropped = record(Path(name), 4, LOSS_RATE, seconds, busy=False)
+        report, dropped = record(Path(name), 4, LOSS_RATE, seconds, busy=False)
         with open_log(Path(name) / "log.mcap") as log:
             logged = sum(len(log.table(Ahrs, f"d{k}")) for k in range(4))
     group = f"four devices, {4 * LOSS_RATE:,.0f} frames/s for {seconds:g} s"
-    yield Figure(group, "sent", said["sent"], "frames")
-    yield Figure(group, "not in the log", said["sent"] - logged, "frames", note=f"{dropped} counted as dropped")
-    yield Figure(group, "not taken by the port", said["refused"], "frames", note=f"sender {said['late']:.3f} s late")
+    yield Figure(group, "sent", report["sent"], "frames")
+    yield Figure(group, "not in the log", report["sent"] - logged, "frames", note=f"{dropped} counted as dropped")
+    note = f"sender at most {report['late']:.3f} s late"
+    yield Figure(group, "not accepted by the port", report["refused"], "frames", note=note)
 
 
 def device_time(seed: int, minutes: float = 5.0) -> Iterator[Figure]:
-    """200 Hz behind an adapter that hands over every 16 ms, with a clock that is 30 ppm off."""
+    """Yield the error of the device time at 200 Hz.
+
+    The simulated adapter delivers every 16 ms, and the clock of the device has an error of 30 ppm. ``minutes`` is the
+    simulated duration.
+    """
     rng = np.random.default_rng(seed)
     truth = np.arange(round(60.0 * minutes * 200)) / 200.0
     received = np.maximum.accumulate(np.ceil(truth / 0.016) * 0.016 + rng.exponential(50e-6, truth.size))
@@ -148,25 +177,28 @@ def device_time(seed: int, minutes: float = 5.0) -> Iterator[Figure]:
 
 
 def kills(count: int, seed: int) -> Iterator[Figure]:
-    """kill -9 at random moments, `count` times at 5 Hz and at 1 kHz."""
+    """Yield the loss by kill -9 at random times, ``count`` times at 5 Hz and at 1 kHz."""
     rng = random.Random(seed)
     for rate in (5.0, 1000.0):
         lost = [_killed(rate, rng.uniform(0.8, 3.0)) for _ in range(count)]
         group = f"kill -9, {count} times at {rate:g} Hz"
-        yield Figure(group, "lost, most", max(lost), "s", note="and nothing but the last moment; metadata whole")
+        yield Figure(group, "largest loss", max(lost), "s", note="only at the end of the log; metadata complete")
 
 
 def _killed(rate: float, after: float) -> float:
-    """Seconds of the recording that a kill costs. Raises where anything but the end is missing."""
+    """Kill a recording ``after`` [s] and return the time [s] that is lost at its end.
+
+    An AssertionError is raised if an earlier sample, an attachment or metadata are missing.
+    """
     with tempfile.TemporaryDirectory() as name:
         path = Path(name) / "run.mcap"
         words = [sys.executable, "-c", RECORD, str(path), str(rate)]
         with subprocess.Popen(words, cwd=ROOT, stdout=subprocess.PIPE) as process:
             assert process.stdout is not None
-            told = process.stdout.read(8)
+            output = process.stdout.read(8)
             threading.Timer(after, os.kill, (process.pid, signal.SIGKILL)).start()
-            told += process.stdout.read()
-        written = np.frombuffer(told[: len(told) // 8 * 8], "<f8")
+            output += process.stdout.read()
+        written = np.frombuffer(output[: len(output) // 8 * 8], "<f8")
         with open_log(path) as log:
             kept = log.table(Ahrs, "ahrs")["t"]
             assert set(log.attachments) == {"rig.toml", "mission.toml"}
@@ -176,8 +208,11 @@ def _killed(rate: float, after: float) -> float:
 
 
 def soak(seconds: float, seed: int) -> Iterator[Figure]:
-    """The mock boat at twenty times the speed of the world, in segments under a disk budget that holds some of them."""
-    keep = min(9000.0 * seconds, 2e9)  # bytes; the boat makes 18 kB a run second
+    """Yield the continuity of a log in segments, recorded from the mock boat at 20 times real time.
+
+    The disk budget holds only a part of the segments. ``seconds`` is the duration in run time.
+    """
+    keep = min(9000.0 * seconds, 2e9)  # bytes; the boat sends 18 kB per run second, so about half of the log is kept
     with tempfile.TemporaryDirectory() as name, mock_boat(Path(name), seed) as boat:
         path, largest, memory = Path(name) / "run.mcap", 0, list[float]()
         limits = f"segment_s = {min(seconds / 16, 3600.0)}\nkeep_gb = {keep / 1e9}\n"
@@ -202,11 +237,20 @@ def soak(seconds: float, seed: int) -> Iterator[Figure]:
 
 
 def continuity(path: Path) -> tuple[int, int, tuple[int, int]]:
-    """Of a log in segments: numbers that are missing or twice between neighbours, samples written, segments kept.
+    """Check the numbers of the samples in a log of several segments.
 
     The samples of a topic are numbered through all segments.
+
+    Returns
+    -------
+    int
+        Number of gaps and repetitions within the kept segments.
+    int
+        Number of samples that were written, including those in deleted segments.
+    tuple of two ints
+        Number of kept segments, and number of all segments.
     """
-    last: dict[str, tuple[int, int]] = {}  # by topic: segment and number
+    last: dict[str, tuple[int, int]] = {}  # topic -> segment and number of its last sample
     wrong = 0
     for segment, file in {0: path, **later_segments(path)}.items():
         raw = RawLog(file)
@@ -225,22 +269,25 @@ def continuity(path: Path) -> tuple[int, int, tuple[int, int]]:
 
 
 def rss_mb(pid: int) -> float:
-    """Resident memory of a process [MB]; NaN where the system does not say."""
+    """Return the resident memory of a process [MB]; NaN if the system does not report it."""
     with contextlib.suppress(OSError):
         return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     return float("nan")
 
 
 def main() -> int:
-    """Measure for as long as is asked for."""
+    """Measure with the durations of the command line and print the table."""
     parser = argparse.ArgumentParser("python -m benchmarks.acquisition", description=__doc__)
-    parser.add_argument("--seconds", type=float, default=LOSS_S, help="of the loss measurement")
-    parser.add_argument("--kills", type=int, default=2, help="at each rate")
-    parser.add_argument("--days", type=float, default=SOAK_S / 86_400, help="of the mock boat, in segments")
+    parser.add_argument("--seconds", type=float, default=LOSS_S, help="duration of the loss measurement")
+    parser.add_argument("--kills", type=int, default=2, help="number of kills at each rate")
+    parser.add_argument(
+        "--days", type=float, default=SOAK_S / 86_400, help="run time of the mock boat for the segments"
+    )
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
-    found = [*jitter(JITTER_S), *loss(given.seconds), *device_time(given.seed), *kills(given.kills, given.seed)]
-    found += soak(86_400 * given.days, given.seed)
+    options = parser.parse_args()
+    seed = options.seed
+    found = [*jitter(JITTER_S), *loss(options.seconds), *device_time(seed), *kills(options.kills, seed)]
+    found += soak(86_400 * options.days, seed)
     print(table(found))
     return 0
 

@@ -1,6 +1,7 @@
-"""Our own codecs beside libraries: messages per second on the same bytes (docs/decisions/0025-own-codecs.md).
+"""Benchmark of the codecs of seatrial and of libraries on the same bytes (docs/decisions/0025-own-codecs.md).
 
-A library is called the way its documentation shows. Ours makes samples in SI units, a library its own message objects.
+The figures are messages per second. The libraries are called as in their documentation. The codecs of seatrial return
+samples in SI units; the libraries return their own message objects.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss
 
 N = 2000  # messages of each kind
-READ_BYTES = 4096  # so many are given to a decoder at once
-T = 1_700_000_000.0
+READ_BYTES = 4096  # bytes in each call of a decoder
+T = 1_700_000_000.0  # s since 1970
 AHRS = Ahrs(1.5, 0.1, -0.2, 0.01, -0.02, 0.03, 0.1, -0.2, -9.8, 2e-5, 1e-6, 4e-5)
 GNSS = Gnss(T, 41.1234567, -8.7654321, 12.345, 0.5, -0.25, 0.125, 5, 12, 0.9, 0.014)
 ESC = Esc(1, 1234.0, 12.0, 0.5, 15.9, 31.0)
@@ -44,7 +45,7 @@ CanFrames = list[tuple[int, bytes]]
 
 
 def figures(seed: int) -> list[Figure]:
-    """All codecs; nothing in them is random."""
+    """Return the rates of all codecs. The seed has no effect, since the messages are not random."""
     found = []
     for name, n_messages, ours, library, note in codecs():
         rate = 1e3 * n_messages / best_ms(ours, 3)
@@ -54,22 +55,24 @@ def figures(seed: int) -> list[Figure]:
 
 
 def codecs() -> Iterator[tuple[str, int, Call, Call | None, str]]:
-    """Name, number of messages, our codec, the library's or None, and what the library is."""
+    """Yield for each codec its name, the number of messages, its call, the call of a library or None, and a note."""
     yield "slcan, reading", N, *_slcan(), "peer: python-can"
-    yield "VESC, reading", N, *_vesc(), "peer: cantools alone, which ours calls"
+    yield "VESC, reading", N, *_vesc(), "peer: cantools, which seatrial also uses"
     yield "UBX NAV-PVT, reading", N, *_ubx(), "peer: pyubx2"
-    yield "NMEA 0183, sentences of epochs, reading", 4 * N, *_nmea(), "peer: pynmeagps alone, which ours calls"
+    yield "NMEA 0183, sentences of epochs, reading", 4 * N, *_nmea(), "peer: pynmeagps, which seatrial also uses"
     yield "DroneCAN esc.Status, reading", N, *_dronecan_reading(), "peer: dronecan"
     yield "DroneCAN esc.RawCommand, writing", N, *_dronecan_writing(), "peer: dronecan"
     yield "NMEA 2000 heading and fix, reading", 2 * N, *_nmea2000(), "peer: nmea2000"
-    yield "MIP filter packets, reading", N, _mip(), None, "no peer: MSCL reads from its own ports"
-    yield "VectorNav binary, reading", N, _vectornav(), None, "no peer: libraries read from their own ports"
+    yield "MIP filter packets, reading", N, _mip(), None, "no peer: MSCL reads from ports only"
+    yield "VectorNav binary, reading", N, _vectornav(), None, "no peer: libraries read from ports only"
     yield "MCAP records, writing", N, *_mcap(), "peer: mcap"
     yield "CDR of Gnss, packing", N, *_cdr_packing(), "peer: rosbags"
     yield "CDR of Gnss, reading a column", N, *_cdr_reading(), "peer: rosbags"
 
 
 def _feed(make: Callable[[], Decoder], data: bytes) -> Call:
+    """Return a function that decodes ``data`` with a new decoder and checks the number of samples."""
+
     def call() -> None:
         decoder, n_found = make(), 0
         for at in range(0, len(data), READ_BYTES):
@@ -81,11 +84,12 @@ def _feed(make: Callable[[], Decoder], data: bytes) -> Call:
 
 
 def _packed(frames: CanFrames) -> bytes:
+    """Return CAN frames in the byte format of the decoders."""
     return b"".join(pack_can(*frame) for frame in frames)
 
 
 class _SerialBytes(io.BytesIO):
-    """Bytes as a serial port has them."""
+    """Bytes with the interface of a serial port."""
 
     @property
     def in_waiting(self) -> int:
@@ -93,6 +97,7 @@ class _SerialBytes(io.BytesIO):
 
 
 def _slcan() -> tuple[Call, Call]:
+    """Return the calls that read frames of a CAN adapter by the slcan protocol."""
     data = b"".join(slcan.encode(0x901, bytes(8)) for _ in range(N))
 
     def library() -> None:
@@ -109,6 +114,7 @@ def _slcan() -> tuple[Call, Call]:
 
 
 def _vesc() -> tuple[Call, Call]:
+    """Return the calls that read STATUS 1 frames of a VESC."""
     frame = vesc.encode_status(ESC, 7)[0]
     database = cantools.database.load_file(Path(vesc.__file__).with_name("vesc.dbc"))
     assert isinstance(database, cantools.database.can.Database)
@@ -119,16 +125,19 @@ def _vesc() -> tuple[Call, Call]:
 
 
 def _ubx() -> tuple[Call, Call]:
+    """Return the calls that read NAV-PVT messages."""
     data = b"".join(ubx.encode(Gnss(T + k / 10, 41.1, -8.7, 12.0, 0.5, 0.2, 0.1, 3, 9)) for k in range(N))
     return _feed(ubx.Decoder, data), lambda: sum(1 for _ in UBXReader(io.BytesIO(data)))
 
 
 def _nmea() -> tuple[Call, Call]:
+    """Return the calls that read the sentences of GNSS fixes."""
     data = b"".join(nmea.encode(Gnss(T + k / 10, 41.1, -8.7, 12.0, 0.5, 0.2, 0.1, 3, 9)) for k in range(N))
     return _feed(nmea.Decoder, data), lambda: sum(1 for _ in NMEAReader(io.BytesIO(data)))
 
 
 def _dronecan_reading() -> tuple[Call, Call]:
+    """Return the calls that read esc.Status messages from their frames."""
     transfers = [dronecan.encode(ESC, 42, k % 32) for k in range(N)]
 
     def library() -> None:
@@ -139,6 +148,7 @@ def _dronecan_reading() -> tuple[Call, Call]:
 
 
 def _dronecan_writing() -> tuple[Call, Call]:
+    """Return the calls that write esc.RawCommand messages."""
     kind = pydronecan.uavcan.equipment.esc.RawCommand
 
     def library() -> None:
@@ -150,6 +160,7 @@ def _dronecan_writing() -> tuple[Call, Call]:
 
 
 def _nmea2000() -> tuple[Call, Call]:
+    """Return the calls that read messages with heading and position. The library reads lines of candump."""
     heading, fix = Ahrs(1.5, math.nan, math.nan), Gnss(T, 41.1, -8.7, 12.0, fix=3, n_sat=9, hdop=1.0)
     frames = [f for k in range(N) for f in (*nmea2000.encode(heading), *nmea2000.encode(fix, k % 250))]
     lines = [f"can0  {word:08X}   [{len(data)}]  {data.hex(' ').upper()}" for word, data in frames]
@@ -163,15 +174,18 @@ def _nmea2000() -> tuple[Call, Call]:
 
 
 def _mip() -> Call:
+    """Return the call that reads MIP packets with attitudes."""
     fields = {0x05: struct.pack(">3fH", 0.1, 0.2, 1.5, 1)}
     return _feed(mip.Decoder, mip.packet(mip.FILTER, fields) * N)
 
 
 def _vectornav() -> Call:
+    """Return the call that reads binary messages of a VectorNav."""
     return _feed(vectornav.Decoder, vectornav.encode_binary(AHRS, 1.0) * N)
 
 
 def _mcap() -> tuple[Call, Call]:
+    """Return the calls that write an MCAP file in memory."""
     body = np.random.default_rng(1).bytes(120)
 
     def ours() -> None:
@@ -193,6 +207,7 @@ def _mcap() -> tuple[Call, Call]:
 
 
 def _cdr_packing() -> tuple[Call, Call]:
+    """Return the calls that encode Gnss messages in CDR."""
     name, values = TYPES[Gnss], messages("gnss", Frame(GNSS, T, T))[0].values
     store, kinds = _typestore(name)
     header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](1, 2), "gnss")
@@ -203,6 +218,7 @@ def _cdr_packing() -> tuple[Call, Call]:
 
 
 def _cdr_reading() -> tuple[Call, Call]:
+    """Return the calls that read the latitudes of Gnss messages in CDR."""
     name = TYPES[Gnss]
     found = cdr_layout(name, b"gnss")
     body = found.pack(NANO, *messages("gnss", Frame(GNSS, T, T))[0].values)
@@ -213,6 +229,7 @@ def _cdr_reading() -> tuple[Call, Call]:
 
 
 def _typestore(name: str) -> tuple[Any, dict[str, Any]]:
+    """Return the type store of rosbags with a message type of seatrial, and its types."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(definition(name), name))
     return store, store.types

@@ -1,6 +1,7 @@
-"""`seatrial ident diagnose` from two logs to the report: 400 s for estimation, 250 s for validation, ten rows a second.
+"""Benchmark of `seatrial ident diagnose` from two logs to the report.
 
-Each command is a process of its own; kernels that were not compiled before are compiled by it.
+The logs have 400 s for estimation and 250 s for validation, with ten rows per second. Each command runs in a process of
+its own and compiles missing kernels.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ EFFECTS = ("none", "cubic-drag")
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """CPU, whether it was right, and what the answer does to the error."""
+    """Yield the CPU time, the effects that were found, and the prediction errors before and after, for each effect."""
     for effect in EFFECTS:
         row = run_case(Case(effect, seed))
         group = f"diagnosis, {effect}"

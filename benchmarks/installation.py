@@ -1,7 +1,7 @@
 """Size and start-up time of installations from the wheel: `python -m benchmarks.installation` (needs a network).
 
-Each installation gets a fresh environment with the locked versions. Sizes are of site-packages with byte code, without
-pip. casadi contains some libraries twice (casadi issue 3976); their size is printed as well.
+Each installation gets a new environment with the locked versions. The size is that of site-packages with byte code and
+without pip. casadi contains some libraries twice (casadi issue 3976); the size of the duplicates is printed as well.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ MB = 1e6
 
 
 class Installed(NamedTuple):
-    """One installation."""
+    """Measurements of one installation."""
 
     size: float  # MB
-    twice: float  # MB of files that it contains a second time, under another name
-    import_s: float  # `import seatrial`, beyond an empty interpreter
-    help_s: float  # `seatrial --help`
-    problems: str  # of `pip check`
+    twice: float  # MB of files that have the content of another file
+    import_s: float  # s, time of `import seatrial` without the start of the interpreter
+    help_s: float  # s, time of `seatrial --help`
+    problems: str  # output of `pip check`; empty if it found no problem
 
 
 def run(*words: str | Path) -> str:
-    """Run a program and return its output; an error ends the benchmark with what the program printed."""
+    """Run a program and return its output. If it fails, exit with the output of the program as the message."""
     done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(map(str, words))}\n{done.stdout}{done.stderr}")
@@ -50,7 +50,7 @@ def build_wheel(folder: Path) -> Path:
 
 
 def locked_versions(folder: Path) -> Path:
-    """Write the locked versions without their hashes, as pip's -c takes them."""
+    """Write the locked versions without their hashes to a file for the option -c of pip. Return its path."""
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     path = folder / "versions.txt"
     path.write_text("\n".join(line.removesuffix("\\").strip() for line in lines if re.match(r"\w", line)) + "\n")
@@ -58,7 +58,7 @@ def locked_versions(folder: Path) -> Path:
 
 
 def duplicated(site: Path) -> float:
-    """Return the size [MB] of large files whose content another file has as well."""
+    """Return the size [MB] of large libraries that have the content of another file."""
     seen: set[str] = set()
     total = 0
     for path in sorted(site.rglob("*.so*")):
@@ -71,7 +71,7 @@ def duplicated(site: Path) -> float:
 
 
 def seconds(*words: str | Path) -> float:
-    """Return the least wall time [s] of a program in some starts."""
+    """Return the shortest wall time [s] of a program in N_STARTS runs."""
     times = []
     for _ in range(N_STARTS):
         start = time.perf_counter()
@@ -105,14 +105,16 @@ def main() -> None:
     """Print a table of all installations."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--extras", default=",".join(EXTRAS), help="separated by commas; '' is the default installation"
+        "--extras",
+        default=",".join(EXTRAS),
+        help="extras, separated by commas; an empty name is the default installation",
     )
     extras = parser.parse_args().extras.split(",")
     with tempfile.TemporaryDirectory(prefix="seatrial-installation-") as name:
         folder = Path(name)
         wheel, versions = build_wheel(folder), locked_versions(folder)
         print(f"wheel {wheel.stat().st_size / MB:.1f} MB")
-        print("| installation | size, MB | of it twice, MB | import seatrial, s | seatrial --help, s | pip check |")
+        print("| installation | size, MB | duplicates, MB | import seatrial, s | seatrial --help, s | pip check |")
         print("|---|---|---|---|---|---|")
         for k, extra in enumerate(extras):
             found = measure(wheel, versions, extra, folder / f"environment-{k}")

@@ -1,6 +1,7 @@
-"""Recorder, reader and the acquisition process: what a message costs; and part of a day's log.
+"""Benchmarks of the recorder, the reader and the acquisition process, and of reading a part of a log of 24 h.
 
-`python -m benchmarks.logging FILE` reads ten minutes of one topic of a day's log (made where there is none).
+`python -m benchmarks.logging FILE` is a child process of the benchmark. It reads ten minutes of one topic of a log of
+24 h and prints the number of samples and its peak memory.
 """
 
 from __future__ import annotations
@@ -29,16 +30,17 @@ from seatrial.daq.rig import Rig
 from seatrial.daq.samples import NAN, Ahrs, Esc, Frame, Gnss, LoadCell, Sample, Scalar
 from tests.missions import T0, StandingClock, rig_of
 
-N_ROUNDS = 20_000
-SPEED, WALL_S = 20.0, 6.0
+N_ROUNDS = 20_000  # of the recorder
+SPEED, WALL_S = 20.0, 6.0  # run seconds per wall second of the mock boat; wall s of the measurement
 ROOT = Path(__file__).parents[1]
 DAY_S, CHUNK_S, TOPICS = 86_400, 0.25, ("surge", "sway", "heave", "yaw")
-FULL_HZ, THIN_HZ, FULL_FROM_S, FULL_TO_S = 1000, 20, 43_000, 44_200  # all chunks of a day; full in some minutes of it
+# The log has all chunks of a day, but the full rate only in the interval that is read and around it.
+FULL_HZ, THIN_HZ, FULL_FROM_S, FULL_TO_S = 1000, 20, 43_000, 44_200
 READ_FROM_S, READ_TO_S = 43_200, 43_800
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """All of them; ``seed`` draws the boat."""
+    """Yield the figures of all measurements. ``seed`` selects the mock boat."""
     with tempfile.TemporaryDirectory() as folder:
         yield from record_and_read(Path(folder))
         yield from read_part_of_a_day(ROOT / "build" / "day.mcap")
@@ -46,19 +48,23 @@ def figures(seed: int) -> Iterator[Figure]:
 
 
 def read_part_of_a_day(path: Path) -> Iterator[Figure]:
-    """Ten minutes of one topic of a log of 24 h, of four topics at 1 kHz, in a process of its own."""
+    """Yield time and memory to read ten minutes of one topic from a log of 24 h with four topics at 1 kHz.
+
+    The reader runs in a new process. The log is written if it does not exist.
+    """
     if not path.exists():
         write_day(path)
     done = child([sys.executable, "-m", "benchmarks.logging", str(path)], ROOT, os.environ)
-    group = f"a day of 4 x 1 kHz ({path.stat().st_size / 1e6:.0f} MB, thinned but for {FULL_TO_S - FULL_FROM_S} s)"
-    yield Figure(group, "opened, one topic, 10 min: wall", done.wall, "s", note="wanted: 2; with Python's start")
-    yield Figure(group, "opened, one topic, 10 min: CPU", done.cpu, "s")
-    yield Figure(group, "peak memory", done.report["peak_mb"], "MB", note="wanted: 200")
+    group = f"a day of 4 x 1 kHz ({path.stat().st_size / 1e6:.0f} MB, full rate only in {FULL_TO_S - FULL_FROM_S} s)"
+    note = "target: 2; includes the start of Python"
+    yield Figure(group, "open and read one topic, 10 min: wall", done.wall, "s", note=note)
+    yield Figure(group, "open and read one topic, 10 min: CPU", done.cpu, "s")
+    yield Figure(group, "peak memory", done.report["peak_mb"], "MB", note="target: 200")
     yield Figure(group, "samples", done.report["n"], "")
 
 
 def write_day(path: Path) -> None:
-    """A day's log with as many chunks as at 1 kHz; only some minutes have all their messages."""
+    """Write a log of 24 h with as many chunks as at 1 kHz, of which only some minutes have all messages."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".part.mcap")
     part.unlink(missing_ok=True)
@@ -79,7 +85,10 @@ def write_day(path: Path) -> None:
 
 
 def record_and_read(folder: Path) -> Iterator[Figure]:
-    """One sample each of AHRS, ESC and load cell a round, every tenth a GNSS fix."""
+    """Yield the CPU time of the recorder and of readers.
+
+    Each round records one sample of an AHRS, a speed controller and a load cell. Every tenth round adds a GNSS fix.
+    """
     path = folder / "speed.mcap"
     recorder = Recorder(path, rig=rig_of("boat"), clock=StandingClock())
     samples: list[tuple[str, Sample]] = [
@@ -103,14 +112,14 @@ def record_and_read(folder: Path) -> Iterator[Figure]:
     with open_log(path) as log:
         n_messages = sum(log.counts.values())
     group = "log"
-    yield Figure(group, "recorder", 1e6 * took / n, "us a sample")
-    yield Figure(group, "file", path.stat().st_size / n, "bytes a sample")
-    yield Figure(group, "recorder, a message", 1e6 * took / n_messages, "us")
+    yield Figure(group, "recorder", 1e6 * took / n, "us per sample")
+    yield Figure(group, "file", path.stat().st_size / n, "bytes per sample")
+    yield Figure(group, "recorder, per message", 1e6 * took / n_messages, "us")
     yield from read_all(path, n_messages)
 
 
 def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
-    """Every message of the log as numbers: our reader, mcap's own (bytes only) and rosbags', in one run."""
+    """Yield the rates of reading all messages: seatrial and rosbags (decoded), and the mcap library (bytes only)."""
     from mcap.reader import make_reader
     from rosbags.highlevel import AnyReader
 
@@ -134,12 +143,12 @@ def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
     yield Figure(
         "log", "reader, all tables", ours, "messages/s", n_read / (time.process_time() - began), "peer: rosbags"
     )
-    yield Figure("log", "reader, all tables", ours, "messages/s", mcap, "peer: mcap's own, undecoded")
+    yield Figure("log", "reader, all tables", ours, "messages/s", mcap, "peer: mcap, without decoding")
 
 
 @contextlib.contextmanager
 def mock_boat(folder: Path, seed: int) -> Iterator[Rig]:
-    """The mock boat at `SPEED` in a process of its own, and its rig."""
+    """Run the mock boat at `SPEED` in a new process and yield its rig."""
     write_demo_rig("boat", folder, SPEED)
     words = [sys.executable, "-m", "seatrial", "mock", "boat", "boat-rig.toml", "--seed", str(seed)]
     with subprocess.Popen(
@@ -156,7 +165,7 @@ def mock_boat(folder: Path, seed: int) -> Iterator[Rig]:
 
 
 def acquire(folder: Path, seed: int) -> Iterator[Figure]:
-    """The acquisition process on the mock boat at twenty times the speed of the world."""
+    """Yield the load of the acquisition process that records the mock boat at 20 times real time."""
     with (
         mock_boat(folder, seed) as rig,
         Acquisition(rig, folder / "acquired.mcap", clock=RunClock(SPEED)) as acquisition,
@@ -171,12 +180,12 @@ def acquire(folder: Path, seed: int) -> Iterator[Figure]:
     group = f"acquisition process, mock boat at speed {SPEED:g}"
     yield Figure(group, "samples", messages / took, "1/s wall")
     yield Figure(group, "CPU", 100 * cpu / took, "% of a core")
-    yield Figure(group, "CPU a sample", 1e6 * cpu / max(messages, 1), "us", note="reading, decoding, writing, status")
+    yield Figure(group, "CPU per sample", 1e6 * cpu / max(messages, 1), "us", note="reading, decoding, writing, status")
     yield Figure(group, "samples lost", float(sum(port.dropped for port in last.ports.values())), "")
 
 
 def cpu_of(pid: int) -> float:
-    """CPU seconds of another process so far; NaN where the system does not say."""
+    """Return the CPU time [s] of another process so far; NaN if the system does not report it."""
     with contextlib.suppress(OSError, AttributeError):
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
@@ -184,7 +193,7 @@ def cpu_of(pid: int) -> float:
 
 
 def main() -> None:
-    """Of a child: read, then say how much and at which peak of memory."""
+    """Read a part of a log in a child process. Print the number of samples and the peak memory as JSON."""
     with open_log(sys.argv[1]) as log:
         rows = log.table(Scalar, TOPICS[1], begin=log.start + READ_FROM_S, end=log.start + READ_TO_S)
     print(json.dumps({"n": len(rows), "peak_mb": peak_mb()}))

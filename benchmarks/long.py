@@ -1,6 +1,7 @@
-"""`seatrial ident vehicle` and `diagnose` of long and of many logs: CPU and peak memory, by how much there is.
+"""Benchmark of `seatrial ident vehicle` and `diagnose` with long logs and with many logs.
 
-The logs are those of a mock boat that lacks nothing, kept under build/; of every four one validates, of two the second.
+The figures are CPU time and peak memory. The logs are those of a mock boat without hidden effects, and are kept under
+build/. One of four logs is for validation; of two logs, the second one.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from benchmarks.measure import Figure, child, peak_mb
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT / "build" / "long-logs"
 MINUTE = 60.0
-# number of logs and length of each [s]; what is wanted of the diagnosis: CPU [s], memory [MB]
+# Number of logs, length of each log [s], and targets of the diagnosis: CPU time [s] and memory [MB]
 SIZES = (
     (2, 5 * MINUTE, None),
     (2, 20 * MINUTE, None),
@@ -31,11 +32,11 @@ SIZES = (
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """CPU and memory of both commands; a line of the diagnosis ends in what is wanted."""
-    for n, seconds, wanted in SIZES:
+    """Yield CPU time and peak memory of both commands, with the targets of the diagnosis as notes."""
+    for n, seconds, targets in SIZES:
         logs = [log(seed, run, seconds) for run in range(1, n + 1)]
         group = f"{n} logs of {seconds / MINUTE:.0f} min"
-        limits = ("", "") if wanted is None else tuple(f"wanted: {x:.0f}" for x in wanted)
+        limits = ("", "") if targets is None else tuple(f"target: {x:.0f}" for x in targets)
         with tempfile.TemporaryDirectory() as folder:
             for command, notes in (("vehicle", ("", "")), ("diagnose", limits)):
                 words = [sys.executable, "-m", "benchmarks.long", command, folder, *map(str, logs)]
@@ -45,7 +46,7 @@ def figures(seed: int) -> Iterator[Figure]:
 
 
 def log(seed: int, run: int, seconds: float) -> Path:
-    """The log of one mission of the seed's boat, made where it is not yet there."""
+    """Return the log of one mission of the boat of a seed. Simulate the mission if the log does not exist yet."""
     from tests.missions import boat_log, boat_with
 
     path = LOGS / f"boat{seed}-run{run}-{seconds:.0f}s.mcap"
@@ -57,18 +58,18 @@ def log(seed: int, run: int, seconds: float) -> Path:
 
 
 def main() -> None:
-    """The work of a child: one command on the logs given, then its peak memory."""
+    """Run one command of seatrial in a child process and print its peak memory as JSON."""
     from seatrial.command_line import main as seatrial
 
-    what, folder, *logs = sys.argv[1:]
+    command, folder, *logs = sys.argv[1:]
     n = max(1, len(logs) // 4)
-    words = ["ident", what, *([] if what == "vehicle" else [f"{folder}/vehicle/model.toml"]), *logs[:-n]]
-    words += [word for path in logs[-n:] for word in ("--validate", path)] + ["--out", f"{folder}/{what}"]
-    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.redirect_stdout(nowhere):
+    words = ["ident", command, *([] if command == "vehicle" else [f"{folder}/vehicle/model.toml"]), *logs[:-n]]
+    words += [word for path in logs[-n:] for word in ("--validate", path)] + ["--out", f"{folder}/{command}"]
+    with open(os.devnull, "w", encoding="utf-8") as null_device, contextlib.redirect_stdout(null_device):
         try:
             seatrial(words)
-        except SystemExit as left:
-            if left.code:
+        except SystemExit as end:
+            if end.code:
                 raise
     print(json.dumps({"peak_mb": peak_mb()}))
 

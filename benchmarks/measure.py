@@ -1,4 +1,4 @@
-"""How things are timed here, and what a result looks like."""
+"""Measurement of time and memory, and the table of figures."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Figure:
-    """One number of the table; ``peer``: what another program reached on the same data, where there is one."""
+    """One number of the table."""
 
-    group: str
+    group: str  # heading
     name: str
     value: float
     unit: str
-    peer: float | None = None
+    peer: float | None = None  # value of another program on the same data
     note: str = ""
 
 
 def best_ms(call: Callable[[], object], repeats: int = 10) -> float:
-    """The least time of a call, ms: what else the machine does only adds to it. The first call is not counted."""
+    """Return the shortest wall time of a call [ms]. The first call does not count.
+
+    The shortest time is the best estimate, since other programs only make a call longer.
+    """
     call()
     times = []
     for _ in range(repeats):
@@ -37,15 +40,30 @@ def best_ms(call: Callable[[], object], repeats: int = 10) -> float:
 
 @dataclass(frozen=True)
 class Child:
-    """What a process took: CPU [s], wall [s]; and what it reported, one line of JSON."""
+    """Time of a child process, and its report."""
 
-    cpu: float
-    wall: float
-    report: dict[str, float]
+    cpu: float  # s
+    wall: float  # s
+    report: dict[str, float]  # JSON that the process printed
 
 
 def child(words: Sequence[str], folder: Path, environment: Mapping[str, str]) -> Child:
-    """Run a process to its end and ask the system what it took. Raises CalledProcessError where it fails."""
+    """Run a process to its end and return its time and its report.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Command line.
+    folder : Path
+        Working folder.
+    environment : mapping of str to str
+        Environment variables.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        If the process fails.
+    """
     began = time.perf_counter()
     with subprocess.Popen(words, cwd=folder, env=dict(environment), stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -58,8 +76,8 @@ def child(words: Sequence[str], folder: Path, environment: Mapping[str, str]) ->
 
 
 def peak_mb() -> float:
-    """The largest resident memory of this process so far [MB]. Not getrusage's on Linux: that begins with what the
-    parent had."""
+    """Return the largest resident memory of this process so far [MB]."""
+    # On Linux the value of getrusage is not used, since it starts with the memory of the parent process.
     status = Path("/proc/self/status")
     if status.exists():
         lines = dict(line.split(":", 1) for line in status.read_text(encoding="ascii").splitlines() if ":" in line)
@@ -70,7 +88,7 @@ def peak_mb() -> float:
 
 
 def table(figures: list[Figure]) -> str:
-    """Lines for people, a heading a group."""
+    """Return the figures as lines of text, with a heading for each group."""
     lines, group = [], ""
     for f in figures:
         if f.group != group:
@@ -83,6 +101,7 @@ def table(figures: list[Figure]) -> str:
 
 
 def _number(value: float) -> str:
+    """Return a number as text. Large negative numbers are log-likelihoods and get four decimals."""
     if abs(value) < 10_000:
         return f"{value:.4g}"
-    return f"{value:.4f}" if value < 0 else f"{value:,.0f}"  # a likelihood to its last digit, a rate in round numbers
+    return f"{value:.4f}" if value < 0 else f"{value:,.0f}"

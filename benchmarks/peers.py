@@ -1,8 +1,8 @@
-"""The same likelihood as others would write it: a plain numpy filter, and a CasADi script with its own evaluation.
+"""Other implementations of the likelihood for the comparison: a numpy filter, and a CasADi script.
 
-All are written with care. The filter updates with the whole sample at once and has its Jacobians by hand, or by forward
-differences as a filter for any model must; the script maps one row over all of them (``mapaccum``) and takes the
-reverse gradient.
+The numpy filter updates with all outputs of a row at once. Its Jacobians are written by hand for this model, or are
+forward differences, as in a filter for arbitrary models. The CasADi script maps one row over all rows (``mapaccum``)
+and computes the gradient in reverse mode.
 """
 
 from __future__ import annotations
@@ -21,15 +21,22 @@ from seatrial.ident.engine.ekf_graph import EkfGraphs
 from seatrial.ident.model.structure import Model
 
 Array = NDArray[np.float64]
-SD0 = 0.01  # of all states at the start, as in benchmarks.sde
-H_OUT = np.zeros((4, 6))  # psi, r, x, y
+SD0 = 0.01  # initial standard deviation of all states, as in benchmarks.sde
+H_OUT = np.zeros((4, 6))  # output matrix: psi, r, x, y
 H_OUT[[0, 1, 2, 3], [2, 5, 0, 1]] = 1.0
 
 
 def numpy_value(p: dict[str, float], record: Record, *, by_hand: bool = True) -> float:
-    """ln L of the horizontal model in force and moment (``benchmarks.sde.model``), all sensors in every row.
+    """Return ln L of the horizontal model with force and moment as inputs (``benchmarks.sde.model``).
 
-    ``by_hand``: with this model's own Jacobians, else by differences of its rates and outputs.
+    Parameters
+    ----------
+    p : dict of str to float
+        Values of all parameters.
+    record : Record
+        Record whose rows have samples of all sensors.
+    by_hand : bool
+        Whether to use Jacobians written for this model instead of forward differences.
     """
     q = np.diag([0.0, 0.0, 0.0, p["s_u"] ** 2, p["s_v"] ** 2, p["s_r"] ** 2])
     R = np.diag([p["e_psi"] ** 2, p["e_r"] ** 2, p["e_xy"] ** 2, p["e_xy"] ** 2])
@@ -43,7 +50,7 @@ def numpy_value(p: dict[str, float], record: Record, *, by_hand: bool = True) ->
         K = np.linalg.solve(S, PH.T)
         ll -= 0.5 * (e @ np.linalg.solve(S, e) + math.log(np.linalg.det(S)) + 4 * math.log(2 * math.pi))
         x, P = x + K.T @ e, P - PH @ K
-        P = (P + P.T) / 2  # or rounding makes it indefinite within some hundred rows
+        P = (P + P.T) / 2  # without this, rounding makes P indefinite within a few hundred rows
         k1 = _rates(p, u, x)
         k2 = _rates(p, u, x + h / 2 * k1)
         x3 = x + h / 2 * k2
@@ -58,11 +65,13 @@ def numpy_value(p: dict[str, float], record: Record, *, by_hand: bool = True) ->
 
 
 def _differences(f: Callable[[Array], Array], x: Array) -> Array:
+    """Return the Jacobian of f at x by forward differences."""
     base, step = f(x), 1e-7
     return np.column_stack([(f(x + step * unit) - base) / step for unit in np.eye(x.size)])
 
 
 def _rates(p: dict[str, float], inputs: Array, s: Array) -> Array:
+    """Return the time derivative of the state (x, y, psi, u, v, r)."""
     _, _, psi, u, v, r = s.tolist()
     X, N = inputs.tolist()
     cos, sin = math.cos(psi), math.sin(psi)
@@ -79,6 +88,7 @@ def _rates(p: dict[str, float], inputs: Array, s: Array) -> Array:
 
 
 def _jacobian(p: dict[str, float], s: Array) -> Array:
+    """Return the Jacobian (6, 6) of `_rates` by the state."""
     _, _, psi, u, v, r = s.tolist()
     cos, sin = math.cos(psi), math.sin(psi)
     m_u, m_v, m_r = p["m_u"], p["m_v"], p["m_r"]
@@ -95,7 +105,7 @@ def _jacobian(p: dict[str, float], s: Array) -> Array:
 
 
 def casadi_gradient(model: Model, record: Record) -> Callable[[Array], tuple[float, Array]]:
-    """ln L and its gradient as a CasADi function of the parameters, run by CasADi's virtual machine."""
+    """Return a function that computes ln L and its gradient (n_parameters,) with the virtual machine of CasADi."""
     g, n = EkfGraphs(model), record.n_rows
     s, ll = g.s, ca.SX(0)
     for update in g.updates:

@@ -1,4 +1,7 @@
-"""Estimation: a horizontal model with process noise on 12,000 rows, simulated here and, where they are, by others."""
+"""Benchmark of the estimation of a horizontal model with process noise on 12,000 rows.
+
+The data are simulated by this file. A second data set, simulated by an independent program, is used if it is available.
+"""
 
 from __future__ import annotations
 
@@ -19,23 +22,30 @@ from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 
 Array = NDArray[np.float64]
-N_ROWS, H, SUBSTEPS = 12_000, 0.05, 20
+N_ROWS, H, SUBSTEPS = 12_000, 0.05, 20  # H [s]: time between rows; SUBSTEPS: integration steps per row
 DIFFUSION = 0.01  # m/s/sqrt(s), rad/s/sqrt(s)
 NOISE = {"psi": 0.01, "r": 0.005, "x": 0.05, "y": 0.05}
-# ctsmTMB 1.1.1 on data/sde_bench/horizontal.csv, other processor: ms, ms, s of the optimiser, s cold, optimum
+# ctsmTMB 1.1.1 on data/sde_bench/horizontal.csv, on another processor: likelihood [ms], likelihood with gradient [ms],
+# optimiser [s], process with compilation [s], and the optimum of -ln L
 PEER = {"value": 93.0, "gradient": 288.0, "estimate": 58.0, "cold": 197.0, "optimum": -119375.3959}
 NAMES = {"value": "likelihood", "gradient": "likelihood and gradient", "scores": "likelihood, gradient, information"}
-START = {"m_u": 60.0, "d_v": 30.0}  # away from the optimum
+START = {"m_u": 60.0, "d_v": 30.0}  # initial values of the fit, far from the optimum
 
 
 def model() -> Model:
-    """Start known, current off, inputs held over a row; 15 free parameters."""
+    """Return the horizontal model without current, with a known initial state and inputs that are constant in a row.
+
+    The model has 15 free parameters.
+    """
     base = horizontal_model("general", ("attitude", "gyro", "position"), current=False, hold="zero")
     return replace(base, states=tuple(replace(s, from_output="", x0=0.0, sd0=0.01) for s in base.states))
 
 
 def simulated(seed: int) -> Record:
-    """Thesis Table 1 by Euler-Maruyama, random steps of force and moment."""
+    """Simulate a record by Euler-Maruyama, with the parameters of table 1 of the thesis.
+
+    Force and moment are random steps.
+    """
     rng = np.random.default_rng(seed)
     p = model().values
     X = np.repeat(rng.uniform(-20.0, 60.0, N_ROWS // 100), 100)
@@ -54,7 +64,10 @@ def simulated(seed: int) -> Record:
 
 
 def rates(p: dict[str, float], s: Array, X: float, N: float) -> Array:
-    """Equations of motion written out once more, so that the model is not its own witness."""
+    """Return the time derivative of the state (x, y, psi, u, v, r).
+
+    The equations are written independently of the model, so that an error in the model can be detected.
+    """
     _, _, psi, u, v, r = s.tolist()
     cos, sin = np.cos(psi), np.sin(psi)
     return np.array(
@@ -70,7 +83,10 @@ def rates(p: dict[str, float], s: Array, X: float, N: float) -> Array:
 
 
 def measured() -> Record | None:
-    """sde_bench, simulated by an independent program; None where SEATRIAL_DATA does not say where it is."""
+    """Return the record of the data set sde_bench, which was simulated by an independent program.
+
+    None is returned if the folder in the environment variable SEATRIAL_DATA does not contain the data set.
+    """
     path = Path(os.environ.get("SEATRIAL_DATA", "")) / "sde_bench" / "horizontal.csv"
     if not os.environ.get("SEATRIAL_DATA") or not path.is_file():
         return None
@@ -80,7 +96,7 @@ def measured() -> Record | None:
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """Times of one evaluation and of an estimate, and the optimum; the peer's beside it."""
+    """Yield the times of one evaluation and of an estimate, and the optimum, with those of ctsmTMB as the peer."""
     for record, peer in ((simulated(seed), {}), (measured(), PEER)):
         if record is None:
             continue
@@ -90,16 +106,16 @@ def figures(seed: int) -> Iterator[Figure]:
         for name in ("value", "gradient", "scores"):
             took = best_ms(partial(getattr(likelihood, name), record, values))
             yield Figure(group, NAMES[name], took, "ms", peer.get(name))
-        found = fit(model(), [record], start=START)  # compiles what is not at hand
+        found = fit(model(), [record], start=START)  # compiles missing kernels
         found = fit(model(), [record], start=START)
-        yield Figure(group, "estimate, kernels at hand", found.cpu_seconds, "s CPU", peer.get("estimate"))
+        yield Figure(group, "estimate, kernels compiled before", found.cpu_seconds, "s CPU", peer.get("estimate"))
         yield Figure(group, "-ln L at the optimum", -found.log_likelihood, "", peer.get("optimum"))
         if record.name == "simulated":
-            yield Figure(group, "farthest parameter from the truth", farthest(found), "std. errors")
+            yield Figure(group, "largest parameter error", largest_error(found), "std. errors")
 
 
-def farthest(found: Fit) -> float:
-    """Of the masses and dampings that have a standard error."""
-    known = {n: v for n, v in model().values.items() if n[:2] in ("m_", "d_")}
-    errors = {n: found.estimate(n) for n in known}
-    return max(abs(value - known[n]) / error for n, (value, error) in errors.items() if np.isfinite(error))
+def largest_error(found: Fit) -> float:
+    """Return the largest error of masses and damping, in standard errors. Estimates without one are skipped."""
+    truth = {n: v for n, v in model().values.items() if n[:2] in ("m_", "d_")}
+    estimates = {n: found.estimate(n) for n in truth}
+    return max(abs(value - truth[n]) / error for n, (value, error) in estimates.items() if np.isfinite(error))

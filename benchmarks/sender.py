@@ -1,10 +1,12 @@
-"""Devices that send on ptys as a UART does: on time, and what nobody reads is lost.
+"""Simulated devices that send on ptys like a UART: on time, and unread bytes are lost.
 
-A pty holds 4 kB; the kernel holds 64 kB and more of a real port, so as much waits here before anything is lost.
+The kernel buffers 64 kB or more for a real port, but a pty buffers only 4 kB. This program therefore buffers 64 kB for
+each port before messages are lost.
 
-`python -m benchmarks.sender FOLDER DEVICES RATE SECONDS`: links FOLDER/d0, d1, ...; says `ready`, waits for a line,
-sends VectorNav messages whose device time is the clock of `RunClock` from zero and whose roll rate is their number,
-then says in a line of JSON how many went out, how many the line did not take, and how late it was itself.
+`python -m benchmarks.sender FOLDER DEVICES RATE SECONDS` creates the links FOLDER/d0, d1, ..., prints `ready` and waits
+for a line on stdin. It then sends VectorNav messages. The device time of a message is the time of `RunClock`, and its
+roll rate is its number. At the end the program prints a line of JSON: the number of sent messages, the number of
+messages that the port refused, and the largest delay of the sender [s].
 """
 
 from __future__ import annotations
@@ -22,12 +24,13 @@ from seatrial.daq.protocol import vectornav
 from seatrial.daq.samples import Ahrs
 
 TICK_S = 1e-3
-HELD_BYTES = 65536
-CLOCK = RunClock(origin=(0.0, 0.0))  # raw: time servers slew the monotonic clock away from it, by 0.14 s in a day
+HELD_BYTES = 65536  # buffer of each port
+# The raw clock of the system. The monotonic clock is adjusted by time servers and differs from it by 0.14 s in a day.
+CLOCK = RunClock(origin=(0.0, 0.0))
 
 
 def main() -> None:
-    """Serve, send, report."""
+    """Open the ports, send the messages, and print the report."""
     folder, n_devices, rate, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4])
     pairs = [os.openpty() for _ in range(n_devices)]
     for k, (master, slave) in enumerate(pairs):
@@ -60,6 +63,7 @@ def main() -> None:
 
 
 def _queue(waiting: bytearray, number: int) -> bool:
+    """Add a message to the buffer of a port. Return False if the buffer is full and the message is lost."""
     if len(waiting) > HELD_BYTES:
         return False
     sample = Ahrs(0.0, 0.0, 0.0, float(number), 0.0, 0.0, 0.0, 0.0, -9.8)
@@ -68,6 +72,7 @@ def _queue(waiting: bytearray, number: int) -> bool:
 
 
 def _send(master: int, waiting: bytearray) -> None:
+    """Write buffered bytes to a pty until it accepts no more."""
     with contextlib.suppress(BlockingIOError):
         while waiting:
             del waiting[: os.write(master, waiting)]

@@ -1,5 +1,7 @@
-"""Likelihood with gradient beside a plain numpy filter and CasADi's own evaluation, in one run; what a large model
-takes to compile, and what a process takes from its start to a result."""
+"""Benchmark of the likelihood with its gradient, compared with a numpy filter and with the evaluation by CasADi.
+
+It also measures the compile time of a large model, and the time and memory of a process from its start to a result.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +28,17 @@ ROOT = Path(__file__).parents[1]
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """The ratios, then compile time, CPU and memory."""
+    """Yield the comparison of the likelihoods, then the figures of whole processes."""
     record = measured() or simulated(seed)
     yield from ratios(record)
     yield from processes(record)
 
 
 def ratios(record: Record) -> Iterator[Figure]:
-    """CPU of one likelihood with gradient by all 15 parameters; who is compared computes the same numbers."""
+    """Yield the CPU time of one likelihood with its gradient by all 15 parameters, for all programs.
+
+    The last figures check that all programs compute the same values.
+    """
     from benchmarks.peers import casadi_gradient, numpy_value
 
     group = f"likelihood with gradient, {record.name}: {N_ROWS} rows, 6 states, 15 parameters, one thread"
@@ -42,34 +47,47 @@ def ratios(record: Record) -> Iterator[Figure]:
     value, gradient = likelihood.gradient(record, values)
     peer = casadi_gradient(model(), record)
     by_casadi, slopes = peer(values)
-    given = dict(zip(names, values.tolist(), strict=True))
-    by_numpy = numpy_value(given, record)
+    parameters = dict(zip(names, values.tolist(), strict=True))
+    by_numpy = numpy_value(parameters, record)
     works = {
         "ours": (lambda: likelihood.gradient(record, values), 50),
         "casadi": (lambda: peer(values), 2),
-        "by differences": (lambda: numpy_value(given, record, by_hand=False), 1),
-        "by hand": (lambda: numpy_value(given, record), 1),
+        "by differences": (lambda: numpy_value(parameters, record, by_hand=False), 1),
+        "by hand": (lambda: numpy_value(parameters, record), 1),
     }
-    ms = least(works, rounds=5)
-    # where machine code comes to lie is chance, and in one process of thirty a kernel takes twice as long
-    ours, casadi_ms = min(ms["ours"], *in_processes_of_their_own(record, 3)), ms["casadi"]
-    yield Figure(group, "this engine", ours, "ms CPU", note="the least of four processes")
-    yield Figure(group, "CasADi's own evaluation", casadi_ms, "ms CPU", note="reverse gradient of mapped rows")
-    yield Figure(group, "faster than CasADi", casadi_ms / ours, "times", note="wanted: 50")
-    n = 1 + len(names)  # forward differences: the likelihood once, and once more for each parameter
-    for how in ("by differences", "by hand"):
-        note = f"{n} likelihoods of {ms[how]:,.0f} ms, the least of five"
-        yield Figure(group, f"numpy, Jacobians {how}", n * ms[how], "ms CPU", note=note)
-        wanted = "wanted: 4000" if how == "by differences" else ""
-        yield Figure(group, "faster than that", n * ms[how] / ours, "times", note=wanted)
-    apart = max(abs(by_numpy - value), abs(by_casadi - value))
-    yield Figure(group, "values apart", apart, "", note=f"of {value:.4f}")
-    yield Figure(group, "gradients apart", float(np.abs(slopes - gradient).max() / np.abs(gradient).max()), "relative")
+    ms = shortest_ms(works, rounds=5)
+    # The position of machine code in memory is random. In about one of 30 processes a kernel takes twice as long.
+    ours, casadi_ms = min(ms["ours"], *in_other_processes(record, 3)), ms["casadi"]
+    yield Figure(group, "this engine", ours, "ms CPU", note="shortest of four processes")
+    yield Figure(group, "evaluation by CasADi", casadi_ms, "ms CPU", note="reverse gradient of mapped rows")
+    yield Figure(group, "CasADi over this engine", casadi_ms / ours, "times", note="target: 50")
+    n = 1 + len(names)  # forward differences need one likelihood, and one more for each parameter
+    for method in ("by differences", "by hand"):
+        note = f"{n} likelihoods of {ms[method]:,.0f} ms, shortest of five"
+        yield Figure(group, f"numpy, Jacobians {method}", n * ms[method], "ms CPU", note=note)
+        target = "target: 4000" if method == "by differences" else ""
+        yield Figure(group, "numpy over this engine", n * ms[method] / ours, "times", note=target)
+    difference = max(abs(by_numpy - value), abs(by_casadi - value))
+    yield Figure(group, "difference of the values", difference, "", note=f"of {value:.4f}")
+    relative = float(np.abs(slopes - gradient).max() / np.abs(gradient).max())
+    yield Figure(group, "difference of the gradients", relative, "relative")
 
 
-def least(works: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, float]:
-    """CPU time of each in ms, the least of all: what else the machine does does not count. Each is done so many times
-    in every round, so that none has the machine's slower minutes to itself."""
+def shortest_ms(works: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, float]:
+    """Return the shortest CPU time [ms] of each function.
+
+    Parameters
+    ----------
+    works : mapping of str to (callable, int)
+        Functions, and the number of calls of each in every round.
+    rounds : int
+        Number of rounds.
+
+    Notes
+    -----
+    Other programs only make a call longer, so the shortest time is the best estimate. The functions alternate in
+    rounds, so that a slow phase of the machine affects all of them.
+    """
     best = dict.fromkeys(works, np.inf)
     for _ in range(rounds):
         for name, (work, repeats) in works.items():
@@ -80,8 +98,8 @@ def least(works: Mapping[str, tuple[Callable[[], object], int]], rounds: int) ->
     return best
 
 
-def in_processes_of_their_own(record: Record, n: int) -> Iterator[float]:
-    """CPU time of a likelihood with gradient in ms, the least in each of n processes."""
+def in_other_processes(record: Record, n: int) -> Iterator[float]:
+    """Yield the shortest CPU time [ms] of a likelihood with its gradient, in each of n new processes."""
     with tempfile.TemporaryDirectory() as folder:
         file = saved(record, Path(folder))
         for _ in range(n):
@@ -90,20 +108,23 @@ def in_processes_of_their_own(record: Record, n: int) -> Iterator[float]:
 
 
 def saved(record: Record, folder: Path) -> Path:
-    """For a child to read."""
+    """Write a record to a file for a child process and return its path."""
     file = folder / "record.npz"
     np.savez(file, t=record.t, u=record.u, y=record.y)
     return file
 
 
 def large() -> Model:
-    """13 states, 27 parameters: the plane with current, disturbance forces and sensor offsets."""
+    """Return a large model: horizontal plane with current, disturbance forces and sensor offsets.
+
+    It has 13 states and 27 parameters.
+    """
     full = with_disturbances(horizontal_model("shaft"))
     return full.with_free(full.values)
 
 
 def processes(record: Record) -> Iterator[Figure]:
-    """Each in a process of its own, with an empty cache of kernels and then with a full one."""
+    """Yield CPU time and memory of new processes, with an empty cache of kernels ("cold") and a full one ("warm")."""
     with tempfile.TemporaryDirectory() as folder:
         file = saved(record, Path(folder))
         for work, group in (
@@ -119,25 +140,28 @@ def processes(record: Record) -> Iterator[Figure]:
                 yield Figure(group, f"{name}: CPU", best.cpu, "s CPU", peer)
                 yield Figure(group, f"{name}: peak memory", best.report["peak_mb"], "MB")
                 if work == "compile" and name == "cold":
-                    yield Figure(group, "of it to compile", best.report["compile"], "s CPU", note="wanted: 3")
+                    yield Figure(group, "CPU until the first scores", best.report["compile"], "s CPU", note="target: 3")
 
 
 def main() -> None:
-    """The work of a child: estimate, time a gradient, or compile and evaluate once; prints what only it can know."""
+    """Run the work of a child process and print its figures as JSON.
+
+    The work is an estimate, the timing of a gradient, or the compilation and first evaluation of the large model.
+    """
     work, file = sys.argv[1:]
-    began, given = time.process_time(), np.load(file)
-    own = Record("given", given["t"], given["u"], given["u"], given["y"], ("X", "N"), tuple(NOISE))
+    began, data = time.process_time(), np.load(file)
+    record = Record("given", data["t"], data["u"], data["u"], data["y"], ("X", "N"), tuple(NOISE))
     if work == "estimate":
-        found: dict[str, float] = {"optimum": fit(model(), [own], start=START).log_likelihood}
+        found: dict[str, float] = {"optimum": fit(model(), [record], start=START).log_likelihood}
     elif work == "gradient":
         likelihood, values = Likelihood(model()), np.array(list(model().values.values()))
-        found = least({"ms": (lambda: likelihood.gradient(own, values), 100)}, rounds=1)
+        found = shortest_ms({"ms": (lambda: likelihood.gradient(record, values), 100)}, rounds=1)
     else:
         full, n = large(), 50
         names = tuple(i.name for i in full.inputs), tuple(o.name for o in full.outputs)
         u, y = np.zeros((n, 2)), np.zeros((n, len(names[1])))
-        few = Record("few", np.linspace(0.0, 5.0, n), u, u, y, names[0], names[1])
-        Likelihood(full).scores(few, np.array(list(full.values.values())))
+        short_record = Record("few", np.linspace(0.0, 5.0, n), u, u, y, names[0], names[1])
+        Likelihood(full).scores(short_record, np.array(list(full.values.values())))
         found = {"compile": time.process_time() - began}
     print(json.dumps(found | {"peak_mb": peak_mb()}))
 

@@ -1,1 +1,1 @@
-"""Pretend: a simulated boat and a simulated bench behind real ports."""
+"""Simulated boat and simulated bench, whose emulated devices are served at real ports."""

@@ -1,4 +1,4 @@
-"""`seatrial mock boat RIG` and `seatrial mock bench RIG`: simulated devices at the ports of a rig."""
+"""Commands `seatrial mock boat RIG` and `seatrial mock bench RIG`: simulated devices at the ports of a rig."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from seatrial.mocks.server import Server
 from seatrial.mocks.truth_file import ground_truth, write_truth
 from seatrial.mocks.world import DeviceSpecs, EscSpec, World, bench_world, boat_world
 
-GPS_HZ, ESC_HZ = 5.0, 10.0  # of an autopilot
-RPM_MAX = 4500.0  # of a thruster whose rig does not say
-LATE = 0.1  # wall s of lag from which the last line is a warning
+GPS_HZ, ESC_HZ = 5.0, 10.0  # rates of the GNSS receiver and of the speed controllers behind an autopilot
+RPM_MAX = 4500.0  # rev/min; full speed of a thruster without rpm_max in the rig
+LAG_WARNING_S = 0.1  # wall s; for a longer lag the last line is a warning
 _FAULT_HELP = "; ".join(f"{name}: {kind.text}" for name, kind in KINDS.items())
 
 Command = Callable[..., None]
 
 
 def _no_follow(path: str, flags: int) -> int:
-    """Open an output, but no file that a symbolic link in its place leads to."""
+    """Open an output file. Fail if the path is a symbolic link, so that the link's target is not overwritten."""
     return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
 def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
-    """The options of both commands; ``effects`` are the names that --effect knows."""
+    """Return the decorator that adds the options of both commands; ``effects`` are the names that --effect accepts."""
     choice = click.Choice(["none", "draw", *effects])
 
     def decorate(command: Command) -> Command:
@@ -52,16 +52,18 @@ def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
                 click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True,
                              help="Seed of parameters, current and effect."),
                 click.option("--run", type=click.IntRange(min=0), default=0, show_default=True,
-                             help="Number of the run: the same boat, other noise."),
+                             help="Number of the run: the same boat with other noise."),
                 click.option("--effect", type=choice, default="none", show_default=True, metavar="NAME",
-                             help=f"none, draw (the seed draws) or one of {', '.join(effects)}."),
+                             help=f"none, draw (chosen at random by the seed) or one of {', '.join(effects)}."),
                 click.option("--truth-file", "truth_file", type=click.Path(path_type=Path), metavar="FILE",
-                             help="Write the hidden effect and the true parameters there; they are printed nowhere."),
+                             help="Write the hidden effect and the true parameters to FILE. They are never printed."),
                 click.option("--trace", type=click.Path(path_type=Path), metavar="FILE",
-                             help="Write a JSON line for every change of a thruster's effective command."),
+                             help="Write one JSON line to FILE for each change of a thruster's effective command."),
                 click.option("--fault", "faults", multiple=True, metavar="NAME[/TARGET]@T[:SECONDS]",
-                             help=f"T: run seconds after the mock's start, or usr1: at that signal. {_FAULT_HELP}."),
-                click.option("--ascii", "ascii_", is_flag=True, help="The AHRS sends $VNYMR instead of binary."),
+                             help="Inject a fault. T: run seconds after the start of the mock, or usr1: when the mock "
+                             f"receives the signal SIGUSR1. {_FAULT_HELP}."),
+                click.option("--ascii", "ascii_", is_flag=True,
+                             help="Let the AHRS send $VNYMR sentences instead of binary messages."),
             )
         ):  # fmt: skip
             command = option(command)
@@ -72,7 +74,7 @@ def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
 
 @click.group()
 def mock() -> None:
-    """Mock devices for a rig, until Ctrl-C: a boat or a bench behind real ports.
+    """Serve the devices of a simulated boat or bench at the ports of a rig, until Ctrl-C.
 
     \b
     Example: seatrial mock boat boat.toml --seed 7 --effect draw --truth-file truth.json
@@ -82,9 +84,9 @@ def mock() -> None:
 @mock.command(short_help="A simulated boat with two thrusters.")
 @_options([*catalogue.EFFECTS, *catalogue.OUTSIDE])
 def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
-    """A simulated boat with two thrusters at the ports of RIG.
+    """Serve a simulated boat with two thrusters at the ports of RIG.
 
-    Prints `ready` when all ports are there.
+    Prints `ready` when all ports are open.
 
     \b
     Example: seatrial mock boat boat.toml --seed 7 --effect wind --fault pull/gnss@60:5
@@ -92,18 +94,18 @@ def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, *
     loaded = load_rig(rig)
     name = catalogue.draw_name(seed) if effect == "draw" else effect
     effects = [] if name == "none" else [catalogue.make_effect(name, seed)]
-    plant = draw_boat(seed, effects, draw_thruster(seed))  # the thruster that the bench of this seed has
+    plant = draw_boat(seed, effects, draw_thruster(seed))  # the same thruster as on the bench of this seed
     utc = float(round(time.time()))
-    world = boat_world(plant, run, _gear(loaded, by_side(loaded)), utc=utc)
+    world = boat_world(plant, run, _device_specs(loaded, by_side(loaded)), utc=utc)
     _serve(loaded, plant, world, run, truth_file, **how)
 
 
 @mock.command(short_help="A simulated thruster on a load cell.")
 @_options(list(bench_plant.EFFECTS))
 def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
-    """A simulated bench, one thruster on a load cell, at the ports of RIG.
+    """Serve a simulated bench, one thruster on a load cell, at the ports of RIG.
 
-    Prints `ready` when all ports are there.
+    Prints `ready` when all ports are open.
 
     \b
     Example: seatrial mock bench bench.toml --seed 7 --effect rod-flex
@@ -113,21 +115,25 @@ def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, 
         raise SeatrialError(f"{rig}: a mock bench has one thruster; this rig has {len(loaded.thrusters)}")
     name = bench_plant.draw_name(seed) if effect == "draw" else effect
     plant = draw_bench(seed, bench_plant.NONE if name == "none" else bench_plant.make_effect(name, seed))
-    world = bench_world(plant, run, _gear(loaded, loaded.thrusters), utc=float(round(time.time())))
+    world = bench_world(plant, run, _device_specs(loaded, loaded.thrusters), utc=float(round(time.time())))
     _serve(loaded, plant, world, run, truth_file, **how)
 
 
-def _gear(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
-    """The devices of a rig as a world wants them; the rate of a bus is shared by its controllers."""
+def _device_specs(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
+    """Return the specifications of the rig's devices.
+
+    The controllers of one bus share its rate. An autopilot has an AHRS, a GNSS receiver and speed controllers.
+    """
     rates: dict[str, dict[str, float]] = {"vectornav": {}, "nmea": {}}
     cells, escs = [], []
     for device in rig.devices:
         if device.protocol in rates:
             rates[device.protocol][device.name] = device.rate_hz
         elif device.protocol == "loadcell":
-            of = device.calibration or LoadCellCalibration(0.001)
-            gain, top = of.newton_per_count * of.lever_ratio, device.saturation or 8388607.0
-            cells.append(CellSpec(device.name, device.rate_hz, gain, of.zero_counts, top))
+            calibration = device.calibration or LoadCellCalibration(0.001)
+            # The default is the full scale of a converter with 24 bits.
+            gain, saturation = calibration.newton_per_count * calibration.lever_ratio, device.saturation or 8388607.0
+            cells.append(CellSpec(device.name, device.rate_hz, gain, calibration.zero_counts, saturation))
         elif device.protocol == "mavlink":
             rates["vectornav"][device.name], rates["nmea"][device.name] = LOOP_HZ, GPS_HZ
     for t in thrusters:
@@ -148,14 +154,14 @@ def _serve(
     faults: Sequence[str],
     ascii_: bool,
 ) -> None:
-    """Open the ports, say so, and serve until a signal comes."""
+    """Open the ports, print `ready`, and serve until Ctrl-C or SIGTERM. Write the ground-truth file before `ready`."""
     names, thrusters = [d.name for d in rig.devices], [t.name for t in rig.thrusters]
     schedule = Faults([parse_fault(text, names, thrusters) for text in faults], random_stream(plant.seed, FAULT, run))
     with contextlib.ExitStack() as stack:
-        speakers = {}
+        emulators = {}
         for device in rig.devices:
             controllers = {c.spec.node: c for c in world.controllers if c.spec.device == device.name}
-            speakers[device.name] = make_emulator(rig, device, controllers, ascii_)
+            emulators[device.name] = make_emulator(rig, device, controllers, ascii_)
         ports: dict[str, PtyPort | NetPort] = {}
         for device in rig.devices:
             ports[device.name] = _port(device.port)
@@ -163,7 +169,7 @@ def _serve(
         if truth_file is not None:
             write_truth(truth_file, ground_truth(plant, run))
         file = stack.enter_context(open(trace, "w", encoding="utf-8", opener=_no_follow)) if trace is not None else None
-        server = Server(world, speakers, ports, rig.speed, schedule, file)
+        server = Server(world, emulators, ports, rig.speed, schedule, file)
         stack.enter_context(_signals(server))
         click.echo("ready")
         sys.stdout.flush()
@@ -172,6 +178,7 @@ def _serve(
 
 
 def _port(port: str) -> PtyPort | NetPort:
+    """Open the mock's end of a rig's port: a socket for `udp:` and `tcp:` addresses, else a pty."""
     if port.partition(":")[0] in ("udp", "udpin", "udpout", "tcp"):
         return NetPort(port)
     return PtyPort(Path(port.removeprefix("slcan:")))
@@ -179,7 +186,7 @@ def _port(port: str) -> PtyPort | NetPort:
 
 @contextlib.contextmanager
 def _signals(server: Server) -> Iterator[None]:
-    """Ctrl-C and SIGTERM stop the server, SIGUSR1 triggers the faults that wait for it."""
+    """Stop the server on Ctrl-C and SIGTERM, and trigger the faults with the time `usr1` on SIGUSR1."""
 
     def stop(number: int, frame: object) -> None:
         server.stopping = True
@@ -187,17 +194,20 @@ def _signals(server: Server) -> Iterator[None]:
     def trigger(number: int, frame: object) -> None:
         server.triggered = True
 
-    wanted = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: trigger}
-    before = {number: signal.signal(number, handler) for number, handler in wanted.items()}
+    handlers = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: trigger}
+    previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
 def _report(server: Server) -> None:
-    """One line on how well the mock kept up with the wall clock."""
-    word = "FELL BEHIND the wall clock by up to" if server.max_lag > LATE else "samples left at most"
-    late = f"{1e3 * server.max_lag:.1f} ms"
-    click.echo(f"mock: {server.t:.1f} s of run time, {word} {late}{'' if server.max_lag > LATE else ' late'}", err=True)
+    """Print one line with the run time and the largest delay of a sample against the wall clock."""
+    lag = f"{1e3 * server.max_lag:.1f} ms"
+    if server.max_lag > LAG_WARNING_S:
+        message = f"FELL BEHIND the wall clock by up to {lag}"
+    else:
+        message = f"samples left at most {lag} late"
+    click.echo(f"mock: {server.t:.1f} s of run time, {message}", err=True)

@@ -1,4 +1,7 @@
-"""The same plants and sensors without ports and clocks, as fast as they run: for studies and tests."""
+"""Simulation of the mock boat and bench without ports and clocks, for studies and tests.
+
+The simulation uses the same plants and sensors as the mocks at the ports and runs as fast as possible.
+"""
 
 from __future__ import annotations
 
@@ -22,16 +25,24 @@ BOAT = DeviceSpecs(
     tuple(EscSpec("esc", k, 25.0, name=side) for k, side in ((1, "left"), (2, "right"))),
 )
 BENCH = DeviceSpecs({}, {}, (CellSpec("loadcell", 80.0),), (EscSpec("esc", 1, 50.0),))
-TRUTH_HZ = 10.0
+TRUTH_HZ = 10.0  # rate of the recorded true states
 
 Truth = dict[str, NDArray[np.float64]]
 
 
 class Recording(NamedTuple):
-    """Readings in the order of time, and what was true meanwhile (at TRUTH_HZ, SI)."""
+    """Result of a simulation: the readings of the devices and the true states.
 
-    readings: list[Reading]  # devices "ahrs", "gnss", "esc", "loadcell"
-    truth: Truth  # boat: t, x, y, psi, u, v, r, n_left, n_right; bench: t, n, thrust
+    Attributes
+    ----------
+    readings : list of Reading
+        Samples and commands in the order of time. The default devices are "ahrs", "gnss", "esc" and "loadcell".
+    truth : dict of arrays (n_samples,)
+        True states at TRUTH_HZ (SI). Boat: t, x, y, psi, u, v, r, n_left, n_right. Bench: t, n, thrust.
+    """
+
+    readings: list[Reading]
+    truth: Truth
 
 
 def simulate(
@@ -45,11 +56,36 @@ def simulate(
     gear: DeviceSpecs = BOAT,
     faults: Faults | None = None,
 ) -> Recording:
-    """Run a boat through commands ``t`` (k,) s, ``n`` (k, 2) left and right, for ``duration`` s.
+    """Simulate a boat under given commands. The GNSS time starts at 0.
 
-    A command holds until the next. ``run`` names the noise: the same boat with another run is a second mission.
-    ``gear``: what is on board and how it is wired; ``faults``: those of devices and controllers. GNSS time starts
-    at 0. Raises ValueError for commands of the wrong shape.
+    Parameters
+    ----------
+    boat : Boat
+        Parameters and hidden effects of the boat.
+    t : Array (n_commands,)
+        Times of the commands [s]. Each command holds until the next one.
+    n : Array (n_commands, 2)
+        Commands of the left and the right thruster (-1 to 1).
+    duration : float
+        Duration of the simulation [s].
+    run : int
+        Number of the run. The same boat with another number is a second mission with other noise.
+    disturbed : bool
+        Whether random disturbance forces act.
+    gear : DeviceSpecs
+        Devices of the boat.
+    faults : Faults, optional
+        Faults of devices and speed controllers.
+
+    Returns
+    -------
+    Recording
+        Readings and true states.
+
+    Raises
+    ------
+    ValueError
+        If the commands have the wrong shape or their times decrease.
     """
     world = boat_world(boat, run, gear, utc=0.0, disturbed=disturbed)
     plant = world.plant
@@ -63,7 +99,10 @@ def simulate(
 def simulate_bench(
     bench: Bench, t: ArrayLike, n: ArrayLike, duration: float, run: int = 0, *, disturbed: bool = True
 ) -> Recording:
-    """Run the bench through commands ``t`` (k,) s, ``n`` (k,) or (k, 1), for ``duration`` s; else as ``simulate``."""
+    """Simulate a bench under given commands.
+
+    The parameters are those of `simulate`, except for the shape of ``n``, which is (n_commands,) or (n_commands, 1).
+    """
     world = bench_world(bench, run, BENCH, disturbed=disturbed)
     plant = world.plant
     assert isinstance(plant, BenchPlant)
@@ -79,7 +118,7 @@ def _run(
     truth: Callable[[], tuple[float, ...]],
     faults: Faults | None = None,
 ) -> tuple[list[Reading], list[tuple[float, ...]]]:
-    """Step the world through the commands; the readings and the rows of truth."""
+    """Simulate a world under given commands. Return the readings and the rows of true states."""
     schedule = _schedule(t, n, len(world.controllers))
     step = world.plant.step_s
     every = round(1.0 / (TRUTH_HZ * step))
@@ -88,14 +127,14 @@ def _run(
     position = 0
     for k in range(round(duration / step) + 1):
         if faults is not None:
-            _kill(world, faults)
+            _fail_controllers(world, faults)
         while position < len(schedule) and schedule[position][0] < (k + 1) * step:
             t_cmd, row = schedule[position]
             position += 1
             for controller, value in zip(world.controllers, row, strict=True):
                 controller.command(t_cmd, value)
                 readings.append(Reading(controller.spec.device, Command(controller.spec.node, value), t_cmd))
-        readings += world.readings() if faults is None else _spoilt(world.readings(), faults)
+        readings += world.readings() if faults is None else _with_faults(world.readings(), faults)
         if k % every == 0:
             rows.append(truth())
         world.advance()
@@ -103,18 +142,21 @@ def _run(
     return readings, rows
 
 
-def _kill(world: World, faults: Faults) -> None:
+def _fail_controllers(world: World, faults: Faults) -> None:
+    """Let the controllers fail for which a fault `esc-dead` is active."""
     for controller in world.controllers:
         if not controller.dead and faults.active("esc-dead", controller.spec.name, world.t):
             controller.die(world.t)
 
 
-def _spoilt(readings: Sequence[Reading], faults: Faults) -> list[Reading]:
+def _with_faults(readings: Sequence[Reading], faults: Faults) -> list[Reading]:
+    """Return the readings after the active faults, without those that a fault suppresses."""
     sent = [(r, faults.reading(r.device, r.sample, r.t)) for r in readings]
     return [Reading(r.device, sample, r.t) for r, sample in sent if sample is not None]
 
 
 def _schedule(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[float, list[float]]]:
+    """Return each command as its time [s] and one value for each thruster. Check shapes and times."""
     times, values = np.asarray(t, dtype=float), np.asarray(n, dtype=float)
     if values.ndim == 1 and thrusters == 1:
         values = values[:, None]
@@ -131,9 +173,13 @@ def _columns(names: Sequence[str], rows: Sequence[Sequence[float]]) -> Truth:
 
 
 def tables(readings: Sequence[Reading]) -> dict[str, NDArray[np.void]]:
-    """Readings as structured arrays with ``t`` first and then the sample's fields.
+    """Convert readings to structured arrays.
 
-    Keys: ``ahrs``, ``gnss``, ``loadcell``, ``esc/NODE/state`` and ``esc/NODE/command``, those that there are.
+    Returns
+    -------
+    dict of structured arrays (n_samples,)
+        One array for each device with readings. Its fields are ``t`` [s] and the fields of the sample. The key is
+        the device's name; speed controllers have the keys ``esc/NODE/state`` and ``esc/NODE/command``.
     """
     rows: dict[str, list[tuple[float, ...]]] = {}
     names: dict[str, list[str]] = {}

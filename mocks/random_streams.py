@@ -1,4 +1,7 @@
-"""Random numbers for the plant and the sensors: every stream is named by integers, so every run can be repeated."""
+"""Random numbers of the plant and the sensors.
+
+Integers (seed, name, run, index) identify each stream of random numbers, so every run can be repeated.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,31 @@ import numpy as np
 
 Draw = Callable[[], float]
 
-# Names of the streams. Those of the boat depend on the seed alone, those of a run on the seed and the run.
+# Names of the streams. The streams of the first line belong to the boat and depend on the seed alone. The streams of
+# the second line depend on the seed and the run.
 PARAMETERS, CURRENT, EFFECT_NAME, EFFECT_SIZE, THRUSTER = range(5)
 START, DISTURBANCE, AHRS, GNSS, ESC, LOADCELL, FAULT, WAVES, GUSTS, COLOUR, OUTLIERS = range(5, 16)
 
 
 def random_stream(seed: int, name: int, run: int | None = None, index: int = 0) -> np.random.Generator:
-    """The generator of one stream of one seed; ``run`` None for what belongs to the boat and not to the run."""
+    """Return the generator of one stream of random numbers.
+
+    Parameters
+    ----------
+    name : int
+        One of the constants of this module.
+    run : int, optional
+        Number of the run. None for streams that are the same in all runs of a boat.
+    index : int
+        Number of the stream if several have the same name.
+    """
     return np.random.default_rng([seed, name, 0 if run is None else run + 1, index])
 
 
 def normals(rng: np.random.Generator) -> Draw:
-    """A function that returns the next standard normal number; drawn in blocks, since one at a time is slow."""
+    """Return a function that returns the next standard normal number at each call."""
 
+    # Numbers are drawn in blocks, since single draws are slow.
     def blocks() -> Iterator[float]:
         while True:
             yield from rng.standard_normal(1024).tolist()
@@ -30,17 +45,31 @@ def normals(rng: np.random.Generator) -> Draw:
 
 
 class WhiteWalk:
-    """Sensor noise as in the thesis, section 4.1: white noise plus a random walk that starts at a bias."""
+    """Sensor noise as in section 4.1 of the thesis: white noise plus a random walk that starts at a bias."""
 
     def __init__(self, draw: Draw, dt: float, white: float, walk: float = 0.0, bias: float = 0.0) -> None:
-        """``white`` in the sensor's unit, ``walk`` in unit/sqrt(s), ``bias`` the walk's standard deviation at first."""
+        """Set up the noise of a sensor.
+
+        Parameters
+        ----------
+        draw : callable
+            Function that returns standard normal numbers.
+        dt : float
+            Time between two samples [s].
+        white : float
+            Standard deviation of the white noise, in the unit of the sensor.
+        walk : float
+            Diffusion of the random walk [unit/sqrt(s)].
+        bias : float
+            Standard deviation of the initial value of the random walk.
+        """
         self._draw = draw
         self._white = white
         self._step = walk * math.sqrt(dt)
         self._walk = bias * draw()
 
     def __call__(self) -> float:
-        """The noise of the next sample."""
+        """Return the noise of the next sample."""
         draw = self._draw
         if self._step:
             self._walk += self._step * draw()
@@ -51,13 +80,13 @@ class OrnsteinUhlenbeck:
     """First-order Gauss-Markov process of standard deviation ``sigma`` and correlation time ``tau`` [s]."""
 
     def __init__(self, draw: Draw, dt: float, sigma: float, tau: float) -> None:
-        """Discretised exactly at ``dt`` (s) and stationary from the first sample."""
+        """Start in the stationary distribution. The discretisation with the step ``dt`` [s] is exact."""
         self._draw = draw
         self._phi = math.exp(-dt / tau)
         self._sigma = sigma * math.sqrt(1.0 - self._phi**2)
         self.value = sigma * draw()
 
     def step(self) -> float:
-        """The force one ``dt`` later, held constant over the step."""
+        """Advance by one step and return the new value."""
         self.value = self._phi * self.value + self._sigma * self._draw()
         return self.value

@@ -1,6 +1,7 @@
-"""Plant -> samples: what the sensors of the boat and of the bench say, with their noise.
+"""Sensor models of the boat and of the bench: samples with noise from the true motion of the plant.
 
-Noise is white plus a random walk (thesis, section 4.1), sized like a VN-100, an RTK-float receiver and an HX711.
+The noise is white noise plus a random walk (thesis, section 4.1). Its sizes are those of a VN-100 (AHRS), a GNSS
+receiver with an RTK float solution, and an HX711 (load cell).
 """
 
 from __future__ import annotations
@@ -25,29 +26,45 @@ from seatrial.mocks.random_streams import (
 )
 
 DEG = math.pi / 180.0
-STOPPED = 0.005  # normalised shaft speed below which a sensorless controller reports none
+STOPPED = 0.005  # normalised shaft speed below which a sensorless controller reports zero
 FIELD_NORTH, FIELD_DOWN = 26.4e-6, 35.6e-6  # T, near Lisbon
-LATITUDE, LONGITUDE = 38.765852, -9.09281873  # of the plant's origin (mred_sim.yaml)
-_A, _E2 = 6378137.0, 6.69437999014e-3  # WGS 84
+LATITUDE, LONGITUDE = 38.765852, -9.09281873  # deg, of the plant's origin (mred_sim.yaml)
+_A, _E2 = 6378137.0, 6.69437999014e-3  # WGS 84: semi-major axis in m, squared eccentricity
 
 
 def wrap(angle: float) -> float:
-    """``angle`` (rad) in -pi..pi."""
+    """Return ``angle`` [rad] in the interval from -pi to pi."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def geodetic(north: float, east: float) -> tuple[float, float]:
-    """Latitude and longitude (deg) of a point on the tangent plane at the origin (WGS 84 radii of curvature)."""
+    """Return latitude and longitude [deg] of a point ``north``, ``east`` [m] of the origin.
+
+    The point lies on the tangent plane, with the WGS 84 radii of curvature at the origin.
+    """
     w2 = 1.0 - _E2 * math.sin(LATITUDE * DEG) ** 2
     meridian, prime = _A * (1.0 - _E2) / w2**1.5, _A / math.sqrt(w2)
     return LATITUDE + north / meridian / DEG, LONGITUDE + east / (prime * math.cos(LATITUDE * DEG)) / DEG
 
 
 class AhrsSensor:
-    """Attitude, rates and specific force; the boat is level but for the noise of roll and pitch."""
+    """AHRS: attitude, angular rates, specific force and magnetic field.
+
+    The simulated boat is always level, so roll and pitch are noise around zero.
+    """
 
     def __init__(self, seed: int, run: int, rate: float, effects: Sequence[HiddenEffect] = (), index: int = 0) -> None:
-        """``rate`` in Hz, ``index`` of several; ``effects``: those of the boat, of which some are the sensor's."""
+        """Set up a sensor.
+
+        Parameters
+        ----------
+        rate : float
+            Rate of the samples [Hz].
+        effects : sequence of HiddenEffect
+            All hidden effects of the boat. The sensor applies those that concern an AHRS.
+        index : int
+            Number of the AHRS on the boat. It selects the stream of random numbers.
+        """
         self._errors = AhrsErrors(effects)
         gain = _noise_gain(effects)
         draw = normals(random_stream(seed, AHRS, run, index))
@@ -59,7 +76,7 @@ class AhrsSensor:
         self._field = WhiteWalk(draw, dt, 0.15e-6)
 
     def read(self, m: RigidBodyState) -> Ahrs:
-        """The sample of the motion ``m``."""
+        """Return the sample for the true motion ``m``."""
         psi, rate, accel_x, accel_y = self._errors.apply(m)
         pitch, roll = self._tilt
         p, q, r = self._rates
@@ -82,7 +99,7 @@ class AhrsSensor:
 
 
 class AhrsErrors:
-    """What the hidden effects do to heading, yaw rate and accelerations, before there is any noise."""
+    """Systematic errors of an AHRS by hidden effects, without noise."""
 
     def __init__(self, effects: Sequence[HiddenEffect]) -> None:
         self._compasses = [e.compass for e in effects if e.compass is not None]
@@ -91,7 +108,7 @@ class AhrsErrors:
         self._mount = sum(e.mount for e in effects)
 
     def apply(self, m: RigidBodyState) -> tuple[float, float, float, float]:
-        """Heading (rad), yaw rate (rad/s) and accelerations (m/s2) that the sensor has of the motion ``m``."""
+        """Return measured heading [rad], yaw rate [rad/s] and accelerations [m/s2] for the true motion ``m``."""
         u = math.cos(m.psi) * m.vel_n + math.sin(m.psi) * m.vel_e
         psi = m.psi + sum(deviation(m.psi) for deviation in self._compasses) + self._mount
         rate = m.r + sum(error(m.r) for error in self._gyros)
@@ -105,11 +122,12 @@ class AhrsErrors:
 
 
 def _noise_gain(effects: Sequence[HiddenEffect]) -> float:
+    """Return the factor of all effects on the white noise."""
     return math.prod(e.noise.gain for e in effects if e.noise is not None)
 
 
 class GnssSensor:
-    """Position and velocity of the antenna."""
+    """GNSS receiver: position and velocity of its antenna."""
 
     def __init__(
         self,
@@ -120,21 +138,33 @@ class GnssSensor:
         sigma: float = 0.15,
         index: int = 0,
     ) -> None:
-        """``rate`` in Hz, ``sigma`` (m) the white part of each horizontal axis, ``index`` of several."""
+        """Set up a receiver.
+
+        Parameters
+        ----------
+        rate : float
+            Rate of the fixes [Hz].
+        effects : sequence of HiddenEffect
+            All hidden effects of the boat. The receiver applies those that concern the noise.
+        sigma : float
+            Standard deviation of the white noise of each horizontal axis [m].
+        index : int
+            Number of the receiver on the boat. It selects the stream of random numbers.
+        """
         draw, gain = normals(random_stream(seed, GNSS, run, index)), _noise_gain(effects)
         dt = 1.0 / rate
         self._sigma = sigma
         self._position = [WhiteWalk(draw, dt, gain * sigma, 0.003) for _ in range(2)]
         self._velocity = [WhiteWalk(draw, dt, gain * 0.05) for _ in range(2)]
         self._height = WhiteWalk(draw, dt, 2.0 * gain * sigma)
-        self._stray = GnssErrors(effects, seed, run, dt, index)
+        self._errors = GnssErrors(effects, seed, run, dt, index)
 
     def read(self, m: RigidBodyState, utc: float) -> Gnss:
-        """The fix of the motion ``m``, stamped ``utc`` (s since 1970)."""
+        """Return the fix for the true motion ``m`` with the time stamp ``utc`` [s since 1970]."""
         north, east = self._position
         vel_n, vel_e = self._velocity
-        stray_n, stray_e = self._stray.step()
-        lat, lon = geodetic(m.fix_x + north() + stray_n, m.fix_y + east() + stray_e)
+        error_n, error_e = self._errors.step()
+        lat, lon = geodetic(m.fix_x + north() + error_n, m.fix_y + east() + error_e)
         return Gnss(
             utc,
             lat,
@@ -151,7 +181,7 @@ class GnssSensor:
 
 
 class GnssErrors:
-    """Errors of the fix beyond its white noise: a time-correlated one, and now and then an outlier."""
+    """Errors of a GNSS position by hidden effects: a time-correlated error and outliers."""
 
     def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float, index: int) -> None:
         noises = [e.noise for e in effects if e.noise is not None]
@@ -161,22 +191,26 @@ class GnssErrors:
             for n in noises
             if n.colour[0]
         ]
-        self._wild = [n.outliers for n in noises if n.outliers[0]]
+        self._outliers = [n.outliers for n in noises if n.outliers[0]]
         self._rng = random_stream(seed, OUTLIERS, run, index)
 
     def step(self) -> tuple[float, float]:
-        """Error to the north and to the east (m) of the next fix."""
+        """Return the error [m] of the next fix, north and east."""
         north = sum(pair[0].step() for pair in self._correlated)
         east = sum(pair[1].step() for pair in self._correlated)
-        for share, far in self._wild:
+        for share, sigma in self._outliers:
             if self._rng.uniform() < share:
-                wrong_n, wrong_e = self._rng.normal(0.0, far, 2)
-                north, east = north + float(wrong_n), east + float(wrong_e)
+                outlier_n, outlier_e = self._rng.normal(0.0, sigma, 2)
+                north, east = north + float(outlier_n), east + float(outlier_e)
         return north, east
 
 
 class EscSensor:
-    """Shaft speed with 5 rev/min of noise; current and temperature follow the thrust, voltage the battery."""
+    """Telemetry of a speed controller.
+
+    The noise of the shaft speed is 5 rev/min. Current and temperature depend on the thrust. The voltage depends on
+    the current and on the used energy.
+    """
 
     def __init__(self, seed: int, run: int, node: int, rpm_max: float) -> None:
         self._draw = normals(random_stream(seed, ESC, run, node))
@@ -185,9 +219,20 @@ class EscSensor:
         self._heat = 0.0
 
     def read(self, n: float, force: float, duty: float, energy: float, dt: float) -> Esc:
-        """State at shaft speed ``n`` and thrust ``force`` (N), ``dt`` (s) after the last one; signs as on the wire.
+        """Return the next telemetry sample.
 
-        ``energy`` (s) is the integral of abs(n)^3 over the thrusters, which empties the battery.
+        Parameters
+        ----------
+        n : float
+            Shaft speed (normalised) with its sign on the bus.
+        force : float
+            Static thrust [N] with its sign on the bus.
+        duty : float
+            Effective command (-1 to 1) with its sign on the bus.
+        energy : float
+            Integral of ``|n|^3`` over time [s], summed over the thrusters. It measures the use of the battery.
+        dt : float
+            Time since the previous sample [s].
         """
         draw = self._draw
         n = n if abs(n) > STOPPED else 0.0
@@ -196,7 +241,7 @@ class EscSensor:
         return Esc(
             self._node,
             n * self._rpm_max + (5.0 * draw() if n else 0.0),
-            current + 0.1 * draw(),  # of a motor that drives, whichever way
+            current + 0.1 * draw(),  # positive in both directions of rotation, since the motor drives
             duty,
             16.4 - 0.008 * energy - 0.02 * current + 0.02 * draw(),
             24.0 + self._heat + 0.1 * draw(),
@@ -205,26 +250,26 @@ class EscSensor:
 
 @dataclass(frozen=True)
 class CellSpec:
-    """A load cell and how its counts are calibrated."""
+    """Load cell with its rate and its calibration."""
 
     name: str
     rate_hz: float
-    newton_per_count: float = 0.001  # at the thruster
-    zero_counts: float = 84210.0
-    saturation: float = 8388607.0
+    newton_per_count: float = 0.001  # force at the thruster per count
+    zero_counts: float = 84210.0  # counts without force
+    saturation: float = 8388607.0  # counts, largest reading
 
 
 class LoadCellSensor:
-    """Counts of a cell with a slow drift and a true zero 0.3 N or so off the calibrated one."""
+    """Load cell with white noise, a slow drift and an error of its zero (standard deviation 0.3 N)."""
 
     def __init__(self, seed: int, run: int, spec: CellSpec, index: int = 0) -> None:
-        """``index`` of several."""
+        """Set up a load cell. ``index`` is its number on the rig and selects the stream of random numbers."""
         draw = normals(random_stream(seed, LOADCELL, run, index))
         self._noise = WhiteWalk(draw, 1.0 / spec.rate_hz, 0.1, 0.001, bias=0.3)
         self._spec = spec
 
     def read(self, force: float) -> LoadCell:
-        """The reading of ``force`` (N)."""
+        """Return the reading for a true ``force`` [N], clipped to the range of the converter."""
         spec = self._spec
         counts = round(spec.zero_counts + (force + self._noise()) / spec.newton_per_count)
         return LoadCell(float(max(-spec.saturation - 1.0, min(spec.saturation, counts))))

@@ -1,4 +1,4 @@
-"""The loop that serves a world on its ports: one process, one thread, on run time."""
+"""Server of the simulated devices: one loop in one thread that exchanges bytes between a world and its ports."""
 
 from __future__ import annotations
 
@@ -15,75 +15,95 @@ from seatrial.mocks.devices import DeviceEmulator, Faults
 from seatrial.mocks.ports import NetPort, PtyPort
 from seatrial.mocks.world import World
 
-BELL = b"\a"  # of a CAN adapter that refuses a frame
-PRIORITY, REAL_TIME = -10, 2  # niceness, and of 99: where the system lets us
-NAP = 0.05  # wall s, the longest sleep: signals and ports that return are noticed within it
-STALL = 0.005  # wall s; a longer gap in the loop is our own pause and no silence of the host
-BURST = 400  # steps before the ports are looked at again when we are behind
+BELL = b"\a"  # answer of a CAN adapter that refuses a frame
+NICENESS, REAL_TIME_PRIORITY = -10, 2  # requested from the system; the real-time priorities end at 99
+WAIT_MAX_S = 0.05  # wall s, longest wait: the loop notices signals and returned ports within this time
+PAUSE_MIN_S = 0.005  # wall s; a longer gap in the loop is a pause of this process, not a silence of the host
+STEPS_MAX = 400  # steps of the plant between two looks at the ports if the simulation is late
 
 
 class Server:
-    """Owns the ports and keeps the world on time: run time is wall time since the start, times ``speed``."""
+    """Loop that keeps a world on time and serves its ports.
+
+    Run time is the wall time since the start, times ``speed``.
+    """
 
     def __init__(
         self,
         world: World,
-        speakers: Mapping[str, DeviceEmulator],
+        emulators: Mapping[str, DeviceEmulator],
         ports: Mapping[str, PtyPort | NetPort],
         speed: float,
         faults: Faults,
         trace: IO[str] | None = None,
     ) -> None:
-        """``speakers`` and ``ports`` by device name; ``trace`` gets a JSON line per change of a command."""
-        self.stopping = False
-        self.triggered = False  # a signal asks for the faults that wait for it
-        self.max_lag = 0.0  # wall s by which a sample left late
-        self._forgiven = 0.0  # wall s by which time-outs were put off for pauses of our own
+        """Set up a server.
+
+        Parameters
+        ----------
+        world : World
+            Plant with its devices.
+        emulators : mapping of str to DeviceEmulator
+            Emulator of each device, by its name.
+        ports : mapping of str to port
+            Port of each device, by its name.
+        speed : float
+            Run seconds per wall second.
+        faults : Faults
+            Schedule of the faults.
+        trace : text file, optional
+            File for one JSON line per change of an effective command.
+        """
+        self.stopping = False  # set to end `run`
+        self.triggered = False  # set to start the faults with the time `usr1`
+        self.max_lag = 0.0  # wall s, largest delay of a sample
+        self._extension_s = 0.0  # wall s by which time-outs were extended because of pauses of this process
         self._world = world
-        self._speakers = speakers
+        self._emulators = emulators
         self._ports = ports
         self._speed = speed
         self._faults = faults
         self._trace = trace
         self._start = time.monotonic()
-        self._listened = self._start
-        self._nap = 0.0
+        self._last_round = self._start
+        self._wait_s = 0.0
         for controller in world.controllers:
-            controller.on_change = self._changed
+            controller.on_change = self._write_trace
 
     def run(self) -> None:
-        """Serve until ``stopping``."""
-        with contextlib.suppress(OSError):  # where we may: devices do not wait for a busy machine
-            os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+        """Serve until `stopping` is set."""
+        # A real device keeps its time on a busy machine too. A system that denies the priority raises OSError.
+        with contextlib.suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
             if hasattr(os, "sched_setscheduler"):
-                os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME))
-        gc.freeze()
-        self._start = self._listened = time.monotonic()
+                os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(REAL_TIME_PRIORITY))
+        gc.freeze()  # shortens the pauses of the garbage collector
+        self._start = self._last_round = time.monotonic()
         while not self.stopping:
             wall = time.monotonic()
             t = (wall - self._start) * self._speed
-            self._forgive(wall)
-            self._break(t)
-            self._listen(t)
-            self._talk(t)
-            self._sleep()
+            self._extend_deadlines(wall)
+            self._apply_faults(t)
+            self._receive(t)
+            self._advance(t)
+            self._wait()
 
     @property
     def t(self) -> float:
-        """Run time of the world (s since the start)."""
+        """Run time of the world since the start [s]."""
         return self._world.t
 
-    def _forgive(self, wall: float) -> None:
-        """While this process was not run, it could not hear commands: no reason for a time-out."""
-        gap = wall - self._listened - self._nap
-        self._listened = wall
-        if gap > STALL:
-            self._forgiven += gap
+    def _extend_deadlines(self, wall: float) -> None:
+        """Extend the time-outs of the controllers by a pause of this process, in which it could receive no command."""
+        gap = wall - self._last_round - self._wait_s
+        self._last_round = wall
+        if gap > PAUSE_MIN_S:
+            self._extension_s += gap
             for controller in self._world.controllers:
                 controller.deadline += gap * self._speed
 
-    def _break(self, t: float) -> None:
-        """Faults that begin and end."""
+    def _apply_faults(self, t: float) -> None:
+        """Start and end the faults of ports and controllers that are due at ``t`` [s]."""
         if self.triggered:
             self.triggered = False
             self._faults.trigger(t)
@@ -101,20 +121,20 @@ class Server:
                 controller.dead = False
             controller.stuck = self._faults.active("esc-stuck", controller.spec.name, t)
 
-    def _listen(self, t: float) -> None:
-        """Hand what the host wrote to the devices."""
+    def _receive(self, t: float) -> None:
+        """Pass the bytes of the host to the devices and send their answers."""
         for name, port in self._ports.items():
             if not port.plugged or not (data := port.read()):
                 continue
             if self._faults.active("refuse", name, t):
                 port.write(BELL * data.count(b"\r"), time.monotonic())
             else:
-                port.write(self._speakers[name].receive(data, t), time.monotonic())
+                port.write(self._emulators[name].receive(data, t), time.monotonic())
 
-    def _talk(self, t: float) -> None:
-        """Bring the world to the present and send what has fallen due."""
+    def _advance(self, t: float) -> None:
+        """Advance the world to ``t`` [s] and send the samples that become due."""
         world = self._world
-        for _ in range(BURST):
+        for _ in range(STEPS_MAX):
             if world.t > t:
                 break
             if world.plant.steps >= world.next_due:
@@ -125,25 +145,27 @@ class Server:
             port.flush(wall)
 
     def _send(self) -> None:
+        """Send the samples that are due, with the effects of active faults."""
         t = self._world.t
-        for device, whole, _ in self._world.readings():
-            sample = self._faults.reading(device, whole, t)
+        for device, true_sample, _ in self._world.readings():
+            sample = self._faults.reading(device, true_sample, t)
             if sample is not None:
-                speaker = self._speakers[device]
-                speaker.clock_error = self._faults.clock_error(device, t)
-                data = self._faults.bytes(device, speaker.encode(sample, t), t)
+                emulator = self._emulators[device]
+                emulator.clock_error = self._faults.clock_error(device, t)
+                data = self._faults.bytes(device, emulator.encode(sample, t), t)
                 wall = time.monotonic()
                 self.max_lag = max(self.max_lag, wall - self._start - t / self._speed)
                 self._ports[device].write(data, wall)
 
-    def _sleep(self) -> None:
-        """Until something is due, or the host writes."""
+    def _wait(self) -> None:
+        """Wait until the next sample is due or the host writes."""
         due = self._start + self._world.next_due * self._world.plant.step_s / self._speed
-        self._nap = min(max(due - time.monotonic(), 0.0), NAP)
-        select.select([port for port in self._ports.values() if port.plugged], [], [], self._nap)
+        self._wait_s = min(max(due - time.monotonic(), 0.0), WAIT_MAX_S)
+        select.select([port for port in self._ports.values() if port.plugged], [], [], self._wait_s)
 
-    def _changed(self, t: float, node: int, n: float, why: str) -> None:
+    def _write_trace(self, t: float, node: int, n: float, why: str) -> None:
+        """Write a changed effective command to the trace file."""
         if self._trace is not None:
             line = {"t": round(t, 6), "wall": time.monotonic(), "node": node, "n": round(n, 6), "why": why}
-            line["forgiven"] = round(self._forgiven, 6)
+            line["forgiven"] = round(self._extension_s, 6)
             print(json.dumps(line), file=self._trace, flush=True)

@@ -1,4 +1,4 @@
-"""The ground-truth file: hidden effect and true parameters of a mock, to compare a diagnosis with."""
+"""Ground-truth file of a mock: its hidden effect and its true parameters, for comparison with a diagnosis."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FORMAT = "seatrial-truth 1"
 
 
 def ground_truth(world: Boat | Bench, run: int) -> dict[str, Any]:
-    """The file's content: the hidden effect, its parameters and a sentence on it, and the true parameters (SI)."""
+    """Return the content of the file: the first hidden effect with its description, and all true parameters (SI)."""
     effects = world.effects if isinstance(world, Boat) else (world.effect,)
     effect = effects[0] if effects else NONE
     return {
@@ -30,7 +30,7 @@ def ground_truth(world: Boat | Bench, run: int) -> dict[str, Any]:
 
 
 def write_truth(path: Path, truth: Mapping[str, Any]) -> None:
-    """Write the file, readable by its owner only (mode 0600), whole or not at all."""
+    """Write the file. Only its owner can read it (mode 0600). A failed write leaves no partial file at ``path``."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.part")
     part.unlink(missing_ok=True)

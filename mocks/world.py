@@ -1,4 +1,7 @@
-"""A plant with its sensors and speed controllers: commands in, samples out, on the plant's own time."""
+"""Simulated plant with its sensors and speed controllers.
+
+Its inputs are commands, and its outputs are samples. Time is the simulated time of the plant.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,15 @@ class Reading(NamedTuple):
 
     device: str
     sample: Sample
-    t: float  # s since the run's start
+    t: float  # s since the start of the run
 
 
 class Plant(Protocol):
-    """What a world asks of a boat or a bench."""
+    """Interface of `BoatPlant` and `BenchPlant` to `World`."""
 
-    step_s: float
-    steps: int
-    energy: float
+    step_s: float  # s, step of the integration
+    steps: int  # number of steps since the start
+    energy: float  # s, integral of |n|^3 over time, summed over the thrusters
 
     @property
     def shafts(self) -> Sequence[Shaft | BenchShaft]: ...
@@ -38,41 +41,45 @@ class Plant(Protocol):
 
 @dataclass(frozen=True)
 class EscSpec:
-    """How one thruster hangs on its bus."""
+    """Speed controller of one thruster and its place on a bus."""
 
-    device: str
+    device: str  # name of the bus
     node: int
-    rate_hz: float  # status frames of this node
-    rpm_max: float = 4500.0
-    reversed: bool = False
-    timeout_s: float = math.inf
+    rate_hz: float  # rate of the status frames of this node
+    rpm_max: float = 4500.0  # rev/min, full speed
+    reversed: bool = False  # whether a positive command on the bus drives the boat backwards
+    timeout_s: float = math.inf  # s without a command after which the controller stops the motor
     name: str = ""  # of the thruster
 
 
-# on_change(t, node, n, why): the effective command changed; n positive forward, why "command", "timeout" or "dead"
+# on_change(t, node, n, why): called when the effective command changes to n (positive forward). The reason is
+# "command", "timeout" or "dead".
 OnChange = Callable[[float, int, float, str], None]
 
 
 class EscController:
-    """A speed controller: obeys duty commands, and stops by itself when none has come for its time-out."""
+    """Speed controller of one thruster.
+
+    It obeys duty commands, and stops the motor if no command arrives within its time-out.
+    """
 
     def __init__(self, spec: EscSpec, plant: Plant, thruster: int) -> None:
         self.spec = spec
         self.n = 0.0  # effective command, positive forward
         self.dead = False
-        self.stuck = False  # it ignores commands, and its time-out does not strike
+        self.stuck = False  # whether the controller ignores commands and its time-out
         self.on_change: OnChange | None = None
         self._plant = plant
         self._thruster = thruster
-        self.deadline = math.inf  # s, when the time-out strikes
+        self.deadline = math.inf  # s, time at which the time-out ends
 
     @property
     def duty(self) -> float:
-        """The effective command with the sign it has on the wire."""
+        """The effective command (-1 to 1) with its sign on the bus."""
         return -self.n if self.spec.reversed else self.n
 
     def command(self, t: float, duty: float) -> None:
-        """Obey a command that arrived at time ``t`` (s); a dead or stuck controller does not."""
+        """Obey a command that arrives at time ``t`` [s]. A dead or stuck controller ignores the command."""
         if self.dead or self.stuck:
             return
         self.check(t)
@@ -80,18 +87,19 @@ class EscController:
         self._set(t, -duty if self.spec.reversed else duty, "command")
 
     def check(self, t: float) -> None:
-        """Stop if the time-out struck before ``t`` (s)."""
+        """Stop the motor if the time-out ended before ``t`` [s]."""
         if t > self.deadline and not self.stuck:
-            struck, self.deadline = self.deadline, math.inf
-            self._set(struck, 0.0, "timeout")
+            t_end, self.deadline = self.deadline, math.inf
+            self._set(t_end, 0.0, "timeout")
 
     def die(self, t: float) -> None:
-        """From ``t`` (s) on no thrust and no word."""
+        """Let the controller fail at ``t`` [s]: from then on it gives no thrust and sends no telemetry."""
         self.dead, self.deadline = True, math.inf
         self._set(t, 0.0, "dead")
 
     def _set(self, t: float, n: float, why: str) -> None:
-        n += 0.0  # no minus zero
+        """Pass a changed effective command to the plant and to `on_change`."""
+        n += 0.0  # turns -0.0 into 0.0
         if n != self.n:
             self.n = n
             self._plant.command(self._thruster, t, n)
@@ -100,12 +108,27 @@ class EscController:
 
 
 class SampledStream:
-    """One stream of samples, due at the first step of the plant at or after each multiple of its period."""
+    """Periodic samples of one device.
+
+    Each sample is due at the first step of the plant at or after a multiple of the period.
+    """
 
     def __init__(
         self, device: str, rate_hz: float, step_s: float, read: Callable[[], Sample | None], phase: float = 0.0
     ) -> None:
-        """``phase`` in periods; ``read`` returns None where the device is silent."""
+        """Set up a stream.
+
+        Parameters
+        ----------
+        rate_hz : float
+            Rate of the samples.
+        step_s : float
+            Step of the plant [s].
+        read : callable
+            Function that returns the present sample, or None if the device is silent.
+        phase : float
+            Time of the first sample, in periods.
+        """
         self.device = device
         self._read = read
         self._period = 1.0 / (rate_hz * step_s)
@@ -114,17 +137,18 @@ class SampledStream:
         self._place()
 
     def _place(self) -> None:
+        """Set the step of the plant at which the next sample is due."""
         self.due = math.ceil(self._count * self._period - 1e-6)
 
     def take(self) -> Sample | None:
-        """The sample that is due."""
+        """Return the sample that is due, or None if the device is silent. Schedule the next sample."""
         self._count += 1.0
         self._place()
         return self._read()
 
 
 class World:
-    """Steps the plant and collects what is due."""
+    """Simulated plant with the sample streams of its devices and the speed controllers of its thrusters."""
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
@@ -134,15 +158,18 @@ class World:
 
     @property
     def t(self) -> float:
-        """Seconds since the run's start."""
+        """Time since the start of the run [s]."""
         return self.plant.steps * self.plant.step_s
 
     def add(self, device: str, rate_hz: float, read: Callable[[], Sample | None], phase: float = 0.0) -> None:
-        """Let ``device`` deliver what ``read`` returns, ``rate_hz`` times a second."""
+        """Add a stream of samples. See `SampledStream` for the parameters."""
         self.channels.append(SampledStream(device, rate_hz, self.plant.step_s, read, phase))
 
     def add_escs(self, specs: Sequence[EscSpec], seed: int, run: int) -> None:
-        """A speed controller for each thruster, in the order of the plant's thrusters."""
+        """Add one speed controller for each thruster, in the order of the plant's thrusters.
+
+        The status frames of the controllers are spread evenly over one period.
+        """
         for thruster, spec in enumerate(specs):
             controller = EscController(spec, self.plant, thruster)
             sensor = EscSensor(seed, run, spec.node, spec.rpm_max)
@@ -150,6 +177,7 @@ class World:
             self.add(spec.device, spec.rate_hz, self._esc_reader(controller, sensor, thruster), thruster / len(specs))
 
     def _esc_reader(self, controller: EscController, sensor: EscSensor, thruster: int) -> Callable[[], Sample | None]:
+        """Return the function that reads the telemetry of one speed controller."""
         plant, dt = self.plant, 1.0 / controller.spec.rate_hz
         sign = -1.0 if controller.spec.reversed else 1.0
 
@@ -162,12 +190,12 @@ class World:
         return read
 
     def controller(self, device: str, node: int) -> EscController | None:
-        """The controller ``node`` on bus ``device``."""
+        """Return the controller ``node`` on bus ``device``, or None if the bus has no such node."""
         found = (c for c in self.controllers if c.spec.device == device and c.spec.node == node)
         return next(found, None)
 
     def readings(self) -> list[Reading]:
-        """The samples that are due at the present step, each once."""
+        """Return the samples that are due at the present step. Each sample is returned once."""
         steps = self.plant.steps
         if steps < self.next_due:
             return []
@@ -179,7 +207,7 @@ class World:
         return out
 
     def advance(self) -> None:
-        """One step of the plant; time-outs strike."""
+        """Check the time-outs of the controllers and integrate one step of the plant."""
         t = self.t
         for controller in self.controllers:
             if t > controller.deadline:
@@ -189,19 +217,30 @@ class World:
 
 @dataclass(frozen=True)
 class DeviceSpecs:
-    """The devices of a rig: names and rates (Hz) of AHRS and GNSS, load cells, and the controllers of the thrusters.
+    """Specifications of the devices of a rig."""
 
-    ``escs`` in the order of the plant's thrusters: left and right on a boat.
-    """
-
-    ahrs: Mapping[str, float]
-    gnss: Mapping[str, float]
+    ahrs: Mapping[str, float]  # name -> rate in Hz
+    gnss: Mapping[str, float]  # name -> rate in Hz
     cells: Sequence[CellSpec]
-    escs: Sequence[EscSpec]
+    escs: Sequence[EscSpec]  # in the order of the plant's thrusters: left and right on a boat
 
 
 def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
-    """A boat with its gear, ``utc`` (s since 1970) at time 0; a load cell on it hangs free."""
+    """Return the world of a boat. A load cell on the boat measures no force.
+
+    Parameters
+    ----------
+    boat : Boat
+        Parameters and hidden effects of the boat.
+    run : int
+        Number of the run. It selects the random disturbances, the initial heading and the noise of the sensors.
+    gear : DeviceSpecs
+        Devices of the boat.
+    utc : float
+        UTC at time 0 [s since 1970], for the time stamps of the GNSS receivers.
+    disturbed : bool
+        Whether random disturbance forces act.
+    """
     plant = BoatPlant(boat, run, disturbed=disturbed)
     world = World(plant)
     for index, (name, rate) in enumerate(gear.ahrs.items()):
@@ -216,7 +255,21 @@ def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, dis
 
 
 def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
-    """A bench with its gear; AHRS and GNSS on it are at rest."""
+    """Return the world of a bench. An AHRS or GNSS receiver on the bench is at rest.
+
+    Parameters
+    ----------
+    bench : Bench
+        Parameters and hidden effect of the bench.
+    run : int
+        Number of the run. It selects the random disturbance and the noise of the sensors.
+    gear : DeviceSpecs
+        Devices of the bench.
+    utc : float
+        UTC at time 0 [s since 1970], for the time stamps of the GNSS receivers.
+    disturbed : bool
+        Whether the random force of the moving water acts on the rod.
+    """
     plant = BenchPlant(bench, run, disturbed=disturbed)
     world = World(plant)
 

@@ -1,4 +1,4 @@
-"""Run the command tree: `python -m seatrial`."""
+"""Entry point of `python -m seatrial`, which runs the command line."""
 
 from seatrial.command_line import main
 

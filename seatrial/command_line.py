@@ -1,7 +1,10 @@
-"""The front door: the command tree, and what one part does for another, which does not import it.
+"""Command line of seatrial: the tree of commands and the handling of errors.
 
-Each part is imported only when one of its commands runs, so `seatrial --help` is instant. What the user sees
-of a failure is decided here too, once for all commands: one line on stderr and an exit status.
+A part is imported only when one of its commands runs, so `seatrial --help` is fast. Errors of all commands are handled
+here: the user sees one line on stderr, and the process returns an exit status.
+
+Parts that must not import each other are connected here: commands of one part in the group of another (`ATTACHED`),
+and checks of ident for `seatrial check` (`MotionChecksOfIdent`).
 """
 
 from __future__ import annotations
@@ -24,12 +27,13 @@ try:
 
     from seatrial.daq import bounds
     from seatrial.daq.errors import SeatrialError, SeatrialWarning, printable
-except KeyboardInterrupt:  # Ctrl-C before there is a command to take it
+except KeyboardInterrupt:  # Ctrl-C during the imports, before a command can handle it
     sys.stderr.write("\nseatrial: interrupted\n")
     raise SystemExit(130) from None
 
-# All matrices are small: threads of the linear algebra library would only wait for each other, and cost every process
-# a tenth of a second. Before numpy; the processes of a command inherit it.
+# All matrices are small, so threads of the linear algebra library would only wait for each other. They would also
+# delay the start of every process by 0.1 s. The variables must be set before the import of numpy. Child processes
+# inherit them.
 for _library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
@@ -38,50 +42,50 @@ if TYPE_CHECKING:
     from seatrial.daq.checks.check_report import CheckReport
     from seatrial.daq.checks.findings import Finding
 
-WAITING = "ROS 2"  # seatrial.daq.tools.ros_live
+WAITING = "ROS 2"  # name of a thread in seatrial.daq.tools.ros_live that may wait for a connection without an end
 OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
 
 
 class Row(NamedTuple):
-    """One command: where it lives (`module:attribute`) and its line in the list of commands."""
+    """Command in the list of commands."""
 
-    target: str
-    short_help: str
+    target: str  # `module:attribute` of the command
+    short_help: str  # line in the list of commands
 
 
 COMMANDS = {
-    "demo": Row("seatrial.bench.demo:demo", "The whole loop on mock devices, to a report."),
+    "demo": Row("seatrial.bench.demo:demo", "Run the whole workflow on simulated devices."),
     "devices": Row("seatrial.daq.cli:devices", "Find ports and identify the devices there."),
     "log": Row("seatrial.daq.cli:log", "Acquire until Ctrl-C, with a live table."),
-    "check": Row("seatrial.bench.preflight.cli:check", "Preflight of a rig, or the same questions to a log."),
+    "check": Row("seatrial.bench.preflight.cli:check", "Check a rig before a run, or check a log."),
     "bench": Row("seatrial.bench.cli:bench", "Characterise thrusters: static, steps, chirp, all."),
     "mission": Row("seatrial.bench.cli:mission", "Design, make, show and run missions."),
-    "import": Row("seatrial.daq.cli:import_", "Turn foreign logs into MCAP."),
+    "import": Row("seatrial.daq.cli:import_", "Convert logs of other software to MCAP."),
     "export": Row("seatrial.daq.cli:export", "Write a log as CSV, Parquet, MATLAB, NetCDF or a bag of ROS 2."),
-    "info": Row("seatrial.daq.cli:info", "Say what a log holds."),
+    "info": Row("seatrial.daq.cli:info", "Show the content of a log."),
     "recover": Row("seatrial.daq.cli:recover", "Recover the log of a killed run."),
-    "replay": Row("seatrial.daq.cli:replay", "Send a log's raw bytes again, on ports."),
+    "replay": Row("seatrial.daq.cli:replay", "Send the raw bytes of a log again on ports."),
     "ident": Row("seatrial.ident.cli.commands:ident", "Fit and explain: noise, thruster, vehicle, diagnose, ..."),
-    "mock": Row("seatrial.mocks.cli:mock", "Mock devices for a rig, until Ctrl-C: bench or boat."),
+    "mock": Row("seatrial.mocks.cli:mock", "Simulate the devices of a rig: a boat or a bench."),
 }
-# The modules that an extra of the installation brings (pyproject.toml).
+# Modules that belong to each extra of the installation (pyproject.toml).
 EXTRAS = {
     "ident": ("casadi", "jinja2", "joblib", "llvmlite", "platformdirs", "scipy"),
     "mavlink": ("pymavlink",),
 }
-# Commands of one part in the group of another: the parts do not import each other.
+# Commands that belong to the group of another part. They are attached here, since the parts do not import each other.
 ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}
 
 
 class LazyGroup(click.Group):
-    """A group whose commands are imported when they are asked for, and listed without any import."""
+    """Group of commands that imports a command only when it is used. It lists the commands without imports."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of the work, which is the order of the table."""
+        """Return the names in the order of the table."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return the command, or None where the table has no such name."""
+        """Import a command and return it; None if the table does not have its name."""
         row = COMMANDS.get(cmd_name)
         if row is None:
             return None
@@ -92,30 +96,30 @@ class LazyGroup(click.Group):
         return command
 
     def invoke(self, ctx: click.Context) -> None:
-        """Run the command and drop what it returns: only `ctx.exit(status)` may set the exit status."""
+        """Run the command and discard its return value, since only `ctx.exit(status)` may set the exit status."""
         super().invoke(ctx)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Names from the table, then options: click's own way would import every part for a Tab."""
+        """Return completions of names and options from the table. The method of click would import every part."""
         names = [
             CompletionItem(name, help=row.short_help) for name, row in COMMANDS.items() if name.startswith(incomplete)
         ]
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the commands from the table: click's own way would import every part."""
+        """Write the list of commands from the table. The method of click would import every part."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, row.short_help) for name, row in COMMANDS.items()])
 
 
-def _needs(what: str, missing: str) -> str:
-    """Return the line for a library that is not installed, with the extra that installs it."""
+def _needs(subject: str, missing: str) -> str:
+    """Return the message about a library that is not installed, with the extra that installs it."""
     extra = next((extra for extra, modules in EXTRAS.items() if missing.partition(".")[0] in modules), "all")
-    return f"{what} needs the Python module {missing}, which is not installed: pip install 'seatrial[{extra}]'"
+    return f"{subject} needs the Python module {missing}, which is not installed: pip install 'seatrial[{extra}]'"
 
 
 def _load(name: str, target: str) -> click.Command:
-    """Import `module:attribute`; raises SeatrialError when this installation has no such command."""
+    """Import the command at `module:attribute`. Raise SeatrialError if this installation does not have it."""
     module_name, attribute = target.split(":")
     try:
         module = importlib.import_module(module_name)
@@ -131,18 +135,30 @@ def _load(name: str, target: str) -> click.Command:
 
 
 class MotionChecksOfIdent:
-    """What `seatrial check` asks of ident, imported when it asks."""
+    """Checks of ident for `seatrial check`. ident is imported when a check is called."""
 
     def check_log(self, path: Path) -> list[Finding]:
-        """Findings about sensors and thrusters from the motion in a log; raises SeatrialError without ident."""
+        """Return findings about sensors and thrusters from the motion in a log.
+
+        Raises
+        ------
+        SeatrialError
+            If ident or one of its libraries is not installed.
+        """
         try:
             from seatrial.ident.checks.log_checks import check_log
         except ModuleNotFoundError as error:
-            raise SeatrialError(_needs("that", error.name or "ident")) from error
+            raise SeatrialError(_needs("the check of the motion", error.name or "ident")) from error
         return check_log(path)
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
-        """Write the page of a check; raises SeatrialError without ident."""
+        """Write the HTML page of a check to ``out``.
+
+        Raises
+        ------
+        SeatrialError
+            If ident or one of its libraries is not installed.
+        """
         try:
             from seatrial.ident.workflows.check import write_check
         except ModuleNotFoundError as error:
@@ -152,7 +168,9 @@ class MotionChecksOfIdent:
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="seatrial", message="seatrial %(version)s")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error; may stand anywhere in the line.")
+@click.option(
+    "--debug", is_flag=True, help="Show the traceback of an error. The option may be anywhere in the command line."
+)
 @click.pass_context
 def cli(context: click.Context, debug: bool) -> None:
     """Measure a boat and its thrusters, excite them, and explain what was measured."""
@@ -161,7 +179,7 @@ def cli(context: click.Context, debug: bool) -> None:
 
 
 def _explain(error: BaseException) -> tuple[str, int]:
-    """The one line for stderr and the exit status of a failure that is no matter of usage."""
+    """Return the line for stderr and the exit status of an error, except for wrong usage."""
     if limit := bounds.exceeded(error):
         line, status = limit, FAILED
     elif isinstance(error, SeatrialError):
@@ -183,32 +201,35 @@ def _explain(error: BaseException) -> tuple[str, int]:
 
 
 def _usage(error: click.UsageError) -> str:
-    """The one line for words that make no command."""
+    """Return the line for stderr about wrong usage."""
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
     return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
 
 
-def _shown(otherwise: Callable[..., None]) -> Callable[..., None]:
-    """Our own warnings as one line, without the place in the code that all others have."""
+def _shown(default: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that prints a SeatrialWarning as one line, without its position in the code.
 
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    All other warnings are passed to ``default``.
+    """
+
+    def show(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:
         if issubclass(category, SeatrialWarning):
             print(f"seatrial: {printable(str(message))}", file=sys.stderr)
         else:
-            otherwise(message, category, *where, **more)
+            default(message, category, *args, **kwargs)
 
     return show
 
 
 def _run(args: Sequence[str]) -> int:
-    """Run one command line and return its exit status; raises whatever the command raises."""
+    """Run one command line and return its exit status. Exceptions of the command are passed on."""
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _shown(warnings.showwarning)
             result = cli.main(args=list(args), prog_name="seatrial", standalone_mode=False)
         sys.stdout.flush()
-    except click.ClickException as error:  # UsageError is 2, the rest of click's own errors 1
+    except click.ClickException as error:  # the status is 2 for a UsageError and 1 for other errors of click
         if isinstance(error, click.exceptions.NoArgsIsHelpError):
             error.show()
             return WRONG_USAGE
@@ -220,21 +241,30 @@ def _run(args: Sequence[str]) -> int:
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run the command line and leave with its status: 0 done, 1 failed, 2 wrong usage, 3 safety stop."""
+    """Run the command line and exit the process with its status.
+
+    The status is 0 if the command succeeds, 1 if it fails, 2 for wrong usage and 3 for a stop by a safety limit.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        Words of the command line; without it those of this process.
+    """
     words = list(sys.argv[1:] if args is None else args)
     if args is None:
         bounds.enable()
-        # Child processes that a library starts (joblib) import no module from the working folder, as our own (`-P`) do
-        # not. A program that calls this function keeps its own environment.
+        # Child processes that a library starts (joblib) must not import modules from the working folder. The child
+        # processes of seatrial get the option `-P` for this. A program that calls this function keeps its environment.
         os.environ.setdefault("PYTHONSAFEPATH", "1")
-    # People add --debug to the end of the line that failed, so it is taken from anywhere before a `--`.
+    # Users add --debug at the end of a command line that failed, so it is accepted anywhere before a `--`.
     own = words[: words.index("--")] if "--" in words else words
     debug = "--debug" in own
     words = [word for word in own if word != "--debug"] + words[len(own) :]
     try:
         status = _run(words)
     except BrokenPipeError:
-        # The reader left (`| head`): no message can be printed, not even at the interpreter's last flush.
+        # The reader of stdout has ended (`| head`). Without the redirection the last flush of the interpreter would
+        # print an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = FAILED
     except (Exception, KeyboardInterrupt) as error:
@@ -247,12 +277,12 @@ def main(args: Sequence[str] | None = None) -> None:
             _mute()
     if any(thread.name == WAITING for thread in threading.enumerate()):
         sys.stdout.flush()
-        os._exit(status)  # all is closed but a connection that nobody answers on
+        os._exit(status)  # a normal exit would wait for the thread, which waits for an answer that may never come
     sys.exit(status)
 
 
 def _mute() -> None:
-    """Send what is still to be printed nowhere: not even the interpreter's last flush can be read by anybody."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    """Redirect stdout and stderr to the null device, so that the last flush of the interpreter cannot fail."""
+    null_device = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.stderr):
-        os.dup2(nowhere, stream.fileno())
+        os.dup2(null_device, stream.fileno())

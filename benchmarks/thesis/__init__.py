@@ -1,1 +1,1 @@
-"""The paper's tables and figures once more, on simulated data whose truth is known: ``python -m benchmarks.thesis``."""
+"""Tables and figures of the paper, made again from simulated data with known truth: ``python -m benchmarks.thesis``."""

@@ -1,4 +1,7 @@
-"""Write docs/thesis.md and docs/thesis.html: ``python -m benchmarks.thesis [--seed S] [--out docs] [--bench LOG]``."""
+"""Command that writes docs/thesis.md and docs/thesis.html.
+
+``python -m benchmarks.thesis [--seed S] [--out docs] [--bench LOG]``
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-for _library in ("OPENBLAS", "OMP", "MKL"):  # matrices are small; before numpy
+for _library in ("OPENBLAS", "OMP", "MKL"):  # as in seatrial.command_line: one thread, set before the import of numpy
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 
 from benchmarks.thesis.page import write  # noqa: E402
@@ -16,24 +19,28 @@ from seatrial.daq.errors import SeatrialError  # noqa: E402
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Both files; 1 and a line where a log cannot be used."""
+    """Write both files. Return the exit status, which is 1 if the log of the bench cannot be used."""
     parser = argparse.ArgumentParser(
-        "python -m benchmarks.thesis", description="The paper's tables and figures once more."
+        "python -m benchmarks.thesis", description="Make the tables and figures of the paper again from simulated data."
     )
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder")
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for both files")
     parser.add_argument("--bench", type=Path, metavar="LOG", help="log of a bench run, for table 2")
-    parser.add_argument("--evaluations", type=int, default=15_000, help="work of the search for designs, chapter 5")
-    parser.add_argument("--repeats", type=int, default=50, help="fits of the designed experiment, chapter 5")
-    given = parser.parse_args(words)
+    parser.add_argument(
+        "--evaluations", type=int, default=15_000, help="evaluations in the search for designs, chapter 5"
+    )
+    parser.add_argument(
+        "--repeats", type=int, default=50, help="simulated repeats of the designed experiment, chapter 5"
+    )
+    options = parser.parse_args(words)
     try:
         write(
-            given.out,
-            given.seed,
-            given.bench,
+            options.out,
+            options.seed,
+            options.bench,
             lambda line: print(line, file=sys.stderr, flush=True),
-            evaluations=given.evaluations,
-            repeats=given.repeats,
+            evaluations=options.evaluations,
+            repeats=options.repeats,
         )
     except (SeatrialError, OSError) as problem:
         print(f"seatrial: {problem}", file=sys.stderr)

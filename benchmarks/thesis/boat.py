@@ -1,7 +1,8 @@
-"""The boat of table 5 here: it rolls in turns, pitches with thrust and moves in waves, as three degrees cannot.
+"""Simulated boat of table 5, which rolls in turns, pitches with thrust and moves in waves.
 
-Surge, sway and yaw as in ``seatrial.ident.models.kinematic``, but with heading, roll and pitch as states: each a
-lightly damped second-order motion about what turning and thrust make of it, driven by white noise.
+A model with three degrees of freedom cannot describe these motions. Surge, sway and yaw rate are those of
+``seatrial.ident.models.kinematic``. Heading, roll and pitch are states here. Roll and pitch are lightly damped
+second-order motions, driven by white noise. Their equilibrium depends on the turn (roll) and on the thrust (pitch).
 """
 
 from __future__ import annotations
@@ -26,9 +27,10 @@ from seatrial.ident.numerics.signal_processing import first_order_lag
 from seatrial.ident.studies.cases import random_levels
 
 STEP = 0.05  # s between AHRS samples
-FIX = 4  # AHRS samples to a fix
-ROLL = (2 * np.pi * 0.55, 0.12, 0.06)  # rad/s, damping ratio, rad a m/s2 across
-PITCH = (2 * np.pi * 0.70, 0.12, 0.0004)  # rad/s, damping ratio, rad a N
+FIX = 4  # AHRS samples per GNSS fix
+ROLL = (2 * np.pi * 0.55, 0.12, 0.06)  # natural frequency (rad/s), damping ratio, rad per m/s2 of sway acceleration
+PITCH = (2 * np.pi * 0.70, 0.12, 0.0004)  # natural frequency (rad/s), damping ratio, rad per N of thrust
+# Values of process noise, sensor noise and current
 SIZES = {
     "s_u": 0.01,
     "s_v": 0.01,
@@ -48,14 +50,17 @@ SIZES = {
 
 @dataclass(frozen=True)
 class Sailed:
-    """A mission of this boat: channels by ident's names, and the truth of its parameters."""
+    """Simulated mission of the boat."""
 
-    channels: Mapping[str, Channel]
-    truth: Mapping[str, float]
+    channels: Mapping[str, Channel]  # by the names of ident
+    truth: Mapping[str, float]  # true values of the parameters
 
 
 def rolling_boat(truth: Mapping[str, float]) -> Model:
-    """States x, y, psi, phi, theta, u, v, r, p, q; shaft speeds in."""
+    """Return the model of the boat, with the shaft speeds as inputs.
+
+    The states are x, y, psi, phi, theta, u, v, r, p and q. ``truth`` has the values of hull, thrust and arms.
+    """
     own = (*HULL, *THRUST, *ARMS, *CURRENT, *NOISE.values())
     more = tuple(Parameter(n, SIZES[n]) for n in ("s_u", "s_v", "s_r", "s_p", "s_q", "e_tilt"))
     noise = {n: f"s_{n}" for n in "uvrpq"}
@@ -76,12 +81,14 @@ def rolling_boat(truth: Mapping[str, float]) -> Model:
 
 
 def _force(s: Signals) -> None:
+    """Compute the rotation of the body and the forces of the turning motion."""
     x = s.x
     oriented(s, rotation(x.phi, x.theta, x.psi), (x.p, x.q, x.r))
     turning(s)
 
 
 def _rate(s: Signals) -> None:
+    """Compute the derivatives of the states. Those of the Euler angles follow from the body rates."""
     kinematic_rate(s)
     x, about = s.x, np.sin(s.x.phi) * s.x.q + np.cos(s.x.phi) * s.x.r
     s.rate["phi"] = x.p + np.tan(x.theta) * about
@@ -93,6 +100,7 @@ def _rate(s: Signals) -> None:
 
 
 def _output(s: Signals) -> None:
+    """Compute the outputs. Attitude and body rates are measured directly, without a bias of the gyro."""
     s.x.bias_r = 0.0
     kinematic_output(s)
     for name in ("psi", "phi", "theta", "p", "q", "r"):
@@ -100,7 +108,17 @@ def _output(s: Signals) -> None:
 
 
 def sail(truth: Mapping[str, float], seconds: float, seed: int) -> Sailed:
-    """A mission of steps on both thrusters; AHRS at 20 Hz, GNSS at 5 Hz."""
+    """Simulate a mission with random steps on both thrusters, an AHRS at 20 Hz and a GNSS receiver at 5 Hz.
+
+    Parameters
+    ----------
+    truth : mapping of str to float
+        True values of hull and thrust.
+    seconds : float
+        Duration of the mission [s].
+    seed : int
+        Seed of commands and noise.
+    """
     t: Array = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP)
     command = random_levels(t, lambda rng: rng.uniform(-0.4, 1.0, 2), (3.0, 9.0), seed)
     n = first_order_lag(command, 1.0 / SHAFT_POLE, STEP)

@@ -1,12 +1,14 @@
-"""How much more could any experiment of the same frame tell? An upper bound on D.
+"""Upper bound of log det of the information of all experiments with the same duration and amplitude.
 
-log det is concave, so for the information F of every input, and M of any experiment or mixture of experiments,
+log det is concave. For the information F of any input, and M of any experiment or mixture of experiments,
 
     log det F <= log det M + tr(M^-1 F) - q
 
-(Kiefer and Wolfowitz 1960; Fedorov 1972, theorem 2.2.1). What is left is a maximum over inputs of a sum over time,
-which is easier to search than log det itself: each stretch counts for itself. With the input that is found mixed into M
-the bound becomes tighter. It is as sure as that search, which begins at the design and at random, with finer steps.
+with q parameters (Kiefer and Wolfowitz 1960; Fedorov 1972, theorem 2.2.1). The bound is the maximum of the right-hand
+side over all inputs. The trace is a sum over time, so its maximum is easier to find than that of log det. The input of
+the maximum is then mixed into M, which makes the bound tighter.
+
+The bound depends on the success of this search. The search starts at the design and at random inputs, with finer steps.
 """
 
 from __future__ import annotations
@@ -22,21 +24,37 @@ from seatrial.ident.experiment_design.optimal_design import Design, search_desig
 from seatrial.ident.experiment_design.task import DesignProblem
 from seatrial.ident.numerics.linear_algebra import Array
 
-FINEST = 2.0  # s per step: where every change of the command acts on the shaft at once
-MIXES = np.linspace(0.0, 1.0, 101)
+FINEST = 2.0  # s, mean duration of the steps in the search
+MIXES = np.linspace(0.0, 1.0, 101)  # shares of the new input in the mixture that are tried
 
 
 @dataclass(frozen=True)
 class Bound:
-    """value: no experiment reaches more (log det, as ``Design.value``); rounds: the bound after each round."""
+    """Upper bound of log det of the information."""
 
-    value: float
-    rounds: tuple[float, ...]
+    value: float  # smallest bound of all rounds, in the scale of ``Design.value``
+    rounds: tuple[float, ...]  # bound of each round
 
 
 def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, seed: int = 1) -> Bound:
-    """The bound for a D-optimal design over all learned parameters, without limits on the track. Raises ValueError for
-    another criterion, which is not log det of the whole information."""
+    """Return the upper bound for the problem of a D-optimal design.
+
+    Parameters
+    ----------
+    made : Design
+        D-optimal design of all learned parameters, without limits on the track.
+    rounds : int
+        Number of searches; after each, the new input is mixed into M.
+    evaluations : int
+        Evaluations in each search.
+    seed : int
+        Seed of the searches.
+
+    Raises
+    ------
+    ValueError
+        If the criterion is not log det of the information of all parameters, or the track has limits.
+    """
     task = made.task
     if task.criterion != "D" or task.chosen or task.robust or task.limits.bind:
         raise ValueError("the bound is for D-optimal designs of all parameters without limits")
@@ -45,35 +63,53 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
     reached = float(task.measure(M[None])[0])
     warm, found, rng = as_point(finer.steps, made.command, task.grid)[None], [], np.random.default_rng([seed, 23])
 
-    def told(z: Array) -> Array:
+    def information(z: Array) -> Array:
         return finer.experiments(finer.actuation.inputs(finer.commands(z))).information + finer.prior
 
     for k in range(rounds):
-        judge = partial(_along, told, np.asarray(np.linalg.inv(M)))
+        judge = partial(_along, information, np.asarray(np.linalg.inv(M)))
         starts = finer.steps.random(64, rng)
         starts = np.vstack([warm, starts[np.argsort(-judge(starts)[0])[:1]]])
         best = search_design(finer.steps, judge, evaluations, seed + k, starts, None)
-        found.append(reached + max(best.value, float(q)) - q)  # the design itself has q
-        mixed = (1 - MIXES[:, None, None]) * M + MIXES[:, None, None] * told(best.z[None])
+        found.append(reached + max(best.value, float(q)) - q)  # the trace of the design itself is q
+        mixed = (1 - MIXES[:, None, None]) * M + MIXES[:, None, None] * information(best.z[None])
         values = task.measure(mixed)
         M, reached = mixed[int(np.argmax(values))], float(values.max())
         warm = np.vstack([warm[:1], best.z[None]])
     return Bound(min(found), tuple(found))
 
 
-def _along(told: Callable[[Array], Array], W: Array, z: Array) -> tuple[Array, Array]:
-    """tr(W F) of points z (n, size); nothing is violated."""
-    return np.einsum("ij,nij->n", W, told(z)), np.zeros(len(z))
+def _along(information: Callable[[Array], Array], W: Array, z: Array) -> tuple[Array, Array]:
+    """Return tr(W F) (n,) of the points z (n, size), and zeros (n,) for the violation of constraints."""
+    return np.einsum("ij,nij->n", W, information(z)), np.zeros(len(z))
 
 
 def _finer(task: DesignProblem) -> DesignProblem:
+    """Return the problem with at least one step per FINEST seconds."""
     steps = task.steps
     n_steps = max(steps.n_steps, round(steps.duration / FINEST))
     return replace(task, steps=replace(steps, n_steps=n_steps, shortest=min(steps.shortest, 2 * steps.grid)))
 
 
 def as_point(steps: StepInput, command: Array, grid: float) -> Array:
-    """The point (size,) of steps with a command (n_rows, n_channels) on rows ``grid`` apart; long ones are split."""
+    """Return the point of the search space that belongs to a command.
+
+    The longest steps are split until the command has as many steps as the parametrisation.
+
+    Parameters
+    ----------
+    steps : StepInput
+        Parametrisation of the steps.
+    command : Array (n_rows, n_channels)
+        Command, constant in each row.
+    grid : float
+        Time between rows [s].
+
+    Returns
+    -------
+    Array (size,)
+        Levels of all steps, then the shares of their durations.
+    """
     change = np.flatnonzero(np.any(np.diff(command[:-1], axis=0) != 0, axis=1)) + 1
     edges = np.concatenate([[0], change, [round(steps.duration / grid)]])
     rows, levels = np.diff(edges).tolist(), list(command[edges[:-1]])

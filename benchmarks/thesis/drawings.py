@@ -1,4 +1,4 @@
-"""The counterparts of the paper's figures 4.1-4.3 and 6.1-6.6, as plain data for ``benchmarks.thesis.figures``."""
+"""Figures 4.1-4.3 and 6.1-6.6 of the paper with simulated data, as input of ``benchmarks.thesis.figures``."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from seatrial.ident.characterisation.sensor_noise import welch
 from seatrial.ident.numerics.linear_algebra import Array
 
 Z95 = 1.96
-START = 5.0  # s until the filter knows where it is
+START = 5.0  # s, initial transient of the filter, which the figures leave out
 
 
 def noise_part(rest: Mapping[str, Rest]) -> Part:
-    """Figures 4.1 and 4.2."""
+    """Return figures 4.1 and 4.2, on sensor noise."""
     return Part(
         "noise",
         "Sensor noise",
@@ -26,47 +26,49 @@ def noise_part(rest: Mapping[str, Rest]) -> Part:
                 "Figure 4.1: accelerometer at rest",
                 "Hz",
                 [_density(rest[n]) for n in ("ax", "ay")],
-                "Welch's periodogram, the model identified (white noise plus random walk) and the true density.",
+                "Welch's periodogram, the identified model (white noise plus random walk) and the true density.",
             ),
             Drawing("Figure 4.2: magnetometer at rest", "Hz", [_density(rest[n]) for n in ("mx", "my", "mz")]),
         ],
     )
 
 
-def _density(one: Rest) -> Chart:
-    f, power = _in_decades(*welch(one.channel))
-    (white, walk), dt = one.truth, one.found.interval
+def _density(rest: Rest) -> Chart:
+    """Return the spectral densities of a sensor at rest: periodogram, identified model and truth."""
+    f, power = _in_decades(*welch(rest.channel))
+    (white, walk), dt = rest.truth, rest.found.interval
     truth = 2 * dt * (white**2 + walk**2 * dt / (4 * np.sin(np.pi * f * dt) ** 2))
     curves = [
         Curve("periodogram", f, power, "measured"),
-        Curve("identified", f, one.found.psd(f)),
+        Curve("identified", f, rest.found.psd(f)),
         Curve("truth", f, truth, "other"),
     ]
-    return Chart(f"{one.channel.source} [({one.channel.unit})²/Hz]", curves, log=True)
+    return Chart(f"{rest.channel.source} [({rest.channel.unit})²/Hz]", curves, log=True)
 
 
 def _in_decades(f: Array, power: Array, per_decade: int = 60) -> tuple[Array, Array]:
-    """Means over bins of equal width in the logarithm of the frequency."""
+    """Return means of frequency and power over bins of equal width in the logarithm of the frequency."""
     index = np.unique(np.floor(per_decade * np.log10(f)), return_inverse=True)[1]
     count = np.bincount(index)
     return np.bincount(index, f) / count, np.bincount(index, power) / count
 
 
-def bench_part(one: Both) -> Part:
-    """Figure 4.3."""
-    t, free, late = one.record.t, predicted(one), one.record.t > 35
-    late &= one.record.t < 50
+def bench_part(both: Both) -> Part:
+    """Return figure 4.3, on the thruster."""
+    record = both.record
+    t, free, late = record.t, predicted(both), record.t > 35
+    late &= record.t < 50
 
     def charts(rows: NDArray[np.bool_], outputs: Sequence[tuple[int, str]]) -> list[Chart]:
         return [
             Chart(
                 title,
-                [Curve("measured", t[rows], one.record.y[rows, j], "measured"), Curve("model", t[rows], free[rows, j])],
+                [Curve("measured", t[rows], record.y[rows, j], "measured"), Curve("model", t[rows], free[rows, j])],
             )
             for j, title in outputs
         ]
 
-    command = Curve("command", t, one.record.u[:, 0], "other")
+    command = Curve("command", t, record.u[:, 0], "other")
     whole = charts(np.ones(t.size, dtype=bool), [(0, "shaft speed, normalised"), (1, "force [N]")])
     whole[0] = Chart(whole[0].title, [command, *whole[0].curves])
     return Part(
@@ -85,7 +87,7 @@ def bench_part(one: Both) -> Part:
 
 
 def predictor_part(turn: Both, run: Both) -> Part:
-    """Figures 6.1 and 6.2."""
+    """Return figures 6.1 and 6.2, which compare output error and prediction error."""
     t, r = turn.record.t, turn.record.y[:, 0]
     ahead = r - turn.filtered.e[:, 0]
     yaw = Drawing(
@@ -108,7 +110,7 @@ def predictor_part(turn: Both, run: Both) -> Part:
                 ],
             ),
         ],
-        "What is left of output error is coloured: process noise that it has no place for.",
+        "The residuals of output error are coloured, since its model has no process noise.",
     )
     t, x = run.record.t, run.record.y[:, 0]
     oe, pe = run.simulated.y[:, 0], x - run.filtered.e[:, 0]
@@ -141,7 +143,7 @@ def predictor_part(turn: Both, run: Both) -> Part:
 
 
 def innovation_part(three: Plane, six: Plane) -> Part:
-    """Figures 6.3 to 6.6."""
+    """Return figures 6.3 to 6.6, on the innovations of 3DOF and 6DOF K."""
     return Part(
         "innovations",
         "Innovations of the models in the plane",
@@ -155,15 +157,16 @@ def innovation_part(three: Plane, six: Plane) -> Part:
     )
 
 
-def _innovations(title: str, one: Plane, channels: Sequence[str], unit: str) -> Drawing:
+def _innovations(title: str, plane: Plane, channels: Sequence[str], unit: str) -> Drawing:
+    """Return a figure of the innovations of some channels, with their predicted 95 % interval and a moving mean."""
     charts = []
     for name in channels:
-        t, e, sd = (z[one.innovations(name)[0] > START] for z in one.innovations(name))
+        t, e, sd = (z[plane.innovations(name)[0] > START] for z in plane.innovations(name))
         charts.append(
             Chart(
                 f"{name} [{unit}]",
                 [
-                    Curve("95 % of them, as the filter has it", t, -Z95 * sd, "band", Z95 * sd),
+                    Curve("95 % interval of the filter", t, -Z95 * sd, "band", Z95 * sd),
                     Curve("innovation", t, e, "measured"),
                     Curve("mean over 2 s", t, _smooth(t, e, 2.0)),
                 ],
@@ -173,22 +176,23 @@ def _innovations(title: str, one: Plane, channels: Sequence[str], unit: str) -> 
 
 
 def _smooth(t: Array, e: Array, seconds: float) -> Array:
+    """Return the moving mean of e (n,) over ``seconds``."""
     width = max(3, round(seconds / float(np.median(np.diff(t)))))
     return np.convolve(e, np.ones(width) / width, mode="same")
 
 
 def correlations(three: Plane, six: Plane) -> Drawing:
-    """The autocorrelation of the innovations beside each other: the difference that the eye misses in the figures."""
+    """Return a figure of the autocorrelations of both models, whose difference is hard to see in the other figures."""
     charts = []
     for name in ("ax", "x"):
         curves = []
-        for label, one in (("3DOF", three), ("6DOF K", six)):
-            t, e, sd = one.innovations(name)
+        for label, plane in (("3DOF", three), ("6DOF K", six)):
+            t, e, sd = plane.innovations(name)
             z = e / sd - np.mean(e / sd)
             acf = np.array([z[k:] @ z[: z.size - k] for k in range(1, 41)]) / (z @ z)
             lags: Array = np.asarray(np.arange(1, 41) * float(np.median(np.diff(t))))
-            curves.append(Curve(label, lags, acf, "other" if one is three else "model"))
-            if one is six:
+            curves.append(Curve(label, lags, acf, "other" if plane is three else "model"))
+            if plane is six:
                 half = np.full(40, Z95 / np.sqrt(z.size))
                 curves.append(Curve("95 % of white noise", lags, -half, "band", half))
         charts.append(Chart(f"autocorrelation of {name}", curves))

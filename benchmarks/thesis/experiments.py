@@ -1,4 +1,4 @@
-"""Chapter 5 once more: the designed experiment, its baselines, the Monte Carlo, and whether repeats deliver."""
+"""Chapter 5 of the paper with simulated data: the designed experiment, its baselines, and its simulated repeats."""
 
 from __future__ import annotations
 
@@ -27,65 +27,79 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.numerics.linear_algebra import Array
 from seatrial.ident.studies.cases import RepeatStatistics, repeat_design
 
-Say = Callable[[str], None]
-SECONDS, GRID = 600.0, 0.2
-BINS = 60
-SHOWN = 120.0  # s of figure 5.1
+Say = Callable[[str], None]  # prints a line of progress
+SECONDS, GRID = 600.0, 0.2  # s, duration of the experiments and step of their rows
+BINS = 60  # of the histograms
+SHOWN = 120.0  # s, interval in figure 5.1
 OPENING = """\
 ## Chapter 5: design of experiments
 
-600 s for the nine parameters of the horizontal model at the nominal values of Table 1; AHRS and GNSS at 10 Hz, no
-current, shaft speeds behind the commands as in Table 2. D-optimal steps against the best of 20 PRBS and of 20 RGS, each
-at the bandwidth and amplitude that suit the nominal values. The numbers are log det of the Fisher information (in
-characteristic steps of the parameters); the shares are of 1000 samples of the box of 0.75 to 1.25 of the nominal
-values, in which the design is better than both baselines, and better by 3. Times are CPU seconds.
+The experiments have 600 s for the nine parameters of the horizontal model at the nominal values of Table 1. AHRS and
+GNSS run at 10 Hz, there is no current, and the shaft speeds lag behind the commands as in Table 2. D-optimal steps are
+compared with the best of 20 PRBS and of 20 RGS, each with the bandwidth and amplitude that suit the nominal values. The
+numbers are log det of the Fisher information (in characteristic steps of the parameters). The shares are those of 1000
+parameter samples within 0.75 to 1.25 of the nominal values in which the design is better than both baselines, and
+better by at least 3. Times are CPU seconds.
 
 | information | design | best baselines | at nominal | better in | by 3 in | search | 1000 samples |
 |---|---|---|---|---|---|---|---|"""
 CLOSING = """
-Output error is the paper's form. Its 60 steps are averaged over 16 parameter samples; a design for the nominal values
-alone reaches far more there and loses elsewhere. Prediction error knows of process noise, and with it a full-range PRBS
-of the right clock is hard to beat: what is long ago tells nothing, so that fast reversals and a few long runs are all
-there is to gain. What output error promises beyond that is out of reach where anything disturbs the boat, as the errors
-show.
+The paper uses output error. Its design of 60 steps is optimal for the mean over 16 parameter samples. A design for the
+nominal values alone is far better at these values and worse at others. Prediction error accounts for process noise, and
+then a full-range PRBS with the right clock is hard to improve. Samples long before a measurement are not informative
+about it, so only fast reversals and a few long runs add information. Any disturbance makes the higher information of
+output error unattainable, as the standard errors show.
 """
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One form of the information: its design, the best baselines, and 1000 parameter samples; CPU seconds."""
+    """Designed experiment by one form of the information, with its baselines."""
 
     title: str
     made: Design
-    judge: DesignProblem
-    found: Mapping[str, BaselineSignal]
-    samples: Robustness
-    search_cpu: float
-    samples_cpu: float
+    judge: DesignProblem  # problem in which design and baselines are compared: nominal parameters, fine grid
+    found: Mapping[str, BaselineSignal]  # best baseline of each kind
+    samples: Robustness  # log det of design and baselines in 1000 parameter samples
+    search_cpu: float  # s, CPU time of the search
+    samples_cpu: float  # s, CPU time of the samples for one input
 
     @property
     def value(self) -> float:
-        """Of the design at the nominal parameters."""
+        """Log det of the information of the design at the nominal parameters."""
         return float(self.judge.judge(self.command[:, :, None])[0][0])
 
     @property
     def command(self) -> Array:
+        """Commands of the design (n_rows, 2) on the rows of `judge`."""
         return self.made.command_on(self.judge)
 
     @property
     def margin(self) -> Array:
-        """Log det of the design over that of the better baseline, in each sample (n,)."""
+        """Log det of the design less that of the better baseline, in each parameter sample (n_samples,)."""
         values = self.samples.values
         return np.asarray(values["design"] - np.max([v for n, v in values.items() if n != "design"], axis=0))
 
 
 def experiment(title: str, *, process_noise: bool, seed: int, evaluations: int) -> Experiment:
-    """600 s for the nine parameters at the nominal values of Table 1."""
+    """Design an experiment of 600 s for the nine parameters at the nominal values of table 1, and its baselines.
+
+    Parameters
+    ----------
+    title : str
+        Name of the experiment in the tables.
+    process_noise : bool
+        Whether the information is that of prediction error. Without process noise it is that of output error.
+    seed : int
+        Seed of the search and of the samples.
+    evaluations : int
+        Evaluations in the search.
+    """
     began = time.process_time()
     model = horizontal_model(current=False)
     if process_noise:
         task = DesignProblem(model, StepInput(120, 2, SECONDS, 1.0, GRID), seed=seed)
-    else:  # rows of 0.4 s, since 16 samples of the parameters are simulated for each input
+    else:  # rows of 0.4 s to save time, since 16 parameter samples are simulated for each input
         coarse = 2 * GRID
         task = DesignProblem(
             model, StepInput(60, 2, SECONDS, 2.0, coarse), process_noise=False, robust=16, seed=seed, grid=coarse
@@ -101,7 +115,7 @@ def experiment(title: str, *, process_noise: bool, seed: int, evaluations: int) 
 
 
 def chapter_5(seed: int, evaluations: int, n_repeats: int, say: Say) -> tuple[list[str], Part]:
-    """Lines of Markdown, and figures 5.1 to 5.3."""
+    """Return chapter 5 as lines of Markdown, and figures 5.1 to 5.3."""
     say("design of experiments, output error")
     oe = experiment("output error", process_noise=False, seed=seed, evaluations=evaluations * 8 // 5)
     say("design of experiments, prediction error")
@@ -115,35 +129,38 @@ def chapter_5(seed: int, evaluations: int, n_repeats: int, say: Say) -> tuple[li
 
 
 def bound_words(pe: Experiment, bound: Bound) -> list[str]:
-    """How much more there could be by prediction error."""
+    """Return the paragraph on the upper bound of the information by prediction error."""
     best = max(pe.found.values(), key=lambda r: r.value)
     return [
-        "How much more could there be? log det is concave, which bounds it "
-        "(`benchmarks/thesis/design_bound.py`): by prediction",
-        f"error no input of these 600 s has more than {bound.value:.1f}, {bound.value - pe.value:.1f} above this",
-        f"design and {bound.value - best.value:.1f} above its best baseline.",
+        "Upper bound: log det is concave, which limits it for all inputs "
+        "(`benchmarks/thesis/design_bound.py`). By prediction",
+        f"error, no input of these 600 s has more than {bound.value:.1f}, which is {bound.value - pe.value:.1f} above",
+        f"this design and {bound.value - best.value:.1f} above its best baseline.",
         "",
     ]
 
 
 def _words(oe: Experiment, pe: Experiment) -> list[str]:
+    """Return the table of designs and baselines with its explanation."""
     rows = []
-    for one in (oe, pe):
-        best = max(one.found.values(), key=lambda r: r.value)
-        baseline = ", ".join(f"{r.kind} {r.value:.1f} ({_bandwidth(r)})" for r in one.found.values())
+    for designed in (oe, pe):
+        best = max(designed.found.values(), key=lambda r: r.value)
+        baseline = ", ".join(f"{r.kind} {r.value:.1f} ({_bandwidth(r)})" for r in designed.found.values())
         rows.append(
-            f"| {one.title} | {one.value:.1f} | {baseline} | {one.value - best.value:+.1f} | "
-            f"{100 * np.mean(one.margin > 0):.1f} % | {100 * np.mean(one.margin >= 3):.1f} % | "
-            f"{one.search_cpu:.0f} s | {one.samples_cpu:.2f} s |"
+            f"| {designed.title} | {designed.value:.1f} | {baseline} | {designed.value - best.value:+.1f} | "
+            f"{100 * np.mean(designed.margin > 0):.1f} % | {100 * np.mean(designed.margin >= 3):.1f} % | "
+            f"{designed.search_cpu:.0f} s | {designed.samples_cpu:.2f} s |"
         )
     return [*OPENING.splitlines(), *rows, *CLOSING.splitlines(), ""]
 
 
 def _bandwidth(signal: BaselineSignal) -> str:
+    """Return the bandwidth of a baseline in words."""
     return f"clock {signal.bandwidth:g} s" if signal.kind == "PRBS" else f"corner {signal.bandwidth:g} Hz"
 
 
 def _errors(oe: Experiment, pe: Experiment) -> list[str]:
+    """Return the table of predicted standard errors."""
     names = pe.made.task.observed_parameters
     best = max(pe.found.values(), key=lambda r: r.value)
     fine = pe.judge.finer
@@ -156,8 +173,8 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
     ]
     rows = [f"| `{n}` | {' | '.join(f'{c[n]:.2g}' for c in columns)} |" for n in names]
     return [
-        "Predicted standard errors: what output error promises of its design; and what prediction error expects of",
-        "that design, of its own, and of its best baseline.",
+        "Predicted standard errors. The first column is predicted by output error for its own design. The other",
+        "columns are predicted by prediction error for the same design, for its own design, and for its best baseline.",
         "",
         f"| | OE design, by OE | OE design | PE design | {best.kind} |",
         "|---|---|---|---|---|",
@@ -167,6 +184,7 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
 
 
 def _delivered(found: list[RepeatStatistics], n: int) -> list[str]:
+    """Return the table of simulated repeats of the designed experiment."""
     rows = [
         f"| `{d.name}` | {d.predicted:.2g} | {d.ratio:.2f} | {d.interval[0]:.2f} to {d.interval[1]:.2f} | "
         f"{100 * d.coverage:.0f} % | {d.outliers} |"
@@ -174,9 +192,10 @@ def _delivered(found: list[RepeatStatistics], n: int) -> list[str]:
     ]
     mean = float(np.mean([d.ratio for d in found]))
     return [
-        f"{n} simulated repeats of the PE design, each fitted with all noises free and damping not bounded: spread of",
-        "the estimates over the predicted error, with its 95 % interval, and the share within 1.96 predicted errors.",
-        f'Mean ratio {mean:.2f}. "Stuck": fits that ended in another optimum, more than 8 errors away.',
+        f"{n} simulated repeats of the PE design, each fitted with free noise parameters and unbounded damping. The",
+        "table has the spread of the estimates over the predicted standard error, its 95 % interval, and the share of",
+        f"estimates within 1.96 predicted standard errors. The mean ratio is {mean:.2f}.",
+        '"Stuck" fits ended in another optimum, more than 8 standard errors away.',
         "",
         "| | predicted | spread/predicted | 95 % | coverage | stuck |",
         "|---|---|---|---|---|---|",
@@ -186,6 +205,7 @@ def _delivered(found: list[RepeatStatistics], n: int) -> list[str]:
 
 
 def _part(oe: Experiment, pe: Experiment) -> Part:
+    """Return figures 5.1 to 5.3."""
     return Part(
         "design",
         "Design of experiments",
@@ -200,10 +220,11 @@ def _part(oe: Experiment, pe: Experiment) -> Part:
     )
 
 
-def _inputs(title: str, one: Experiment, until: float) -> Drawing:
-    task, rows = one.judge, one.judge.t <= until
-    command = one.command[rows]
-    shaft = task.actuation.shaft(one.command[:, :, None])[rows, :, 0]
+def _inputs(title: str, designed: Experiment, until: float) -> Drawing:
+    """Return a figure of commands and shaft speeds of a design, from the start until ``until`` [s]."""
+    task, rows = designed.judge, designed.judge.t <= until
+    command = designed.command[rows]
+    shaft = task.actuation.shaft(designed.command[:, :, None])[rows, :, 0]
     t = task.t[rows]
     charts = [
         Chart(
@@ -218,15 +239,16 @@ def _inputs(title: str, one: Experiment, until: float) -> Drawing:
     return Drawing(title, "s", charts)
 
 
-def _track(one: Experiment) -> Drawing:
-    track = predicted_track(one.made)
+def _track(designed: Experiment) -> Drawing:
+    """Return a figure of the predicted track, with its spread over the parameter samples."""
+    track = predicted_track(designed.made)
     assert track is not None  # the horizontal model has a position
     charts = [
         Chart(
             f"{name} [m]",
             [
                 Curve(
-                    "95 % of boats of the box",
+                    "95 % of the parameter samples",
                     track.t,
                     np.quantile(others, 0.025, axis=0),
                     "band",
@@ -240,12 +262,14 @@ def _track(one: Experiment) -> Drawing:
             ("east", track.y, track.others[:, :, 1]),
         )
     ]
-    return Drawing("Predicted track", "s", charts, "Not in the paper. Without steering, what is not known adds up.")
+    caption = "Not in the paper. Without a steering controller the parameter errors add up along the track."
+    return Drawing("Predicted track", "s", charts, caption)
 
 
-def _histogram(title: str, one: Experiment) -> Drawing:
-    every = np.concatenate(list(one.samples.values.values()))
-    low, high = (float(q) for q in np.quantile(every, [0.002, 0.998]))
+def _histogram(title: str, designed: Experiment) -> Drawing:
+    """Return histograms of log det over the parameter samples, for the design and its baselines."""
+    values = np.concatenate(list(designed.samples.values.values()))
+    low, high = (float(q) for q in np.quantile(values, [0.002, 0.998]))
     edges = np.linspace(low, high, BINS + 1)
     roles: dict[str, Literal["model", "other", "truth"]] = {"design": "model", "PRBS": "other", "RGS": "truth"}
     curves = [
@@ -255,6 +279,6 @@ def _histogram(title: str, one: Experiment) -> Drawing:
             np.repeat(np.histogram(np.clip(v, low, high), edges)[0].astype(float), 2),
             roles[name],
         )
-        for name, v in one.samples.values.items()
+        for name, v in designed.samples.values.items()
     ]
     return Drawing(title, "log det of the information", [Chart("samples", curves)])

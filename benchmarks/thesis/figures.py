@@ -1,4 +1,4 @@
-"""A page of figures from plain data: panels of curves above each other, grouped under headings."""
+"""Writer of an HTML page with figures: panels of curves above each other, grouped under headings."""
 
 from __future__ import annotations
 
@@ -26,51 +26,66 @@ from seatrial.ident.report.drawing import (
 from seatrial.ident.report.page import compose
 
 COLORS = {"measured": MEASURED, "model": MODEL, "other": BEFORE, "truth": GREEN}
-POINTS = 60_000  # on the page
+POINTS = 60_000  # largest number of points on the page
 
 
 @dataclass(frozen=True)
 class Curve:
-    """x, y (n,); ``band``: the stretch between y and ``top`` (n,) is filled; ``axis``: one of several alike."""
+    """Curve of a panel."""
 
     name: str
-    x: Array
-    y: Array
+    x: Array  # (n,)
+    y: Array  # (n,)
+    # The role selects the colour. A "band" is filled between y and top. Curves of role "axis" get different colours.
     role: Literal["measured", "model", "other", "truth", "band", "axis"] = "model"
-    top: Array | None = None
+    top: Array | None = None  # (n,), upper edge of a band
 
 
 @dataclass(frozen=True)
 class Chart:
-    """One panel: ``log`` makes both axes logarithmic."""
+    """Panel of a figure."""
 
     title: str
     curves: Sequence[Curve]
-    log: bool = False
+    log: bool = False  # whether both axes are logarithmic
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """One figure: its panels share an abscissa."""
+    """Figure of panels with a common abscissa."""
 
     title: str
-    x: str
+    x: str  # title of the abscissa
     charts: Sequence[Chart]
-    words: str = ""
-    height: int = 190
+    words: str = ""  # caption
+    height: int = 190  # pixels of each panel
 
 
 @dataclass(frozen=True)
 class Part:
-    """Drawings under a heading."""
+    """Section of the page: a heading with figures."""
 
-    id: str
+    id: str  # anchor on the page
     title: str
     drawings: Sequence[Drawing] = field(default_factory=tuple)
 
 
 def write_figures(path: Path, kind: str, answer: str, lead: str, parts: Sequence[Part]) -> None:
-    """One self-contained page that opens without a network."""
+    """Write a self-contained HTML page, which opens without a network.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    kind : str
+        Title of the page.
+    answer : str
+        Headline.
+    lead : str
+        Introduction.
+    parts : sequence of Part
+        Sections with their figures.
+    """
     n_curves = sum(len(c.curves) for p in parts for d in p.drawings for c in d.charts)
     canvas = Canvas(Budget.for_traces(n_curves, POINTS))
     body = [_section(canvas, part) for part in parts]
@@ -80,6 +95,7 @@ def write_figures(path: Path, kind: str, answer: str, lead: str, parts: Sequence
 
 
 def _section(canvas: Canvas, part: Part) -> Section:
+    """Return a section of the page with its plots and captions."""
     blocks: list[object] = []
     for drawing in part.drawings:
         panels = [Panel(c.title, _traces(c, canvas.budget.points), _axis(c.log)) for c in drawing.charts]
@@ -93,7 +109,7 @@ def _section(canvas: Canvas, part: Part) -> Section:
 
 
 def _name_once(traces: list[Trace]) -> None:
-    """Curves of one name in several panels have one entry in the legend."""
+    """Show each name once in the legend, if curves in several panels have the same name."""
     seen: set[str] = set()
     for trace in traces:
         trace["showlegend"] = trace["name"] not in seen
@@ -101,17 +117,19 @@ def _name_once(traces: list[Trace]) -> None:
 
 
 def _axis(log: bool) -> dict[str, object]:
+    """Return the options of a y axis."""
     return {"type": "log", "exponentformat": "power", "nticks": 8} if log else {}
 
 
 def _traces(chart: Chart, limit: int) -> list[Trace]:
-    found, alike = [], 0
+    """Return the traces of a panel. ``limit`` is the largest number of points of a curve."""
+    found, n_axes = [], 0
     for curve in chart.curves:
         if curve.role == "band" and curve.top is not None:
             found.append(between(curve.x, curve.y, curve.top) | {"name": curve.name})
             continue
-        color = COLORS.get(curve.role) or LINES[alike % len(LINES)]
-        alike += curve.role == "axis"
+        color = COLORS.get(curve.role) or LINES[n_axes % len(LINES)]
+        n_axes += curve.role == "axis"
         dash = "dot" if curve.role == "other" else "solid"
         found.append(line_trace(curve.x, curve.y, curve.name, limit, color=color, dash=dash))
     return found

@@ -1,4 +1,4 @@
-"""The experiments behind the tables: simulated or, for the bench, read from a log; and their estimates."""
+"""Experiments of the tables and their estimates. The data are simulated, or read from a log of a bench run."""
 
 from __future__ import annotations
 
@@ -36,26 +36,29 @@ from seatrial.ident.validation.prediction_errors import simulation_run
 
 @dataclass(frozen=True)
 class Both:
-    """One record, estimated without and with process noise."""
+    """Estimates of one record by output error and by prediction error."""
 
     record: Record
-    truth: Mapping[str, float]
-    oe: Fit
-    pe: Fit
+    truth: Mapping[str, float]  # true values of the parameters
+    oe: Fit  # output error, without process noise
+    pe: Fit  # prediction error, with process noise
 
     @property
     def simulated(self) -> Simulation:
-        """What output error predicts: from the inputs alone."""
+        """Prediction of the output-error model from the inputs alone."""
         return simulate(self.oe.model, self.record)
 
     @property
     def filtered(self) -> FilterResult:
-        """What prediction error predicts: one sample ahead."""
+        """Prediction of the prediction-error model one sample ahead."""
         return Likelihood(self.pe.model).filter(self.record, self.pe.record_values[0])
 
 
 def both(case: Case, seed: int) -> Both:
-    """A record of a case, from rest, and its two estimates."""
+    """Simulate a record of a case from rest, and estimate its parameters by both methods.
+
+    The fits start at 1.3 times the true values.
+    """
     model = case.model
     rng, values = np.random.default_rng([seed, 3]), np.array([list(model.values.values())])
     _, y = simulate_stochastic(model, case.inputs, values, [rng], x0=np.zeros((1, len(model.states))))
@@ -66,7 +69,10 @@ def both(case: Case, seed: int) -> Both:
 
 
 def yaw_experiment(seed: int) -> Both:
-    """Table 3: differential thrust in steps, gyro; truth: the paper's PE estimate."""
+    """Return the estimates of table 3: yaw moment in steps, measured by a gyro.
+
+    The truth is the paper's PE estimate.
+    """
     t = np.arange(0.0, 180.0, 0.05)
     moment = random_levels(t, lambda rng: rng.uniform(-9.0, 9.0, 1), (4.0, 10.0), seed)
     model = yaw_model().with_values(printed.TABLE_3["PE"] | {"s_r": 0.02, "e_r": 0.01})
@@ -74,7 +80,10 @@ def yaw_experiment(seed: int) -> Both:
 
 
 def surge_experiment(seed: int) -> Both:
-    """Table 4: common thrust in steps, position; truth: the paper's PE estimate, whose d_u is next to nothing."""
+    """Return the estimates of table 4: surge force in steps, measured by position.
+
+    The truth is the paper's PE estimate, in which d_u is almost zero.
+    """
     t = np.arange(0.0, 180.0, 0.2)
     force = random_levels(t, lambda rng: rng.uniform(-20.0, 75.0, 1), (6.0, 15.0), seed)
     model = surge_model().with_values(printed.TABLE_4["PE"] | {"s_u": 0.02, "e_x": 0.05})
@@ -82,7 +91,10 @@ def surge_experiment(seed: int) -> Both:
 
 
 def bench_experiment(seed: int) -> Both:
-    """Table 2: steps that grow, then a chirp of each sign; command, shaft speed and force at 80 Hz."""
+    """Return the estimates of table 2: steps of growing size, then one chirp of each sign.
+
+    Command, shaft speed and force are sampled at 80 Hz.
+    """
     t: Array = np.asarray(np.arange(round(90.0 / DELAY_STEP)) * DELAY_STEP)
     command = np.where(t < 50, np.ceil(t % 50 / 5) / 10 * (1 - 2 * (np.floor(t / 2.5) % 2)), 0.0)
     sweep = np.maximum(t - 50, 0.0) % 20
@@ -95,42 +107,51 @@ def bench_experiment(seed: int) -> Both:
 
 
 def bench_log(path: Path) -> tuple[dict[str, tuple[float, float]], str]:
-    """Estimates and standard errors from a log of `seatrial bench`, and the name of the log."""
+    """Return the estimates and standard errors from a log of `seatrial bench`, and the name of the log.
+
+    Raises
+    ------
+    SeatrialError
+        If the log cannot be read or has no shaft speed.
+    """
     from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
 
     with tempfile.TemporaryDirectory() as folder:
         result = characterise(ThrusterRequest([path], Path(folder)), "", QUIET)
     if not isinstance(result, ThrusterResult):
-        raise SeatrialError(f"{path}: has no shaft speed, so the tables of the thruster cannot be made of it")
+        raise SeatrialError(f"{path}: has no shaft speed, which table 2 needs; give another log of a bench run")
     rows = {r.name: (r.value, float("nan") if r.se is None else r.se) for r in result.fit.parameters}
     return {n: rows[n] for n in printed.TABLE_2}, path.name
 
 
 @dataclass(frozen=True)
 class Plane:
-    """One model of table 5 on the mission: its estimate and innovations."""
+    """Model of table 5 with its fit and its innovations on the mission."""
 
     fit: Fit
     record: Record
-    run: FilterResult
+    run: FilterResult  # of the filter with the fitted parameters
 
     def innovations(self, channel: str) -> tuple[Array, Array, Array]:
-        """t, e and its standard deviation (n,) of a channel."""
+        """Return the times [s], the innovations and their predicted standard deviations of a channel, each (n,)."""
         j = [o.name for o in self.fit.model.outputs].index(channel)
         good = np.isfinite(self.run.eps[:, j])
         return self.run.t[good], self.run.eps[good, j], np.sqrt(self.run.S[good, j])
 
 
 def plane_experiment(seed: int, seconds: float = 400.0) -> tuple[Sailed, Plane, Plane]:
-    """Table 5: three degrees of freedom, and measured attitude in place of yaw, roll and pitch; truth: 6DOF K."""
+    """Return the mission of table 5, and the fits of 3DOF and of 6DOF K (measured attitude).
+
+    The truth is the paper's estimate of 6DOF K.
+    """
     sailed = sail(printed.TABLE_5["6DOF K"], seconds, seed)
     return sailed, plane(horizontal_model(), sailed), plane(kinematic_model(yaw=True), sailed)
 
 
 def plane(model: Model, sailed: Sailed) -> Plane:
-    """The fit of a model with process noise on its velocities, as in the paper, and offsets of the sensors."""
-    known = [s.name for s in model.sensors if s.name in SENSORS]
-    full = model + sensor_bias(known)
+    """Fit a model to the mission, with process noise on its velocities as in the paper, and with sensor biases."""
+    biased_sensors = [s.name for s in model.sensors if s.name in SENSORS]
+    full = model + sensor_bias(biased_sensors)
     record = build_record(full, sailed.channels, name="mission", rate=20.0)
     found = fit(full, [record])
     return Plane(found, record, Likelihood(found.model).filter(record, found.record_values[0]))
@@ -138,15 +159,19 @@ def plane(model: Model, sailed: Sailed) -> Plane:
 
 @dataclass(frozen=True)
 class Rest:
-    """A sensor at rest: what was measured, the truth (white, walk) and the estimate."""
+    """Noise of a sensor at rest."""
 
-    channel: Channel
-    truth: tuple[float, float]
-    found: NoiseFit
+    channel: Channel  # simulated measurement
+    truth: tuple[float, float]  # standard deviation of the white noise, and diffusion of the random walk
+    found: NoiseFit  # estimate
 
 
 def at_rest(seed: int) -> dict[str, Rest]:
-    """Figures 4.1 and 4.2: accelerometer [m/s2] and magnetometer [uT], 20 minutes at 50 Hz, white noise and walk."""
+    """Simulate sensors at rest and estimate their noise, for figures 4.1 and 4.2.
+
+    The channels of accelerometer [m/s2] and magnetometer [uT] have white noise and a random walk, and last 20 minutes
+    at 50 Hz.
+    """
     true = {"ax": (0.012, 2e-4), "ay": (0.010, 3e-4), "mx": (0.25, 0.004), "my": (0.22, 0.006), "mz": (0.30, 0.003)}
     rng, t = np.random.default_rng([seed, 4]), np.arange(0.0, 1200.0, 0.02)
     found = {}
@@ -158,11 +183,11 @@ def at_rest(seed: int) -> dict[str, Rest]:
     return found
 
 
-def predicted(one: Both) -> Array:
-    """Free prediction of a bench run from its commands (n_rows, n_outputs)."""
-    return simulation_run(one.pe.model, one.record, one.pe.record_values[0]).y
+def predicted(estimates: Both) -> Array:
+    """Return the simulation of a bench run from its commands (n_rows, n_outputs)."""
+    return simulation_run(estimates.pe.model, estimates.record, estimates.pe.record_values[0]).y
 
 
 def with_forces(sailed: Sailed) -> Fit:
-    """Table 5 once more, three degrees of freedom as `seatrial ident vehicle` has them: with disturbance forces."""
+    """Return the fit of 3DOF with disturbance forces to the mission of table 5, as `seatrial ident vehicle` fits it."""
     return fit_nominal_model(horizontal_model(), [LogSegment("mission", sailed.channels)], []).fit

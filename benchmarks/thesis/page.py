@@ -1,4 +1,4 @@
-"""The two pages: tables as Markdown, figures as one HTML file."""
+"""Writer of both pages: the tables in Markdown, and the figures in one HTML file."""
 
 from __future__ import annotations
 
@@ -22,18 +22,17 @@ from benchmarks.thesis.fits import (
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.standard_errors import AUTOCORRELATED_TOO_LONG
 
-Say = Callable[[str], None]
+Say = Callable[[str], None]  # prints a line of progress
 INTRODUCTION = """\
-# The paper's tables and figures once more
+# The tables and figures of the paper with simulated data
 
     {command}
 
 The data of the paper (*Nonlinear system identification of autonomous marine vehicles*, MSc thesis, IST) are not
-public. Here its estimates are made the truth, missions are simulated with process noise by the models themselves (in
-plain numpy, `ident/estimation/stochastic_simulation.py`), and estimated again. So the columns "paper" and "truth" say
-what boat it is, and the
-rest whether these estimators find it. One realisation of one seed: for bias and coverage see [study.md](study.md).
-± is one standard error.
+public. Here the estimates of the paper are the true parameters. Missions are simulated by the models with process noise
+(in plain numpy, `ident/estimation/stochastic_simulation.py`), and the parameters are estimated from the simulated data.
+The columns "paper" and "truth" describe the boat. The other columns show whether the estimators find it. The tables are
+one realisation of one seed; [study.md](study.md) has bias and coverage. ± is one standard error.
 
 The figures are in [thesis.html](thesis.html), which opens without a network: 4.1 and 4.2 (accelerometer and
 magnetometer at rest), 4.3 (the thruster's response), 5.1 to 5.3 (designed experiments), 6.1 (yaw rate), 6.2 (position
@@ -42,8 +41,29 @@ and its differences), 6.3 to 6.6 (innovations of acceleration and position, 3DOF
 
 
 def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: int = 15_000, repeats: int = 50) -> None:
-    """thesis.md and thesis.html into a folder. Raises SeatrialError where the log of a bench cannot be used."""
-    measured = None if bench is None else bench_log(bench)  # before anything that takes minutes
+    """Write thesis.md and thesis.html.
+
+    Parameters
+    ----------
+    out : Path
+        Folder for both files.
+    seed : int
+        Seed of all simulations.
+    bench : Path, optional
+        Log of a bench run, whose estimates are added to table 2.
+    say : callable
+        Function that prints a line of progress.
+    evaluations : int
+        Evaluations in the search for designs of chapter 5.
+    repeats : int
+        Simulated repeats of the designed experiment.
+
+    Raises
+    ------
+    SeatrialError
+        If the log of the bench cannot be used.
+    """
+    measured = None if bench is None else bench_log(bench)  # first, so that a wrong log fails at once
     say("thruster")
     thruster = bench_experiment(seed)
     second = _thruster_part(thruster, measured)
@@ -57,16 +77,17 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
     lines += [
         "## Table 5: the horizontal plane",
         "",
-        "A boat that leans in turns, pitches with thrust and rolls and pitches in small waves; 400 s of steps on both",
-        "thrusters, AHRS at 20 Hz, GNSS at 5 Hz, unknown current. 3DOF is `horizontal:shaft` with white process noise,",
-        "as in the paper; 6DOF K is `kinematic:shaft:yaw`, which measures attitude instead of predicting it; the last",
-        "column is what `seatrial ident vehicle` fits: 3DOF with disturbance forces.",
+        "The boat heels in turns, pitches with thrust, and rolls and pitches in small waves. The mission has 400 s of",
+        "steps on both thrusters, an AHRS at 20 Hz, a GNSS receiver at 5 Hz and an unknown current. 3DOF is",
+        "`horizontal:shaft` with white process noise, as in the paper. 6DOF K is `kinematic:shaft:yaw`, whose attitude",
+        "is measured and not predicted. The last column is the model that `seatrial ident vehicle` fits: 3DOF with",
+        "disturbance forces.",
         "",
         *tables.table_5(sailed.truth, three.fit, six.fit, forces),
         "",
-        *_said(sailed.truth, {"3DOF": three.fit, "6DOF K": six.fit, "3DOF with forces": forces}),
+        *_errors_in_words(sailed.truth, {"3DOF": three.fit, "6DOF K": six.fit, "3DOF with forces": forces}),
         "",
-        "Innovations, in units of the channel (figures 6.3-6.6): a right model leaves them white.",
+        "Innovations in the units of the channels (figures 6.3-6.6). Those of a correct model are white.",
         "",
         *tables.innovations(three, six),
     ]
@@ -84,34 +105,36 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
     ]
     write_figures(
         out / "thesis.html",
-        "The paper's figures once more",
+        "The figures of the paper with simulated data",
         "Figures 4.1-4.3, 5.1-5.3 and 6.1-6.6 on simulated data",
-        f"Made by {command}; numbers and words in thesis.md.",
+        f"Written by {command}. The tables and explanations are in thesis.md.",
         parts,
     )
     say(f"written: {out / 'thesis.md'}, {out / 'thesis.html'}")
 
 
 def _thruster_part(simulated: Both, bench: tuple[dict[str, tuple[float, float]], str] | None) -> list[str]:
-    """``bench``: estimates and errors of a log, and its name."""
+    """Return the section of table 2. ``bench`` has the estimates and standard errors of a log, and its name."""
     names = printed.TABLE_2
     columns = {label: {n: f.estimate(n) for n in names} for label, f in (("OE", simulated.oe), ("PE", simulated.pe))}
     lines = [
         "## Table 2: the thruster",
         "",
-        "Steps that grow, then a chirp of each sign; 90 s, command, shaft speed and force at 80 Hz, a load cell that",
-        "swings. Beside a, c1 and c2 the delay of the command is estimated, which the paper does not have.",
+        "The command has steps of growing size, then one chirp of each sign, in 90 s. Command, shaft speed and force",
+        "are sampled at 80 Hz, and the load cell oscillates in its mount. The delay of the command is estimated as",
+        "well; the paper does not have it.",
         "",
         *tables.table_2(columns, simulated.truth),
         "",
     ]
     if bench is not None:
-        found, where = bench
-        lines += [f"The thruster of the log {where}:", "", *tables.table_2({"PE": found}, None), ""]
+        found, log_name = bench
+        lines += [f"The thruster of the log {log_name}:", "", *tables.table_2({"PE": found}, None), ""]
     return lines
 
 
 def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
+    """Return the sections of tables 3 and 4."""
     return [
         "## Table 3: yaw",
         "",
@@ -119,35 +142,35 @@ def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
         "",
         *tables.tables_3_and_4(turn, printed.TABLE_3),
         "",
-        *_said(turn.truth, {"OE": turn.oe, "PE": turn.pe}),
+        *_errors_in_words(turn.truth, {"OE": turn.oe, "PE": turn.pe}),
         "",
         "## Table 4: surge",
         "",
-        "180 s of thrust in steps, position at 5 Hz, process noise 0.02 m/s/√s. The paper's `d_u` is next to nothing,",
-        "and so it is here in truth: an estimate at its bound of zero has no standard error.",
+        "180 s of thrust in steps, position at 5 Hz, process noise 0.02 m/s/√s. `d_u` is almost zero in the paper, and",
+        "therefore in the truth here. An estimate at its bound of zero has no standard error.",
         "",
         *tables.tables_3_and_4(run, printed.TABLE_4),
         "",
-        *_said(run.truth, {"OE": run.oe, "PE": run.pe}),
+        *_errors_in_words(run.truth, {"OE": run.oe, "PE": run.pe}),
         "",
     ]
 
 
-def _said(truth: Mapping[str, float], fits: Mapping[str, Fit]) -> list[str]:
-    """How far each is from the truth, in its own standard errors, and where no error can be told."""
+def _errors_in_words(truth: Mapping[str, float], fits: Mapping[str, Fit]) -> list[str]:
+    """Return sentences on the largest error of each fit in standard errors, and on missing standard errors."""
     parts = []
     for label, fit in fits.items():
-        known = [n for n in fit.names if n in printed.UNITS]
-        parts.append(f"{label} {tables.distance(fit, truth, known):.1f}")
+        names = [n for n in fit.names if n in printed.UNITS]
+        parts.append(f"{label} {tables.distance(fit, truth, names):.1f}")
     lines = [f"Largest distance from the truth, in reported standard errors: {', '.join(parts)}."]
     if any(
-        what == AUTOCORRELATED_TOO_LONG
+        flag == AUTOCORRELATED_TOO_LONG
         for fit in fits.values()
-        for _, what in fit.flags
+        for _, flag in fit.flags
         if not fit.options.process_noise
     ):
         lines += [
-            "What process noise moved the boat by stays in OE's residuals until the end of the record: no error",
-            "allows for that, and a robust error is not given. Those of PE hold.",
+            "A displacement by process noise stays in the residuals of OE until the end of the record. No standard",
+            "error accounts for this, so a robust error is not reported. The standard errors of PE are valid.",
         ]
     return lines

@@ -1,4 +1,4 @@
-"""What the paper prints, and the truths that the simulations here begin from."""
+"""Estimates that are printed in the paper. They are the true values of the simulations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tables in Markdown: truth, what the paper prints, and the estimates here."""
+"""Tables in Markdown with the values of the paper, the true values and the estimates."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.validation.whiteness import whiteness_test
 
 Lines = list[str]
-Estimates = Mapping[str, tuple[float, float]]
+Estimates = Mapping[str, tuple[float, float]]  # name -> value and standard error
 CHANNELS = ("ax", "ay", "x", "y", "vx", "vy", "r", "psi")
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Lines:
-    """A table's lines; all columns but the first are numbers."""
+    """Return the lines of a table. All columns except the first are aligned as numbers."""
     return [
         "| " + " | ".join(head) + " |",
         "|---|" + "---:|" * (len(head) - 1),
@@ -26,33 +26,41 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Lines:
 
 
 def number(value: float, error: float | None = None) -> str:
-    """Four digits, and a standard error where there is one."""
+    """Return a value with four digits, followed by its standard error if it is finite."""
     text = "0" if abs(value) < 5e-5 else f"{value:.4g}"
     return text if error is None or not np.isfinite(error) else f"{text} ± {error:.2g}"
 
 
 def table_2(estimates: Mapping[str, Estimates], truth: Mapping[str, float] | None) -> Lines:
-    """``estimates``: by the title of their column; ``truth``: None for a log."""
+    """Return table 2, on the thruster.
+
+    Parameters
+    ----------
+    estimates : mapping of str to estimates
+        Values and standard errors, by the title of their column.
+    truth : mapping of str to float, optional
+        True values; None for a measured log.
+    """
     rows = []
     for n, value in printed.TABLE_2.items():
-        known = [number(truth[n])] if truth else []
-        rows.append([_named(n), number(value), *known, *(number(*e[n]) for e in estimates.values())])
+        true_value = [number(truth[n])] if truth else []
+        rows.append([_named(n), number(value), *true_value, *(number(*e[n]) for e in estimates.values())])
     return markdown(["", "paper", *(["truth"] if truth else []), *estimates], rows)
 
 
-def tables_3_and_4(one: Both, paper: Mapping[str, Mapping[str, float]]) -> Lines:
-    """OE and PE on one record, with the errors of OE that hold for coloured residuals beside its own."""
+def tables_3_and_4(both: Both, paper: Mapping[str, Mapping[str, float]]) -> Lines:
+    """Return table 3 or 4: OE and PE on one record, with the robust standard errors of OE for coloured residuals."""
     head = ["", "paper OE", "paper PE", "truth", "OE", "OE, robust error", "PE"]
     rows = []
     for n in paper["OE"]:
-        robust = float(one.oe.robust_errors[one.oe.names.index(n)])
-        (oe, error), pe = one.oe.estimate(n), one.pe.estimate(n)
+        robust = float(both.oe.robust_errors[both.oe.names.index(n)])
+        (oe, error), pe = both.oe.estimate(n), both.pe.estimate(n)
         rows.append(
             [
                 _named(n),
                 number(paper["OE"][n]),
                 number(paper["PE"][n]),
-                number(one.truth[n]),
+                number(both.truth[n]),
                 number(oe, error),
                 f"± {robust:.2g}" if np.isfinite(robust) else "",
                 number(*pe),
@@ -62,7 +70,7 @@ def tables_3_and_4(one: Both, paper: Mapping[str, Mapping[str, float]]) -> Lines
 
 
 def table_5(truth: Mapping[str, float], three: Fit, six: Fit, forces: Fit) -> Lines:
-    """Three degrees of freedom, measured attitude, and three with disturbance forces."""
+    """Return table 5: 3DOF, 6DOF K (measured attitude), and 3DOF with disturbance forces."""
     paper = printed.TABLE_5
     rows = [
         [
@@ -78,27 +86,29 @@ def table_5(truth: Mapping[str, float], three: Fit, six: Fit, forces: Fit) -> Li
 
 
 def innovations(three: Plane, six: Plane) -> Lines:
-    """Size and colour of the innovations of both models, channel by channel."""
+    """Return the table of RMS and autocorrelation of the innovations of both models, by channel."""
     rows = []
     for n in CHANNELS:
-        cells = [cell for one in (three, six) for cell in _colour(one, n)]
+        cells = [cell for plane in (three, six) for cell in _colour(plane, n)]
         rows.append([f"`{n}`", *cells])
     return markdown(["", "3DOF rms", "first three correlations", "6DOF K rms", "first three correlations"], rows)
 
 
-def _colour(one: Plane, channel: str) -> list[str]:
-    if channel not in [o.name for o in one.fit.model.outputs]:
+def _colour(plane: Plane, channel: str) -> list[str]:
+    """Return RMS and first three autocorrelations of the innovations of a channel; empty if the model lacks it."""
+    if channel not in [o.name for o in plane.fit.model.outputs]:
         return ["", ""]
-    t, e, sd = one.innovations(channel)
+    t, e, sd = plane.innovations(channel)
     w = whiteness_test(channel, t, e / sd)
     return [f"{e.std():.3g}", ", ".join(f"{a:+.2f}" for a in w.acf[:3]) + (" (white)" if w.white else "")]
 
 
 def distance(estimate: Fit, truth: Mapping[str, float], names: Sequence[str]) -> float:
-    """The largest distance from the truth, in reported standard errors."""
+    """Return the largest error of the estimates in units of their standard errors."""
     z = [abs(v - truth[n]) / e for n in names for v, e in [estimate.estimate(n)] if np.isfinite(e)]
     return float(max(z))
 
 
 def _named(name: str) -> str:
+    """Return the name of a parameter with its unit."""
     return f"`{name}` [{printed.UNITS[name]}]"

@@ -1,4 +1,4 @@
-"""A model of one's own: a boat with one propeller and a rudder behind it (docs/how-to/own-model.md)."""
+"""User-defined model of a boat with one propeller and a rudder behind it (docs/how-to/own-model.md)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from seatrial.ident.models import horizontal_model
 
 
 def rudder_boat() -> Model:
-    """Hull and sensors of the built-in horizontal model; force and moment from n (-1..1) and the rudder angle [rad]."""
+    """Return the built-in horizontal model with force and moment from shaft speed (-1 to 1) and rudder angle [rad]."""
     boat = horizontal_model("general")
     return replace(
         boat,
@@ -27,6 +27,6 @@ def rudder_boat() -> Model:
 
 
 def push(s: Signals) -> None:
-    """The hull's force stage takes the force X [N] and the moment N [N m]; positive rudder turns to starboard."""
+    """Compute the force X [N] and the moment N [N m] for the force stage. A positive rudder turns to starboard."""
     s.u.X = s.p.c_t * s.u.n_main * abs(s.u.n_main)
     s.u.N = s.p.l_r * s.u.X * np.sin(s.u.rudder)

@@ -1,4 +1,4 @@
-"""A user-defined study: `seatrial ident study docs/examples/own_study.py:calm --out study` (docs/how-to/study.md)."""
+"""User-defined study: `seatrial ident study docs/examples/own_study.py:calm --out study` (docs/how-to/study.md)."""
 
 import numpy as np
 

@@ -10,10 +10,10 @@ import numpy as np
 
 
 class ReferenceModel(NamedTuple):
-    """Rates f(x, u), outputs h(x, u), and their noise."""
+    """Model of the filter: functions and noise."""
 
-    f: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    h: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    f: Callable[[np.ndarray, np.ndarray], np.ndarray]  # rates f(x, u)
+    h: Callable[[np.ndarray, np.ndarray], np.ndarray]  # outputs h(x, u)
     Q: np.ndarray  # (n_states, n_states) spectral density of the process noise
     R: np.ndarray  # (n_outputs,) variances of the measurement noise
     sensors: list[list[int]]  # the outputs that each sensor measures at the same time
@@ -30,7 +30,7 @@ def jacobian(f: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray
 
 
 def predict(model: ReferenceModel, x: np.ndarray, P: np.ndarray, u: np.ndarray, u_next: np.ndarray, h: float):
-    """Propagate mean and covariance over h seconds; the inputs go from u to u_next in a straight line."""
+    """Propagate mean and covariance over h seconds. The inputs change linearly from u to u_next."""
     middle = (u + u_next) / 2
     k1 = model.f(x, u)
     k2 = model.f(x + h / 2 * k1, middle)
@@ -45,7 +45,7 @@ def predict(model: ReferenceModel, x: np.ndarray, P: np.ndarray, u: np.ndarray, 
 
 
 def update(model: ReferenceModel, x: np.ndarray, P: np.ndarray, y: np.ndarray, u: np.ndarray, sensor: list[int]):
-    """Update mean and covariance by one sample of a sensor; return them and the log-likelihood of the sample."""
+    """Update mean and covariance by one sample of a sensor. Return both and the log-likelihood of the sample."""
     e = y - model.h(x, u)[sensor]
     e = np.array([math.remainder(a, 2 * math.pi) if i in model.angles else a for i, a in zip(sensor, e, strict=True)])
     H = jacobian(lambda z: model.h(z, u)[sensor], x)
@@ -56,7 +56,10 @@ def update(model: ReferenceModel, x: np.ndarray, P: np.ndarray, y: np.ndarray, u
 
 
 def log_likelihood(model: ReferenceModel, t: np.ndarray, u: np.ndarray, y: np.ndarray, x: np.ndarray, P: np.ndarray):
-    """Return ln L of rows at times t with inputs u (n_rows, n_inputs) and outputs y (n_rows, n_outputs), NaN: none."""
+    """Return ln L of a record with times t (n_rows,), inputs u (n_rows, n_inputs) and outputs y (n_rows, n_outputs).
+
+    Outputs without a sample are NaN. x and P are the initial mean and covariance.
+    """
     total = 0.0
     for k in range(t.size):
         for sensor in model.sensors:

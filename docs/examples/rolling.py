@@ -1,4 +1,4 @@
-"""A model of one's own from two functions: a boat that is heeled and let go (docs/how-to/own-model.md)."""
+"""User-defined model from two functions: a roll decay test of a boat (docs/how-to/own-model.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Draw docs/architecture.md's picture and tables from the import contracts: ``python docs/site/architecture.py``.
+"""Generator of the picture and the tables in docs/architecture.md: ``python docs/site/architecture.py``.
 
-The contracts are those of pyproject.toml, which `make lint` holds the code to. What no contract forbids is allowed.
+The content comes from the import contracts in pyproject.toml, which `make lint` checks. An import is allowed if no
+contract forbids it.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ PAGE = ROOT / "docs/architecture.md"
 PICTURE = ROOT / "docs/pictures/architecture.svg"
 BEGIN, END = "<!-- contracts: python docs/site/architecture.py -->", "<!-- end -->"
 PARTS = ("seatrial", "bench", "ident", "mocks", "daq")
-VERBS = {"seatrial": "the commands", "bench": "excite", "ident": "explain", "mocks": "pretend", "daq": "measure"}
-# Where the boxes stand: x and y of the upper left corner, width.
+VERBS = {"seatrial": "the commands", "bench": "excite", "ident": "explain", "mocks": "simulate", "daq": "measure"}
+# Boxes in the picture: x and y of the upper left corner, width.
 BOXES = {
     "seatrial": (20, 20, 720),
     "bench": (20, 170, 200),
@@ -32,32 +33,32 @@ BLUE, ORANGE, INK = "#0072b2", "#d55e00", "#1b1f24"
 
 
 class Arrow(NamedTuple):
-    """`source` may import `target`: all of it, or only the modules named."""
+    """Permission of one part to import another part."""
 
     source: str
     target: str
-    only: tuple[str, ...]
+    only: tuple[str, ...]  # modules of `target` that `source` may import; empty if it may import all of them
 
 
 class Kept(NamedTuple):
-    """A library that the contracts keep out of some parts."""
+    """Library that the contracts forbid in some parts."""
 
     library: str
-    out_of: tuple[str, ...]
-    but: tuple[str, ...]  # the modules in them that may use it
+    out_of: tuple[str, ...]  # parts that must not import the library
+    but: tuple[str, ...]  # modules in these parts that may import the library
 
 
 def contracts() -> list[dict[str, Any]]:
-    """Read the contracts of pyproject.toml; modules are named without `seatrial.`, as the folders are."""
+    """Return the contracts of pyproject.toml. Modules have the names of the folders, without `seatrial.`."""
     table = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     rules = table["tool"]["importlinter"]["contracts"]
     return [{key: _short(value) if key != "name" else value for key, value in rule.items()} for rule in rules]
 
 
 def _short(value: Any) -> Any:
-    """Return a value of a contract with the names of folders for those of modules."""
+    """Return a value of a contract with names of folders instead of names of modules."""
     if isinstance(value, list):
-        return [_short(one) for one in value]
+        return [_short(item) for item in value]
     if isinstance(value, str):
         return value.replace("seatrial.command_line", "seatrial").replace("seatrial.", "")
     return value
@@ -69,12 +70,12 @@ def file_of(module: str) -> Path:
 
 
 def forbidding(rules: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The contracts that keep something out, without those that order the wings."""
+    """Return the contracts that forbid imports, without those that order the layers of a part."""
     return [rule for rule in rules if "forbidden_modules" in rule]
 
 
 def arrows(rules: list[dict[str, Any]]) -> list[Arrow]:
-    """Who may import whom, in the order of the boxes."""
+    """Return the allowed imports between parts, in the order of the boxes."""
     found = []
     for source in PARTS:
         for target in PARTS:
@@ -90,13 +91,13 @@ def arrows(rules: list[dict[str, Any]]) -> list[Arrow]:
 
 
 def _exceptions(rule: dict[str, Any], target: str) -> tuple[str, ...]:
-    """The modules of `target` that a rule lets pass after all."""
+    """Return the modules of `target` that a rule exempts from its prohibition."""
     right = {line.partition("->")[2].strip().removesuffix(".**") for line in rule.get("ignore_imports", ())}
     return tuple(sorted(module for module in right if module.partition(".")[0] == target))
 
 
 def kept(rules: list[dict[str, Any]]) -> list[Kept]:
-    """The libraries of the contracts, in order of name."""
+    """Return the libraries in the contracts, sorted by name."""
     found = []
     for rule in forbidding(rules):
         for library in rule["forbidden_modules"]:
@@ -109,18 +110,18 @@ def kept(rules: list[dict[str, Any]]) -> list[Kept]:
 
 
 def tables() -> str:
-    """The contracts as two tables in Markdown."""
+    """Return the tables of the page in Markdown: the contracts, the layers of each part, and the workflows."""
     rules = contracts()
     lines = ["| part | may import |", "|---|---|"]
     for part in PARTS:
-        mine = [arrow for arrow in arrows(rules) if arrow.source == part]
-        told = [", ".join(f"`{module}`" for module in arrow.only) or f"all of `{arrow.target}`" for arrow in mine]
-        lines.append(f"| `{part}` | {'; '.join(told) or 'none of the others'} |")
-    lines += ["", "| library | kept out of | but for |", "|---|---|---|"]
+        own = [arrow for arrow in arrows(rules) if arrow.source == part]
+        targets = [", ".join(f"`{module}`" for module in arrow.only) or f"all of `{arrow.target}`" for arrow in own]
+        lines.append(f"| `{part}` | {'; '.join(targets) or 'no other part'} |")
+    lines += ["", "| library | not allowed in | except in |", "|---|---|---|"]
     for library, out_of, but in kept(rules):
         names = ", ".join(f"`{part}`" for part in out_of)
         lines.append(f"| {library} | {names} | {', '.join(f'`{module}`' for module in but) or '-'} |")
-    return "\n".join([*lines, *wings(rules), *paths()])
+    return "\n".join([*lines, *layer_tables(rules), *paths()])
 
 
 WORKFLOWS = {
@@ -130,24 +131,34 @@ WORKFLOWS = {
 
 
 class Step(NamedTuple):
-    """A call of a workflow: the module that it enters, and the name called there."""
+    """Call of a workflow into another module."""
 
     module: str
-    name: str
+    name: str  # of the called function or class
 
 
 def call_path(module: str, function: str) -> list[Step]:
-    """The calls of a workflow's function into other modules of ident, in the order in which they are evaluated.
+    """Return the calls of a workflow into other modules of ident, in the order of their evaluation.
 
-    Its own helpers count as a part of it; a name from a face counts as of the module that defines it.
+    Functions of the workflow's own file are followed. A name that is imported from a package is assigned to the module
+    that defines it, according to the package's `__init__.pyi`.
+
+    Parameters
+    ----------
+    module : str
+        Module of the workflow.
+    function : str
+        Function of the workflow in this module.
     """
     tree = ast.parse((ROOT / file_of(module)).with_suffix(".py").read_text(encoding="utf-8"))
     where: dict[str, str] = {}
     for node in tree.body:
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("seatrial.ident."):
             stub = ROOT / file_of(node.module or "") / "__init__.pyi"
-            face = ast.parse(stub.read_text(encoding="utf-8")).body if stub.exists() else []
-            home = {a.name: f"{node.module}.{n.module}" for n in face if isinstance(n, ast.ImportFrom) for a in n.names}
+            public = ast.parse(stub.read_text(encoding="utf-8")).body if stub.exists() else []
+            home = {
+                a.name: f"{node.module}.{n.module}" for n in public if isinstance(n, ast.ImportFrom) for a in n.names
+            }
             where |= {a.asname or a.name: home.get(a.name, node.module or "") for a in node.names}
     own = {n.name: n for n in tree.body if isinstance(n, ast.FunctionDef)}
     found: list[Step] = []
@@ -171,10 +182,16 @@ def call_path(module: str, function: str) -> list[Step]:
 
 
 def paths() -> list[str]:
-    """The way from log to result of each workflow, a table each."""
+    """Return one table for each workflow, with its calls from the log to the result."""
     lines = ["", "### From log to result", "", "No file is entered twice (`tests/test_house.py`)."]
     for command, (module, function) in WORKFLOWS.items():
-        lines += ["", f"`{command}`, `{module}.{function}`:", "", "| file | what is called there |", "|---|---|"]
+        lines += [
+            "",
+            f"`{command}`, `{module}.{function}`:",
+            "",
+            "| file | called functions and classes |",
+            "|---|---|",
+        ]
         steps = call_path(module, function)
         for home in dict.fromkeys(step.module for step in steps):
             names = dict.fromkeys(f"`{step.name}`" for step in steps if step.module == home)
@@ -182,14 +199,14 @@ def paths() -> list[str]:
     return lines
 
 
-def wings(rules: list[dict[str, Any]]) -> list[str]:
-    """A table for each part: its wings from the bottom up, and what each is."""
+def layer_tables(rules: list[dict[str, Any]]) -> list[str]:
+    """Return one table for each part, with its folders and files from the lowest layer up and their docstrings."""
     lines = []
     for rule in rules:
         if rule["type"] != "layers":
             continue
         (part,) = rule["containers"]
-        lines += ["", f"### {part}", "", "| wing | what it is |", "|---|---|"]
+        lines += ["", f"### {part}", "", "| folder or file | content |", "|---|---|"]
         for layer in reversed(rule["layers"]):
             for name in re.split(r" [|:] ", layer):
                 folder, file = ROOT / part / name / "__init__.py", ROOT / part / f"{name}.py"
@@ -201,7 +218,10 @@ def wings(rules: list[dict[str, Any]]) -> list[str]:
 
 
 def svg() -> str:
-    """The picture: a box a part, an arrow where one may import the other; dashed where only some modules."""
+    """Return the picture: one box for each part and one arrow for each allowed import.
+
+    An arrow is dashed if only some modules may be imported.
+    """
     width, height = 760, BOXES["daq"][1] + HEIGHT + 20
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" font-family="sans-serif" role="img">',
@@ -219,6 +239,7 @@ def svg() -> str:
 
 
 def _box(part: str) -> str:
+    """Return the box of a part in SVG, with its name and its task."""
     x, y, width = BOXES[part]
     middle = x + width / 2
     title = f"{part}/"
@@ -230,11 +251,12 @@ def _box(part: str) -> str:
 
 
 def _arrow(arrow: Arrow) -> str:
-    """From the lower edge of a box down to the upper edge of the other; past the middle row on its left."""
+    """Return an arrow in SVG, from the lower edge of the source's box to the upper edge of the target's box."""
     x0, y0, w0 = BOXES[arrow.source]
     x1, y1, w1 = BOXES[arrow.target]
-    past = arrow.source == "seatrial" and arrow.target == "daq"
-    x = 250.0 if past else (x0 if w0 < w1 else x1) + min(w0, w1) / 2
+    # The arrow from the top row to the bottom row passes between two boxes of the middle row.
+    passes_middle_row = arrow.source == "seatrial" and arrow.target == "daq"
+    x = 250.0 if passes_middle_row else (x0 if w0 < w1 else x1) + min(w0, w1) / 2
     style, end = (BLUE, "all") if not arrow.only else (ORANGE, "some")
     dash = ' stroke-dasharray="6 4"' if arrow.only else ""
     line = (
@@ -252,14 +274,14 @@ def _arrow(arrow: Arrow) -> str:
 
 
 def page(text: str) -> str:
-    """The page with the tables between its marks made anew."""
+    """Return the page with new tables between its marks."""
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     return f"{before}{BEGIN}\n\n{tables()}\n\n{END}{after}"
 
 
 def main() -> int:
-    """Write both files."""
+    """Write the picture and the page."""
     PICTURE.write_text(svg(), encoding="utf-8")
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     print(f"written: {PICTURE.relative_to(ROOT)}, {PAGE.relative_to(ROOT)}")

@@ -1,4 +1,7 @@
-"""Hooks of MkDocs: pages that the navigation does not name go into the section of their folder; equations to MathML."""
+"""Hooks of MkDocs.
+
+Pages that are missing in the navigation are added to the section of their folder. Equations are converted to MathML.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +26,8 @@ ELSEWHERE = "Project"
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Complete the navigation, and keep the page of the paper's figures apart from the page thesis.md becomes."""
-    # MkDocs leaves thesis.html out, since thesis.md becomes a page of that name.
+    """Add missing pages to the navigation, and add the page with the figures of the paper under another name."""
+    # MkDocs ignores thesis.html, because the page made from thesis.md has the same name.
     name = "thesis-figures.html"
     figures = File("thesis.html", config.docs_dir, config.site_dir, config.use_directory_urls, dest_uri=name)
     if Path(figures.abs_src_path or "").is_file():
@@ -45,10 +48,10 @@ EQUATION = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>'
 
 
 def on_page_content(text: str, **_: Any) -> str:
-    """Replace each equation in TeX by MathML, which browsers draw without a script and without the network."""
+    """Replace each TeX equation by MathML, which browsers show without scripts and without a network."""
 
     def mathml(found: re.Match[str]) -> str:
-        # The converter knows the environment align*, GitHub knows aligned inside of $$; they look the same.
+        # The converter supports the environment align*, GitHub supports aligned inside $$. Both look the same.
         tex = html.unescape(found[2]).strip().replace("{aligned}", "{align*}")
         return str(convert(tex, display="block" if found[1] == "div" else "inline"))
 
@@ -56,7 +59,7 @@ def on_page_content(text: str, **_: Any) -> str:
 
 
 def _paths(nav: Any) -> list[str]:
-    """Every page that a part of the navigation names."""
+    """Return all pages in a part of the navigation."""
     if isinstance(nav, str):
         return [nav]
     parts = nav.values() if isinstance(nav, dict) else nav
@@ -64,7 +67,7 @@ def _paths(nav: Any) -> list[str]:
 
 
 def _section(nav: Any, title: str) -> list[Any] | None:
-    """The list of pages under a title, at any depth."""
+    """Return the list of pages under a title, at any depth; None if the title does not exist."""
     if isinstance(nav, dict):
         if isinstance(nav.get(title), list):
             return nav[title]  # type: ignore[no-any-return]

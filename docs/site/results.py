@@ -1,7 +1,7 @@
-"""Write docs/formats/result.md from the types of results: ``python docs/site/results.py``.
+"""Generator of docs/formats/result.md from the types of the results: ``python docs/site/results.py``.
 
-A table a type: its fields, what each holds, and the description in its annotation. What several results have in common
-is told once, of the type that they extend.
+The page has one table for each type, with the name, the type and the description of each field. Fields that several
+results have in common are listed once, in the table of their base type.
 """
 
 from __future__ import annotations
@@ -13,21 +13,24 @@ from typing import Any
 
 from msgspec import inspect as types
 
-from seatrial.ident.results import AnyResult, FitResult, Part, Result
-
 ROOT = Path(__file__).resolve().parents[2]
+# Before the import of the project: the page must describe the tree of this file, not an installed package.
+sys.path.insert(0, str(ROOT))
+
+from seatrial.ident.results import AnyResult, FitResult, Part, Result  # noqa: E402
+
 PAGE = ROOT / "docs/formats/result.md"
 BEGIN, END = "<!-- types: python docs/site/results.py -->", "<!-- end -->"
 PLAIN = {types.StrType: "text", types.IntType: "integer", types.FloatType: "number", types.BoolType: "true or false"}
 
 
 def kinds() -> list[type[Part]]:
-    """The results, in the order of the types."""
+    """Return the types of the results, in the order of their definition in `AnyResult`."""
     return list(AnyResult.__args__)
 
 
 def tables() -> str:
-    """Every type in Markdown: the results first, then what they are made of, in the order of need."""
+    """Return the tables of all types in Markdown. The results come first, then the types of their fields."""
     found: dict[type[Any], types.StructType] = {}
     for kind in (Result, FitResult, *kinds()):
         collect(types.type_info(kind), found)
@@ -39,28 +42,28 @@ def tables() -> str:
     return "\n".join(lines[1:])
 
 
-def collect(one: types.Type, found: dict[type[Any], types.StructType]) -> None:
-    """The types that a type is made of, each once."""
-    if isinstance(one, types.Metadata):
-        collect(one.type, found)
-    elif isinstance(one, types.UnionType):
-        for part in one.types:
+def collect(kind: types.Type, found: dict[type[Any], types.StructType]) -> None:
+    """Add a type and the types of its fields to ``found``, each once."""
+    if isinstance(kind, types.Metadata):
+        collect(kind.type, found)
+    elif isinstance(kind, types.UnionType):
+        for part in kind.types:
             collect(part, found)
-    elif isinstance(one, types.VarTupleType):
-        collect(one.item_type, found)
-    elif isinstance(one, types.TupleType):
-        for part in one.item_types:
+    elif isinstance(kind, types.VarTupleType):
+        collect(kind.item_type, found)
+    elif isinstance(kind, types.TupleType):
+        for part in kind.item_types:
             collect(part, found)
-    elif isinstance(one, types.DictType):
-        collect(one.value_type, found)
-    elif isinstance(one, types.StructType) and one.cls not in found:
-        found[one.cls] = one
-        for field in one.fields:
+    elif isinstance(kind, types.DictType):
+        collect(kind.value_type, found)
+    elif isinstance(kind, types.StructType) and kind.cls not in found:
+        found[kind.cls] = kind
+        for field in kind.fields:
             collect(field.type, found)
 
 
 def table(info: types.StructType) -> list[str]:
-    """One type: its docstring, and a row a field."""
+    """Return the section of one type: its heading, its docstring, and a table with one row for each field."""
     name = f"`{info.tag}`" if info.tag is not None else info.cls.__name__
     base = info.cls.__base__ if info.cls.__base__ in (Result, FitResult) else None
     more = "" if base is None else f" It has the keys of {link(base)}, and:"
@@ -73,40 +76,40 @@ def table(info: types.StructType) -> list[str]:
     return lines
 
 
-def value(one: types.Type) -> str:
-    """What a field holds, in few words."""
-    if isinstance(one, types.Metadata):
-        return value(one.type)
-    if isinstance(one, types.UnionType):
-        return " or ".join(["null" if isinstance(part, types.NoneType) else value(part) for part in one.types])
-    if isinstance(one, types.VarTupleType):
-        return f"list of {value(one.item_type)}"
-    if isinstance(one, types.TupleType):
-        return f"list of {len(one.item_types)}: {', '.join(value(part) for part in one.item_types)}"
-    if isinstance(one, types.DictType):
-        return f"name -> {value(one.value_type)}"
-    if isinstance(one, types.StructType):
-        return link(one.cls)
-    if isinstance(one, types.LiteralType):
-        return ", ".join(f'`"{word}"`' for word in one.values)
-    if isinstance(one, types.CustomType):
+def value(kind: types.Type) -> str:
+    """Return the name of a field's type in words of JSON."""
+    if isinstance(kind, types.Metadata):
+        return value(kind.type)
+    if isinstance(kind, types.UnionType):
+        return " or ".join(["null" if isinstance(part, types.NoneType) else value(part) for part in kind.types])
+    if isinstance(kind, types.VarTupleType):
+        return f"list of {value(kind.item_type)}"
+    if isinstance(kind, types.TupleType):
+        return f"list of {len(kind.item_types)}: {', '.join(value(part) for part in kind.item_types)}"
+    if isinstance(kind, types.DictType):
+        return f"name -> {value(kind.value_type)}"
+    if isinstance(kind, types.StructType):
+        return link(kind.cls)
+    if isinstance(kind, types.LiteralType):
+        return ", ".join(f'`"{word}"`' for word in kind.values)
+    if isinstance(kind, types.CustomType):  # the only custom type of the results is an array
         return "numbers"
-    return PLAIN[type(one)]
+    return PLAIN[type(kind)]
 
 
 def link(cls: type[Any]) -> str:
-    """To the table of a type."""
+    """Return a link to the table of a type."""
     return f"[{cls.__name__}](#{cls.__name__.lower()})"
 
 
-def description(one: types.Type) -> str:
-    """What the annotation says of a field."""
-    extra = one.extra_json_schema if isinstance(one, types.Metadata) else None
+def description(kind: types.Type) -> str:
+    """Return the description in the annotation of a field; empty if it has none."""
+    extra = kind.extra_json_schema if isinstance(kind, types.Metadata) else None
     return str((extra or {}).get("description", "")).replace("|", "\\|")
 
 
 def page(text: str) -> str:
-    """The page with the tables between its marks made anew."""
+    """Return the page with new tables between its marks."""
     before, _, rest = text.partition(BEGIN)
     _, _, after = rest.partition(END)
     return f"{before}{BEGIN}\n\n{tables()}\n\n{END}{after}"

@@ -1,4 +1,4 @@
-"""Emulated devices: samples to the bytes of each device, their faults."""
+"""Emulators of the devices: their messages on the wire, and their faults."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Samples -> bytes of each device, and bytes of the host -> what the device does. No I/O, no clock."""
+"""Base class of the emulated devices. It uses neither ports nor a clock."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from seatrial.mocks.world import Sample
 
 
 class DeviceEmulator(ABC):
-    """What sits at the far end of one port."""
+    """Emulator of the device at one port: it encodes samples and reacts to the bytes of the host."""
 
-    clock_error = 0.0  # s by which its own clock is ahead of what it was set to
+    clock_error = 0.0  # s by which the clock of the device is fast
 
     @abstractmethod
     def encode(self, sample: Sample, t: float) -> bytes:
-        """The bytes of a sample that the device takes at its own time ``t`` (s)."""
+        """Return the message of a sample that the device takes at ``t`` [s]; empty bytes if no message is due."""
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """The answer to bytes that arrive at ``t`` (s); most devices only talk."""
+        """Process bytes of the host that arrive at ``t`` [s] and return the answer. By default it is empty."""
         return b""

@@ -1,4 +1,4 @@
-"""Samples -> bytes of each device, and bytes of the host -> what the device does. No I/O, no clock."""
+"""Emulators of the devices of a rig, except for the autopilot. They use neither ports nor a clock."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from seatrial.mocks.devices.base import DeviceEmulator
 from seatrial.mocks.devices.slcan_adapter import Adapter, CanFrame
 from seatrial.mocks.world import EscController, Sample
 
-FIRST_ESC_NODE = 20  # of DroneCAN controllers
-SLOW_STATUS_S = 0.2  # between STATUS 4 and 5 of one controller
+FIRST_ESC_NODE = 20  # DroneCAN node number of the controller with index 0
+SLOW_STATUS_S = 0.2  # s, period of the messages STATUS 4 and 5 of one controller
 
 
 @final
 class VectorNav(DeviceEmulator):
-    """Binary messages with the device's time, or $VNYMR."""
+    """AHRS of VectorNav. It sends binary messages with the device's time, or $VNYMR sentences."""
 
     def __init__(self, ascii_: bool) -> None:
+        """Set up the device. ``ascii_`` selects the $VNYMR sentences."""
         self._ascii = ascii_
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """One message."""
+        """Return one message."""
         assert isinstance(sample, Ahrs)
         if self._ascii:
             return vectornav.encode_ascii(sample)
@@ -36,38 +37,38 @@ class VectorNav(DeviceEmulator):
 
 @final
 class Nmea(DeviceEmulator):
-    """The sentences of an epoch."""
+    """GNSS receiver with NMEA sentences."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """GGA, RMC, VTG and GST."""
+        """Return the sentences GGA, RMC, VTG and GST of one fix."""
         assert isinstance(sample, Gnss)
         return nmea.encode(replace(sample, utc=sample.utc + self.clock_error))
 
 
 @final
 class LoadCellLine(DeviceEmulator):
-    """One line a reading."""
+    """Load cell that sends one line of text for each reading."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """The counts."""
+        """Return the line with the counts."""
         assert isinstance(sample, LoadCell)
         return loadcell.encode(sample.counts)
 
 
 @final
 class VescBus(DeviceEmulator):
-    """Speed controllers on a CAN bus behind an slcan adapter."""
+    """VESC speed controllers on a CAN bus behind an slcan adapter."""
 
     def __init__(self, controllers: Mapping[int, EscController], pole_pairs: Mapping[int, int]) -> None:
-        """Both by node."""
+        """Set up the bus. Both mappings have the node as their key."""
         self._controllers = controllers
         self._pole_pairs = pole_pairs
         self._adapter = Adapter()
         self._slow_due: dict[int, float] = {}
-        vesc.encode_duty(0, 0.0)  # loads the library behind it now and not when the first sample is due
+        vesc.encode_duty(0, 0.0)  # loads the library at once, so that the first sample is not late
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """STATUS 1, and STATUS 4 and 5 five times a second."""
+        """Return the frames of one controller: STATUS 1 always, STATUS 4 and 5 five times per second."""
         assert isinstance(sample, Esc)
         if t < self._slow_due.get(sample.node, 0.0):
             sample = replace(sample, temperature=NAN, voltage=NAN)
@@ -77,7 +78,7 @@ class VescBus(DeviceEmulator):
         return b"".join(self._adapter.encode(CanFrame(*frame)) for frame in frames)
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """The adapter's answers; duty commands reach their controllers."""
+        """Pass duty commands to their controllers and return the answers of the adapter."""
         answers, frames = self._adapter.feed(data)
         for frame in frames:
             command = vesc.decode_command(frame.arbitration_id, frame.data) if frame.extended else None
@@ -88,24 +89,27 @@ class VescBus(DeviceEmulator):
 
 @final
 class DronecanBus(DeviceEmulator):
-    """DroneCAN speed controllers behind an slcan adapter; the controller of index k is node 20 + k of the bus."""
+    """DroneCAN speed controllers behind an slcan adapter. The controller of index k is node 20 + k of the bus."""
 
     def __init__(self, controllers: Mapping[int, EscController]) -> None:
-        """By index."""
+        """Set up the bus. The mapping has the index of the controller as its key."""
         self._controllers = controllers
         self._adapter = Adapter()
         self._commands = Assembler(dronecan.RAW_COMMAND)
-        self._sent: dict[int, int] = {}
+        self._sent: dict[int, int] = {}  # transfer number of the last message, by index
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """An esc.Status."""
+        """Return the frames of one esc.Status message."""
         assert isinstance(sample, Esc)
         number = self._sent[sample.node] = (self._sent.get(sample.node, -1) + 1) % NUMBERS
         frames = dronecan.encode(sample, FIRST_ESC_NODE + sample.node, number)
         return b"".join(self._adapter.encode(CanFrame(*frame)) for frame in frames)
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """The adapter's answers; each controller takes its own part of a command, if it has one."""
+        """Pass commands to their controllers and return the answers of the adapter.
+
+        A RawCommand has the set-points of all controllers in the order of their indices.
+        """
         answers, frames = self._adapter.feed(data)
         for frame in frames:
             if not frame.extended:
@@ -120,7 +124,24 @@ class DronecanBus(DeviceEmulator):
 def make_emulator(
     rig: Rig, device: Device, controllers: Mapping[int, EscController], ascii_: bool = False
 ) -> DeviceEmulator:
-    """The emulator of ``device``. Raises SeatrialError for a rig that no mock can serve."""
+    """Return the emulator of a device.
+
+    Parameters
+    ----------
+    rig : Rig
+        Rig with the device and its thrusters.
+    device : Device
+        Device to emulate.
+    controllers : mapping of int to EscController
+        Speed controllers on this device, by node.
+    ascii_ : bool
+        Whether an AHRS sends $VNYMR sentences instead of binary messages.
+
+    Raises
+    ------
+    SeatrialError
+        If a mock cannot serve the device: its load cell has another line format, or its CAN bus is not `slcan:PORT`.
+    """
     if device.protocol == "vectornav":
         return VectorNav(ascii_)
     if device.protocol == "nmea":
@@ -132,7 +153,7 @@ def make_emulator(
             )
         return LoadCellLine()
     if device.protocol == "mavlink":
-        from seatrial.mocks.devices.autopilot import AutopilotEmulator  # brings pymavlink with it
+        from seatrial.mocks.devices.autopilot import AutopilotEmulator  # here, since it imports the optional pymavlink
 
         return AutopilotEmulator(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):
@@ -143,7 +164,13 @@ def make_emulator(
 
 
 def by_side(rig: Rig) -> tuple[Thruster, Thruster]:
-    """The left and the right thruster of a boat. Raises SeatrialError unless there is one on each side."""
+    """Return the left and the right thruster of a boat.
+
+    Raises
+    ------
+    SeatrialError
+        If the rig does not have exactly one thruster on each side.
+    """
     left = [t for t in rig.thrusters if t.position_m[1] < 0.0]
     right = [t for t in rig.thrusters if t.position_m[1] > 0.0]
     if len(left) != 1 or len(right) != 1 or len(rig.thrusters) != 2:

@@ -1,4 +1,4 @@
-"""What can go wrong, on a schedule: `NAME[/TARGET]@T[:SECONDS]`."""
+"""Faults of the mock devices on a schedule. The command line gives each as `NAME[/TARGET]@T[:SECONDS]`."""
 
 from __future__ import annotations
 
@@ -14,45 +14,46 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
 from seatrial.mocks.world import Sample
 
-SIGNAL = "usr1"
-LATE_S = 1.0
-BACK_S, SKEW = 0.6, 100e-6
-NOISY = (math.radians(5.0), 0.1, 1.0, 1.0)  # rad, rad/s, m/s2, m/s2
+SIGNAL = "usr1"  # in the place of a time: the fault starts at the signal SIGUSR1
+LATE_S = 1.0  # s, delay of the fault "late"
+CLOCK_BACK_S, CLOCK_SKEW = 0.6, 100e-6  # s; s per s
+# Additional noise of the fault "noisy": rad, rad/s, m/s2, m/s2 of yaw, r, ax and ay
+NOISE_SIGMAS = (math.radians(5.0), 0.1, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of fault: how long it lasts by default (s), and what it does."""
+    """Kind of fault."""
 
-    seconds: float
-    text: str
+    seconds: float  # s, default duration
+    text: str  # description in the help of --fault
 
 
 KINDS = {
-    "pull": Kind(5.0, "the port vanishes and returns"),
+    "pull": Kind(5.0, "the port disappears and returns"),
     "silence": Kind(5.0, "the device sends nothing"),
     "garbage": Kind(2.0, "random bytes in place of the device's"),
-    "stuck": Kind(5.0, "the last reading over and over"),
-    "spike": Kind(0.0, "a reading far off: one, or one a second for SECONDS"),
+    "stuck": Kind(5.0, "the device repeats its last reading"),
+    "spike": Kind(0.0, "one wrong reading, or one per second for SECONDS"),
     "overload": Kind(5.0, "force and current far beyond any limit"),
     "hot": Kind(5.0, "a controller at 150 deg C"),
-    "mute": Kind(5.0, "a controller on CAN that tells neither temperature nor voltage"),
+    "mute": Kind(5.0, "a controller on CAN that reports neither temperature nor voltage"),
     "flat": Kind(5.0, "the voltage of an empty battery"),
-    "away": Kind(5.0, "a position a kilometre off"),
+    "away": Kind(5.0, "a position error of 1 km"),
     "capsize": Kind(5.0, "a roll of 120 degrees"),
-    "no-fix": Kind(5.0, "a receiver that sees too few satellites"),
+    "no-fix": Kind(5.0, "a receiver with too few satellites for a fix"),
     "clock-back": Kind(math.inf, "a device whose clock is set back by 0.6 s"),
     "clock-skew": Kind(math.inf, "a device whose clock is 100 ppm fast"),
-    "esc-dead": Kind(math.inf, "a thruster's controller dies: no thrust, no word"),
-    "esc-stuck": Kind(math.inf, "a thruster's controller keeps its command and ignores new ones, zero included"),
+    "esc-dead": Kind(math.inf, "a thruster's controller fails: no thrust, no telemetry"),
+    "esc-stuck": Kind(math.inf, "a thruster's controller keeps its command and ignores new ones, even zero"),
     "refuse": Kind(5.0, "a CAN adapter that answers every frame with BELL and sends none"),
-    "hold": Kind(5.0, "a receiver that repeats its position while its time runs"),
-    "slow": Kind(math.inf, "every other reading is lost"),
-    "late": Kind(math.inf, "readings come a second late, stamped as if they were new"),
-    "degrees": Kind(math.inf, "body rates in degrees a second"),
-    "noisy": Kind(math.inf, "ten times the noise of an AHRS"),
+    "hold": Kind(5.0, "a receiver that repeats its position with new time stamps"),
+    "slow": Kind(math.inf, "every second reading is lost"),
+    "late": Kind(math.inf, "readings arrive 1 s late, with new time stamps"),
+    "degrees": Kind(math.inf, "body rates in degrees per second instead of radians"),
+    "noisy": Kind(math.inf, "an AHRS with ten times its noise"),
 }
-_Source = tuple[str, type, int]  # device, kind of sample, node
+_Source = tuple[str, type, int]  # name of the device, type of the sample, node on the bus (0 without a bus)
 _FORM = re.compile(r"(?P<kind>[a-z-]+)(?:/(?P<target>\w+))?@(?P<t>usr1|\d+(?:\.\d*)?)(?::(?P<seconds>\d+(?:\.\d*)?))?")
 
 
@@ -60,22 +61,35 @@ _FORM = re.compile(r"(?P<kind>[a-z-]+)(?:/(?P<target>\w+))?@(?P<t>usr1|\d+(?:\.\
 class Fault:
     """One fault on the schedule."""
 
-    kind: str
-    target: str  # a device, for esc-dead and esc-stuck a thruster; empty for every one
-    start: float | None  # s since the run's start; None until the signal comes
-    seconds: float
+    kind: str  # a key of KINDS
+    target: str  # name of a device, or of a thruster for esc-dead and esc-stuck; empty for all of them
+    start: float | None  # s since the start of the run; None until the signal arrives
+    seconds: float  # s, duration
 
     def active(self, t: float) -> bool:
-        """Whether it lasts at ``t`` (s)."""
+        """Return whether the fault is active at ``t`` [s]."""
         return self.start is not None and self.start <= t < self.start + self.seconds
 
     def hits(self, target: str) -> bool:
-        """Whether it is meant for ``target``."""
+        """Return whether the fault concerns the device or thruster ``target``."""
         return self.target in ("", target)
 
 
 def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str] = ()) -> Fault:
-    """The fault that ``text`` describes. Raises SeatrialError that names what is wrong with it."""
+    """Parse a fault of the command line.
+
+    Parameters
+    ----------
+    text : str
+        `NAME[/TARGET]@T[:SECONDS]`, for example `pull/gnss@30:5`.
+    devices, thrusters : sequence of str
+        Names that the rig has.
+
+    Raises
+    ------
+    SeatrialError
+        If the text has another form, or the rig has no such fault, device or thruster.
+    """
     found = _FORM.fullmatch(text)
     if found is None:
         raise SeatrialError(
@@ -85,44 +99,45 @@ def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str]
     if kind not in KINDS:
         raise SeatrialError(f"--fault {text}: no fault '{kind}'; there is: {', '.join(KINDS)}")
     of_thruster = kind in ("esc-dead", "esc-stuck")
-    known = thrusters if of_thruster else devices
-    if target and target not in known:
-        what = "thruster" if of_thruster else "device"
-        raise SeatrialError(f"--fault {text}: the rig has no {what} '{target}'; there is: {', '.join(known)}")
+    names = thrusters if of_thruster else devices
+    if target and target not in names:
+        noun = "thruster" if of_thruster else "device"
+        raise SeatrialError(f"--fault {text}: the rig has no {noun} '{target}'; there is: {', '.join(names)}")
     start = None if found["t"] == SIGNAL else float(found["t"])
     return Fault(kind, target, start, float(found["seconds"] or KINDS[kind].seconds))
 
 
 class Faults:
-    """The schedule, and what it makes of readings and bytes."""
+    """Schedule of the faults, which changes readings and bytes of the devices."""
 
     def __init__(self, faults: Sequence[Fault], rng: np.random.Generator) -> None:
+        """Set up the schedule. ``rng`` is the generator of random bytes and noise."""
         self._faults = list(faults)
         self._on_signal = [index for index, fault in enumerate(faults) if fault.start is None]
         self._rng = rng
         self._last: dict[_Source, Sample] = {}
-        self._spikes: dict[tuple[int, str], int] = {}  # (fault, device) -> spikes so far
-        self._count: dict[_Source, int] = {}
-        self._past: dict[_Source, deque[tuple[float, Sample]]] = {}
+        self._spikes: dict[tuple[int, str], int] = {}  # (index of the fault, device) -> number of spikes so far
+        self._count: dict[_Source, int] = {}  # readings during a fault "slow"
+        self._past: dict[_Source, deque[tuple[float, Sample]]] = {}  # readings of the last LATE_S, for "late"
 
     def trigger(self, t: float) -> None:
-        """The signal came at ``t`` (s): what waits for it starts, or starts again when it is over."""
+        """Start the faults with the time `usr1` at ``t`` [s]. A fault that has ended starts again."""
         for index in self._on_signal:
             if not self._faults[index].active(t):
                 self._faults[index] = replace(self._faults[index], start=t)
                 self._spikes = {key: count for key, count in self._spikes.items() if key[0] != index}
 
     def active(self, kind: str, target: str, t: float) -> bool:
-        """Whether a fault of that kind lasts at ``t`` (s) for a device or thruster."""
+        """Return whether a fault of ``kind`` is active at ``t`` [s] for the device or thruster ``target``."""
         return any(f.kind == kind and f.hits(target) and f.active(t) for f in self._faults)
 
     def reading(self, device: str, sample: Sample, t: float) -> Sample | None:
-        """What the device makes of its sample: the same, a stuck or a spiked one, or None."""
+        """Return the sample as the device sends it under the active faults, or None if it sends no sample."""
         if not self._faults:
             return sample
         if self.active("silence", device, t):
             return None
-        key = (device, type(sample), getattr(sample, "node", 0))  # a device may send several kinds
+        key = (device, type(sample), getattr(sample, "node", 0))  # one device may send several types of samples
         if self.active("stuck", device, t):
             return self._last.setdefault(key, sample)
         if isinstance(sample, Gnss) and self.active("hold", device, t):
@@ -148,21 +163,26 @@ class Faults:
         return _spiked(sample) if self._spike_due(device, t) else sample
 
     def clock_error(self, device: str, t: float) -> float:
-        """Seconds by which the device's clock is ahead at ``t`` (s)."""
+        """Return the time [s] by which the clock of a device is fast at ``t`` [s]."""
         starts = [(f.kind, f.start) for f in self._faults if f.start is not None and f.hits(device) and f.active(t)]
-        return sum({"clock-back": -BACK_S, "clock-skew": SKEW * (t - at)}.get(kind, 0.0) for kind, at in starts)
+        return sum(
+            {"clock-back": -CLOCK_BACK_S, "clock-skew": CLOCK_SKEW * (t - start)}.get(kind, 0.0)
+            for kind, start in starts
+        )
 
     def bytes(self, device: str, data: bytes, t: float) -> bytes:
-        """What the wire makes of the device's bytes."""
+        """Return the bytes of a device as they arrive: random bytes during a fault "garbage"."""
         return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
 
     def _noisy(self, sample: Sample) -> Sample:
+        """Return an AHRS sample with additional noise; other samples are returned unchanged."""
         if not isinstance(sample, Ahrs):
             return sample
-        yaw, r, ax, ay = self._rng.normal(0.0, NOISY).tolist()
+        yaw, r, ax, ay = self._rng.normal(0.0, NOISE_SIGMAS).tolist()
         return replace(sample, yaw=sample.yaw + yaw, r=sample.r + r, ax=sample.ax + ax, ay=sample.ay + ay)
 
     def _spike_due(self, device: str, t: float) -> bool:
+        """Return whether the next reading is a spike, and count the spike."""
         for index, fault in enumerate(self._faults):
             if fault.kind == "spike" and fault.hits(device) and fault.start is not None and t >= fault.start:
                 done = self._spikes.get((index, device), 0)
@@ -173,6 +193,7 @@ class Faults:
 
 
 def _overloaded(sample: Sample) -> Sample:
+    """Return a load cell sample with 500,000 more counts, or telemetry with 200 A more."""
     if isinstance(sample, LoadCell):
         return replace(sample, counts=sample.counts + 500_000.0)
     return replace(sample, current=sample.current + 200.0) if isinstance(sample, Esc) else sample
@@ -191,15 +212,16 @@ _CHANGES: dict[str, Callable[[Sample], Sample]] = {
 
 
 def _in_degrees(sample: Ahrs) -> Ahrs:
+    """Return the sample with body rates in degrees per second."""
     return replace(sample, p=math.degrees(sample.p), q=math.degrees(sample.q), r=math.degrees(sample.r))
 
 
 def _spiked(sample: Sample) -> Sample:
-    """The sample with one value far off, as such devices fail: HX711 with ones shifted in, a jump, a slip of 1 km."""
-    if isinstance(sample, LoadCell):
+    """Return the sample with a spike, as it is typical of each device."""
+    if isinstance(sample, LoadCell):  # an HX711 whose data line was read high
         return replace(sample, counts=float(2**22 - 1))
     if isinstance(sample, Ahrs):
         return replace(sample, r=sample.r + 5.0, ax=sample.ax + 30.0)
-    if isinstance(sample, Gnss):
+    if isinstance(sample, Gnss):  # an outlier of about 1 km
         return replace(sample, lat=sample.lat + 0.01)
     return sample

@@ -1,6 +1,7 @@
-"""The adapter's side of the LAWICEL protocol: the serial port of a CAN-to-serial adapter.
+"""Emulator of a CAN-to-serial adapter with the LAWICEL protocol (slcan).
 
-Source: LAWICEL CANUSB manual, ASCII command set. Sans I/O: bytes from the host in, answers and CAN frames out.
+It turns bytes of the host into answers and CAN frames, and uses no ports. Source: LAWICEL CANUSB manual, ASCII
+command set.
 """
 
 from __future__ import annotations
@@ -8,12 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 OK, ERROR = b"\r", b"\a"
-LINE_MAX = 64
-_CLOSED_ONLY = b"sSUWMm"  # set-up commands, refused while the channel is open
+LINE_MAX = 64  # bytes; a longer line is discarded
+_CLOSED_ONLY = b"sSUWMm"  # set-up commands, which the adapter refuses while the channel is open
 
 
 class CanFrame(NamedTuple):
-    """A data frame."""
+    """CAN data frame."""
 
     arbitration_id: int
     data: bytes
@@ -21,7 +22,7 @@ class CanFrame(NamedTuple):
 
 
 class Adapter:
-    """One adapter; it passes frames while its channel is open."""
+    """CAN-to-serial adapter. It passes frames while its channel is open."""
 
     def __init__(self, version: str = "1013", serial_number: str = "A001") -> None:
         self.open = False
@@ -31,7 +32,7 @@ class Adapter:
         self._line = bytearray()
 
     def feed(self, data: bytes) -> tuple[bytes, list[CanFrame]]:
-        """Take bytes from the host: what the adapter answers, and the frames it puts on the bus."""
+        """Process bytes of the host. Return the answer of the adapter and the frames that it sends on the bus."""
         answers = bytearray()
         frames: list[CanFrame] = []
         for byte in data:
@@ -51,14 +52,14 @@ class Adapter:
         return bytes(answers), frames
 
     def encode(self, frame: CanFrame) -> bytes:
-        """A frame from the bus as the host sees it; nothing while the channel is closed."""
+        """Return the bytes by which the host receives a frame of the bus; empty while the channel is closed."""
         if not self.open:
             return b""
         digits = f"T{frame.arbitration_id:08X}" if frame.extended else f"t{frame.arbitration_id:03X}"
         return f"{digits}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
 
     def _frame(self, line: bytes) -> CanFrame | None:
-        """The frame of a ``t`` or ``T`` command; None if it is malformed or may not be sent."""
+        """Return the frame of a command ``t`` or ``T``; None if it is malformed or the channel cannot send."""
         if not self.open or self.listen_only:
             return None
         extended = line[:1] == b"T"
@@ -73,10 +74,10 @@ class Adapter:
         return CanFrame(arbitration_id, data, extended)
 
     def _answer(self, line: bytes) -> bytes:
-        """The answer to any other command."""
+        """Return the answer to a command that sends no frame."""
         command = line[:1]
         if command in (b"", b"X") or (command == b"Z" and line == b"Z0"):
-            return OK  # a lone CR clears the line; auto-poll is always on, time stamps are always off
+            return OK  # a single CR clears the line; auto-poll is always on, time stamps are always off
         if command == b"V":
             return f"V{self._version}\r".encode()
         if command == b"v":

@@ -1,4 +1,4 @@
-"""Hidden effects: what a mock plant may have and the nominal model lacks."""
+"""Hidden effects of the mock boat: physics that the boat has and the nominal model lacks."""
 
 import lazy_loader
 

@@ -1,7 +1,8 @@
-"""Hidden effects of the mock boat: effects that the nominal model lacks.
+"""Catalogue of the hidden effects of the mock boat, which the nominal model lacks.
 
-Each is physics written here for the plant alone; the forms need not equal those that an analysis tries. An effect is
-drawn with its size within 15 % of the one named in its comment, and with a sign where it can have either.
+The equations of the effects belong to the plant alone. An analysis may try other equations for the same effect.
+The size of an effect is drawn within 15 % of the full size in its definition. Effects that can act in two directions
+get a random sign.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ __all__ = [
 ]
 
 _ALL = propulsion.MAKERS | hull.MAKERS | environment.MAKERS | sensing.MAKERS
-# What a catalogue of effects can be expected to list. The order names the streams of random numbers: add at the end.
+# Effects that an analysis can be expected to list. The position in this list selects the stream of random numbers:
+# add new effects at the end, or all existing boats change.
 _ORDER = [
     *("advance-ratio", "reverse-thrust", "mismatch", "wind", "sway-yaw", "turning-resistance", "cubic-drag"),
     *("cg-offset", "compass", "lever-arm", "gnss-latency", "battery-sag", "yaw-bias", "thruster-interaction"),
@@ -32,10 +34,11 @@ _ORDER = [
     *("waves", "heading-moment", "mount", "gyro-scale", "accelerometer-tilt", "accelerometer-scale"),
 ]
 EFFECTS: dict[str, Maker] = {name: _ALL[name] for name in _ORDER}
-OUTSIDE: dict[str, Maker] = outside.MAKERS  # what it cannot be expected to list
-NOISE: dict[str, Maker] = disturbed.MAKERS  # noise that is not what was assumed, and nothing else
+OUTSIDE: dict[str, Maker] = outside.MAKERS  # effects that no analysis can be expected to list
+NOISE: dict[str, Maker] = disturbed.MAKERS  # noise that differs from the assumed noise, on a boat without an effect
 
-# What `--effect draw` draws from: each shows in five minutes of a mixed mission and has no near relative in the list.
+# Effects that `--effect draw` chooses from. Each can be detected in a mixed mission of five minutes, and no two of
+# them are hard to distinguish.
 DEMO = (
     "advance-ratio",
     "mismatch",
@@ -50,12 +53,27 @@ DEMO = (
 )
 
 
-SMALL = 0.05  # of its full size has every other effect in a mixture
-_GROUPS = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE))  # the first stream of each
+SMALL = 0.05  # share of the full size that the minor effects of a mixture have
+_GROUPS = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE))  # index of the first random stream of each group
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
-    """The effect ``name`` (KeyError if there is none) as ``seed`` draws it, ``scale`` times its full size."""
+    """Return the effect ``name`` with the size that ``seed`` draws.
+
+    Parameters
+    ----------
+    name : str
+        A key of EFFECTS, OUTSIDE or NOISE.
+    seed : int
+        Seed of the size, the sign and the direction of the effect.
+    scale : float
+        Factor on the full size.
+
+    Raises
+    ------
+    KeyError
+        If no effect has this name.
+    """
     for first, group in _GROUPS:
         if name in group:
             return group[name](random_stream(seed, EFFECT_SIZE, index=first + list(group).index(name)), scale)
@@ -63,11 +81,19 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
 
 
 def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> tuple[HiddenEffect, ...]:
-    """The effect ``name`` and, beside it, every other one of EFFECTS at ``small`` times its full size."""
-    rest = (make_effect(other, seed, small) for other in EFFECTS if other != name)
-    return (make_effect(name, seed, scale), *rest)
+    """Return the effect ``name``, followed by all other effects of EFFECTS at a small size.
+
+    Parameters
+    ----------
+    scale : float
+        Factor on the full size of the effect ``name``.
+    small : float
+        Factor on the full size of each other effect.
+    """
+    minor_effects = (make_effect(minor, seed, small) for minor in EFFECTS if minor != name)
+    return (make_effect(name, seed, scale), *minor_effects)
 
 
 def draw_name(seed: int, names: tuple[str, ...] = DEMO) -> str:
-    """The name that ``--effect draw`` takes at this seed."""
+    """Return the name of the effect that ``--effect draw`` chooses for this seed."""
     return names[int(random_stream(seed, EFFECT_NAME).integers(len(names)))]

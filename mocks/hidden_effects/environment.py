@@ -1,4 +1,4 @@
-"""What wind, water and what hangs on the boat do."""
+"""Hidden effects of the environment: wind, changing current, tether, waves and swell."""
 
 from __future__ import annotations
 
@@ -10,6 +10,12 @@ from seatrial.mocks.plant import HiddenEffect, Maker, Wave, effect_size
 
 
 def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the force of a steady wind on the boat.
+
+    With the apparent wind ``w = (w_x, w_y)`` [m/s] in body axes and the coefficient ``k`` (``drag``)::
+
+        X = 0.7 k |w| w_x,  Y = k |w| w_y,  N = 0.2 k w_x w_y
+    """
     drag = scale * 0.28  # N s2/m2, broadside
     speed = effect_size(rng, 5.3)  # m/s: 8 N broadside
     toward = 2.0 * math.pi * rng.uniform()
@@ -31,6 +37,10 @@ def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a slow change of the ocean current, as at the turn of a tide.
+
+    The vector ``change`` [m/s] is added to the constant current by the factor ``0.5 tanh((t - 200 s) / 180 s)``.
+    """
     change, toward = scale * effect_size(rng, 0.22), 2.0 * math.pi * rng.uniform()  # m/s
     north, east = change * math.cos(toward), change * math.sin(toward)
 
@@ -43,6 +53,12 @@ def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the drag of a line from the boat to its starting point.
+
+    With the distance ``d`` [m] from the start and the velocity ``v`` [m/s] over ground::
+
+        force = -k d^2 / (d + slack) |v| v
+    """
     k = scale * effect_size(rng, 0.08)  # N s2/m3
     slack = 8.0  # m
 
@@ -57,6 +73,11 @@ def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _waves(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the forces of irregular waves with a narrow spectrum around ``frequency`` [Hz].
+
+    The forces are sums of sines (``Sea`` in seatrial.mocks.plant.weather). Standard deviations at full size: 7 N in
+    surge, 6 N in sway and 0.7 N m in yaw.
+    """
     frequency, toward = effect_size(rng, 0.45), 2.0 * math.pi * rng.uniform()  # Hz, rad
     wave = Wave(
         frequency,
@@ -73,6 +94,12 @@ def _waves(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _heading_moment(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a yaw moment that depends on heading with two cycles per turn, as a long swell causes it.
+
+    With ``a = psi - at``::
+
+        N = n sin(2 a) / (1 + 0.3 cos(a))
+    """
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:

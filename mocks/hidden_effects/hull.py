@@ -1,4 +1,4 @@
-"""What the hull does that the nominal model has not."""
+"""Hidden effects of the hull: additional damping, lift, a moved centre of gravity and a swinging payload."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from seatrial.mocks.plant import HiddenEffect, Maker, effect_size
 
 
 def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a coupling between the damping of sway and yaw, as of a hull that differs fore and aft.
+
+    With ``g = 0.4 + 0.8 |u|``::
+
+        Y = -y_r g r,  N = -n_v g v
+    """
     y_r = scale * effect_size(rng, 8.0, signed=True)  # N s at 0.75 m/s
+    # With the sign of y_r, since both have the same cause.
     n_v = math.copysign(scale * effect_size(rng, 3.0), y_r)  # N s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
@@ -22,6 +29,7 @@ def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _turning_resistance(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a resistance in surge that grows with the yaw rate: ``X = -k |r|^1.7``."""
     k = scale * effect_size(rng, 7.5)  # N at 1 rad/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
@@ -31,6 +39,7 @@ def _turning_resistance(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _cubic_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a drag that grows faster than the square of the speed: ``X = -k u |u|^2.2``."""
     k = scale * effect_size(rng, 11.0)  # N at 1 m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
@@ -42,6 +51,7 @@ def _cubic_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _yaw_bias(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a yaw moment that is almost constant: ``N = n_0 (0.8 + 0.3 |u|)``."""
     n_0 = scale * effect_size(rng, 0.28, signed=True)  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
@@ -52,12 +62,25 @@ def _yaw_bias(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _cg_offset(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    x_g = scale * effect_size(rng, 0.13, signed=True)  # m of the rigid mass of 17 kg
+    """Return a centre of gravity that lies ``x_g`` [m] forward of the origin of the body frame.
+
+    The offset couples sway and yaw in the equations of motion (``make_rhs`` in seatrial.mocks.plant.hull).
+    """
+    x_g = scale * effect_size(rng, 0.13, signed=True)  # m; offset of the rigid mass of 17 kg
     where = "forward of" if x_g > 0.0 else "behind"
     return HiddenEffect("cg-offset", f"the centre of gravity lies {where} amidships", {"x_g": x_g}, x_g=x_g)
 
 
 def _pendulum(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a payload that hangs in the hull and swings fore and aft like a pendulum.
+
+    With the length ``l = g / omega^2``, the damping ``d = 2 zeta omega``, ``zeta = 0.06``, and the angle ``theta``::
+
+        theta'' = -d theta' - (g sin(theta) + (u' - v r) cos(theta)) / l
+        X = mass (g sin(theta) cos(theta) + d l theta' - v r)
+
+    The equations of motion add the force and remove the mass of the payload from the mass in surge.
+    """
     mass, frequency = scale * effect_size(rng, 5.0), effect_size(rng, 0.55)  # kg, Hz
     omega = 2.0 * math.pi * frequency
     length, damping = 9.81 / omega**2, 2.0 * 0.06 * omega
@@ -70,6 +93,10 @@ def _pendulum(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _cross_flow(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the drag of the cross-flow along the hull in a turn.
+
+    The equations are ``Y = -d_vr |r|^1.15 v`` and ``N = -n_vr sqrt(v^2 + 0.05^2) r``.
+    """
     d_vr = scale * effect_size(rng, 40.0)  # kg
     n_vr = scale * effect_size(rng, 10.0)  # kg m
 
@@ -81,6 +108,12 @@ def _cross_flow(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _lift(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the lift of the skegs, which damps sway and yaw in proportion to the speed.
+
+    With ``g = u^2 / sqrt(u^2 + 0.15^2)``, which is ``|u|`` except near zero::
+
+        Y = -y_uv g v,  N = -n_ur g r
+    """
     y_uv, n_ur = scale * effect_size(rng, 30.0), scale * effect_size(rng, 9.0)  # kg/m, kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
@@ -92,6 +125,10 @@ def _lift(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _hump(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return an additional drag around one speed, as of the boat's own wave.
+
+    The equation is ``X = -height / cosh((|u| - speed) / width)^2 tanh(u / 0.2)``.
+    """
     height, speed, width = scale * effect_size(rng, 7.0), effect_size(rng, 0.80), 0.17  # N, m/s, m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
@@ -102,6 +139,7 @@ def _hump(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _coulomb(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a friction that does not depend on the speed: ``X = -f u / sqrt(u^2 + 0.06^2)``."""
     friction = scale * effect_size(rng, 4.0)  # N
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:

@@ -1,4 +1,7 @@
-"""Hidden effects that no catalogue lists; the `Answer` of each is its force and the variable behind it."""
+"""Hidden effects that no analysis can be expected to list by name.
+
+The `Answer` of each effect is the curve that an analysis should find: the force, and the variable it depends on.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,11 @@ from seatrial.mocks.plant import thrust as thrust_at_rest
 
 
 def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a loss of thrust in a band of shaft speeds, as of propellers that draw air.
+
+    With the mean shaft speed ``n`` of both thrusters, each thrust is multiplied by
+    ``1 - loss / (1 + ((n - at) / 0.12)^4)``.
+    """
     loss, at = scale * effect_size(rng, 0.28), effect_size(rng, 0.55)
 
     def lost(n: float) -> float:
@@ -31,6 +39,12 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a yaw moment that changes its sign at the speed ``at`` [m/s].
+
+    With ``z = (u - at) / 0.3``::
+
+        N = 1.65 n z exp(-z^2 / 2)
+    """
     n, at = scale * effect_size(rng, 0.7, signed=True), effect_size(rng, 0.55)  # N m, m/s
 
     def curve(u: float) -> float:
@@ -45,6 +59,7 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a drag that drops above the speed ``at`` [m/s]: ``X = relief (1 + tanh((u - at) / 0.05)) / 2``."""
     relief, at = scale * effect_size(rng, 6.0), effect_size(rng, 0.75)  # N, m/s
 
     def curve(u: float) -> float:
@@ -60,6 +75,7 @@ def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a yaw moment with three cycles per turn of the boat: ``N = n sin(3 (psi - at))``."""
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def curve(psi: float) -> float:
@@ -73,6 +89,12 @@ def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _jet_on_hull(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a side force of a jet that strikes the keel at one difference of the shaft speeds.
+
+    With the difference ``d = n_left - n_right``::
+
+        Y = y exp(-((d - 0.35) / 0.15)^2 / 2)
+    """
     y = scale * effect_size(rng, 5.0, signed=True)  # N
 
     def curve(difference: float) -> float:

@@ -1,4 +1,4 @@
-"""What takes thrust away, or makes it late."""
+"""Hidden effects of the propulsion: losses and delays of the thrust."""
 
 from __future__ import annotations
 
@@ -10,7 +10,13 @@ from seatrial.mocks.plant import HiddenEffect, Maker, effect_size
 
 
 def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    k = scale * effect_size(rng, 7.0)  # N s/m: at n = 0.6 and 1 m/s 3 of 14 N are lost
+    """Return the loss of thrust of a propeller that moves through the water.
+
+    With the shaft speed ``n`` and the velocity ``a`` [m/s] of the thruster through the water::
+
+        f -> f - k |n| a / (1 + 0.35 |a|)
+    """
+    k = scale * effect_size(rng, 7.0)  # N s/m; at n = 0.6 and 1 m/s the loss is 3 N of 14 N
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
@@ -25,7 +31,11 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    loss = scale * effect_size(rng, 0.40)  # 0.29 of the thrust at n = -0.5
+    """Return the loss of thrust in reverse, where the jets strike the hull.
+
+    For ``n < 0`` the thrust is multiplied by ``1 - loss (1 - exp(2.5 n))``.
+    """
+    loss = scale * effect_size(rng, 0.40)  # at n = -0.5 the loss is 0.29 of the thrust
 
     def factor(n: float) -> float:
         return 1.0 if n >= 0.0 else 1.0 - loss * (1.0 - math.exp(2.5 * n))
@@ -40,6 +50,10 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return thrusters of different strength.
+
+    The thrust is multiplied by ``1 + eps (0.8 + 0.3 |n|)`` on the left and ``1 - eps (0.8 + 0.3 |n|)`` on the right.
+    """
     eps = scale * effect_size(rng, 0.05, signed=True)
 
     def thrust(
@@ -52,6 +66,10 @@ def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the loss of thrust in water that the opposite thruster has accelerated.
+
+    The thrust is multiplied by ``1 - kappa |n|^1.3``, with the shaft speed ``n`` of the opposite thruster.
+    """
     kappa = scale * effect_size(rng, 0.17)
 
     def thrust(
@@ -64,7 +82,11 @@ def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffec
 
 
 def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    beta = scale * effect_size(rng, 0.20)  # 0.16 of the thrust after a mission of ten minutes
+    """Return the loss of thrust with a falling battery voltage.
+
+    The thrust is multiplied by ``1 - beta (1 - exp(-1.6 energy))``, with the used energy in units of ENERGY_UNIT.
+    """
+    beta = scale * effect_size(rng, 0.20)  # after a mission of ten minutes the loss is 0.16 of the thrust
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
@@ -76,11 +98,16 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return propellers with almost no thrust at low shaft speed.
+
+    The thrust is multiplied by ``(beyond / |n|)^2``. ``beyond`` is a smooth version of ``max(|n| - band, 0)``
+    (softplus with the width ``band / 4``, shifted to zero at ``n = 0``).
+    """
     band = scale * effect_size(rng, 0.06)
     soft = 0.25 * band
 
     def part(n: float) -> float:
-        """Thrust goes with the square of the speed beyond a soft band."""
+        """Return the share of the thrust that is left at shaft speed ``n``."""
         if not band or not n:
             return 1.0
         above = abs(n) - band
@@ -97,13 +124,21 @@ def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _delay(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    delay = scale * effect_size(rng, 0.30)  # s, a sixth of it a lag
+    """Return a thrust that follows the shaft speed with a delay.
+
+    Five sixths of ``delay`` [s] are dead time. One sixth is the time constant of a first-order lag.
+    """
+    delay = scale * effect_size(rng, 0.30)  # s
     sentence = "the speed controllers report the shaft speed before the water has it"
     return HiddenEffect("delay", sentence, {"delay": delay}, inflow=(delay * 5.0 / 6.0, delay / 6.0))
 
 
 def _lag(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    lag = scale * effect_size(rng, 0.30)  # s, longer by a fifth where the shaft slows down
+    """Return a thrust that follows the shaft speed with a first-order lag of time constant ``lag`` [s].
+
+    The time constant is 20 % longer while the shaft slows down (``Inflow`` in seatrial.mocks.plant.thruster).
+    """
+    lag = scale * effect_size(rng, 0.30)  # s
     sentence = "the jets take time to build up after the shafts have changed speed"
     return HiddenEffect("lag", sentence, {"lag": lag}, inflow=(0.0, lag))
 

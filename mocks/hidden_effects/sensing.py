@@ -1,4 +1,4 @@
-"""What the sensors say wrong."""
+"""Hidden effects of the sensors: systematic errors of AHRS and GNSS."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ GRAVITY = 9.81  # m/s2
 
 
 def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a compass deviation: the heading error is ``b sin(psi) + c cos(psi) + d sin(2 psi)`` [rad]."""
     b, c = scale * effect_size(rng, 0.045, signed=True), scale * effect_size(rng, 0.03, signed=True)  # rad
     d = scale * effect_size(rng, 0.006, signed=True)
 
@@ -23,24 +24,38 @@ def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _lever_arm(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a GNSS antenna that lies ``(l_x, l_y)`` [m] away from its position in the rig file.
+
+    Position and velocity at the antenna are ``p + R(psi) l`` and ``R(psi) (u - r l_y, v + r l_x)``.
+    """
     forward, starboard = scale * effect_size(rng, 0.5, signed=True), scale * effect_size(rng, 0.15, signed=True)  # m
     sentence = "the GNSS antenna is not at the place in the rig file"
     return HiddenEffect("lever-arm", sentence, {"l_x": forward, "l_y": starboard}, lever_arm=(forward, starboard))
 
 
 def _gnss_latency(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return GNSS fixes that are ``latency`` [s] older than their time stamp.
+
+    60 % of the latency is dead time. 40 % is the time constant of a first-order filter (``Antenna`` in
+    seatrial.mocks.plant.boat).
+    """
     latency = scale * effect_size(rng, 0.35)  # s
     sentence = "the GNSS receiver filters and delivers old fixes as if they were new"
     return HiddenEffect("gnss-latency", sentence, {"latency": latency}, latency=latency)
 
 
 def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return an AHRS that is mounted with a rotation of ``psi_0`` [rad] about the vertical axis.
+
+    The heading is measured as ``psi + psi_0``, and the accelerations are measured in the rotated axes.
+    """
     turn = scale * effect_size(rng, 0.06, signed=True)  # rad
     sentence = f"the AHRS is screwed on {abs(math.degrees(turn)):.1f} deg askew"
     return HiddenEffect("mount", sentence, {"psi_0": turn}, mount=turn)
 
 
 def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a scale error of the yaw gyro: the error of the rate is ``k (r + 0.15 r |r|)`` [rad/s]."""
     k = scale * effect_size(rng, 0.03, signed=True)
 
     def gyro(r: float) -> float:
@@ -50,6 +65,13 @@ def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return accelerometers that measure a part of gravity, since the boat pitches with thrust and heels in turns.
+
+    With the thrust ``T`` [N] of both thrusters::
+
+        a_x -> a_x + g 0.05 tanh(pitch T / 0.05)
+        a_y -> a_y + g 0.12 tanh(roll u r / 0.12)
+    """
     pitch, roll = scale * effect_size(rng, 4e-4), scale * effect_size(rng, 0.04)  # rad/N, rad s2/m
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
@@ -62,12 +84,13 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _accelerometer_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return a scale error of the accelerometers: each axis is multiplied by ``1 + k / (1 + 0.1 |a|)``."""
     k = scale * effect_size(rng, 0.15, signed=True)
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
         return a_x * (1.0 + k / (1.0 + 0.1 * abs(a_x))), a_y * (1.0 + k / (1.0 + 0.1 * abs(a_y)))
 
-    sentence = "the accelerometers are set to another range than the driver thinks"
+    sentence = "the accelerometers are set to another range than the driver assumes"
     return HiddenEffect("accelerometer-scale", sentence, {"k": k}, accelerometer=accelerometer)
 
 

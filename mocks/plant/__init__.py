@@ -1,4 +1,4 @@
-"""The simulated plants: boat, bench, hull, thruster, weather."""
+"""Simulated plants: boat, bench, hull, thruster and weather."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""The simulated bench: one thruster on a rod in a pool, its thrust measured by a load cell.
+"""Simulated bench: one thruster on a rod in a pool, whose thrust is measured by a load cell.
 
-Its hidden effects act on the force (`BenchEffect`) or on the response of the shaft to commands (`ShaftEffect`).
+Hidden effects of the bench act on the force (`BenchEffect`) or on the response of the shaft (`ShaftEffect`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from seatrial.mocks.random_streams import (
 )
 
 STEP = 0.0025  # s
-DISTURBANCE_EVERY = 4  # steps: 100 Hz
-SIGMA, TAU = 0.1, 0.3  # N, s: a pool at rest
+DISTURBANCE_EVERY = 4  # steps; the disturbance force changes at 100 Hz
+SIGMA, TAU = 0.1, 0.3  # N, s; standard deviation and correlation time of the disturbance in a pool at rest
+# Fields of BenchEffect and ShaftEffect that belong to each effect
 _PARAMETERS: dict[str, tuple[str, ...]] = {
     "none": (),
     "rod-flex": ("flex_hz", "flex_damping", "flex_share"),
@@ -44,17 +45,17 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class ShaftEffect:
-    """Sizes; zero is none of it."""
+    """Hidden effects of the shaft's response to commands. A size of zero switches the effect off."""
 
-    late: float = 0.0  # s, a lag before the shaft's own; longer by a twentieth at rest
+    late: float = 0.0  # s, time constant of a lag in front of the shaft; 5 % longer at rest than at full speed
     brisk: float = 0.0  # fraction by which the pole is higher while the shaft speeds up
-    slew: float = 0.0  # s, from rest to full speed at the highest acceleration there; at full speed a sixth longer
+    slew: float = 0.0  # s, inverse of the highest acceleration at rest; at full speed a sixth longer
     droop: float = 0.0  # fraction of the speed that is missing at full command
-    sag: float = 0.0  # fraction of the speed lost with an empty battery
+    sag: float = 0.0  # fraction of the speed that is lost with an empty battery
 
     @property
     def any(self) -> bool:
-        """Whether there is any."""
+        """Return whether one of the effects is switched on."""
         return bool(self.late or self.brisk or self.slew or self.droop or self.sag)
 
 
@@ -63,30 +64,31 @@ NO_SHAFT_EFFECT = ShaftEffect()
 
 @dataclass(frozen=True)
 class BenchEffect:
-    """One effect on the bench, or none; a size of zero switches its line in ``BenchPlant`` off."""
+    """Hidden effect of the bench, or no effect. A size of zero switches a part of the effect off."""
 
     name: str
-    sentence: str
-    flex_hz: float = 0.0  # rod: resonance of the mount
-    flex_damping: float = 0.04
-    flex_share: float = 1.0  # of the force that goes through what swings
-    wash: float = 0.0  # recirculation: fraction of thrust lost in a pool in full motion
-    wash_s: float = 4.0  # s, to set the pool in motion
-    drift: float = 0.0  # N/min^1/2 of the cell
-    smooth_s: float = 0.0  # s, of the cell's filter, two equal poles
-    reverse: float = 0.0  # fraction of thrust lost in reverse at full speed
-    slow_loss: float = 0.0  # fraction of thrust lost at the slowest speeds
-    band: float = 0.0  # shaft speed below which there is next to no thrust
+    sentence: str  # description for the user
+    flex_hz: float = 0.0  # Hz, resonance of the rod in its mount
+    flex_damping: float = 0.04  # damping ratio of the rod
+    flex_share: float = 1.0  # share of the force that passes the resonance
+    wash: float = 0.0  # recirculation: fraction of the thrust that is lost if the pool is in full motion
+    wash_s: float = 4.0  # s, time constant in which the pool gets into motion
+    drift: float = 0.0  # N/min^1/2, drift of the load cell with the square root of time
+    smooth_s: float = 0.0  # s, total time constant of the load cell's filter, which has two equal poles
+    reverse: float = 0.0  # fraction of the thrust that is lost in reverse at full speed
+    slow_loss: float = 0.0  # fraction of the thrust that is lost at the lowest shaft speeds
+    band: float = 0.0  # shaft speed (normalised) below which there is almost no thrust
     shaft: ShaftEffect = NO_SHAFT_EFFECT
 
     @property
     def parameters(self) -> dict[str, float]:
-        """The sizes that belong to this effect."""
+        """Return the true sizes that belong to this effect (SI)."""
         values = asdict(self) | asdict(self.shaft)
         return {name: float(values[name]) for name in _PARAMETERS[self.name]}
 
 
-NONE = BenchEffect("none", "nothing but what the nominal model has")
+NONE = BenchEffect("none", "no hidden effect: the nominal model is complete")
+# The position in this table selects the stream of random numbers: add new effects at the end.
 EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
     "rod-flex": lambda rng, scale: BenchEffect(
         "rod-flex", "the rod swings in its mount when thrust changes", flex_hz=_around(rng, 6.0), flex_share=scale
@@ -126,50 +128,68 @@ EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
         "cell-lag", "the amplifier of the load cell smooths", smooth_s=scale * _around(rng, 0.06)
     ),
 }  # fmt: skip
-DEMO = ("rod-flex", "recirculation", "cell-drift")
+DEMO = ("rod-flex", "recirculation", "cell-drift")  # effects that `--effect draw` chooses from
 
 
 def _around(rng: np.random.Generator, size: float, *, signed: bool = False) -> float:
+    """Return a random size within 15 % of ``size``; the sign is random too if ``signed`` is set."""
     return float(size * rng.uniform(0.85, 1.15)) * (1 - 2 * (signed and rng.uniform() < 0.5))
 
 
 def _shaft(name: str, sentence: str, **sizes: float) -> BenchEffect:
+    """Return an effect on the response of the shaft."""
     return BenchEffect(name, sentence, shaft=ShaftEffect(**sizes))
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
-    """The effect ``name`` (KeyError if there is none) as ``seed`` draws it, ``scale`` times its full size."""
+    """Return the effect ``name`` with the size that ``seed`` draws, times ``scale``.
+
+    Raises
+    ------
+    KeyError
+        If no effect of the bench has this name.
+    """
     return EFFECTS[name](random_stream(seed, EFFECT_SIZE, index=100 + list(EFFECTS).index(name)), scale)
 
 
 def draw_name(seed: int) -> str:
-    """The name that ``--effect draw`` takes at this seed."""
+    """Return the name of the effect that ``--effect draw`` chooses for this seed."""
     return DEMO[int(random_stream(seed, EFFECT_NAME, index=1).integers(len(DEMO)))]
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What stays the same from run to run."""
+    """Bench parameters that are the same in all runs."""
 
     thruster: ThrusterTruth
     effect: BenchEffect
     seed: int
 
     def truth(self) -> dict[str, float]:
-        """The true parameters of the thruster (SI)."""
+        """Return the true parameters of the thruster (SI)."""
         return asdict(self.thruster)
 
 
 def draw_bench(seed: int, effect: BenchEffect = NONE) -> Bench:
-    """The bench of a seed: a thruster with c1 and c2 within 5 % of nominal."""
+    """Return the bench of a seed. The thrust coefficients of its thruster are within 5 % of their nominal values."""
     return Bench(draw_thruster(seed), effect, seed)
 
 
 class BenchPlant:
-    """Integrates the bench in steps of ``step`` seconds."""
+    """Simulation of a bench with a fixed step."""
 
     def __init__(self, bench: Bench, run: int = 0, *, step: float = STEP, disturbed: bool = True) -> None:
-        """``run`` names the disturbance of the pool."""
+        """Set up the bench at time 0.
+
+        Parameters
+        ----------
+        run : int
+            Number of the run. It selects the random disturbance.
+        step : float
+            Step of the integration [s].
+        disturbed : bool
+            Whether the random force of the moving water acts on the rod.
+        """
         self.bench = bench
         self.step_s = step
         self.steps = 0
@@ -189,15 +209,15 @@ class BenchPlant:
 
     @property
     def t(self) -> float:
-        """Seconds since the start."""
+        """Time since the start [s]."""
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """Command of thruster 0, the only one, from time ``t`` (s) on: -1..1, positive forward."""
+        """Set the command from time ``t`` [s] on: -1 to 1, positive forward. ``thruster`` is always 0."""
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """One step."""
+        """Integrate one step."""
         if self._disturbance is not None and self.steps % DISTURBANCE_EVERY == 0:
             self._pool = self._disturbance.step()
         n = self.shafts[0].advance()
@@ -211,7 +231,7 @@ class BenchPlant:
         self.steps += 1
 
     def thrust(self, thruster: int = 0) -> float:
-        """Force of the propeller on its shaft, N, positive forward."""
+        """Return the force [N] of the propeller on its shaft, positive forward."""
         effect, n = self.bench.effect, self.shafts[thruster].n
         if effect.band:
             n -= effect.band * math.tanh(n / effect.band)
@@ -225,29 +245,34 @@ class BenchPlant:
         return force
 
     def force(self) -> float:
-        """Force on the cell, N."""
+        """Return the force [N] that the load cell measures, without noise."""
         effect = self.bench.effect
         if effect.smooth_s:
             return self._cell[1] + effect.drift * math.sqrt(self.t / 60.0)
-        return self._pushed() + effect.drift * math.sqrt(self.t / 60.0)
+        return self._rod_force() + effect.drift * math.sqrt(self.t / 60.0)
 
-    def _pushed(self) -> float:
-        """Force on the rod's end, N."""
+    def _rod_force(self) -> float:
+        """Return the force [N] at the end of the rod: the thrust behind the rod's resonance, and the disturbance."""
         effect, force = self.bench.effect, self.thrust()
         if effect.flex_hz:
             force += effect.flex_share * (self._rod.force - force)
         return force + self._pool
 
     def _smooth(self) -> None:
-        keep, force = math.exp(-2.0 * self.step_s / self.bench.effect.smooth_s), self._pushed()
+        """Advance the filter of the load cell by one step."""
+        decay, force = math.exp(-2.0 * self.step_s / self.bench.effect.smooth_s), self._rod_force()
         for k in range(2):
-            force = self._cell[k] = force + (self._cell[k] - force) * keep
+            force = self._cell[k] = force + (self._cell[k] - force) * decay
 
 
 class _Rod:
-    """A lightly damped second-order mount, solved exactly for a force held over each step."""
+    """Rod in its mount: a second-order system with little damping.
+
+    The solution is exact for a force that is constant in each step.
+    """
 
     def __init__(self, frequency_hz: float, damping: float, step: float) -> None:
+        """Set the natural frequency [Hz], the damping ratio and the step [s]."""
         omega = 2.0 * math.pi * frequency_hz
         sigma, self._omega_d = damping * omega, omega * math.sqrt(1.0 - damping**2)
         decay, angle = math.exp(-sigma * step), self._omega_d * step
@@ -256,7 +281,7 @@ class _Rod:
         self._rate = 0.0
 
     def advance(self, force: float) -> None:
-        """The force that reaches the cell one step later."""
+        """Advance by one step under ``force`` [N]. The force at the load cell is then `self.force`."""
         c, s, sigma = self._rotate
         x, v, w = self.force - force, self._rate, self._omega_d
         self.force = force + c * x + s * (v + sigma * x) / w
@@ -264,13 +289,17 @@ class _Rod:
 
 
 class BenchShaft:
-    """Delay and dead zone as ``Shaft``; then droop and sag, a lag, and a pole that may depend on the direction.
+    """Shaft of a thruster with a hidden effect.
 
-    Integrated over each ``dt`` (s) in exact relaxations of its parts, split where the reference changes.
+    Delay and dead zone are those of ``Shaft``. The reference is then reduced by droop and sag, and passes an additional
+    lag. The pole of the shaft may depend on the direction of the change, and the acceleration may be limited.
+
+    Each step is split at the times at which the reference changes. Lag and shaft are solved exactly one after the
+    other.
     """
 
     def __init__(self, truth: ThrusterTruth, effect: ShaftEffect, dt: float) -> None:
-        """At rest at time 0."""
+        """Start at rest at time 0. ``dt`` is the step [s]."""
         self._truth, self._effect, self._dt = truth, effect, dt
         self._steps = 0
         self._ref = self._late = 0.0
@@ -279,24 +308,25 @@ class BenchShaft:
         self.energy = 0.0
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Take the command (-1..1, positive forward) that was received at time ``t`` (s, never decreasing)."""
+        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases."""
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 
     def advance(self) -> float:
-        """Shaft speed (normalised) one ``dt`` later; becomes the current one."""
+        """Advance the shaft by one step and return its speed (normalised)."""
         t, self._steps = self._steps * self._dt, self._steps + 1
         end = self._steps * self._dt
         while self._pending and self._pending[0][0] < end:
-            at, ref = self._pending.popleft()
-            if at > t:
-                self._relax(at - t)
-                t = at
+            t_switch, ref = self._pending.popleft()
+            if t_switch > t:
+                self._relax(t_switch - t)
+                t = t_switch
             self._ref = ref
         self._relax(end - t)
         return self.n
 
     def _relax(self, dt: float) -> None:
+        """Advance by ``dt`` [s] with a constant reference."""
         effect = self._effect
         target = self._ref * (1.0 - effect.droop * abs(self._ref) ** 1.3)
         target *= 1.0 - effect.sag * (1.0 - math.exp(-self.energy / 30.0))
@@ -308,7 +338,7 @@ class BenchShaft:
         pole = self._truth.pole * (1.0 + effect.brisk * (abs(target) > abs(self.n)))
         change = (target - self.n) * -math.expm1(-pole * dt)
         if effect.slew:
-            most = dt / (effect.slew * (1.0 + abs(self.n) / 6.0))
-            change = max(-most, min(most, change))
+            limit = dt / (effect.slew * (1.0 + abs(self.n) / 6.0))
+            change = max(-limit, min(limit, change))
         self.n += change
         self.energy += dt * abs(self.n) ** 3

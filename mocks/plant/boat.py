@@ -1,4 +1,4 @@
-"""The simulated boat: hull, two thrusters, current, disturbances and hidden effects."""
+"""Simulated boat: hull, two thrusters, ocean current, disturbance forces and hidden effects."""
 
 from __future__ import annotations
 
@@ -15,54 +15,65 @@ from seatrial.mocks.plant.weather import Weather
 from seatrial.mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck, normals, random_stream
 
 STEP = 0.005  # s
-DISTURBANCE_EVERY = 4  # steps: 50 Hz
-SIGMA = (0.3, 0.3, 0.03)  # N, N, N m: calm water
-TAU = 2.0  # s
+DISTURBANCE_EVERY = 4  # steps; the disturbance forces change at 50 Hz
+SIGMA = (0.3, 0.3, 0.03)  # N, N, N m; standard deviation of the disturbance forces in calm water
+TAU = 2.0  # s, correlation time of the disturbance forces
 
 
 @dataclass(frozen=True)
 class Boat:
-    """What stays the same from run to run: the same seed and effect give the same boat."""
+    """Boat parameters that are the same in all runs. The same seed and effects give the same boat."""
 
     hull: Hull
-    thruster: ThrusterTruth
-    current: tuple[float, float]  # m/s, NED
+    thruster: ThrusterTruth  # of both thrusters
+    current: tuple[float, float]  # m/s, north and east
     effects: tuple[HiddenEffect, ...]
     seed: int
 
     def truth(self) -> dict[str, float]:
-        """The parameters of the thesis' model that are true for this boat (SI)."""
+        """Return the true parameters of this boat (SI), with the names of the thesis' model."""
         rigid = {"mass": self.hull.mass, "inertia": self.hull.inertia}
         current = {"current_n": self.current[0], "current_e": self.current[1], "arm": ARM}
         return {**self.hull.lumped(), **asdict(self.thruster), **current, **rigid}
 
 
 def draw_boat(seed: int, effects: Sequence[HiddenEffect] = (), thruster: ThrusterTruth | None = None) -> Boat:
-    """The boat of a seed: hull within 10 % of nominal, thrusters nominal unless given, a constant current."""
+    """Return the boat of a seed.
+
+    The parameters of the hull are within 10 % of their nominal values. The current is constant.
+
+    Parameters
+    ----------
+    thruster : ThrusterTruth, optional
+        Parameters of both thrusters; without it the nominal ones.
+    """
     return Boat(draw_hull(seed), thruster or ThrusterTruth(), draw_current(seed), tuple(effects), seed)
 
 
 class RigidBodyState(NamedTuple):
-    """What there is to be measured at one moment; SI, NED and body axes as in seatrial.daq.samples."""
+    """True motion of the plant at one time, as the input of the sensors.
+
+    The axes are NED and body axes as in seatrial.daq.samples.
+    """
 
     t: float  # s since the plant's start
-    x: float
-    y: float
-    psi: float
-    r: float
+    x: float  # m, north
+    y: float  # m, east
+    psi: float  # rad
+    r: float  # rad/s
     ax: float  # m/s2, acceleration of the origin in body axes
-    ay: float
-    vel_n: float
-    vel_e: float
-    fix_x: float  # position and velocity at the GNSS antenna
-    fix_y: float
-    fix_vel_n: float
-    fix_vel_e: float
-    thrust: float = 0.0  # N, thrust of both thrusters as their shafts turn
+    ay: float  # m/s2
+    vel_n: float  # m/s
+    vel_e: float  # m/s
+    fix_x: float  # m, position and velocity that the GNSS receiver reports, without noise
+    fix_y: float  # m
+    fix_vel_n: float  # m/s
+    fix_vel_e: float  # m/s
+    thrust: float = 0.0  # N, static thrust of both thrusters at their shaft speeds
 
 
 class BoatPlant:
-    """Integrates a boat in steps of ``step`` seconds; thrusters are numbered 0 left, 1 right."""
+    """Simulation of a boat with a fixed step. Thruster 0 is the left one, thruster 1 the right one."""
 
     def __init__(
         self,
@@ -74,15 +85,29 @@ class BoatPlant:
         disturbed: bool = True,
         n: float = 0.0,
     ) -> None:
-        """``run`` names the disturbances and the first heading; ``state`` and ``n`` override where it starts."""
+        """Set up the boat at time 0.
+
+        Parameters
+        ----------
+        run : int
+            Number of the run. It selects the random disturbances and the initial heading.
+        step : float
+            Step of the integration [s].
+        state : State, optional
+            Initial state. Without it the boat drifts with the current.
+        disturbed : bool
+            Whether random disturbance forces act.
+        n : float
+            Initial shaft speed of both thrusters, normalised.
+        """
         self.boat = boat
         self.step_s = step
         self.steps = 0
         self.energy = 0.0
         self.shafts = (Shaft(boat.thruster, 0.5 * step, n), Shaft(boat.thruster, 0.5 * step, n))
-        self._water = list(boat.current)  # what the right-hand side sees of the current
+        self._water = list(boat.current)  # current velocity; the right-hand side reads this list at each call
         self._rhs = make_rhs(boat.hull, boat.thruster, self._water, boat.effects)
-        self._n = (n, n)  # shaft speeds that the water answers to
+        self._n = (n, n)  # shaft speeds that act on the water, behind the delays of hidden effects
         self._inflows = self._make_inflows(n)
         self._drifts = [e.current for e in boat.effects if e.current is not None]
         self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
@@ -96,12 +121,12 @@ class BoatPlant:
         self._antenna = Antenna(arm, sum(e.latency for e in boat.effects), step)
 
     def _make_inflows(self, n: float) -> list[Inflow]:
-        """One for each thruster where thrust is late, none else."""
+        """Return the delay from shaft speed to thrust of each thruster; empty if no effect delays the thrust."""
         delay, lag = (sum(e.inflow[k] for e in self.boat.effects) for k in (0, 1))
         return [Inflow(delay, lag, 0.5 * self.step_s, n) for _ in range(2)] if delay or lag else []
 
     def _first_state(self, run: int) -> State:
-        """Adrift with the current, on a heading drawn for the run."""
+        """Return a state that drifts with the current, with a random heading."""
         psi = float(random_stream(self.boat.seed, START, run).uniform(-math.pi, math.pi))
         v_n, v_e = self.boat.current
         c, s = math.cos(psi), math.sin(psi)
@@ -109,15 +134,15 @@ class BoatPlant:
 
     @property
     def t(self) -> float:
-        """Seconds since the start."""
+        """Time since the start [s]."""
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """Command of thruster 0 (left) or 1 (right) from time ``t`` (s) on: -1..1, positive forward."""
+        """Set the command of thruster 0 (left) or 1 (right) from time ``t`` [s] on: -1 to 1, positive forward."""
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """One step. The antenna is where it is at the step's start until the step is done."""
+        """Integrate one step."""
         if self.steps % DISTURBANCE_EVERY == 0:
             self._disturb()
         left, right = self.shafts
@@ -125,33 +150,33 @@ class BoatPlant:
         k1 = self._rhs(self.state, *self._n, energy, *self._forces)
         n_mid = (left.advance(), right.advance())
         n_end = (left.advance(), right.advance())
-        f_mid, self._n = self._felt(n_mid), self._felt(n_end)
+        f_mid, self._n = self._delayed(n_mid), self._delayed(n_end)
         self.state = rk4(self._rhs, self.state, k1, self.step_s, (*f_mid, *self._n), energy, self._forces)
         self.energy += self.step_s * (abs(n_mid[0]) ** 3 + abs(n_mid[1]) ** 3)
         self.steps += 1
         if self._antenna.latency:
             self._antenna.push(self.state)
 
-    def _felt(self, n: tuple[float, float]) -> tuple[float, float]:
-        """Of shaft speeds half a step after the last ones, what the water answers to."""
+    def _delayed(self, n: tuple[float, float]) -> tuple[float, float]:
+        """Return the delayed shaft speeds that produce thrust. Call it once for each half step."""
         if not self._inflows:
             return n
         left, right = self._inflows
         return left.advance(n[0]), right.advance(n[1])
 
     def _disturb(self) -> None:
-        """Forces and current of the next few steps."""
+        """Update the external forces and the current for the next DISTURBANCE_EVERY steps."""
         x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
         if self._weather:
-            more = self._weather.forces(self.t, self.state[2])
-            x, y, n = x + more[0], y + more[1], n + more[2]
+            weather = self._weather.forces(self.t, self.state[2])
+            x, y, n = x + weather[0], y + weather[1], n + weather[2]
         self._forces = (x, y, n)
         if self._drifts:
             changes = [drift(self.t) for drift in self._drifts]
             self._water[:] = (v + sum(c[k] for c in changes) for k, v in enumerate(self.boat.current))
 
     def motion(self) -> RigidBodyState:
-        """What the sensors see now."""
+        """Return the true motion at the present time, as the input of the sensors."""
         s = self.state
         x, y, psi, u, v, r = s[:6]
         rate = self._rhs(s, *self._n, self.energy / ENERGY_UNIT, *self._forces)
@@ -161,17 +186,18 @@ class BoatPlant:
         return RigidBodyState(self.t, x, y, psi, r, ax, ay, vel_n, vel_e, *self._antenna.place(s), thrust)
 
     def thrust(self, thruster: int) -> float:
-        """Force (N) that the shaft speed of a thruster would make at rest; what its motor current follows."""
+        """Return the static thrust [N] at the shaft speed of a thruster. Its motor current depends on this thrust."""
         return thrust(self.boat.thruster, self.shafts[thruster].n)
 
 
 class Antenna:
-    """Position and velocity that the GNSS receiver reports: at its lever arm, and as late as its filters are.
+    """GNSS antenna with a lever arm and a latency.
 
-    Of a latency, 60 % is transport and 40 % a first-order filter.
+    60 % of the latency is dead time. 40 % is the time constant of a first-order filter.
     """
 
     def __init__(self, arm: tuple[float, float], latency: float, step: float) -> None:
+        """Set the lever arm [m, m] (forward, starboard), the latency [s] and the step of the simulation [s]."""
         self._arm = arm
         self.latency = latency
         self._queue: deque[tuple[float, float, float, float]] = deque()
@@ -180,7 +206,7 @@ class Antenna:
         self._filtered: tuple[float, float, float, float] | None = None
 
     def push(self, state: State) -> None:
-        """Take the state after a step; only needed with a latency."""
+        """Add the state after a step. Only an antenna with a latency needs these calls."""
         self._queue.append(self._at(state))
         if self._filtered is None:
             self._filtered = self._queue[0]
@@ -190,10 +216,14 @@ class Antenna:
             self._filtered = (x, y, v_n, v_e)
 
     def place(self, state: State) -> tuple[float, float, float, float]:
-        """North, east (m) and velocity north, east (m/s) as reported while the boat is in ``state``."""
+        """Return the reported position [m, m] and velocity [m/s, m/s], each north and east.
+
+        Without a latency they belong to ``state``; with one, to the states that `push` has added.
+        """
         return self._at(state) if self._filtered is None else self._filtered
 
     def _at(self, state: State) -> tuple[float, float, float, float]:
+        """Return position and velocity of the antenna, without a latency."""
         x, y, psi, u, v, r = state[:6]
         c, s = math.cos(psi), math.sin(psi)
         forward, starboard = self._arm

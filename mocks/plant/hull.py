@@ -1,7 +1,8 @@
-"""The rigid body in the water: equations of motion of the simulated boat.
+"""Equations of motion of the simulated boat.
 
-Rigid-body mass moves over the ground, added mass and damping act on the velocity relative to the water (Fossen 2011,
-eq. 6.102-6.112 and 8.5). Body axes forward, starboard, down with the origin amidships; a constant current in NED.
+The rigid-body mass moves with the velocity over ground. Added mass and damping act on the velocity through the water
+(Fossen 2011, eq. 6.102-6.112 and 8.5). The body axes point forward, to starboard and down; their origin is amidships.
+The current is constant in the NED frame.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from seatrial.mocks.random_streams import CURRENT, PARAMETERS, random_stream
 GRAVITY = 9.81  # m/s2
 
 # (x, y, psi, u, v, r, angle, rate): position NED in m, heading in rad, velocity over ground in body axes in m/s, yaw
-# rate in rad/s; the last two belong to the pendulum that one of the hidden effects hangs into the boat.
+# rate in rad/s; angle (rad) and rate (rad/s) of the swinging payload of the hidden effect "pendulum".
 State = tuple[float, float, float, float, float, float, float, float]
 AT_REST: State = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -27,7 +28,11 @@ Rhs = Callable[[State, float, float, float, float, float, float], State]
 
 @dataclass(frozen=True)
 class Hull:
-    """True parameters of the boat; nominal values: thesis, table 1, split as DSOR's mred_sim.yaml splits them."""
+    """True parameters of the hull.
+
+    The defaults are the nominal values of table 1 of the thesis. Rigid-body and added masses are separated as in DSOR's
+    mred_sim.yaml.
+    """
 
     mass: float = 17.0  # kg
     inertia: float = 9.19  # kg m2, yaw, about the centre of gravity
@@ -37,12 +42,15 @@ class Hull:
     d_u: float = 0.2  # kg/s
     d_uu: float = 25.0  # kg/m
     d_v: float = 50.0  # kg/s
-    d_vv: float = 20.0  # kg/m; the thesis prints 0.01, which leaves sway all but linear
+    d_vv: float = 20.0  # kg/m; the thesis prints 0.01, with which the damping in sway would be almost linear
     d_r: float = 4.14  # kg m2/s
     d_rr: float = 6.23  # kg m2
 
     def lumped(self) -> dict[str, float]:
-        """The parameters of the thesis' model, rigid and added mass in one (kg, kg m2; damping as above)."""
+        """Return the parameters of the thesis' model.
+
+        Its masses [kg, kg, kg m2] are sums of the rigid-body and the added mass. The damping is unchanged.
+        """
         return {
             "m_u": self.mass + self.added_u,
             "m_v": self.mass + self.added_v,
@@ -52,11 +60,11 @@ class Hull:
 
 
 ARM = 0.15  # m, thrusters at y = -ARM (left) and +ARM (right)
-CURRENT_MAX = 0.25  # m/s
+CURRENT_MAX = 0.25  # m/s, largest speed of the current
 
 
 def draw_hull(seed: int, spread: float = 0.10) -> Hull:
-    """A hull with every parameter within ``spread`` (a fraction) of its nominal value."""
+    """Return a hull with random parameters, each within the fraction ``spread`` of its nominal value."""
     nominal = Hull()
     factors = 1.0 + spread * random_stream(seed, PARAMETERS).uniform(-1.0, 1.0, len(fields(Hull)))
     return replace(
@@ -66,7 +74,7 @@ def draw_hull(seed: int, spread: float = 0.10) -> Hull:
 
 
 def draw_current(seed: int) -> tuple[float, float]:
-    """North and east velocity (m/s) of a current of up to CURRENT_MAX from anywhere."""
+    """Return the velocity [m/s] (north, east) of a random current with a speed of up to CURRENT_MAX."""
     rng = random_stream(seed, CURRENT)
     speed, toward = CURRENT_MAX * rng.uniform(), 2.0 * math.pi * rng.uniform()
     return speed * math.cos(toward), speed * math.sin(toward)
@@ -74,13 +82,16 @@ def draw_current(seed: int) -> tuple[float, float]:
 
 Pair = tuple[float, float]
 Triple = tuple[float, float, float]
-# forces(state, velocity through the water (body axes), over ground (NED), (cos psi, sin psi), shaft speeds (left,
-# right), energy, what is given from outside) -> (X, Y, N)
+# forces(state, velocity through the water (body axes), velocity over ground (NED), (cos psi, sin psi), shaft speeds
+# (left, right), used energy, external forces) -> (X, Y, N)
 Forces = Callable[[State, Pair, Pair, Pair, Pair, float, Triple], Triple]
 
 
 def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEffect]) -> Forces:
-    """All forces on the boat: thrust, damping, those of the effects, and external ones (N, N, N m)."""
+    """Return the function that sums all forces on the boat [N, N, N m].
+
+    The sum has the thrust, the damping, the forces of the hidden effects and the external forces.
+    """
     c1, c2 = thruster.c1, thruster.c2
     d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
     thrust_hooks = [e.thrust for e in effects if e.thrust is not None]
@@ -88,9 +99,9 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
     jets = [e.jet for e in effects if e.jet is not None]
     tethers = [e.tether for e in effects if e.tether is not None]
 
-    def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, energy: float, given: Triple) -> Triple:
+    def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, energy: float, external: Triple) -> Triple:
         (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r) = water, ground, turn, n
-        x_force, y_force, n_moment = given
+        x_force, y_force, n_moment = external
         r = s[5]
         f_l, f_r = (c1 * abs(n_l) + c2 * n_l) * n_l, (c1 * abs(n_r) + c2 * n_r) * n_r
         for modify in thrust_hooks:
@@ -114,9 +125,19 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
 def make_rhs(
     hull: Hull, thruster: ThrusterTruth, current: Sequence[float], effects: Sequence[HiddenEffect] = ()
 ) -> Rhs:
-    """The right-hand side as one closure over plain floats: it runs some 16,000 times a second at speed 20.
+    """Return the right-hand side of the equations of motion.
 
-    ``current`` (north, east, m/s) may change between steps, slowly: its own acceleration is left out.
+    Parameters
+    ----------
+    current : sequence of two floats
+        Velocity of the current [m/s], north and east. The caller may change the values between steps, but slowly:
+        the equations neglect the acceleration of the current.
+    effects : sequence of HiddenEffect
+        Hidden effects whose hooks act on forces and masses.
+
+    Notes
+    -----
+    The function is one closure over plain floats because a mock at speed 20 calls it about 16,000 times a second.
     """
     sin, cos, forces = math.sin, math.cos, _make_forces(hull, thruster, effects)
     m, xa, ya = hull.mass, hull.added_u, hull.added_v
@@ -134,10 +155,10 @@ def make_rhs(
         u_c, v_c = c * v_n + si * v_e, c * v_e - si * v_n
         u_w, v_w = u - u_c, v - v_c  # through the water
         vel_n, vel_e = c * u - si * v, si * u + c * v
-        given = (x_force, y_force, n_moment)
-        x, y, n = forces(s, (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r), energy, given)
+        external = (x_force, y_force, n_moment)
+        x, y, n = forces(s, (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r), energy, external)
         if bob_mass:
-            # the bob is part of the boat's mass, but free to swing fore and aft
+            # The swinging payload is part of the boat's mass, but it moves freely fore and aft.
             x += bob_mass * (GRAVITY * sin(angle) * cos(angle) + bob_damping * bob_length * rate - v * r)
         u_dot = (x + m * (v + x_g * r) * r + xa * r * v_c + ya * v_w * r) / (m_u - bob_mass)
         sway = y - m * u * r - ya * r * u_c - xa * u_w * r
@@ -161,10 +182,24 @@ def rk4(
     energy: float,
     forces: tuple[float, float, float],
 ) -> State:
-    """One step of ``h`` (s) with the classical Runge-Kutta method.
+    """Return the state after one step of the classical Runge-Kutta method of fourth order.
 
-    ``k1`` is the derivative at the start, ``n`` the shaft speeds (left, right at half the step; left, right at its
-    end); ``forces`` (N, N, N m) and ``energy`` are held over the step.
+    Parameters
+    ----------
+    rhs : Rhs
+        Right-hand side of the equations of motion.
+    s : State
+        State at the start of the step.
+    k1 : State
+        Time derivative of the state at the start of the step.
+    h : float
+        Step [s].
+    n : tuple of four floats
+        Shaft speeds (normalised): left and right at half the step, left and right at its end.
+    energy : float
+        Used energy in units of ENERGY_UNIT, constant in the step.
+    forces : tuple of three floats
+        External forces [N, N, N m], constant in the step.
     """
     mid_l, mid_r, end_l, end_r = n
     k2 = rhs(_shift(s, k1, 0.5 * h), mid_l, mid_r, energy, *forces)
@@ -174,7 +209,8 @@ def rk4(
 
 
 def _weigh(a: State, b: State, c: State, d: State) -> State:
-    """``a + 2 b + 2 c + d``, written out because a loop costs three times as much."""
+    """Return ``a + 2 b + 2 c + d``."""
+    # Written out, since a loop takes three times as long.
     return (
         a[0] + 2.0 * (b[0] + c[0]) + d[0],
         a[1] + 2.0 * (b[1] + c[1]) + d[1],
@@ -188,7 +224,8 @@ def _weigh(a: State, b: State, c: State, d: State) -> State:
 
 
 def _shift(s: State, k: State, h: float) -> State:
-    """``s + h k``, written out as well."""
+    """Return ``s + h k``."""
+    # Written out, since a loop takes three times as long.
     x, y, psi, u, v, r, angle, rate = s
     a, b, c, d, e, f, g, i = k
     return (x + h * a, y + h * b, psi + h * c, u + h * d, v + h * e, r + h * f, angle + h * g, rate + h * i)

@@ -1,7 +1,8 @@
-"""One simulated thruster: speed controller, shaft and propeller.
+"""Simulated thruster: speed controller, shaft and propeller.
 
-Command -> dead zone -> pure delay -> first-order shaft -> force. The numbers are those of DSOR's simulated MEDUSA
-(pole, delay, dead zone; github.com/dsor-isr/farol, mred_sim.yaml) and of the thesis, table 2 (c1, c2).
+A command passes the dead zone, a pure delay and the first-order lag of the shaft, and becomes a force. Pole, delay and
+dead zone have the values of DSOR's simulated MEDUSA (github.com/dsor-isr/farol, mred_sim.yaml). c1 and c2 have the
+values of table 2 of the thesis.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from seatrial.mocks.random_streams import THRUSTER, random_stream
 
 @dataclass(frozen=True)
 class ThrusterTruth:
-    """True parameters of a thruster; shaft speed ``n`` is normalised by ``rpm_max``."""
+    """True parameters of a thruster. The shaft speed ``n`` is normalised by ``rpm_max``."""
 
-    c1: float = 40.05  # N, f = c1 n|n| + c2 n^2
+    c1: float = 40.05  # N; force = c1 n|n| + c2 n^2
     c2: float = 1.11  # N
     pole: float = 7.2115  # 1/s
-    delay: float = 0.345  # s, between the command and the shaft
-    dead_zone: float = 0.086  # below it the motor does not spin, above it n_ref = n_cmd
+    delay: float = 0.345  # s, from the command to the shaft
+    dead_zone: float = 0.086  # for smaller commands the motor stands still; for larger ones n_ref = n_cmd
 
 
 def draw_thruster(seed: int, spread: float = 0.05) -> ThrusterTruth:
-    """A thruster whose thrust coefficients lie within ``spread`` (a fraction) of the nominal ones."""
+    """Return a thruster with random thrust coefficients, within the fraction ``spread`` of the nominal ones."""
     rng = random_stream(seed, THRUSTER)
     nominal = ThrusterTruth()
     c1, c2 = (1.0 + spread * rng.uniform(-1.0, 1.0, 2)).tolist()
@@ -33,13 +34,14 @@ def draw_thruster(seed: int, spread: float = 0.05) -> ThrusterTruth:
 
 
 class Shaft:
-    """Shaft speed after delayed commands, solved exactly between the switching times.
+    """Shaft of a thruster, with delayed commands and a first-order lag.
 
-    ``n' = pole (n_ref(t - delay) - n)`` is linear and ``n_ref`` piecewise constant, so no integrator is involved.
+    The equation ``n' = pole (n_ref(t - delay) - n)`` is linear, and ``n_ref`` is piecewise constant. The solution is
+    therefore exact between the switching times and needs no numerical integration.
     """
 
     def __init__(self, truth: ThrusterTruth, dt: float, n: float = 0.0) -> None:
-        """At rest in speed ``n`` at time 0; advances by ``dt`` (s)."""
+        """Start at time 0 with the constant shaft speed ``n`` (normalised). ``dt`` is the step [s]."""
         self._truth = truth
         self._dt = dt
         self._decay = math.exp(-truth.pole * dt)
@@ -49,12 +51,12 @@ class Shaft:
         self.n = n
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Take the command (-1..1, positive forward) that was received at time ``t`` (s, never decreasing)."""
+        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases."""
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 
     def advance(self) -> float:
-        """Shaft speed (normalised) one ``dt`` later; becomes the current one."""
+        """Advance the shaft by one step and return its speed (normalised)."""
         self._steps += 1
         pending = self._pending
         if pending and pending[0][0] < self._steps * self._dt:
@@ -64,7 +66,7 @@ class Shaft:
         return self.n
 
     def _switch(self) -> None:
-        """One step during which the reference changes, once or more."""
+        """Advance by one step in which the reference changes once or several times."""
         t, t_end = (self._steps - 1) * self._dt, self._steps * self._dt
         while self._pending and self._pending[0][0] < t_end:
             t_switch, ref = self._pending.popleft()
@@ -75,27 +77,31 @@ class Shaft:
         self._relax(t_end - t)
 
     def _relax(self, dt: float) -> None:
+        """Advance by ``dt`` [s] with a constant reference."""
         self.n = self._ref + (self.n - self._ref) * math.exp(-self._truth.pole * dt)
 
 
 class Inflow:
-    """Shaft speed as the water answers to it: some time later, and a first-order lag behind."""
+    """Delay and first-order lag from the shaft speed to the shaft speed that produces thrust."""
 
     def __init__(self, delay: float, lag: float, dt: float, n: float = 0.0) -> None:
-        """``delay`` and ``lag`` in s; the lag is a fifth longer where the shaft slows down. Advances by ``dt`` (s)."""
+        """Set the delay [s], the time constant of the lag [s], the step [s] and the initial shaft speed.
+
+        The time constant is 20 % longer while the shaft slows down.
+        """
         self._queue = deque([n] * round(delay / dt))
         self._rise, self._fall = (math.exp(-dt / (k * lag)) if lag else 0.0 for k in (1.0, 1.2))
         self._n = n
 
     def advance(self, n: float) -> float:
-        """What the water has, one ``dt`` later, of a shaft that then turns at ``n``."""
+        """Advance by one step, at whose end the shaft turns at ``n``. Return the shaft speed that produces thrust."""
         self._queue.append(n)
-        late = self._queue.popleft()
-        keep = self._rise if abs(late) > abs(self._n) else self._fall
-        self._n = late + keep * (self._n - late)
+        delayed = self._queue.popleft()
+        decay = self._rise if abs(delayed) > abs(self._n) else self._fall
+        self._n = delayed + decay * (self._n - delayed)
         return self._n
 
 
 def thrust(truth: ThrusterTruth, n: float) -> float:
-    """Force (N) of a thruster at rest without current (thesis, section 4.2)."""
+    """Return the force [N] of a thruster that does not move through the water (thesis, section 4.2)."""
     return truth.c1 * n * abs(n) + truth.c2 * n * n

@@ -1,4 +1,4 @@
-"""Waves and gusts: unmeasured forces of some hidden effects."""
+"""Waves and gusts: unmeasured forces of hidden effects on the mock boat."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from seatrial.mocks.plant.effect import Gust, HiddenEffect, Wave
 from seatrial.mocks.random_streams import GUSTS, WAVES, OrnsteinUhlenbeck, normals, random_stream
 
-COMPONENTS = 24
-Forces = tuple[float, float, float]  # X, Y, N: N, N, N m
+COMPONENTS = 24  # sines that the waves are made of
+Forces = tuple[float, float, float]  # X, Y, N in N, N, N m
 
 
 class Weather:
-    """All waves and gusts of a boat in one run; false where there are none."""
+    """All waves and gusts of a boat in one run. Its truth value is False if the boat has no waves and no gusts."""
 
     def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float) -> None:
-        """To be asked every ``dt`` (s)."""
+        """Draw the waves and gusts of ``effects``. `forces` must be called every ``dt`` [s]."""
         self._parts: list[Sea | Squalls] = [
             Sea(e.wave, random_stream(seed, WAVES, run, k)) for k, e in enumerate(effects) if e.wave is not None
         ]
@@ -30,18 +30,20 @@ class Weather:
         return bool(self._parts)
 
     def forces(self, t: float, psi: float) -> Forces:
-        """At time ``t`` (s) on heading ``psi`` (rad)."""
+        """Return the sum of all forces at time ``t`` [s] and heading ``psi`` [rad]. Each call is one step."""
         every = [part.forces(t, psi) for part in self._parts]
         return sum(f[0] for f in every), sum(f[1] for f in every), sum(f[2] for f in every)
 
 
 class Sea:
-    """Long-crested waves as a sum of sines; encounter frequency and wavelength are not distinguished.
+    """Forces of long-crested waves, as a sum of sines.
 
-    Sway and yaw follow the slope of the surface, a quarter of a period off the surge.
+    The frequencies do not depend on the boat's speed: the change to the frequency of encounter is neglected. Sway and
+    yaw follow the slope of the surface, a quarter of a period away from surge.
     """
 
     def __init__(self, wave: Wave, rng: np.random.Generator) -> None:
+        """Draw frequencies and phases. The spectrum is ``1 / (1 + s^4)``, with ``s`` in units of the peak's width."""
         spread = np.linspace(-3.0, 3.0, COMPONENTS) + 3.0 / COMPONENTS * rng.uniform(-1.0, 1.0, COMPONENTS)
         power = 1.0 / (1.0 + spread**4)
         omega = 2.0 * math.pi * wave.frequency * (1.0 + wave.width * spread)
@@ -51,7 +53,7 @@ class Sea:
         self._components = list(zip(amplitude.tolist(), omega.tolist(), phase.tolist(), strict=True))
 
     def forces(self, t: float, psi: float) -> Forces:
-        """At time ``t`` (s) on heading ``psi`` (rad)."""
+        """Return the forces at time ``t`` [s] and heading ``psi`` [rad]."""
         w = self._wave
         angles = [(a, omega * t + phase) for a, omega, phase in self._components]
         along = sum(a * math.cos(angle) for a, angle in angles)
@@ -61,15 +63,17 @@ class Sea:
 
 
 class Squalls:
-    """First-order coloured forces that come and go: half of each period they are a fifth as strong."""
+    """Forces of gusts: first-order coloured noise, which is weak (a fifth) in the second half of each period."""
 
     def __init__(self, gust: Gust, rng: np.random.Generator, dt: float) -> None:
+        """Draw the initial forces. `forces` must be called every ``dt`` [s]."""
         draw = normals(rng)
         self._period = gust.period
         self._parts = [OrnsteinUhlenbeck(draw, dt, sigma, gust.tau) for sigma in gust.sigma]
 
     def forces(self, t: float, psi: float) -> Forces:
-        """At time ``t`` (s); each call is one step."""
+        """Return the forces at time ``t`` [s]; they do not depend on the heading. Each call is one step."""
+        # The factors keep the mean variance near one: (1.4^2 + 0.28^2) / 2.
         strength = 1.4 if math.sin(2.0 * math.pi * t / self._period) > 0.0 else 0.28
         x, y, n = (strength * part.step() for part in self._parts)
         return x, y, n

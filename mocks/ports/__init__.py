@@ -1,4 +1,4 @@
-"""Ports that mocks serve: ptys, loopback UDP and TCP."""
+"""Ports of the mocks: ptys, and UDP and TCP sockets on loopback."""
 
 import lazy_loader
 

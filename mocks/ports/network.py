@@ -1,4 +1,4 @@
-"""Ports of a mock on loopback UDP and TCP, with the same face as the ptys of seatrial.mocks.ports.pty."""
+"""Ports of a mock on loopback UDP and TCP, with the same methods as the ptys of seatrial.mocks.ports.pty."""
 
 from __future__ import annotations
 
@@ -9,42 +9,53 @@ from typing import Any
 
 from seatrial.daq.errors import SeatrialError
 
-READ_MAX = 1 << 16
-BACKLOG_MAX = 1 << 20
+READ_MAX = 1 << 16  # bytes
+BACKLOG_MAX = 1 << 20  # bytes that wait for a slow reader; more are dropped
 
 
 class NetPort:
-    """The far end of a rig's `udp:`, `udpin:`, `udpout:` or `tcp:` port; on loopback only."""
+    """Device's end of a `udp:`, `udpin:`, `udpout:` or `tcp:` port of a rig, on loopback only."""
 
     def __init__(self, port: str) -> None:
-        """`port` as in the rig. Raises SeatrialError for an address that is not this machine's loopback."""
+        """Open the port.
+
+        Parameters
+        ----------
+        port : str
+            Address as in the rig file, for example `udp:127.0.0.1:14550`.
+
+        Raises
+        ------
+        SeatrialError
+            If the address is not on the loopback of this machine, or the port is in use.
+        """
         kind, _, address = port.partition(":")
         host, _, number = address.rpartition(":")
-        self.dropped = 0  # bytes that nobody was there to take
-        self._kind, self._where, self.path = kind, (host.strip("[]"), int(number)), port
-        self._socket: socket.socket | None = None  # datagrams, or what listens
-        self._client: socket.socket | None = None  # TCP
+        self.dropped = 0  # bytes that were lost because no host was there to read them
+        self._kind, self._address, self.path = kind, (host.strip("[]"), int(number)), port
+        self._socket: socket.socket | None = None  # UDP socket, or TCP socket that accepts the client
+        self._client: socket.socket | None = None  # TCP connection of the host
         self._peer: Any = None
         self._backlog = bytearray()
-        if self._where[0] != "localhost" and not ipaddress.ip_address(self._where[0]).is_loopback:
+        if self._address[0] != "localhost" and not ipaddress.ip_address(self._address[0]).is_loopback:
             raise SeatrialError(f"{port}: a mock serves loopback only; give the rig an address such as 127.0.0.1")
         self.plug()
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is there."""
+        """Whether the socket is open."""
         return self._socket is not None
 
     def plug(self) -> None:
         """Open the socket."""
-        family = socket.AF_INET6 if ":" in self._where[0] else socket.AF_INET
+        family = socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_STREAM if self._kind == "tcp" else socket.SOCK_DGRAM)
         try:
             if self._kind in ("tcp", "udpout"):
                 sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, self._kind == "tcp")
-                sock.bind(self._where)
+                sock.bind(self._address)
             else:
-                self._peer = self._where
+                self._peer = self._address
             if self._kind == "tcp":
                 sock.listen(1)
         except OSError as error:
@@ -54,7 +65,7 @@ class NetPort:
         self._socket = sock
 
     def unplug(self) -> None:
-        """The link is cut."""
+        """Close the sockets and drop waiting bytes, as if the link were cut. `plug` opens the port again."""
         for sock in (self._client, self._socket):
             if sock is not None:
                 sock.close()
@@ -64,22 +75,22 @@ class NetPort:
             self._peer = None
 
     def close(self) -> None:
-        """Unplug for good."""
+        """Close the port for good."""
         self.unplug()
 
     def fileno(self) -> int:
-        """For select; only while plugged."""
+        """Return the file descriptor for `select`. The port must be plugged."""
         current = self._client or self._socket
         assert current is not None
         return current.fileno()
 
     def read(self) -> bytes:
-        """What the host has sent."""
+        """Return the bytes that the host has sent since the last call. The call never blocks."""
         if self._kind == "tcp":
             return self._read_stream()
         assert self._socket is not None
         parts = []
-        with contextlib.suppress(OSError):  # nothing more, or nobody listens there yet
+        with contextlib.suppress(OSError):  # no datagram is left, or the host does not listen yet
             while True:
                 data, sender = self._socket.recvfrom(READ_MAX)
                 self._peer = sender
@@ -87,6 +98,7 @@ class NetPort:
         return b"".join(parts)
 
     def _read_stream(self) -> bytes:
+        """Return the received bytes of a TCP port. Accept a client if none is connected; close a client that left."""
         assert self._socket is not None
         if self._client is None:
             with contextlib.suppress(BlockingIOError):
@@ -106,7 +118,7 @@ class NetPort:
         return data
 
     def write(self, data: bytes, wall: float) -> None:
-        """Send to the host. Never blocks."""
+        """Send ``data`` to the host. The call never blocks; bytes are dropped if no host is there."""
         if not (self.plugged and data):
             return
         if self._kind == "tcp":
@@ -117,11 +129,11 @@ class NetPort:
             assert self._socket is not None
             try:
                 self._socket.sendto(data, self._peer)
-            except OSError:  # nobody listens there
+            except OSError:  # the host does not listen
                 self.dropped += len(data)
 
     def flush(self, wall: float) -> None:
-        """Send what waits."""
+        """Send waiting bytes of a TCP port. Drop them if they are more than BACKLOG_MAX."""
         if self._client is None or not self._backlog:
             return
         with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""A serial port that is a pty, linked at the path where a rig expects a device."""
+"""Serial port of a mock: a pty with a link at the path where the rig expects a device."""
 
 from __future__ import annotations
 
@@ -13,30 +13,43 @@ from typing import IO
 
 from seatrial.daq.errors import SeatrialError
 
-PATIENCE = 0.3  # wall s without a byte read after which nobody is listening
-CHECK = 0.02  # wall s between looks at what is unread; bytes need a moment to get from one end to the other
-FULL = 4000  # unread bytes from which the line discipline (4095) may hold back others
-BACKLOG_MAX = 1 << 20
-READ_MAX = 1 << 16
+PATIENCE = 0.3  # wall s; if no byte was read for this time, the port has no reader
+CHECK = 0.02  # wall s between two counts of the unread bytes, which take a moment from one end to the other
+FULL = 4000  # unread bytes from which the line discipline (buffer of 4095) may hold back further bytes
+BACKLOG_MAX = 1 << 20  # bytes that wait for a slow reader; more are dropped
+READ_MAX = 1 << 16  # bytes
 
 
 class PtyPort:
-    """The device's end of a pty and the link to the other end.
+    """Device's end of a pty, and the link to the host's end.
 
-    This process holds the other end open as well: else the line discipline falls back to echo whenever the last
-    reader leaves. Bytes wait for a slow reader. While there is none, no more than one write is kept, the newest of
-    every CHECK: who comes late gets nothing stale, as on a UART.
+    This process holds the host's end open as well. Otherwise the line discipline would return to echo when the last
+    reader leaves.
+
+    Bytes wait for a slow reader. Without a reader at most one write is kept, the newest in each interval of CHECK. A
+    reader that comes late therefore gets no old bytes, as on a UART.
     """
 
     def __init__(self, path: Path) -> None:
-        """``path``: where the link goes. Raises SeatrialError if another mock or something else is there."""
+        """Open the port.
+
+        Parameters
+        ----------
+        path : Path
+            Path of the link to the host's end.
+
+        Raises
+        ------
+        SeatrialError
+            If another mock serves this path, or the path is a file that is not a link.
+        """
         self.path = path
-        self.dropped = 0  # bytes that nobody read in time
+        self.dropped = 0  # bytes that were not read in time
         self._backlog = bytearray()
-        self._progress = 0.0
-        self._idle = True  # nobody reads
-        self._checked = 0.0
-        self._unread = self._written = 0  # bytes unread at the last look, and written since
+        self._progress = 0.0  # wall s, last time at which bytes were read
+        self._idle = True  # whether the port has no reader
+        self._checked = 0.0  # wall s of the last count of unread bytes
+        self._unread = self._written = 0  # bytes unread at the last count, and bytes written since
         self._master = self._slave = -1
         self._lock = _lock(path)
         try:
@@ -47,11 +60,11 @@ class PtyPort:
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is there."""
+        """Whether the pty is open."""
         return self._master >= 0
 
     def plug(self) -> None:
-        """Make the pty and its link."""
+        """Open the pty and create its link."""
         if os.path.lexists(self.path) and not self.path.is_symlink():
             raise SeatrialError(f"{self.path}: exists and is no mock's port; give the rig a port path that is free")
         self._master, self._slave = os.openpty()
@@ -61,10 +74,10 @@ class PtyPort:
         link = self.path.with_name(f".{self.path.name}.link")
         link.unlink(missing_ok=True)
         link.symlink_to(os.ttyname(self._slave))
-        link.replace(self.path)  # a reader finds the old link or the new one, never none
+        link.replace(self.path)  # a reader finds the old link or the new link at any time
 
     def unplug(self) -> None:
-        """The port vanishes, and whoever has it open gets a hang-up."""
+        """Remove the port. A host that has the port open gets a hang-up. `plug` opens the port again."""
         if self.plugged:
             self.path.unlink(missing_ok=True)
             os.close(self._slave)
@@ -74,32 +87,32 @@ class PtyPort:
             self._become_idle()
 
     def close(self) -> None:
-        """Unplug for good."""
+        """Close the port for good and release its lock."""
         self.unplug()
         with contextlib.suppress(FileNotFoundError):
             os.unlink(self._lock.name)
         self._lock.close()
 
     def fileno(self) -> int:
-        """For select; only while plugged."""
+        """Return the file descriptor for `select`. The port must be plugged."""
         return self._master
 
     def read(self) -> bytes:
-        """What the host has written."""
+        """Return the bytes that the host has written since the last call. The call never blocks."""
         try:
             data = os.read(self._master, READ_MAX)
         except BlockingIOError:
             return b""
-        if self._idle:  # whoever writes, reads
+        if self._idle:  # a host that writes is assumed to read too
             self._idle, self._progress = False, self._checked
         return data
 
     def write(self, data: bytes, wall: float) -> None:
-        """Send ``data`` to the host, at ``wall`` (s, monotonic). Never blocks."""
+        """Send ``data`` to the host at the monotonic time ``wall`` [s]. The call never blocks."""
         if not (self.plugged and data):
             return
         if wall - self._checked >= CHECK:
-            self._look(wall)
+            self._detect_reader(wall)
         elif self._idle:
             self.dropped += len(data)
             return
@@ -108,15 +121,15 @@ class PtyPort:
         self.flush(wall)
 
     def flush(self, wall: float) -> None:
-        """Send what waits."""
+        """Send waiting bytes. Drop them if they are more than BACKLOG_MAX."""
         if self._backlog:
             with contextlib.suppress(BlockingIOError):
                 del self._backlog[: os.write(self._master, self._backlog)]
             if len(self._backlog) > BACKLOG_MAX:
                 self._discard()
 
-    def _look(self, wall: float) -> None:
-        """Find out from what is unread whether anybody reads."""
+    def _detect_reader(self, wall: float) -> None:
+        """Detect from the number of unread bytes whether the port has a reader. Drop all bytes if it has none."""
         unread: int = struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0\0\0\0"))[0]
         read = unread == 0 or unread < min(self._unread + self._written, FULL)
         if self._idle and read and self._written:
@@ -129,7 +142,7 @@ class PtyPort:
         self._checked, self._unread, self._written = wall, unread, 0
 
     def _discard(self) -> None:
-        """Nobody reads: throw away all that waits, here and in the line discipline."""
+        """Drop all waiting bytes, in this object and in the line discipline, since the port has no reader."""
         self._become_idle()
         self.dropped += len(self._backlog)
         self._backlog.clear()
@@ -143,7 +156,7 @@ class PtyPort:
 
 
 def _lock(path: Path) -> IO[str]:
-    """A lock on the port's name that ends with this process, however it ends."""
+    """Return a lock on the path of the port. The system releases it at the end of this process, even after a crash."""
     path.parent.mkdir(parents=True, exist_ok=True)
     file = open(path.with_name(f".{path.name}.lock"), "w")  # noqa: SIM115 (held open as long as the port)
     try:

@@ -1,13 +1,15 @@
-"""A boat that steers with its speed, for `seatrial ident vehicle --model steered_boat.py:boat`.
+"""Model of a boat whose yaw rate is proportional to its speed, as in the simulator of ArduPilot Rover.
+
+It is for `seatrial ident vehicle --model steered_boat.py:boat`.
 
     m_u u' = F - d_uu |u| u,  F = 20 (n_left + n_right)    surge
-    T r'   = k u (n_left - n_right) - r                    yaw: no inertia of its own, but a lag T
+    T r'   = k u (n_left - n_right) - r                    yaw with a lag T instead of an inertia
     psi'   = r
-    vx, vy = (u - tau u') (cos psi, sin psi)               GNSS, late by tau
+    vx, vy = (u - tau u') (cos psi, sin psi)               GNSS velocity with a latency tau
 
-That is what the simulator of ArduPilot Rover moves: u' = 0.5 F - 0.25 u|u| with F = 0.1 (mean PWM - 1500 us), and a
-yaw rate in proportion to speed and difference. With n = (PWM - 1500 us) / 400 us, F [N] is as above, and the truth is
-m_u = 2 kg, d_uu = 0.5 kg/m. n_left and n_right are what the autopilot put out, not what it was told.
+The simulator uses u' = 0.5 F - 0.25 u|u| with F = 0.1 (mean PWM - 1500 us), and a yaw rate in proportion to the speed
+and to the difference of the outputs. With n = (PWM - 1500 us) / 400 us, F [N] is the force above, and the true values
+are m_u = 2 kg and d_uu = 0.5 kg/m. n_left and n_right are the outputs of the autopilot, not the commands to it.
 """
 
 from __future__ import annotations
@@ -22,16 +24,19 @@ F_PER_N = 20.0  # N at one thruster for n = 1
 
 
 def _surge(x: Any, u: Any, p: Any) -> Any:
+    """Return the surge acceleration [m/s2]."""
     return (F_PER_N * (u.n_left + u.n_right) - p.d_uu * abs(x.u) * x.u) / p.m_u
 
 
 def _f(x: Any, u: Any, p: Any) -> dict[str, Any]:
+    """Return the rates of the states."""
     return {"u": _surge(x, u, p), "r": (p.k * x.u * (u.n_left - u.n_right) - x.r) / p.T, "psi": x.r}
 
 
 def _h(x: Any, u: Any, p: Any) -> dict[str, Any]:
-    late = x.u - p.tau * _surge(x, u, p)
-    return {"psi": x.psi, "r": x.r + p.b_r, "vx": late * np.cos(x.psi), "vy": late * np.sin(x.psi)}
+    """Return the outputs. The GNSS velocity is extrapolated back by its latency."""
+    delayed = x.u - p.tau * _surge(x, u, p)
+    return {"psi": x.psi, "r": x.r + p.b_r, "vx": delayed * np.cos(x.psi), "vy": delayed * np.sin(x.psi)}
 
 
 boat = plain_model(
@@ -52,9 +57,9 @@ boat = plain_model(
     parameters=(
         Parameter("m_u", 5.0, "kg", "surge mass with added mass", "log"),
         Parameter("d_uu", 2.0, "kg/m", "quadratic damping", "log"),
-        Parameter("k", 0.5, "rad/m", "yaw rate a speed and difference of n", step=0.05),
+        Parameter("k", 0.5, "rad/m", "yaw rate per speed and difference of n", step=0.05),
         Parameter("T", 0.3, "s", "lag of the yaw rate", "log", bounds=(0.01, 10.0)),
-        Parameter("tau", 0.1, "s", "age of the GNSS velocity", prior=(0.1, 0.2), step=0.02),
+        Parameter("tau", 0.1, "s", "latency of the GNSS velocity", prior=(0.1, 0.2), step=0.02),
         Parameter("b_r", 0.0, "rad/s", "bias of the gyro", prior=(0.0, 0.01), per_record=True, step=0.001),
         Parameter("s_u", 0.1, "m/s/sqrt(s)", "process noise of surge speed", "log"),
         Parameter("s_r", 0.05, "rad/s/sqrt(s)", "process noise of yaw rate", "log"),

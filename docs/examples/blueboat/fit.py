@@ -1,4 +1,4 @@
-"""The fit in per cent of a result.json on the runs that no fit has seen: 100 (1 - error / spread), simulated."""
+"""Fit of a result.json in per cent on the validation runs: 100 (1 - error / spread) of the simulation."""
 
 from __future__ import annotations
 
@@ -9,17 +9,21 @@ from typing import Any
 
 
 def percent(row: dict[str, Any], key: str) -> float | None:
-    """100 for no error, 0 for one as large as the spread of what was measured."""
+    """Return the fit in per cent: 100 without an error, 0 for an error as large as the spread of the measurements.
+
+    None is returned if the result has no error under ``key``.
+    """
     return None if row[key] is None else 100.0 * (1.0 - row[key] / row["spread"])
 
 
 def main() -> None:
+    """Print the fit of surge, sway and yaw rate, before and after a diagnosis."""
     path = Path(sys.argv[1])
     rows = json.loads(path.read_text(encoding="utf-8"))["errors"]["validation"]["simulation"]
     for name in ("u", "v", "r"):
         before, after = percent(rows[name], "before"), percent(rows[name], "after")
-        said = f"{after:6.1f} %" if before is None else f"{before:6.1f} % before, {after:6.1f} % after"
-        print(f"{path.parent.name:<10} {name}  {said}")
+        text = f"{after:6.1f} %" if before is None else f"{before:6.1f} % before, {after:6.1f} % after"
+        print(f"{path.parent.name:<10} {name}  {text}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""The pictures of README.md from what run.sh wrote: python figures.py out/kingfisher FOLDER.
+"""Plots of the README from the results of run.sh: python figures.py out/kingfisher FOLDER.
 
-Writes curve.html, prediction.html and masses.html; the pictures are what a browser shows of them.
+The script writes curve.html, prediction.html and masses.html. The pictures are screenshots of these pages.
 """
 
 from __future__ import annotations
@@ -14,32 +14,36 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-MEASURED, MODEL, POOR, PLAIN = "#202020", "#0072b2", "#d55e00", "#8a93a0"  # Okabe and Ito's colours, and grey
-SOURCE = (40.4, 82.2, 62.6)  # kg, what the source of the data got from one step at a time; a fourth gave nothing
+MEASURED, MODEL, POOR, PLAIN = "#202020", "#0072b2", "#d55e00", "#8a93a0"  # colours of Okabe and Ito, and grey
+SOURCE = (40.4, 82.2, 62.6)  # kg, estimates of the data's authors from single steps; their fit of the fourth failed
 STEPS = ("step 1", "step 2", "step 3", "step 4")
 RUNS = {"run01": "0.1", "after2": "0.3, then none", "run05": "0.5", "run06": "0.6", "run08": "0.8", "run10": "1.0"}
 
 
 def load(folder: Path, name: str) -> dict[str, Any]:
+    """Return the content of a result file."""
     found: dict[str, Any] = json.loads((folder / name / "result.json").read_text(encoding="utf-8"))
     return found
 
 
 def traces(result: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Measured and simulated speed by the short name of the log."""
+    """Return measured and simulated speed by the short name of the log."""
     return {t["record"].removeprefix("surge_").removeprefix("rest_"): t for t in result["traces"]}
 
 
 def line(x: Any, y: Any, name: str, colour: str, dash: str = "solid", **more: Any) -> go.Scatter:
+    """Return a line of a plot."""
     return go.Scatter(x=x, y=y, name=name, mode="lines", line={"color": colour, "width": 1.8, "dash": dash}, **more)
 
 
 def dots(x: Any, y: Any, name: str, colour: str, symbol: str = "circle", size: float = 7, **more: Any) -> go.Scatter:
+    """Return points of a plot."""
     marker = {"color": colour, "symbol": symbol, "size": size}
     return go.Scatter(x=x, y=y, name=name, mode="markers", marker=marker, **more)
 
 
 def page(figure: go.Figure, path: Path, width: int, height: int) -> None:
+    """Write a plot to a self-contained HTML file. Width and height are in pixels."""
     legend = {"orientation": "h", "yanchor": "bottom", "y": 1.07}
     figure.update_layout(
         template="plotly_white",
@@ -53,7 +57,7 @@ def page(figure: go.Figure, path: Path, width: int, height: int) -> None:
 
 
 def curve(folder: Path, path: Path) -> None:
-    """Force against command: levels of the load cell, the quadratic and the monotone curve."""
+    """Plot the force as a function of the command: load cell levels, quadratic curve and monotone curve."""
     static = load(folder, "thruster")["static"]
     bars = {"type": "data", "array": 2 * np.array(static["sd"]), "thickness": 1.2, "width": 0}
     figure = go.Figure(
@@ -69,22 +73,25 @@ def curve(folder: Path, path: Path) -> None:
 
 
 def prediction(folder: Path, path: Path) -> None:
-    """Speed on runs that no fit has seen: measured, with a delay alone, and with loss of thrust and cubic drag."""
+    """Plot the speed on validation runs: measured, and by two models.
+
+    The models have a delay alone, and a delay with loss of thrust and cubic drag.
+    """
     good, poor = traces(load(folder, "both")), traces(load(folder, "delayed"))
     figure = make_subplots(
         2,
         3,
-        subplot_titles=[f"{run}: command {said}" for run, said in RUNS.items()],
+        subplot_titles=[f"{run}: command {command}" for run, command in RUNS.items()],
         vertical_spacing=0.2,
         horizontal_spacing=0.07,
     )
     for k, run in enumerate(RUNS):
-        one, first = good[run], k == 0
-        found = [dots(one["t"], one["measured"], "measured", MEASURED, size=2.5, showlegend=first)]
-        for one, colour, dash, label in ((poor[run], POOR, "dash", "delayed"), (good[run], MODEL, "solid", "both")):
-            t = np.array(one["t"])
-            after = t > 15
-            found.append(line(t[after], np.array(one["model"])[after], label, colour, dash, showlegend=first))
+        trace, first = good[run], k == 0
+        found = [dots(trace["t"], trace["measured"], "measured", MEASURED, size=2.5, showlegend=first)]
+        for trace, colour, dash, label in ((poor[run], POOR, "dash", "delayed"), (good[run], MODEL, "solid", "both")):
+            t = np.array(trace["t"])
+            after = t > 15  # the first 15 s are filtered, not simulated
+            found.append(line(t[after], np.array(trace["model"])[after], label, colour, dash, showlegend=first))
         figure.add_traces(found, rows=1 + k // 3, cols=1 + k % 3)
     figure.update_xaxes(title_text="time [s]")
     figure.update_yaxes(title_text="speed [m/s]", col=1)
@@ -92,7 +99,7 @@ def prediction(folder: Path, path: Path) -> None:
 
 
 def masses(folder: Path, path: Path) -> None:
-    """The mass by each step alone; and what is left after the thrust ends, run by run and in the mean."""
+    """Plot the estimated mass of each step, and the residual speed after the end of the thrust for all runs."""
     figure = make_subplots(1, 2, horizontal_spacing=0.1)
     looks = {"immediate": (PLAIN, "square"), "delayed": (POOR, "diamond"), "both": (MODEL, "circle")}
     for shift, (name, (colour, symbol)) in enumerate(looks.items()):
@@ -104,26 +111,30 @@ def masses(folder: Path, path: Path) -> None:
     figure.update_xaxes(tickvals=[1, 2, 3, 4, 5], ticktext=[*STEPS, "source"], col=1)
     figure.update_yaxes(title_text="mass [kg]", range=[20, 105], col=1)
     grid = np.arange(-8.0, 20.0, 0.1)
-    left = _left(load(folder, "both"), grid)
-    for k, (_, error) in enumerate(left):
-        figure.add_trace(line(grid, error, f"each of {len(left)} runs", PLAIN, opacity=0.45, showlegend=k == 0), 1, 2)
-    figure.add_trace(line(grid, np.nanmean([error for _, error in left], axis=0), "their mean", MODEL), 1, 2)
+    residuals = _residuals_after_thrust(load(folder, "both"), grid)
+    for k, (_, error) in enumerate(residuals):
+        label = f"each of {len(residuals)} runs"
+        figure.add_trace(line(grid, error, label, PLAIN, opacity=0.45, showlegend=k == 0), 1, 2)
+    figure.add_trace(line(grid, np.nanmean([error for _, error in residuals], axis=0), "their mean", MODEL), 1, 2)
     figure.update_xaxes(title_text="time after the last command [s]", col=2)
     figure.update_yaxes(title_text="measured less simulated [m/s]", col=2)
     page(figure, path, 1100, 460)
 
 
-def _left(result: dict[str, Any], grid: Any) -> list[tuple[str, Any]]:
-    """Measured less simulated speed around the end of the thrust, of the runs with more than 25 N."""
+def _residuals_after_thrust(result: dict[str, Any], grid: Any) -> list[tuple[str, Any]]:
+    """Return the measured less the simulated speed around the end of the thrust, for runs with more than 25 N.
+
+    ``grid`` has the times [s] after the end of the thrust.
+    """
     inputs = {i["record"]: i for i in result["inputs"] if i["name"] == "X"}
     found = []
     for trace in result["traces"]:
         thrust = inputs[trace["record"]]
-        pushed = np.array(thrust["t"])[np.array(thrust["value"]) > 25.0]
-        if pushed.size:
-            t, measured = np.array(trace["t"]) - pushed[-1], np.array(trace["measured"], float)
-            error, known = measured - np.array(trace["model"], float), np.isfinite(measured)
-            found.append((trace["record"], np.interp(grid, t[known], error[known], left=np.nan, right=np.nan)))
+        t_thrust = np.array(thrust["t"])[np.array(thrust["value"]) > 25.0]
+        if t_thrust.size:
+            t, measured = np.array(trace["t"]) - t_thrust[-1], np.array(trace["measured"], float)
+            error, finite = measured - np.array(trace["model"], float), np.isfinite(measured)
+            found.append((trace["record"], np.interp(grid, t[finite], error[finite], left=np.nan, right=np.nan)))
     return found
 
 

@@ -1,17 +1,17 @@
-"""Models of a Kingfisher in a straight line, for `seatrial ident vehicle --model surge_model.py:NAME`.
+"""Models of a Kingfisher boat in straight-line motion, for `seatrial ident vehicle --model surge_model.py:NAME`.
 
     m_u u' = F - k sqrt|F| u - d_u u - d_uu |u| u - d_uuu |u|^2 u
     speed  = u + c
 
-u [m/s] is the speed through the water, ``speed`` the one over ground, along the track; c is a drift of the water (or
-the push of the wind) along the track, its own in each run, as is the noise of the speed. F [N] is the thrust X of the
-bench's curve at the command of ``tau`` seconds ago. Each NAME adds something:
+u [m/s] is the speed through the water, and ``speed`` [m/s] is the speed over ground along the track. c [m/s] is the
+drift along the track by current or wind. Drift and noise of the speed have their own value in each run. F [N] is the
+thrust X of the bench's thrust curve for the command ``tau`` seconds ago. The models differ in their terms:
 
     immediate   tau = 0
-    delayed     the delay tau, of propulsion and GPS receiver together: one input, one output, no way to part them
-    lagged      and a first-order lag T of the thrust behind the delay
-    loss        delay, and the thrust lost to advance, k sqrt|F| u: Fossen's bilinear |n| u with |n| ~ sqrt|F|
-    cubic       delay, and a drag that grows faster than the square, as wave making does below the hull speed
+    delayed     delay tau of propulsion and GPS receiver together, which the data cannot separate
+    lagged      delay, and a first-order lag T of the thrust
+    loss        delay, and the loss of thrust by advance, k sqrt|F| u: Fossen's bilinear |n| u with |n| ~ sqrt|F|
+    cubic       delay, and a drag that grows faster than the square, as wave resistance does below the hull speed
     both        delay, loss and cubic drag
     shifted     both, and a dead band that is wider by d on the water than on the bench: F = X - d dX/dn
 
@@ -27,8 +27,8 @@ import numpy as np
 from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model, tap_name
 from seatrial.ident.models import delay_weights
 
-STEP, N_DELAYS = 0.1, 16  # s, copies of an input: seatrial makes them, k steps ago each
-SMALL = 1e-6  # N; keeps the root smooth where there is no thrust
+STEP, N_DELAYS = 0.1, 16  # s, and number of delayed taps of an input, which seatrial makes; tap k is k steps old
+SMALL = 1e-6  # N; makes the root smooth at zero thrust
 
 BODY = (
     Parameter("m_u", 45.0, "kg", "surge mass with added mass", "log"),
@@ -48,16 +48,16 @@ SHIFT = Parameter("d", 0.0, "", "dead band on the water less that on the bench",
 
 
 def delayed_input(u: Any, name: str, tau: Any) -> Any:
-    """An input ``tau`` seconds ago, by cubic convolution of its copies."""
-    copies = [getattr(u, tap_name(name, k)) for k in range(N_DELAYS)]
-    return sum(w * c for w, c in zip(delay_weights(tau / STEP, N_DELAYS), copies, strict=True))
+    """Return an input ``tau`` seconds ago, by cubic convolution of its delayed taps."""
+    taps = [getattr(u, tap_name(name, k)) for k in range(N_DELAYS)]
+    return sum(w * c for w, c in zip(delay_weights(tau / STEP, N_DELAYS), taps, strict=True))
 
 
 def make(*more: Parameter) -> Model:
-    """The model with the terms that the further parameters stand for."""
+    """Return the model with the terms of the parameters ``more``."""
     has = {p.name for p in more}
     names = ("X", "X_n") if "d" in has else ("X",)
-    copies = range(N_DELAYS if "tau" in has else 1)
+    taps = range(N_DELAYS if "tau" in has else 1)
     states = [State("u", "m/s", "surge through the water", "s_u", from_output="speed", sd0=0.15)]
     if "T" in has:
         states.append(State("F", "N", "thrust", 1e-3, sd0=1e-3))
@@ -84,7 +84,7 @@ def make(*more: Parameter) -> Model:
         f=f,
         h=lambda x, u, p: {"speed": x.u + p.c},
         states=tuple(states),
-        inputs=tuple(Input(n, "N").delayed(k) for n in names for k in copies),
+        inputs=tuple(Input(n, "N").delayed(k) for n in names for k in taps),
         sensors=(Sensor("gps", (Output("speed", "m/s", "e_u"),)),),
         parameters=(*BODY, *more, *RUN),
     )

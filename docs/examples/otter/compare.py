@@ -1,8 +1,10 @@
-"""Errors 10 s ahead on the unused run: the standard model, with what was found, and the simulator's own structure.
+"""Prediction errors 10 s ahead on the validation run, for three models.
 
     python compare.py DIAGNOSIS/result.json TRUTH/result.json
 
-By channel the RMS error, and over all channels the geometric mean of the ratios, as in the reports.
+The models are the standard model, the same model with the effects of the diagnosis, and the model with the equations of
+the simulator. The script prints the RMS error of each channel, and the geometric mean of the ratios over all channels,
+as in the reports.
 """
 
 from __future__ import annotations
@@ -16,11 +18,13 @@ import numpy as np
 
 
 def ahead(path: str) -> dict[str, dict[str, Any]]:
+    """Return the prediction errors over the horizon on the validation run, by channel."""
     found: dict[str, dict[str, Any]] = json.loads(Path(path).read_text(encoding="utf-8"))["errors"]["validation"]
     return found["horizon"]
 
 
 def main() -> None:
+    """Print the table of errors."""
     found, true = (ahead(path) for path in sys.argv[1:])
     print(f"{'10 s ahead':<12}{'standard':>10}{'found':>10}{'true':>10}   found/true")
     ratios = []

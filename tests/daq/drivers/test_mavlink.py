@@ -252,7 +252,7 @@ def test_a_parameter_that_changes_under_way_is_an_event() -> None:
     ends = ready(Ends(mav_rig()))
     ends.driver.events()
     ends.autopilot.vehicle.parameters["MOT_SLEWRATE"] = 50.0
-    ends.autopilot._say_parameter("MOT_SLEWRATE")
+    ends.autopilot._send_parameter("MOT_SLEWRATE")
     ends.run(0.1)
     assert "MOT_SLEWRATE was changed: 0 to 50" in [event.text for event in ends.driver.events()]
 

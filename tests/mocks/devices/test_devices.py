@@ -16,7 +16,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol import loadcell, nmea, slcan, vectornav, vesc
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, LoadCell
-from seatrial.mocks.cli import _gear
+from seatrial.mocks.cli import _device_specs
 from seatrial.mocks.devices.emulators import VescBus, by_side, make_emulator
 from seatrial.mocks.devices.faults import Faults, parse_fault
 from seatrial.mocks.devices.slcan_adapter import CanFrame
@@ -63,7 +63,7 @@ def test_the_packaged_rigs_are_valid(tmp_path: Path) -> None:
 
 def test_the_boats_bytes_are_what_the_decoders_read() -> None:
     rig = packaged("boat")
-    world = boat_world(draw_boat(1), 0, _gear(rig, by_side(rig)), utc=1.7e9)
+    world = boat_world(draw_boat(1), 0, _device_specs(rig, by_side(rig)), utc=1.7e9)
     world.controllers[0].command(0.0, 0.6)
     said = spoken(rig, world, 4.0)
 
@@ -91,7 +91,7 @@ def test_the_boats_bytes_are_what_the_decoders_read() -> None:
 def test_the_benchs_bytes_are_what_the_decoders_read() -> None:
     rig = packaged("bench")
     bench = draw_bench(1)
-    world = bench_world(bench, 0, _gear(rig, rig.thrusters))
+    world = bench_world(bench, 0, _device_specs(rig, rig.thrusters))
     world.controllers[0].command(0.0, 0.8)
     said = spoken(rig, world, 4.0)
     cell = rig.device("loadcell")
@@ -106,7 +106,7 @@ def test_the_benchs_bytes_are_what_the_decoders_read() -> None:
 
 def test_vnymr_on_request() -> None:
     rig = packaged("boat")
-    world = boat_world(draw_boat(1), 0, _gear(rig, by_side(rig)))
+    world = boat_world(draw_boat(1), 0, _device_specs(rig, by_side(rig)))
     sample = world.readings()[0].sample
     line = make_emulator(rig, rig.device("ahrs"), {}, ascii_=True).encode(sample, 0.0)
     assert line.startswith(b"$VNYMR,")
@@ -246,7 +246,7 @@ def test_a_fault_of_a_device_with_several_kinds_of_samples_repeats_each_kind(kin
 def test_the_clock_of_a_device_that_is_set_back_is_followed() -> None:
     """The map of each device's clock onto run time, through a step and beside a skew."""
     rig = packaged("boat")
-    world = boat_world(draw_boat(3), 0, _gear(rig, by_side(rig)), utc=1.8e9)
+    world = boat_world(draw_boat(3), 0, _device_specs(rig, by_side(rig)), utc=1.8e9)
     texts = ("clock-back/gnss@20", "clock-back/ahrs@20", "clock-skew@0")
     faults = Faults([parse_fault(text, ("ahrs", "gnss")) for text in texts], RNG)
     speakers = {name: make_emulator(rig, rig.device(name), {}) for name in ("ahrs", "gnss")}
