@@ -1,4 +1,4 @@
-"""`seatrial bench` and `seatrial mission`: generate, show and run."""
+"""Commands `seatrial bench` and `seatrial mission`: generate, show and run plans of set-points."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path)
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 N_MAX_BENCH = 0.9
-ROUTER_S = 3.0  # wall, for the router of ROS 2 to be there
+ROUTER_S = 3.0  # wall seconds to wait for the router of ROS 2
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 _RETRY = click.option(
     "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat invalid steps, so often in all."
@@ -55,7 +55,7 @@ def mission() -> None:
 
 
 def _bench_command(kind: str, text: str) -> None:
-    """Add `seatrial bench KIND` to the group; all kinds take the same options, but for those of steps alone."""
+    """Add the command `seatrial bench KIND`. All kinds have the same options; `steps` also has `--hold`."""
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
@@ -88,17 +88,18 @@ _bench_command("all", "Rest, steps, chirps of each sign, rest: about two minutes
 
 
 def _one_thruster(rig: Rig, name: str | None) -> str:
+    """Return the name of the thruster of a bench run. Without `name` the rig must have exactly one thruster."""
     if name is not None:
         return rig.thruster(name).name
     if len(rig.thrusters) != 1:
-        there = ", ".join(thruster.name for thruster in rig.thrusters) or "none"
-        raise SeatrialError(f"{rig.path}: which thruster? name one with --thruster; there is: {there}")
+        names = ", ".join(thruster.name for thruster in rig.thrusters) or "none"
+        raise SeatrialError(f"{rig.path}: which thruster? name one with --thruster; there is: {names}")
     return rig.thrusters[0].name
 
 
 def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None) -> None:
-    """Run a plan and say where its log is."""
-    # Imported late: --help needs none of it.
+    """Run a plan, and print the path of its log and the next command."""
+    # Imported here, so that --help starts quickly.
     from seatrial.bench.execution import make_display, run_mission
 
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
@@ -112,19 +113,34 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, comma
 
 
 def next_command(plan: Mission, rig: Rig, log: Path) -> str:
-    """Return the line that names the command for a finished log: which fit suits the rig."""
+    """Return the line that names the next command for a finished log.
+
+    Parameters
+    ----------
+    plan : Mission
+        The plan that was run.
+    rig : Rig
+        Its devices decide which identification suits the log.
+    log : Path
+        The finished log.
+
+    Returns
+    -------
+    str
+        "next: seatrial ident ...", with the log's path quoted for a shell.
+    """
     from seatrial.bench.execution import LOAD_CELLS
 
     name = shlex.quote(str(log))
     if len(plan.thrusters) == 1 and any(device.protocol in LOAD_CELLS for device in rig.devices):
         return f"next: seatrial ident thruster {name}"
     by_autopilot = any(thruster.output is not None for thruster in rig.thrusters)
-    # An autopilot reports its outputs, and no shaft speed in time: a model without sideslip needs none.
+    # An autopilot reports its outputs but no timely shaft speed. The Nomoto model needs no shaft speed.
     return f"next: seatrial ident vehicle {name}{' --model nomoto' if by_autopilot else ''}"
 
 
 def warn_of_armed(names: Sequence[str]) -> None:
-    """Print the last line of a command after which an autopilot is armed."""
+    """Print a warning that these autopilots are still armed. It is the last line of a command."""
     if names:
         click.secho(f"{', '.join(names)} IS STILL ARMED: disarm it yourself", fg="red", bold=True, err=True)
 
@@ -180,10 +196,11 @@ def show(mission_path: Path) -> None:
     click.echo(describe_mission(load_mission(mission_path)))
 
 
-def _left_and_right(_context: click.Context, _parameter: click.Parameter, given: str) -> tuple[str, str]:
-    names = [name.strip() for name in given.split(",")]
+def _left_and_right(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, str]:
+    """Split the value of `--thrusters` into the names of the left and the right thruster."""
+    names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names):
-        raise click.BadParameter(f"two names with a comma between them, such as left,right, not '{given}'")
+        raise click.BadParameter(f"two names with a comma between them, such as left,right, not '{text}'")
     return names[0], names[1]
 
 
