@@ -161,8 +161,9 @@ class Autopilots:
             self._say(f"{device.name} IS ARMED ALREADY: this run did not arm it and will not disarm it")
         fatal = [str(finding) for finding in found if finding.fatal]
         if fatal:
-            forbid = "parameter forbids driving; set it" if len(fatal) == 1 else "parameters forbid driving; set them"
-            raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} yourself: {'; '.join(fatal)}")
+            forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
+            # The recorded trials (docs/data/autopilot-faults.jsonl) are classified by these words.
+            raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
         if self._n_max > self._rig.limits.link_test_n:
             seconds = require_link_test(self._rig, device.name, self._await_receiver(device), self._n_max)
             self.tested_s[device.name] = seconds

@@ -187,8 +187,8 @@ def answered(**wrong: float) -> dict[str, float]:
         (replace(LINK, vehicle="PX4"), 0.0, "autopilot is PX4: only ArduPilot Rover is driven"),
         (replace(LINK, vehicle=""), 0.0, "autopilot is of an unknown kind"),
         (replace(LINK, rivals=2), 0.0, "another ground station has our own system id"),
-        (LINK, 0.0, "parameters forbid driving; set them yourself: RC_OVERRIDE_TIME was not answered"),
-        (replace(LINK, parameters=answered(FS_ACTION=1.0)), 0.0, "1 parameter forbids driving; set it yourself: FS_ACT"),
+        (LINK, 0.0, "parameters forbid to drive, yours to set: RC_OVERRIDE_TIME was not answered"),
+        (replace(LINK, parameters=answered(FS_ACTION=1.0)), 0.0, "1 parameter forbids to drive, yours to set: FS_ACT"),
         (replace(LINK, parameters=answered()), 0.9, "a link test is needed; it was never done"),
     ],
 )  # fmt: skip

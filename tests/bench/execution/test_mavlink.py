@@ -156,7 +156,7 @@ def test_a_wrong_parameter_forbids_to_drive_and_is_not_changed(tmp_path: Path) -
     with mock(tmp_path), running(tmp_path, "--arm") as run:
         _, err = run.communicate(timeout=60)
         assert run.returncode == 1
-    assert "1 parameter forbids driving" in err
+    assert "1 parameter forbids to drive" in err
     assert "RC_OVERRIDE_TIME is 3, wanted above 0, at most 1 s" in err
     assert trace(tmp_path) == []
 
@@ -305,7 +305,11 @@ def test_a_link_test_counts_for_its_parameters_and_only_when_passed(tmp_path: Pa
         (good, LinkStatus(parameters=parameters, receiver=True), "was done with no receiver, and one is heard now"),
         (replace(good, receiver=True), link, "was done with a receiver, and none is heard now"),
         (good, LinkStatus(parameters=parameters), "the autopilot does not report whether it hears one"),
-        (replace(good, receiver=None), link, "the autopilot did not report on 2026-01-01T00:00:00Z whether it hears one"),
+        (
+            replace(good, receiver=None),
+            link,
+            "the autopilot did not report on 2026-01-01T00:00:00Z whether it hears one",
+        ),
     ):
         if test is not None:
             save_link_tests(rig, {"autopilot": test})
