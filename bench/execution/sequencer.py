@@ -233,7 +233,7 @@ def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> M
         If the rig does not allow commands, has no thruster, or has a smaller `limits.n_max`.
     """
     if not rig.ros2.commands:
-        raise SeatrialError(f"{rig.path}: ROS 2 may not command its thrusters: set `commands = true` in [ros2]")
+        raise SeatrialError(f"{rig.path}: ROS 2 may not command its thrusters: set commands = true in [ros2]")
     if not rig.thrusters:
         raise SeatrialError(f"{rig.path}: has no [[thruster]] to command")
     if n_max is not None and n_max > rig.limits.n_max:
