@@ -116,15 +116,15 @@ class _Hull:
 
 
 class _Kind:
-    """State of the times of one kind of sample. Lateness is receive time minus mapped device time."""
+    """State of the times of one kind of sample. The delay is receive time minus mapped device time."""
 
     __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
 
     def __init__(self, newest: float, least: float) -> None:
         self.newest = self.last = newest  # device times [s]: the largest one, and that of the last sample
-        self.least = least  # s, smallest lateness
+        self.least = least  # s, smallest delay
         self.since = math.inf  # run time [s] since which all samples are late
-        # Lateness [s] of a sample whose time ran back. It is reset to 0 by a sample that is not late.
+        # Delay [s] of a sample whose time ran back. It is reset to 0 by a sample that is not late.
         self.back = 0.0
         self.back_at = math.inf  # run time [s] of that sample
         self.after = 0  # number of samples since that one

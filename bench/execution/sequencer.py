@@ -442,7 +442,7 @@ class Schedule:
         return rows
 
     def started(self, now: float) -> list[ScheduledSegment]:
-        """Return the segments that have begun at run time `now`, since the start or the last restart."""
+        """Return the segments that have started by run time `now`, since the start or the last restart."""
         return [span for span in self._spans if span.begin <= now]
 
     def elapsed(self, now: float) -> float:
