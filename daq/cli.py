@@ -382,8 +382,8 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
 
     The command only listens, at one baud rate after the other. PORT may be the address of an autopilot on a network, as
     udp:HOST:PORT or tcp:HOST:PORT. With --toml the parameters of an autopilot at a given PORT are requested; no
-    parameter is changed. The rig file then also contains its thrusters. Comments that begin with "caveat" also mark values
-    that you have to measure.
+    parameter is changed. The rig file then also contains its thrusters. Comments that begin with "caveat" also mark
+    values that you have to measure.
 
     \b
     Example:
