@@ -29,7 +29,11 @@ N_MAX_BENCH = 0.9
 ROUTER_S = 3.0  # wall seconds to wait for the router of ROS 2
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 _RETRY = click.option(
-    "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat invalid steps, so often in all."
+    "--retry",
+    type=click.IntRange(0, 100),
+    default=0,
+    show_default=True,
+    help="How many invalid steps, in all, are repeated.",
 )
 
 _HOLD = click.option(
@@ -37,15 +41,15 @@ _HOLD = click.option(
     type=FiniteRange(0, min_open=True),
     default=mission_generators.HOLD_S,
     show_default=True,
-    help="Seconds that each level is held: without shaft speed, long enough for readings of the settled force.",
+    help="Time [s] for which each level is held. If no shaft speed is reported, the force has to settle in it.",
 )
 
 
 @click.group(epilog="Example: seatrial bench all bench-rig.toml -o bench.mcap")
 def bench() -> None:
-    """Characterise one thruster on the bench: command, rpm and force into a log. `all` is the usual one.
+    """Characterise one thruster on the bench: record command, rpm and force. The usual plan is `all`.
 
-    THRUSTERS TURN at once. Ctrl-C ends at zero thrust; exit status 3: ended by a safety limit.
+    THRUSTERS TURN at once. Ctrl-C ends the run at zero thrust. Exit status 3: a safety limit ended the run.
     """
 
 
@@ -60,7 +64,7 @@ def _bench_command(kind: str, text: str) -> None:
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
     @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
-    @click.option("--thruster", help="Which thruster, when the rig has more than one.")
+    @click.option("--thruster", help="Name of the thruster, if the rig has more than one.")
     @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}].")
     @_ARM
     @_RETRY
@@ -154,8 +158,8 @@ def warn_of_armed(names: Sequence[str]) -> None:
 def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int) -> None:
     """Run a mission and record it. THRUSTERS TURN at once.
 
-    Keys: space zero thrust, and on again; r repeats the step; m marks the log; Ctrl-C ends at zero thrust. Exit
-    status 3: ended by a safety limit.
+    Keys: space pauses at zero thrust, and resumes; r repeats the step; m marks the log; Ctrl-C ends the run at zero
+    thrust. Exit status 3: a safety limit ended the run.
     """
     _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
 
@@ -170,9 +174,10 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
 @_ARM
 def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out: Path | None, arm: bool) -> None:
-    """Let a node of ROS 2 command the thrusters, through the guard, and record it; Ctrl-C ends it at zero thrust.
+    """Let a ROS 2 node command the thrusters through the safety guard, and record the run.
 
-    RIG has to allow it by `commands = true` in [ros2]. THRUSTERS TURN AS OTHERS COMMAND.
+    RIG must allow this by `commands = true` in [ros2]. THRUSTERS TURN AS OTHERS COMMAND. Ctrl-C ends the run at zero
+    thrust.
     """
     from seatrial.bench.execution import follow_plan
     from seatrial.daq.tools import Ros2Node
@@ -181,7 +186,8 @@ def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out
     plan = follow_plan(rig, seconds, n_max, slew)
     with Ros2Node(rig, plan.thrusters) as node:
         click.echo(node.await_router(ROUTER_S))
-        click.echo(f"whoever reaches that router commands {', '.join(plan.thrusters)} up to n = {plan.n_max:g}")
+        names = ", ".join(plan.thrusters)
+        click.echo(f"any node that reaches this router can command {names} up to n = {plan.n_max:g}")
         _run(plan, rig, out, arm, 0, node)
         click.echo(node.summary())
 
@@ -192,7 +198,7 @@ def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out
 )
 @click.argument("mission_path", metavar="MISSION", type=EXISTING)
 def show(mission_path: Path) -> None:
-    """Show a mission as text: its segments, the range of each thruster's command, and what a design predicted."""
+    """Show a mission as text: its segments, the range of each command, and the predictions of its design."""
     click.echo(describe_mission(load_mission(mission_path)))
 
 
@@ -205,7 +211,7 @@ def _left_and_right(_context: click.Context, _parameter: click.Parameter, text: 
 
 
 @mission.command(
-    short_help="Generate a random mission that excites what a diagnosis needs.",
+    short_help="Generate a random mission with the excitation that a diagnosis needs.",
     epilog="Example: seatrial mission generate --kind mixed --seconds 300 --seed 1 -o mission.toml",
 )
 @click.option("--kind", type=click.Choice(mission_generators.MISSION_KINDS), default="mixed", show_default=True)
@@ -225,9 +231,9 @@ def _left_and_right(_context: click.Context, _parameter: click.Parameter, text: 
 def generate(
     kind: str, seconds: float, seed: int, n_max: float, slew: float | None, thrusters: tuple[str, str], out: Path
 ) -> None:
-    """Generate a random mission that excites what a diagnosis needs; `show` prints its segments.
+    """Generate a random mission with the excitation that a diagnosis needs; `show` prints its segments.
 
-    mixed: a quarter each of surge steps, zigzag, random steps of both thrusters, and chirps.
+    The kind mixed consists of four equal parts: surge steps, zigzag, random steps of both thrusters, and chirps.
     """
     if out.exists():
         raise SeatrialError(f"{out} exists; give another name with -o")

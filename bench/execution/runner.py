@@ -311,7 +311,7 @@ class _Runner:
             if not muted and now >= silent_at:
                 for name in self._vehicles.names:
                     self._acquisition.request(name, "mute", SILENCE_S)
-                self._acquisition.mark(MUTED, "nothing is sent from here on: the link test")
+                self._acquisition.mark(MUTED, "link test: no frame is sent from here on")
                 muted = True
             if muted:
                 pushes = any(

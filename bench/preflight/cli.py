@@ -239,7 +239,7 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
                 "actuators",
                 rig.name,
                 text,
-                f"first {', '.join(dict.fromkeys(faults))}",
+                f"repair first: {', '.join(dict.fromkeys(faults))}",
             )
         ]
     from seatrial.bench.execution import PlainDisplay, make_display, run_link_test, run_mission

@@ -47,14 +47,16 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
         t, far = p.t, np.hypot(p.x - p.x[0], p.y - p.y[0]) + p.radius
         by = f"the design, by model {p.model}"
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
-        hint = "a model's c1 (N at full speed) there, or a designed mission"
+        hint = "add them (c1: thrust of a model at full speed, in N), or use a designed mission"
         return _not_predicted(mission, f"has no {', '.join(missing)}", hint)
     elif wrong := [name for name in MASSES if not rig.vehicle[name] > 0.0]:
-        return _not_predicted(mission, f"has {' and '.join(wrong)} not above zero", "the masses of a boat there")
+        return _not_predicted(
+            mission, f"has {' and '.join(wrong)} not above zero", "write the masses of the boat there"
+        )
     else:
         t, x, y = track(mission, rig)
         if not np.isfinite([x, y]).all():
-            return _not_predicted(mission, "makes it diverge", "masses and damping of one boat there")
+            return _not_predicted(mission, "makes it diverge", "write masses and damping of the same boat there")
         far, by = np.hypot(x, y), "the rig's nominal vehicle without current"
     k = int(np.argmax(far))
     text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
@@ -66,10 +68,12 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
             "fence",
             mission.name,
             f"{text}, left after {left:.0f} s",
-            "shorter, slower, or more room",
+            "make the mission shorter or slower, or give it more room",
         )
     if far[k] > CLOSE * radius:
-        return Finding(WARNING, "track-near-fence", "fence", mission.name, text, "wind and current add to it")
+        return Finding(
+            WARNING, "track-near-fence", "fence", mission.name, text, "wind and current may carry the boat further"
+        )
     return Finding(OK, "track-inside-fence", "fence", mission.name, text)
 
 

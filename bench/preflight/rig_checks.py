@@ -54,7 +54,9 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
             yield _silent(device, port)
             continue
         if port.message and port.message == port.remark:
-            yield Finding(WARNING, "port-error", "alive", device.name, port.message, "the rig, if not meant so")
+            yield Finding(
+                WARNING, "port-error", "alive", device.name, port.message, "correct the rig, if this is not intended"
+            )
         elif port.message:
             yield Finding(FAULT, "port-error", "alive", device.name, port.message, "power, cable, port")
         elif port.age > max(1.0, 10.0 / device.rate_hz, STILL_WALL_S * rig.speed):
@@ -82,7 +84,7 @@ def _silent(device: Device, port: PortStatus | None) -> Finding:
     text, advice = "nothing received", "power, cable, port, baud"
     if port is not None and port.frames >= UNDERSTOOD:
         text = f"{port.frames} frames of {device.protocol} understood, but no frame contains a measurement"
-        advice = "which messages it is set to send; baud rate and protocol are right"
+        advice = "baud rate and protocol are right: look at the messages that the device is set to send"
     elif port is not None and port.bytes_in:
         text = f"{port.bytes_in} bytes, no sample: wrong baud rate or protocol?"
     return Finding(FAULT, "device-silent", "alive", device.name, (port.message if port else "") or text, advice)
@@ -134,12 +136,12 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
     if link.rivals:
         own = device.mavlink.own_system_id
         text = f"another ground station has system id {own}, as this rig: its heartbeats hide the loss of ours"
-        yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of both another id")
+        yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of the two another id")
     if link.lost > LOST * port.frames:
         text = f"{link.lost} frames lost on the way, {port.frames} received"
         yield Finding(WARNING, "frames-lost", "link", name, text, "range and rate of the radio link; lower rates")
     if link.alarm:
-        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "what it asks for")
+        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "remove its cause")
     if link.armed:
         yield armed_finding(name)
     trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
@@ -148,7 +150,10 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
         state += ", a receiver was heard" if link.receiver else ", no receiver heard"
     text = f"{link.vehicle}, {state}, EKF flags {link.ekf}{' (position)' * bool(link.ekf & EKF_POSITION)}{trip}"
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
-        text, advice = f"{text}: its estimator has no position", "open sky, 40 s after power-on; no run begins before"
+        text, advice = (
+            f"{text}: its estimator has no position",
+            "open sky, and 40 s after power-on; a run cannot start before",
+        )
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:
         yield Finding(OK, "autopilot-answers", "link", name, text)
@@ -156,8 +161,8 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
 
 def armed_finding(name: str) -> Finding:
     """Return the finding that an autopilot is armed."""
-    text = "it is armed: its outputs follow whoever commands it"
-    return Finding(WARNING, ARMED, "link", name, text, "disarm it, if no run is to begin")
+    text = "it is armed: its outputs follow any command that it receives"
+    return Finding(WARNING, ARMED, "link", name, text, "disarm it, unless a run follows")
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:

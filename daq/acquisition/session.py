@@ -221,7 +221,7 @@ class Acquisition:
         device : str
             Name of the autopilot.
         action : str
-            `arm`, `disarm`, `mode`, or `mute` (send nothing).
+            `arm`, `disarm`, `mode`, or `mute` (send no frame, except a zero command).
         value : float
             Number of the mode, or seconds to be mute.
         """

@@ -57,11 +57,11 @@ def check_devices(log: Log) -> Iterator[Finding]:
     rig = log.rig
     for text in log.warnings:
         yield Finding(
-            WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there"
+            WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a complete log of it"
         )
     for text in (text for _, kind, text in log.events() if kind == "clock"):
         source, _, text = text.partition(": ")
-        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import what lies before and after by itself")
+        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import the parts before and after it separately")
     for topic, (n, longest) in log.clock_steps.items():
         text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
         yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
@@ -265,9 +265,14 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         )
     tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
     if tilt > 0.35:
-        text = f"level is {math.degrees(tilt):.0f} deg off"
+        text = f"roll or pitch is {math.degrees(tilt):.0f} deg in the median"
         yield Finding(
-            WARNING, "sensor-not-level", "mounting", name, text, "forward, starboard, down; its reference frame"
+            WARNING,
+            "sensor-not-level",
+            "mounting",
+            name,
+            text,
+            "axes forward, starboard, down? check its reference frame",
         )
 
 
@@ -376,7 +381,7 @@ def _port(source: str, log: Log) -> Iterator[Finding]:
         yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; unexpected output")
     if last.dropped:
         text = f"{counted(last.dropped, 'sample')} dropped"
-        yield Finding(WARNING, "samples-dropped", "link", source, text, "a slower disk than the devices need")
+        yield Finding(WARNING, "samples-dropped", "link", source, text, "use a faster disk")
     if last.reconnects:
         text = f"its port was lost {counted(last.reconnects, 'time')}"
         yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
