@@ -849,6 +849,7 @@ class SafetyGuard:
     # Limits of one sample.
 
     def _esc(self, esc: Esc) -> Iterator[str]:
+        """Yield a reason for each limit that a sample of a speed controller passes."""
         limits = self._rig.limits
         if limits.rpm is not None and abs(esc.rpm) > limits.rpm:
             yield f"speed of node {esc.node} is {esc.rpm:.0f} rpm, limit {limits.rpm:g}"
@@ -860,12 +861,14 @@ class SafetyGuard:
             yield f"voltage of node {esc.node} is {esc.voltage:.1f} V, least {limits.voltage_min_v:g} V"
 
     def _attitude(self, name: str, ahrs: Ahrs) -> Iterator[str]:
+        """Yield a reason if roll or pitch passes its limit."""
         limits = self._rig.limits
         for word, angle, limit in (("roll", ahrs.roll, limits.roll_deg), ("pitch", ahrs.pitch, limits.pitch_deg)):
             if limit is not None and abs(math.degrees(angle)) > limit:
                 yield f"{word} is {math.degrees(angle):.0f} deg by {name}, limit {limit:g}"
 
     def _battery(self, name: str, battery: Battery) -> Iterator[str]:
+        """Yield a reason if the voltage or the charge of a battery passes its limit."""
         limits = self._rig.limits
         if limits.voltage_min_v is not None and battery.voltage < limits.voltage_min_v:
             yield f"battery of {name} is at {battery.voltage:.1f} V, least {limits.voltage_min_v:g} V"
@@ -873,6 +876,7 @@ class SafetyGuard:
             yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
 
     def _force(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
+        """Yield a reason if the force passes its limit, or if a load cell stays saturated."""
         limit = self._rig.limits.force_n
         if limit is None:
             return

@@ -268,6 +268,7 @@ class Acquisition:
         self._raise_failure()
 
     def _configuration(self, terminal: int) -> Configuration:
+        """Return the first message to the process. `terminal`: descriptor of standard error, or -1."""
         return Configuration(
             rig_text=self.rig.text,
             rig_path=str(Path(self.rig.path).absolute()),

@@ -124,6 +124,7 @@ class Heartbeat:
         self._send(FINISHED)
 
     def _send(self, word: bytes) -> None:
+        """Send one byte without waiting. Set `trouble` if the watchdog is gone."""
         try:
             self._socket.send(word)
         except BlockingIOError:
