@@ -39,7 +39,7 @@ SKIPPED = 100  # set-points that a run may skip; a machine that skips more also 
 READY_WITHIN_S = 30.0  # wall seconds for a mock to open its ports; it may have to be compiled first
 TERMINATION_S = 10.0  # wall seconds between SIGTERM and SIGKILL
 LATE = re.compile(r"(?:at most|up to) ([0-9.]+) ms")
-OVERTAKEN = re.compile(r"([0-9]+) set-points? (?:was|were) skipped")  # the words of `said_of_losses`
+OVERTAKEN = re.compile(r"([0-9]+) set-points? (?:was|were) skipped")  # the words of `describe_losses`
 ANSWER, TRUTH = "diagnosis/result.json", "truth.json"
 EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
 

@@ -147,26 +147,26 @@ def bench_plan(
     """
     if kind not in BENCH_KINDS:
         raise ValueError(f"no bench plan {kind!r}")
-    sheet = SegmentBuilder(1)
-    sheet.rest(STATIC, STATIC_S)
+    builder = SegmentBuilder(1)
+    builder.rest(STATIC, STATIC_S)
     if kind in ("steps", "all"):
         for sign, word in ((1.0, "forward"), (-1.0, "reverse")):
             levels = step_levels(n_max, count)
-            sheet.add(f"steps {word}", [hold_s] * len(levels), [[sign * level] for level in levels])
-            sheet.rest("rest", REST_S)
+            builder.add(f"steps {word}", [hold_s] * len(levels), [[sign * level] for level in levels])
+            builder.rest("rest", REST_S)
     if kind in ("chirp", "all"):
         for sign, word in ((1.0, "forward"), (-1.0, "reverse")):
-            sheet.wave(f"chirp {word}", chirp_s, chirp_rows(sign, n_max, chirp_s))
-            sheet.rest("rest", REST_S)
+            builder.wave(f"chirp {word}", chirp_s, chirp_rows(sign, n_max, chirp_s))
+            builder.rest("rest", REST_S)
     if kind != "static":
-        sheet.rest(STATIC, STATIC_S)
+        builder.rest(STATIC, STATIC_S)
     made = f"bench plan {kind}, n_max {n_max:g}"
     return Mission(
         name=f"bench {kind} {thruster}",
         kind="mission" if kind == "all" else kind,
         thrusters=(thruster,),
-        segments=tuple(sheet.segments),
-        end=sheet.t,
+        segments=tuple(builder.segments),
+        end=builder.t,
         n_max=n_max,
         made_by=made,
     )
@@ -204,18 +204,18 @@ def make_mission(
         "zigzag": (_zigzag,),
         "chirp": (_chirps,),
     }[kind]
-    sheet = SegmentBuilder(2)
-    sheet.rest(STATIC, MISSION_STATIC_S)
+    builder = SegmentBuilder(2)
+    builder.rest(STATIC, MISSION_STATIC_S)
     share = (seconds - 2 * MISSION_STATIC_S) / len(parts)
     for k, part in enumerate(parts, start=1):
-        part(sheet, rng, MISSION_STATIC_S + share * k, n_max)
-    sheet.rest(STATIC, MISSION_STATIC_S)
+        part(builder, rng, MISSION_STATIC_S + share * k, n_max)
+    builder.rest(STATIC, MISSION_STATIC_S)
     return Mission(
         name=f"{kind}, seed {seed}",
         kind="mission",
         thrusters=thrusters,
-        segments=tuple(sheet.segments),
-        end=sheet.t,
+        segments=tuple(builder.segments),
+        end=builder.t,
         n_max=n_max,
         made_by=(
             f"seatrial mission generate --kind {kind} --seconds {seconds:g} --seed {seed}"
@@ -235,57 +235,57 @@ def _fit(durations: list[float], until: float) -> list[float]:
     return [*durations[:-1], durations[-1] - (sum(durations) - until)]
 
 
-def _surge_steps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append steady speeds forward and in reverse, each with a small difference. They inform the surge damping."""
     levels = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, 0.0, -0.3]) * n_max
     durations: list[float] = []
     rows: list[list[float]] = []
-    while sum(durations) < stop - sheet.t:
+    while sum(durations) < stop - builder.t:
         # All levels in random order, then all again: independent draws could leave out reverse in a short mission.
         for level in rng.permutation(levels):
-            if sum(durations) < stop - sheet.t:
+            if sum(durations) < stop - builder.t:
                 rows.append(_pair(level, rng.choice([-1, 1]) * rng.uniform(0.02, 0.15), n_max))
                 durations.append(float(rng.uniform(5.0, 12.0)))
-    sheet.add("surge steps", _fit(durations, stop - sheet.t), rows)
+    builder.add("surge steps", _fit(durations, stop - builder.t), rows)
 
 
-def _zigzag(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append turns to both sides at several speeds. They inform sway and yaw damping and their coupling."""
     durations: list[float] = []
     rows: list[list[float]] = []
-    while sum(durations) < stop - sheet.t:
+    while sum(durations) < stop - builder.t:
         speed, difference = rng.choice([0.3, 0.5, 0.7, 0.85]) * n_max, rng.uniform(0.1, 0.35)
         half, side = float(rng.uniform(4.0, 9.0)), float(rng.choice([-1, 1]))
         for _ in range(4):
-            if sum(durations) < stop - sheet.t:
+            if sum(durations) < stop - builder.t:
                 rows.append(_pair(speed, side * difference, n_max))
                 durations.append(half)
                 side = -side
-    sheet.add("zigzag", _fit(durations, stop - sheet.t), rows)
+    builder.add("zigzag", _fit(durations, stop - builder.t), rows)
 
 
-def _random_steps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append independent random steps of both thrusters.
 
     They inform differences and interaction of the thrusters, reverse thrust and the dead zone.
     """
     durations: list[float] = []
     rows: list[list[float]] = []
-    while sum(durations) < stop - sheet.t:
+    while sum(durations) < stop - builder.t:
         rows.append((rng.uniform(-0.7, 1.0, 2) * n_max).tolist())
         durations.append(float(rng.uniform(1.0, 5.0)))
-    sheet.add("random steps", _fit(durations, stop - sheet.t), rows)
+    builder.add("random steps", _fit(durations, stop - builder.t), rows)
 
 
-def _chirps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+def _chirps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append oscillations about rest and about forward speed. They inform lags, delays and added masses.
 
     Each chirp oscillates the difference of the commands, their sum, or both.
     """
     number = 0
-    while stop - sheet.t > RAMP_DT:
+    while stop - builder.t > RAMP_DT:
         number += 1
-        seconds = min(float(rng.uniform(15.0, 30.0)), stop - sheet.t)
+        seconds = min(float(rng.uniform(15.0, 30.0)), stop - builder.t)
         _, phase = sweep_phase(seconds, 0.05, 0.5)
         mean, amplitude = rng.choice([0.0, 0.4, 0.6]) * n_max, rng.uniform(0.2, 0.4) * n_max
         swing = amplitude * np.sin(phase)
@@ -296,4 +296,4 @@ def _chirps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max:
             n, word = np.stack([mean + swing + 0.07, mean + swing - 0.07], 1), "surge"
         else:
             n, word = np.stack([mean + swing, mean + amplitude * np.cos(1.37 * phase)], 1), "both"
-        sheet.wave(f"chirp {number} {word}", seconds, np.clip(n, -n_max, n_max))
+        builder.wave(f"chirp {number} {word}", seconds, np.clip(n, -n_max, n_max))

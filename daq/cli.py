@@ -183,8 +183,8 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     for warning in done.warnings:
         click.echo(f"warning: {warning}", err=True)
     pieces = f" of {done.files} segments" if done.files > 1 else ""
-    fine = "" if done.warnings else "; nothing was wrong with it"
-    click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{fine}")
+    condition = "" if done.warnings else "; nothing was wrong with it"
+    click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{condition}")
 
 
 class _ImportGroup(click.Group):

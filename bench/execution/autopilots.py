@@ -258,9 +258,9 @@ class Autopilots:
         now, found = time.monotonic(), zip(self._armed.items(), links, strict=True)
         return [
             name
-            for (name, asked), link in found
+            for (name, requested_at), link in found
             # a heartbeat from before the request does not confirm it
-            if link.armed or not link.age <= min(LINK_AGE_S, now - asked - STATUS_AGE_S)
+            if link.armed or not link.age <= min(LINK_AGE_S, now - requested_at - STATUS_AGE_S)
         ]
 
     def disarm(self) -> None:
@@ -268,12 +268,12 @@ class Autopilots:
 
         The request is repeated every `ASK_S` until all confirm it, for at most `LEAVE_S`. Signals do not interrupt it.
         """
-        begun, asked = time.monotonic(), -math.inf
+        begun, requested_at = time.monotonic(), -math.inf
         self._armed = dict.fromkeys(self._armed, begun)
         names = list(self._armed)  # all of them, because an arming may be newer than the last heartbeat
         while names and (now := time.monotonic()) - begun < LEAVE_S:
-            if now - asked >= ASK_S:
-                asked = now
+            if now - requested_at >= ASK_S:
+                requested_at = now
                 for name in names:
                     self._acquisition.request(name, "disarm")
             time.sleep(POLL_S)

@@ -240,7 +240,7 @@ class Keys:
             self._fd = -1
 
     @property
-    def there(self) -> bool:
+    def available(self) -> bool:
         """Return whether stdin is a terminal whose keys are read."""
         return self._fd >= 0
 

@@ -47,7 +47,7 @@ AHEAD_S = 0.5  # longest time by which set-points are sent to the acquisition be
 LEAD_S = 0.2  # from the decision to start to the first set-point
 SETTLE_S = 4.0  # longest wait for a measurement of rest after the last zero
 SETTLE_POLL_S = 0.05
-STOOD_S = 1.0  # longest pause between two checks of the status
+LONGEST_PAUSE_S = 1.0  # longest pause between two checks of the status
 FLUSH_S = 0.8  # after which all samples so far are in the file, which is flushed every 0.25 s
 
 ZERO = "thrust is zero"  # used only if zero thrust was measured
@@ -257,14 +257,14 @@ class _Runner:
         """Run the mission: wait for the devices, send the set-points, measure zero thrust and close the log."""
         with self._display:
             try:
-                course = self._excite(arm, retries, keys)
+                sequencer = self._excite(arm, retries, keys)
                 self._acquisition.zero("end of the mission")
                 self._vehicles.release()
-                tares = self._tare(course.timeline)
+                tares = self._tare(sequencer.timeline)
                 self._require_zero()
                 still_armed = self._vehicles.still_armed()
                 self._acquisition.stop()
-                self._say_skipped(course.commanded)
+                self._say_skipped(sequencer.commanded)
             except BaseException as error:
                 self._end_at_zero(error)
                 raise
@@ -277,7 +277,7 @@ class _Runner:
                 self._vehicles.begin_link_test()
                 self._await_ready(arm)
                 links = self._vehicles.await_receivers()
-                self._fall_silent()
+                self._stop_sending()
                 self._acquisition.zero("end of the link test")
                 self._vehicles.release()
                 self._require_zero()
@@ -291,11 +291,11 @@ class _Runner:
 
     def _require_zero(self) -> None:
         """Raise SafetyStop if the thrusters are not measured at zero thrust."""
-        rests = self._settled()
+        rests = self._await_rest()
         if self._moved and not _at_zero(rests):
             raise SafetyStop("the run has ended")
 
-    def _fall_silent(self) -> None:
+    def _stop_sending(self) -> None:
         """Command the plan of a link test, then send no frame until the outputs are at neutral.
 
         The method returns after `SILENCE_S` if an output is still not at neutral.
@@ -354,34 +354,34 @@ class _Runner:
     def _excite(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
         """Wait for the devices, then send every set-point in time. Return the sequencer of the run."""
         self._await_ready(arm)
-        if keys.there:
+        if keys.available:
             self._display.say(HELP)
         lead, ahead = LEAD_S * self._clock.speed, AHEAD_S * self._clock.speed
         start = self._clock.now() + lead
         self._acquisition.mark("start", f"{self._mission.name} at {start:.6f}")
         acquisition, say = self._acquisition, self._display.say
-        course: MissionSequencer
+        sequencer: MissionSequencer
         if self._commands is None:
-            course = MissionSequencer(self._mission, start, lead, self, self._guard.patience, say, retries)
+            sequencer = MissionSequencer(self._mission, start, lead, self, self._guard.patience, say, retries)
         else:
             acquisition.stream(self._commands.put)
             timeout = self._rig.ros2.timeout_s * self._clock.speed
-            course = CommandFollower(self._mission, start, timeout, self, say, self._commands)
-        looked = time.monotonic()
-        while not course.is_over(now := self._clock.now()) or course.must_repeat(now, self._acquisition.status()):
+            sequencer = CommandFollower(self._mission, start, timeout, self, say, self._commands)
+        checked_at = time.monotonic()
+        while not sequencer.is_over(now := self._clock.now()) or sequencer.must_repeat(now, self._acquisition.status()):
             status = self._acquisition.status()
             # After a pause of this program the thrusters would start in the middle of the plan. The acquisition
             # notices such a pause only while thrust is commanded.
-            stood, looked = time.monotonic() - looked, time.monotonic()
-            if stood > STOOD_S and not status.stopped:
-                raise SafetyStop(f"this program stood still for {stood:.1f} s")
+            pause, checked_at = time.monotonic() - checked_at, time.monotonic()
+            if pause > LONGEST_PAUSE_S and not status.stopped:
+                raise SafetyStop(f"this program stood still for {pause:.1f} s")
             self._check(status, now)
-            course.step(now, ahead, status, keys.take())
+            sequencer.step(now, ahead, status, keys.take())
             self._acquisition.alive()
-            self._segment = course.segment or self._segment
-            self._display.show(self._view(status, course, now))
+            self._segment = sequencer.segment or self._segment
+            self._display.show(self._view(status, sequencer, now))
             self._wait(POLL_S)
-        return course
+        return sequencer
 
     def _check(self, status: Status, now: float) -> None:
         """Raise SafetyStop if the guard ends the run."""
@@ -408,13 +408,13 @@ class _Runner:
             number = self._signals.caught
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)
 
-    def _view(self, status: Status, course: MissionSequencer, now: float) -> MissionStatus:
+    def _view(self, status: Status, sequencer: MissionSequencer, now: float) -> MissionStatus:
         """Return the state of the run for the display."""
         force, speed, rpm = newest_values(status, self._guard)
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
         return MissionStatus(
-            segment="paused" if course.paused else self._segment,
-            elapsed=max(course.elapsed(now), 0.0),
+            segment="paused" if sequencer.paused else self._segment,
+            elapsed=max(sequencer.elapsed(now), 0.0),
             total=self._mission.end,
             n_cmd=tuple(status.commanded.get(thruster.name, 0.0) for thruster in thrusters),
             rpm=tuple(rpm.get((thruster.device, thruster.node), math.nan) for thruster in thrusters),
@@ -446,16 +446,18 @@ class _Runner:
         """
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
-        self._tried(lambda: self._acquisition.zero(reason))
-        self._tried(self._vehicles.disarm)
-        self._tried(lambda: self._acquisition.mark("stop", reason))
+        self._attempt(lambda: self._acquisition.zero(reason))
+        self._attempt(self._vehicles.disarm)
+        self._attempt(lambda: self._acquisition.mark("stop", reason))
         if stop := self._guard.stop:
-            self._tried(lambda: self._acquisition.mark("stop-code", stop.code.value))
-        self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
-        rests = self._settled()
-        closed = self._tried(self._acquisition.stop)
+            self._attempt(lambda: self._acquisition.mark("stop-code", stop.code.value))
+        self._attempt(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
+        rests = self._await_rest()
+        closed = self._attempt(self._acquisition.stop)
         if not _at_zero(rests):
-            rests = self._rests()  # measured again: the acquisition process repeats zero before it closes the log
+            rests = (
+                self._measure_rest()
+            )  # measured again: the acquisition process repeats zero before it closes the log
         thrust = self._thrust_in_words(rests)
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):
@@ -470,20 +472,20 @@ class _Runner:
         loud = f"; {', '.join(ours)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if ours else ""
         return loud + (f"; {', '.join(others)} IS STILL ARMED: disarm it yourself" if others else "")
 
-    def _rests(self) -> list[Rest] | None:
+    def _measure_rest(self) -> list[Rest] | None:
         """Return for each thruster whether it is measured at zero thrust; None if the acquisition has failed."""
         try:
             return self._guard.rest(self._acquisition.status())
         except SeatrialError:
             return None
 
-    def _settled(self) -> list[Rest] | None:
+    def _await_rest(self) -> list[Rest] | None:
         """Wait until every thruster is measured at zero thrust, for at most `SETTLE_S`. Return the last measurement.
 
         The method does not wait if no thrust was commanded or if a port of a thruster is closed.
         """
         until = time.monotonic() + SETTLE_S
-        while (rests := self._rests()) is not None and not _at_zero(rests):
+        while (rests := self._measure_rest()) is not None and not _at_zero(rests):
             if time.monotonic() > until or not (self._moved and self._ports_are_open()):
                 break
             time.sleep(SETTLE_POLL_S)
@@ -513,13 +515,13 @@ class _Runner:
         measured = ": " + "; ".join(rest.text for rest in wrong) if wrong else ""
         times = self._vehicles.tested_s.items()
         tested = [f"{name} ended thrust {seconds:.1f} s after its link was lost" for name, seconds in times]
-        known = f" (in its link test {', '.join(tested)})" if tested else ""
-        return f"zero was sent, not confirmed{measured}{known}; MAKE SURE THAT THE PROPELLERS STAND STILL"
+        in_link_test = f" (in its link test {', '.join(tested)})" if tested else ""
+        return f"zero was sent, not confirmed{measured}{in_link_test}; MAKE SURE THAT THE PROPELLERS STAND STILL"
 
     def _is_output(self, thruster: str) -> bool:
         return self._rig.thruster(thruster).output is not None
 
-    def _tried(self, action: Callable[[], None]) -> bool:
+    def _attempt(self, action: Callable[[], None]) -> bool:
         """Run `action` and return whether it succeeded.
 
         Its errors are suppressed, so that the next step to zero thrust is always tried.

@@ -186,10 +186,10 @@ class MissionSequencer:
 
     def _fault(self, status: Status) -> str:
         """Return why the data of the step that has just ended are invalid; empty if they are valid."""
-        return said_of_losses(self._before, _counts(status)) or self._gap
+        return describe_losses(self._before, _counts(status)) or self._gap
 
 
-def said_of_losses(before: tuple[int, ...], after: tuple[int, ...]) -> str:
+def describe_losses(before: tuple[int, ...], after: tuple[int, ...]) -> str:
     """Return the first loss between two counts in words, as "2 set-points were skipped"; empty without a loss.
 
     Parameters

@@ -87,8 +87,8 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
     """
     tares = []
     with open_log(path) as log:
-        there = log.sources(LoadCell)
-        cells = [device.name for device in rig.devices if device.protocol == "loadcell" and device.name in there]
+        with_samples = log.sources(LoadCell)
+        cells = [device.name for device in rig.devices if device.protocol == "loadcell" and device.name in with_samples]
         tables = {name: log.table(LoadCell, name) for name in cells}
     for name, table in tables.items():
         for where, begin, end in windows:

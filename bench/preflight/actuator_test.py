@@ -31,20 +31,20 @@ def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
         raise SeatrialError(f"{rig.path}: --actuators needs a [[thruster]], and the rig has none")
     n = min(n, rig.limits.n_max)
     count = len(rig.thrusters)
-    sheet = SegmentBuilder(count)
-    sheet.rest(STATIC, STATIC_S)
+    builder = SegmentBuilder(count)
+    builder.rest(STATIC, STATIC_S)
     for k, thruster in enumerate(rig.thrusters):
         levels = [n, 0.0, -n, 0.0, *(n * (j + 1) / STAIRS for j in range(STAIRS)), 0.0]
         holds = [HOLD_S, REST_S, HOLD_S, REST_S, *[STAIR_S] * STAIRS, REST_S]
-        sheet.add(thruster.name, holds, [[level if j == k else 0.0 for j in range(count)] for level in levels])
-    sheet.add("together", [HOLD_S, REST_S, HOLD_S, REST_S], [[level] * count for level in (n, 0.0, -n, 0.0)])
-    sheet.rest(STATIC, STATIC_S)
+        builder.add(thruster.name, holds, [[level if j == k else 0.0 for j in range(count)] for level in levels])
+    builder.add("together", [HOLD_S, REST_S, HOLD_S, REST_S], [[level] * count for level in (n, 0.0, -n, 0.0)])
+    builder.rest(STATIC, STATIC_S)
     return Mission(
         name="actuator test",
         kind="mission",
         thrusters=tuple(thruster.name for thruster in rig.thrusters),
-        segments=tuple(sheet.segments),
-        end=sheet.t,
+        segments=tuple(builder.segments),
+        end=builder.t,
         n_max=n,
         made_by=f"seatrial check --actuators, n {n:g}",
     )

@@ -103,7 +103,7 @@ class DeviceLoop(threading.Thread):
         self._t_last = -math.inf
         self._samples = self._rated = self._dropped = self._opened = self._mute_bytes = 0
         # Unparsed bytes when the port was opened, and unparsed bytes that are not counted.
-        self._unforgiven = self._forgiven = 0
+        self._unparsed_at_open = self._uncounted_bytes = 0
         self._joining = False
         self._open = False
         self._stepped = self._checked = time.monotonic()
@@ -133,8 +133,8 @@ class DeviceLoop(threading.Thread):
                     self._step()
             except Exception as error:
                 # After any error the port is opened again. The error is reported in the status and in the log.
-                known = isinstance(error, PortError)
-                self._lost(str(error) if known else f"internal error ({type(error).__name__}: {error})")
+                is_port_error = isinstance(error, PortError)
+                self._lost(str(error) if is_port_error else f"internal error ({type(error).__name__}: {error})")
                 self._wait(-1, self._retry_s(failures))
                 failures += 1
         self._finish()
@@ -160,7 +160,7 @@ class DeviceLoop(threading.Thread):
         self._checked = time.monotonic()
         self._mute_bytes = 0
         self._decoder.reset()
-        self._joining, self._unforgiven = True, self._unparsed()
+        self._joining, self._unparsed_at_open = True, self._unparsed()
         if self._driver is not None:
             self._driver.opened(time.monotonic())
         if self._setpoints is not None and self._setpoints.held:
@@ -273,14 +273,14 @@ class DeviceLoop(threading.Thread):
         return bool(self.device.is_rated(type(sample), yaw, self._attitudes))
 
     def _join(self) -> None:
-        """Forgive the unparsed bytes before the first valid frame, because a port may be opened within a frame."""
+        """Stop counting bytes before the first valid frame as unparsed: a port may be opened within a frame."""
         if self._joining:
             self._joining = False
-            before = self._unparsed() - self._unforgiven
-            self._forgiven += before if before <= JOIN_BYTES else 0
+            before = self._unparsed() - self._unparsed_at_open
+            self._uncounted_bytes += before if before <= JOIN_BYTES else 0
 
     def _unparsed(self) -> int:
-        return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._forgiven
+        return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._uncounted_bytes
 
     def _estimate(self, frame: Frame) -> float:
         """Return the estimated run time [s] of a frame; its time of receipt if the device has no clock."""

@@ -277,9 +277,9 @@ class Process:
             why = self._writer.failure
             self._link.send(Failed(why) if why else Closed(self._end_reason))
         if self._unrequested and (self._parent_hangs or os.getppid() != self._parent):
-            self._say_the_end()
+            self._print_last_line()
 
-    def _say_the_end(self) -> None:
+    def _print_last_line(self) -> None:
         """Print the last line of the run in place of the parent, which is gone or hangs."""
         thrust = "zero was sent, not confirmed; " if self._setpoints and self._role is LinkRole.DRIVE else ""
         text = f"seatrial: {self._end_reason}: {thrust}the log is {printable(str(self._path))}\n"

@@ -229,12 +229,12 @@ def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
 
 def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     """Yield the findings on noise, specific force and mounting of an AHRS."""
-    fine, noises = True, dict[str, float]()
-    for column, (most, unit) in NOISE.items():
+    is_quiet, noises = True, dict[str, float]()
+    for column, (limit, unit) in NOISE.items():
         noise = noises[column] = white(_finite(table, column))
-        if noise > most:
-            fine = False
-            text = f"{column} has white noise of {noise:.2g} {unit}, expected below {most:.2g}"
+        if noise > limit:
+            is_quiet = False
+            text = f"{column} has white noise of {noise:.2g} {unit}, expected below {limit:.2g}"
             yield Finding(
                 FAULT,
                 "sensor-noisy",
@@ -244,15 +244,15 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
                 "vibration, mounting, interference; or the unit of that value",
             )
     yaw, rate = noises["yaw"], noises["r"]
-    if fine and math.isfinite(rate):
+    if is_quiet and math.isfinite(rate):
         yaw_text = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
         text = f"{yaw_text}yaw rate {rate:.2g} rad/s a sample"
         yield Finding(OK, "sensor-noise-as-expected", "noise", name, text)
     force = np.sqrt(sum(table[c] ** 2 for c in ("ax", "ay", "az")))
-    known = np.isfinite(force)
-    still = known & ~(np.abs(table["r"]) > TURNING)
-    known = still if np.count_nonzero(still) > FEW_STILL * np.count_nonzero(known) else known
-    g = float(np.median(force[known])) if known.any() else GRAVITY
+    finite = np.isfinite(force)
+    still = finite & ~(np.abs(table["r"]) > TURNING)
+    finite = still if np.count_nonzero(still) > FEW_STILL * np.count_nonzero(finite) else finite
+    g = float(np.median(force[finite])) if finite.any() else GRAVITY
     if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
         cause = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
         yield Finding(
@@ -490,10 +490,10 @@ def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: 
 
 def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
     """Yield the findings on the clock of a device: jumps, delays and drift against the clock of the computer."""
-    known = np.isfinite(table["t_device"])
-    if np.count_nonzero(known) < 50:
+    has_clock = np.isfinite(table["t_device"])
+    if np.count_nonzero(has_clock) < 50:
         return
-    device, received = table["t_device"][known], table["t_rx"][known]
+    device, received = table["t_device"][has_clock], table["t_rx"][has_clock]
     if back := int(np.count_nonzero(np.diff(device) < -TICK_S)):
         text = f"its clock ran back {counted(back, 'time')}"
         yield Finding(
