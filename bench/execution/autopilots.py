@@ -226,7 +226,10 @@ class Autopilots:
             raise SeatrialError(f"{device.name}: {action} was accepted but took no effect in {AWAIT_S:g} s")
 
     def still_armed(self) -> list[str]:
-        """Return the names of autopilots that report to be armed."""
+        """Return the names of autopilots that report to be armed.
+
+        After the end of the acquisition these are the autopilots that were armed before the run.
+        """
         try:
             links = {name: self._link(self._rig.device(name)) for name in self.names}
         except SeatrialError:

@@ -75,7 +75,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
         yield from timing
         for kind, name, table in tables:
             yield from _stuck(kind, name, table)
-            yield from _VALUES.get(kind, _nothing)(name, table, rig)
+            yield from _VALUES.get(kind, _no_findings)(name, table, rig)
         yield from _port(source, log)
     yield from _absent(log, rig)
     yield from check_thruster_coverage(log)
@@ -364,7 +364,7 @@ def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 _VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
 
 
-def _nothing(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+def _no_findings(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     return iter(())
 
 

@@ -41,7 +41,7 @@ TOGETHER = (("x", "y"), ("vx", "vy"), ("u", "v"), ("ax", "ay"), ("speed_x", "spe
 
 
 class HeldValues(NamedTuple):
-    """Values that a table holds.
+    """Held values of a table.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     Returns
     -------
     HeldValues or None
-        None if the rows are measurements, or if that cannot be told.
+        None if the rows are measurements, or if the data do not show whether values are held.
     """
     changed = _changes(columns)
     first = np.flatnonzero(changed)
