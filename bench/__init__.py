@@ -1,1 +1,1 @@
-"""Excite: plans and missions to thrusters, safely, while daq records."""
+"""Excitation of a craft: bench plans and missions are generated, checked and run while `seatrial.daq` records."""

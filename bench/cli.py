@@ -1,4 +1,4 @@
-"""`seatrial bench` and `seatrial mission`: generate, show and run."""
+"""Commands `seatrial bench` and `seatrial mission`: generate, show and run plans of set-points."""
 
 from __future__ import annotations
 
@@ -26,10 +26,14 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path)
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 N_MAX_BENCH = 0.9
-ROUTER_S = 3.0  # wall, for the router of ROS 2 to be there
+ROUTER_S = 3.0  # wall seconds to wait for the router of ROS 2
 _ARM = click.option("--arm", is_flag=True, help="Put an autopilot into MANUAL, arm it, and disarm it at the end.")
 _RETRY = click.option(
-    "--retry", type=click.IntRange(0, 100), default=0, show_default=True, help="Repeat invalid steps, so often in all."
+    "--retry",
+    type=click.IntRange(0, 100),
+    default=0,
+    show_default=True,
+    help="How many invalid steps, in all, are repeated.",
 )
 
 _HOLD = click.option(
@@ -37,15 +41,15 @@ _HOLD = click.option(
     type=FiniteRange(0, min_open=True),
     default=mission_generators.HOLD_S,
     show_default=True,
-    help="Seconds that each level is held: without shaft speed, long enough for readings of the settled force.",
+    help="Time [s] for which each level is held. If no shaft speed is reported, the force has to settle in it.",
 )
 
 
 @click.group(epilog="Example: seatrial bench all bench-rig.toml -o bench.mcap")
 def bench() -> None:
-    """Characterise one thruster on the bench: command, rpm and force into a log. `all` is the usual one.
+    """Characterise one thruster on the bench: record command, rpm and force. The usual plan is `all`.
 
-    THRUSTERS TURN at once. Ctrl-C ends at zero thrust; exit status 3: ended by a safety limit.
+    THRUSTERS TURN at once. Ctrl-C ends the run at zero thrust. Exit status 3: a safety limit ended the run.
     """
 
 
@@ -55,12 +59,12 @@ def mission() -> None:
 
 
 def _bench_command(kind: str, text: str) -> None:
-    """Add `seatrial bench KIND` to the group; all kinds take the same options, but for those of steps alone."""
+    """Add the command `seatrial bench KIND`. All kinds have the same options; `steps` also has `--hold`."""
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
     @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
-    @click.option("--thruster", help="Which thruster, when the rig has more than one.")
+    @click.option("--thruster", help="Name of the thruster, if the rig has more than one.")
     @click.option("--n-max", type=FiniteRange(0, 1, min_open=True), help=f"Largest command [default: {N_MAX_BENCH}].")
     @_ARM
     @_RETRY
@@ -88,17 +92,18 @@ _bench_command("all", "Rest, steps, chirps of each sign, rest: about two minutes
 
 
 def _one_thruster(rig: Rig, name: str | None) -> str:
+    """Return the name of the thruster of a bench run. Without `name` the rig must have exactly one thruster."""
     if name is not None:
         return rig.thruster(name).name
     if len(rig.thrusters) != 1:
-        there = ", ".join(thruster.name for thruster in rig.thrusters) or "none"
-        raise SeatrialError(f"{rig.path}: which thruster? name one with --thruster; there is: {there}")
+        names = ", ".join(thruster.name for thruster in rig.thrusters) or "none"
+        raise SeatrialError(f"{rig.path}: which thruster? name one with --thruster; there is: {names}")
     return rig.thrusters[0].name
 
 
 def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None) -> None:
-    """Run a plan and say where its log is."""
-    # Imported late: --help needs none of it.
+    """Run a plan, and print the path of its log and the next command."""
+    # Imported here, so that --help starts quickly.
     from seatrial.bench.execution import make_display, run_mission
 
     stem = re.sub(r"[^A-Za-z0-9]+", "-", plan.name).strip("-").lower() or "mission"
@@ -112,19 +117,34 @@ def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, comma
 
 
 def next_command(plan: Mission, rig: Rig, log: Path) -> str:
-    """Return the line that names the command for a finished log: which fit suits the rig."""
+    """Return the line that names the next command for a finished log.
+
+    Parameters
+    ----------
+    plan : Mission
+        The plan that was run.
+    rig : Rig
+        Its devices decide which identification suits the log.
+    log : Path
+        The finished log.
+
+    Returns
+    -------
+    str
+        "next: seatrial ident ...", with the log's path quoted for a shell.
+    """
     from seatrial.bench.execution import LOAD_CELLS
 
     name = shlex.quote(str(log))
     if len(plan.thrusters) == 1 and any(device.protocol in LOAD_CELLS for device in rig.devices):
         return f"next: seatrial ident thruster {name}"
     by_autopilot = any(thruster.output is not None for thruster in rig.thrusters)
-    # An autopilot reports its outputs, and no shaft speed in time: a model without sideslip needs none.
+    # An autopilot reports its outputs but no timely shaft speed. The Nomoto model needs no shaft speed.
     return f"next: seatrial ident vehicle {name}{' --model nomoto' if by_autopilot else ''}"
 
 
 def warn_of_armed(names: Sequence[str]) -> None:
-    """Print the last line of a command after which an autopilot is armed."""
+    """Print a warning that these autopilots are still armed. It is the last line of a command."""
     if names:
         click.secho(f"{', '.join(names)} IS STILL ARMED: disarm it yourself", fg="red", bold=True, err=True)
 
@@ -138,8 +158,8 @@ def warn_of_armed(names: Sequence[str]) -> None:
 def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: int) -> None:
     """Run a mission and record it. THRUSTERS TURN at once.
 
-    Keys: space zero thrust, and on again; r repeats the step; m marks the log; Ctrl-C ends at zero thrust. Exit
-    status 3: ended by a safety limit.
+    Keys: space pauses at zero thrust, and resumes; r repeats the step; m marks the log; Ctrl-C ends the run at zero
+    thrust. Exit status 3: a safety limit ended the run.
     """
     _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
 
@@ -154,9 +174,10 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
 @click.option("-o", "--out", type=FILE, help="The log to write [default: by date in the rig's log directory].")
 @_ARM
 def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out: Path | None, arm: bool) -> None:
-    """Let a node of ROS 2 command the thrusters, through the guard, and record it; Ctrl-C ends it at zero thrust.
+    """Let a ROS 2 node command the thrusters through the safety guard, and record the run.
 
-    RIG has to allow it by `commands = true` in [ros2]. THRUSTERS TURN AS OTHERS COMMAND.
+    RIG must allow this by `commands = true` in [ros2]. THRUSTERS TURN AS OTHERS COMMAND. Ctrl-C ends the run at zero
+    thrust.
     """
     from seatrial.bench.execution import follow_plan
     from seatrial.daq.tools import Ros2Node
@@ -165,7 +186,8 @@ def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out
     plan = follow_plan(rig, seconds, n_max, slew)
     with Ros2Node(rig, plan.thrusters) as node:
         click.echo(node.await_router(ROUTER_S))
-        click.echo(f"whoever reaches that router commands {', '.join(plan.thrusters)} up to n = {plan.n_max:g}")
+        names = ", ".join(plan.thrusters)
+        click.echo(f"any node that reaches this router can command {names} up to n = {plan.n_max:g}")
         _run(plan, rig, out, arm, 0, node)
         click.echo(node.summary())
 
@@ -176,19 +198,20 @@ def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out
 )
 @click.argument("mission_path", metavar="MISSION", type=EXISTING)
 def show(mission_path: Path) -> None:
-    """Show a mission as text: its segments, the range of each thruster's command, and what a design predicted."""
+    """Show a mission as text: its segments, the range of each command, and the predictions of its design."""
     click.echo(describe_mission(load_mission(mission_path)))
 
 
-def _left_and_right(_context: click.Context, _parameter: click.Parameter, given: str) -> tuple[str, str]:
-    names = [name.strip() for name in given.split(",")]
+def _left_and_right(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, str]:
+    """Split the value of `--thrusters` into the names of the left and the right thruster."""
+    names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names):
-        raise click.BadParameter(f"two names with a comma between them, such as left,right, not '{given}'")
+        raise click.BadParameter(f"two names with a comma between them, such as left,right, not '{text}'")
     return names[0], names[1]
 
 
 @mission.command(
-    short_help="Generate a random mission that excites what a diagnosis needs.",
+    short_help="Generate a random mission with the excitation that a diagnosis needs.",
     epilog="Example: seatrial mission generate --kind mixed --seconds 300 --seed 1 -o mission.toml",
 )
 @click.option("--kind", type=click.Choice(mission_generators.MISSION_KINDS), default="mixed", show_default=True)
@@ -208,9 +231,9 @@ def _left_and_right(_context: click.Context, _parameter: click.Parameter, given:
 def generate(
     kind: str, seconds: float, seed: int, n_max: float, slew: float | None, thrusters: tuple[str, str], out: Path
 ) -> None:
-    """Generate a random mission that excites what a diagnosis needs; `show` prints its segments.
+    """Generate a random mission with the excitation that a diagnosis needs; `show` prints its segments.
 
-    mixed: a quarter each of surge steps, zigzag, random steps of both thrusters, and chirps.
+    The kind mixed consists of four equal parts: surge steps, zigzag, random steps of both thrusters, and chirps.
     """
     if out.exists():
         raise SeatrialError(f"{out} exists; give another name with -o")

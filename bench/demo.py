@@ -1,6 +1,7 @@
-"""`seatrial demo`: the whole loop on mock devices, from a bench run to a diagnosis and the ground truth.
+"""Command `seatrial demo`: the whole workflow on mock devices, from a bench run to a diagnosis and the ground truth.
 
-It runs the public commands only. Each is echoed and timed, runs in a process group of its own, and ends with the demo.
+The demo uses only public commands. Each command is printed and timed. Each command runs in its own process group, which
+the demo ends when it ends itself.
 """
 
 from __future__ import annotations
@@ -32,22 +33,23 @@ from seatrial.daq.log import open_log
 from seatrial.daq.options import FiniteRange
 
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
-LATE_MS, SLOWEST = 45.0, 8.0  # wall ms that samples may leave late; at this speed or slower nothing is repeated
-SKIPPED = 100  # set-points of a run that may be overtaken: samples are then stamped as late as those were sent
+LATE_MS = 45.0  # wall ms by which a mock may send its samples late; a run with a longer delay is repeated
+SLOWEST = 8.0  # run seconds per wall second; at this speed or a slower one no run is repeated
+SKIPPED = 100  # set-points that a run may skip; a machine that skips more also stamps samples late
 READY_WITHIN_S = 30.0  # wall seconds for a mock to open its ports; it may have to be compiled first
 TERMINATION_S = 10.0  # wall seconds between SIGTERM and SIGKILL
 LATE = re.compile(r"(?:at most|up to) ([0-9.]+) ms")
-OVERTAKEN = re.compile(r"([0-9]+) set-points? (?:was|were) skipped")  # as `said_of_losses` has it
+OVERTAKEN = re.compile(r"([0-9]+) set-points? (?:was|were) skipped")  # the words of `describe_losses`
 ANSWER, TRUTH = "diagnosis/result.json", "truth.json"
 EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
 
 
 class StepFailed(SeatrialError):
-    """A command of the demo failed; the message names it."""
+    """Error raised when a command of the demo fails. The message names the command."""
 
 
 class DemoInterrupted(SeatrialError):
-    """The user ended the demo."""
+    """Error raised when the user interrupts the demo."""
 
     exit_status = 130
 
@@ -80,7 +82,20 @@ def demo(seed: int | None, out: Path | None, speed: float) -> None:
 
 
 def fresh_folder(out: Path | None, seed: int) -> Path:
-    """Make the folder that the demo works in; raises SeatrialError when it holds anything."""
+    """Make the folder of the demo and return its path.
+
+    Parameters
+    ----------
+    out : Path or None
+        The folder. By default it is named after the seed, with the date added if that name exists.
+    seed : int
+        Seed of the demo.
+
+    Raises
+    ------
+    SeatrialError
+        If the folder is not empty or cannot be made.
+    """
     folder = Path(f"seatrial-demo-{seed}") if out is None else out
     if out is None and folder.exists():
         folder = Path(time.strftime(f"seatrial-demo-{seed}-%Y%m%dT%H%M%S"))
@@ -94,7 +109,22 @@ def fresh_folder(out: Path | None, seed: int) -> Path:
 
 
 def write_demo_rig(name: str, folder: Path, speed: float) -> None:
-    """Copy the mocks' rig file into the folder, with the demo's clock speed in it."""
+    """Copy a rig file of the mocks into the folder of the demo, and set its clock speed.
+
+    Parameters
+    ----------
+    name : str
+        Rig of the mocks: "bench" or "boat".
+    folder : Path
+        Folder of the demo.
+    speed : float
+        Run seconds per wall second.
+
+    Raises
+    ------
+    SeatrialError
+        If the packaged rig file lacks a clock speed.
+    """
     text = (files("seatrial.mocks") / "rigs" / f"{name}.toml").read_text(encoding="utf-8")
     text, n_found = re.subn(r"(?m)^speed\s*=\s*[0-9.]+", f"speed = {speed!r}", text)
     if n_found != 1:
@@ -103,7 +133,7 @@ def write_demo_rig(name: str, folder: Path, speed: float) -> None:
 
 
 def run_steps(steps: DemoSteps, seed: int) -> list[str]:
-    """Run the whole loop; returns the commands that this installation does not have."""
+    """Run all steps of the demo, and return the commands that are missing in this installation."""
     missing: list[str] = []
     mock = ("mock", "bench", "bench-rig.toml", "--seed", str(seed))
     _record(steps, "bench", mock, "bench run", "bench", "all", "bench-rig.toml", "-o", "bench.mcap")
@@ -118,7 +148,10 @@ def run_steps(steps: DemoSteps, seed: int) -> list[str]:
 
 
 def _mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -> None:
-    """Generate and run one mission on a newly started mock boat: the same boat and effect, other noise."""
+    """Generate one mission and run it on a newly started mock boat.
+
+    Boat and hidden effect are the same in all runs; the noise differs.
+    """
     plan, mission_seed = f"{name}.toml", str(100 * seed + run)
     steps.run(
         f"{name} mission",
@@ -130,10 +163,10 @@ def _mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -
 
 
 def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words: str) -> None:
-    """Record against a mock; where this machine could not keep up, again at half the speed, down to a quarter.
+    """Record a log from a mock. If this machine is too slow, repeat the run at half the speed.
 
-    At 20 times real time a pause of 50 ms is a second of the boat's time, in which the shaft speeds, which have no
-    clock of their own, are stamped late. Such a log is kept under another name; it is not a fair one to explain.
+    At 20 times real time a pause of 50 ms lasts one second of the boat's time. Shaft speeds have no device clock, so
+    their stamps are late by the pause. A log with such a pause is kept under another name and not used.
     """
     usual = speed = _speed(steps.folder / f"{rig}-rig.toml")
     for attempt in count(1):
@@ -141,7 +174,7 @@ def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words
         try:
             with steps.mock(*mock):
                 steps.run(name, *words)
-        except StepFailed as problem:  # a device that paused for a second is silent, and the guard rightly ends the run
+        except StepFailed as problem:  # after a pause of a second the guard takes a device for silent and ends the run
             failed = problem
         log = steps.folder / words[-1]
         if (steps.late_ms <= LATE_MS and n_skipped(log) <= SKIPPED) or speed <= SLOWEST:
@@ -157,22 +190,23 @@ def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words
 
 
 def n_skipped(path: Path) -> int:
-    """Set-points that were overtaken in a run, by the events of its log; 0 where there is none that can be read."""
+    """Return the number of set-points that a run skipped, from the events of its log; 0 if the log is unreadable."""
     try:
         with open_log(path) as log:
-            told = [OVERTAKEN.search(text) for _, kind, text in log.events() if kind == "invalid"]
+            matches = [OVERTAKEN.search(text) for _, kind, text in log.events() if kind == "invalid"]
     except SeatrialError:
         return 0
-    return sum(int(found[1]) for found in told if found)
+    return sum(int(found[1]) for found in matches if found)
 
 
 def _speed(rig: Path) -> float:
+    """Return the clock speed in a rig file; 1 if the file has none."""
     found = re.search(r"(?m)^speed\s*=\s*([0-9.]+)", rig.read_text(encoding="utf-8"))
     return float(found[1]) if found else 1.0
 
 
 def _explain(steps: DemoSteps, missing: list[str], name: str, *words: str) -> None:
-    """Run one step of ident, or note that it is not installed; later steps need the earlier ones."""
+    """Run one step of ident. If its command is not installed, leave out this step and all later ones."""
     if not missing:
         try:
             steps.run(name, *words)
@@ -185,7 +219,13 @@ def _explain(steps: DemoSteps, missing: list[str], name: str, *words: str) -> No
 
 
 def print_outcome(folder: Path) -> None:
-    """Print the answer, the errors before and after, the report's path, and last the ground truth."""
+    """Print the answer, the prediction errors before and after, the path of the report, and the ground truth.
+
+    Raises
+    ------
+    SeatrialError
+        If a file in the folder is missing or lacks these values.
+    """
     result = _read_json(folder / ANSWER)
     click.echo()
     click.secho(f"answer: {result.get('answer', 'none')}", bold=True)
@@ -205,7 +245,7 @@ def print_outcome(folder: Path) -> None:
 
 
 def _detail(truth: dict[str, Any]) -> str:
-    """The effect's sentence and its parameters, in brackets."""
+    """Return the description and the parameters of the hidden effect in brackets; empty without both."""
     parameters = truth.get("parameters", {}).items()
     numbers = [f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in parameters]
     parts = [part for part in (truth.get("sentence", ""), ", ".join(numbers)) if part]
@@ -213,13 +253,19 @@ def _detail(truth: dict[str, Any]) -> str:
 
 
 def found_effects(result: dict[str, Any]) -> list[str]:
-    """Names of the effects that the diagnosis has added, in their order."""
+    """Return the names of the effects that the diagnosis has added, in their order."""
     effects = result.get("effects", [])
     return [str(effect["name"] if isinstance(effect, dict) else effect) for effect in effects]
 
 
 def error_lines(result: dict[str, Any]) -> list[str]:
-    """The RMS prediction error over the horizon on validation data before and after, a line a channel."""
+    """Return a line for each channel with its RMS prediction error on validation data before and after the diagnosis.
+
+    Raises
+    ------
+    SeatrialError
+        If the result lacks these errors.
+    """
     try:
         channels, horizon = result["errors"]["validation"]["horizon"], result["horizon_seconds"]
         return [_error_line(name, row, horizon) for name, row in channels.items()]
@@ -228,8 +274,9 @@ def error_lines(result: dict[str, Any]) -> list[str]:
 
 
 def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
+    """Return the line of one channel. Angles are printed in degrees."""
     unit, scale = str(row["unit"]), 1.0
-    if unit.startswith("rad"):  # degrees are for people
+    if unit.startswith("rad"):
         unit, scale = unit.replace("rad", "deg", 1), math.degrees(1.0)
     errors = (row["before"], row["after"])
     before, after = ("diverged" if e is None else f"{scale * e:.3g} {unit}".rstrip() for e in errors)
@@ -237,6 +284,7 @@ def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
+    """Return the JSON object in a file. Raises SeatrialError if there is none."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -249,17 +297,42 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 class DemoSteps:
-    """Runs `seatrial ...` commands in `folder`; everything still running ends when the context does."""
+    """Runner of `seatrial` commands in one folder. The context `signals` ends all commands that still run.
+
+    Attributes
+    ----------
+    folder : Path
+        Working folder of the commands.
+    seconds : list of tuple
+        Name and wall time [s] of each finished command.
+    late_ms : float
+        Largest delay [wall ms] with which the last mock sent its samples.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.seconds: list[tuple[str, float]] = []
-        self.late_ms = 0.0  # wall ms by which the last mock's samples left late, at most
+        self.late_ms = 0.0
         self._running: list[subprocess.Popen[bytes]] = []
         self._signalled = False
 
     def run(self, name: str, *words: str) -> None:
-        """Run one command to its end; raises StepFailed unless it succeeds, Interrupted on a signal."""
+        """Run one command to its end.
+
+        Parameters
+        ----------
+        name : str
+            Name of the step, for the printed time.
+        words : str
+            Arguments of `seatrial`.
+
+        Raises
+        ------
+        StepFailed
+            If the command fails.
+        DemoInterrupted
+            If a signal arrives.
+        """
         click.secho(f"$ seatrial {' '.join(words)}", bold=True)
         start = time.monotonic()
         process = self._start(words, stdout=None)
@@ -275,7 +348,7 @@ class DemoSteps:
             raise StepFailed(f"demo: `seatrial {command}` failed with exit status {status} (see above){slower}")
 
     def has(self, *words: str) -> bool:
-        """Whether this installation has the command, by its --help."""
+        """Return whether this installation has the command. Its `--help` is tried."""
         command, quiet = module_command("seatrial", *words, "--help"), subprocess.DEVNULL
         done = subprocess.run(
             command, cwd=self.folder, env=module_environment(), stdout=quiet, stderr=quiet, check=False
@@ -284,9 +357,9 @@ class DemoSteps:
 
     @contextmanager
     def mock(self, *words: str) -> Iterator[None]:
-        """Run a mock in the background for the body of a `with`, from its word `ready` on.
+        """Run a mock in the background while the context lasts. The context begins when the mock prints `ready`.
 
-        Afterwards `late_ms` says whether the machine could keep up.
+        At the end `late_ms` is set to the delay that the mock reports.
         """
         click.secho(f"$ seatrial {' '.join(words)} &", bold=True)
         start = time.monotonic()
@@ -305,8 +378,9 @@ class DemoSteps:
             self.late_ms = float(found[1]) if found else 0.0
 
     def _start(self, words: Sequence[str], stdout: int | None, stderr: int | None = None) -> subprocess.Popen[bytes]:
-        # A session of its own: a Ctrl-C at the terminal reaches the demo alone, which then ends the runner before
-        # the mock, so that the runner can still command zero.
+        """Start a command in a session of its own."""
+        # Ctrl-C at the terminal then reaches only the demo. The demo ends the runner before the mock, so that the
+        # runner can still command zero.
         sys.stdout.flush()
         process = subprocess.Popen(
             module_command("seatrial", *words),
@@ -321,6 +395,7 @@ class DemoSteps:
         return process
 
     def _wait(self, process: subprocess.Popen[bytes]) -> int:
+        """Wait for a process, and return its exit status. Raises DemoInterrupted on a signal."""
         while True:
             try:
                 return process.wait(timeout=0.1)
@@ -328,6 +403,7 @@ class DemoSteps:
                 self._check_signal()
 
     def _await_ready(self, process: subprocess.Popen[bytes], deadline: float) -> None:
+        """Wait until a mock prints `ready`. Raises StepFailed after `deadline` or if the mock ends."""
         assert process.stdout is not None
         output = b""
         with selectors.DefaultSelector() as selector:
@@ -348,8 +424,8 @@ class DemoSteps:
             raise DemoInterrupted("demo: interrupted; thrusters at zero, mock devices stopped")
 
     def _end(self, process: subprocess.Popen[bytes]) -> None:
-        """End a process and its group: SIGTERM, then SIGKILL; no process is left behind."""
-        # SIGTERM rather than SIGINT: a Python that is still importing dies of it without a traceback.
+        """End a process and its group by SIGTERM, then by SIGKILL."""
+        # SIGTERM and not SIGINT: it ends a Python process that is still importing without a traceback.
         for number in (signal.SIGTERM, signal.SIGKILL):
             if process.poll() is not None:
                 break
@@ -369,12 +445,12 @@ class DemoSteps:
 
     @contextmanager
     def signals(self) -> Iterator[None]:
-        """Take SIGINT, SIGTERM and SIGHUP for the body of a `with`; whatever runs is ended at its end."""
+        """Handle SIGINT, SIGTERM and SIGHUP while the context lasts. At its end all running commands are ended."""
 
-        def take(number: int, frame: FrameType | None) -> None:
+        def note_signal(number: int, frame: FrameType | None) -> None:
             self._signalled = True
 
-        old = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+        old = {number: signal.signal(number, note_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
         try:
             yield
         finally:

@@ -1,8 +1,12 @@
-"""Generators of plans: static, steps, chirp and all for one thruster on the bench, and missions for a boat.
+"""Generators of plans: static, steps, chirp and all for one thruster on the bench, and random missions for a boat.
 
-The bench plans follow the thesis, 4.2: a sequence of progressively increasing steps, and two chirps, one of
-each sign. A mission mixes what a diagnosis needs: steady speeds forward and in reverse, turns at several speeds,
-both thrusters apart from each other over their whole range, and oscillation about rest and about forward speed.
+The bench plans follow the thesis, 4.2: a sequence of progressively increasing steps, and two chirps, one of each sign.
+A mission combines the excitation that a diagnosis needs:
+
+- steady speeds forward and in reverse,
+- turns at several speeds,
+- independent commands of both thrusters over their whole range,
+- oscillation about rest and about forward speed.
 """
 
 from __future__ import annotations
@@ -12,15 +16,15 @@ import numpy as np
 from seatrial.daq.config import RAMP_DT, STATIC, FloatArray, Mission, Segment
 
 STATIC_S = 10.0  # s at rest before and after, for the tare
-HOLD_S = 1.8  # s that each step is held: enough for the shaft's dynamics
-REST_S = 3.0  # s of zero between two excitations: the water calms, the shaft stops
-MISSION_STATIC_S = 5.0
+HOLD_S = 1.8  # s for which each step is held: long enough for the dynamics of the shaft
+REST_S = 3.0  # s of zero between two excitations, so that the shaft stops and the water calms
+MISSION_STATIC_S = 5.0  # s at rest at the start and at the end of a mission
 MISSION_KINDS = ("mixed", "steps", "zigzag", "chirp")
 BENCH_KINDS = ("static", "steps", "chirp", "all")
 
 
 class SegmentBuilder:
-    """A growing list of segments with the time at which the next one starts."""
+    """Builder of the segments of a plan. `t` is the time [s] at which the next segment starts."""
 
     def __init__(self, n_thrusters: int) -> None:
         self.t = 0.0
@@ -28,7 +32,17 @@ class SegmentBuilder:
         self._n_thrusters = n_thrusters
 
     def add(self, name: str, durations: list[float], rows: list[list[float]]) -> None:
-        """Append a segment of rows that hold for `durations` [s], rounded to ms."""
+        """Append a segment.
+
+        Parameters
+        ----------
+        name : str
+            Name of the segment.
+        durations : list of float
+            Time [s] for which each row holds. The edges between rows are rounded to ms.
+        rows : list of list of float
+            Command of each thruster in each row. Without rows no segment is appended.
+        """
         if not rows:
             return
         edges = np.round(self.t + np.concatenate([[0.0], np.cumsum(durations)]), 3)
@@ -36,18 +50,28 @@ class SegmentBuilder:
         self.t = float(edges[-1])
 
     def rest(self, name: str, seconds: float) -> None:
-        """Append zero thrust."""
+        """Append a segment of `seconds` [s] at zero thrust."""
         self.add(name, [seconds], [[0.0] * self._n_thrusters])
 
     def wave(self, name: str, seconds: float, n: FloatArray) -> None:
-        """Append sampled rows `n` (K, n_thrusters), evenly spread over `seconds`."""
+        """Append sampled commands `n` (n_samples, n_thrusters), evenly spread over `seconds` [s]."""
         self.add(name, [seconds / len(n)] * len(n), n.tolist())
 
 
 def step_levels(n_max: float, count: int) -> list[float]:
-    """Progressive levels up to n_max and down again, without zero.
+    """Return levels that rise to `n_max` and fall again, without zero.
 
-    The first step is in three parts: that is where a dead band ends, and at no other level would it be seen.
+    Parameters
+    ----------
+    n_max : float
+        Highest level, as a part of full command.
+    count : int
+        Number of equal steps from zero to `n_max`.
+
+    Returns
+    -------
+    list of float
+        The levels. The first step is divided into three parts, because the edge of the dead zone lies there.
     """
     first = n_max / count
     up = [first / 3, 2 * first / 3, *(first * k for k in range(1, count + 1))]
@@ -55,13 +79,43 @@ def step_levels(n_max: float, count: int) -> list[float]:
 
 
 def sweep_phase(seconds: float, f0: float, f1: float) -> tuple[FloatArray, FloatArray]:
-    """Sample times every RAMP_DT (K,) [s] and phase (K,) [rad] of a linear sweep from f0 to f1 [Hz]."""
+    """Return the times and the phase of a linear frequency sweep.
+
+    Parameters
+    ----------
+    seconds : float
+        Length [s].
+    f0, f1 : float
+        First and last frequency [Hz].
+
+    Returns
+    -------
+    tuple of Array (n_samples,)
+        Times [s], `RAMP_DT` apart, and phase [rad].
+    """
     t = np.arange(max(1, round(seconds / RAMP_DT)), dtype=np.float64) * RAMP_DT
     return t, 2 * np.pi * (f0 * t + (f1 - f0) * t**2 / (2 * seconds))
 
 
 def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: float = 1.5) -> FloatArray:
-    """A sweep of one sign between 0 and n_max, (K, 1); it starts at rest and crosses a dead band slowly at first."""
+    """Return a frequency sweep of one sign.
+
+    Parameters
+    ----------
+    sign : float
+        1 forward, -1 in reverse.
+    n_max : float
+        Largest command.
+    seconds : float
+        Length [s].
+    f0, f1 : float
+        First and last frequency [Hz].
+
+    Returns
+    -------
+    Array (n_samples, 1)
+        Commands between 0 and `sign * n_max`. The sweep starts at zero and crosses the dead zone slowly at first.
+    """
     _, phase = sweep_phase(seconds, f0, f1)
     return (sign * n_max * (0.5 - 0.5 * np.cos(phase)))[:, None]
 
@@ -69,29 +123,50 @@ def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: 
 def bench_plan(
     kind: str, thruster: str, n_max: float = 0.9, hold_s: float = HOLD_S, chirp_s: float = 20.0, count: int = 6
 ) -> Mission:
-    """The plan `kind` (static, steps, chirp, all) for one thruster; `all` takes about two minutes."""
+    """Return the plan of a bench run with one thruster.
+
+    Parameters
+    ----------
+    kind : str
+        One of `BENCH_KINDS`. The plan `all` takes about two minutes.
+    thruster : str
+        Name of the thruster.
+    n_max : float
+        Largest command.
+    hold_s : float
+        Time [s] for which each step is held.
+    chirp_s : float
+        Length [s] of each chirp.
+    count : int
+        Number of equal steps up to `n_max`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    """
     if kind not in BENCH_KINDS:
         raise ValueError(f"no bench plan {kind!r}")
-    sheet = SegmentBuilder(1)
-    sheet.rest(STATIC, STATIC_S)
+    builder = SegmentBuilder(1)
+    builder.rest(STATIC, STATIC_S)
     if kind in ("steps", "all"):
         for sign, word in ((1.0, "forward"), (-1.0, "reverse")):
             levels = step_levels(n_max, count)
-            sheet.add(f"steps {word}", [hold_s] * len(levels), [[sign * level] for level in levels])
-            sheet.rest("rest", REST_S)
+            builder.add(f"steps {word}", [hold_s] * len(levels), [[sign * level] for level in levels])
+            builder.rest("rest", REST_S)
     if kind in ("chirp", "all"):
         for sign, word in ((1.0, "forward"), (-1.0, "reverse")):
-            sheet.wave(f"chirp {word}", chirp_s, chirp_rows(sign, n_max, chirp_s))
-            sheet.rest("rest", REST_S)
+            builder.wave(f"chirp {word}", chirp_s, chirp_rows(sign, n_max, chirp_s))
+            builder.rest("rest", REST_S)
     if kind != "static":
-        sheet.rest(STATIC, STATIC_S)
+        builder.rest(STATIC, STATIC_S)
     made = f"bench plan {kind}, n_max {n_max:g}"
     return Mission(
         name=f"bench {kind} {thruster}",
         kind="mission" if kind == "all" else kind,
         thrusters=(thruster,),
-        segments=tuple(sheet.segments),
-        end=sheet.t,
+        segments=tuple(builder.segments),
+        end=builder.t,
         n_max=n_max,
         made_by=made,
     )
@@ -100,9 +175,25 @@ def bench_plan(
 def make_mission(
     kind: str, seconds: float, seed: int, thrusters: tuple[str, str] = ("left", "right"), n_max: float = 1.0
 ) -> Mission:
-    """A random mission of `kind` (mixed, steps, zigzag, chirp) for two thrusters, the same for the same seed.
+    """Return a random mission for two thrusters. The same seed gives the same mission.
 
-    Rows are left, right; `thrusters` are their names. Commands are clipped to n_max.
+    Parameters
+    ----------
+    kind : str
+        One of `MISSION_KINDS`.
+    seconds : float
+        Length [s], with the rest at the start and at the end.
+    seed : int
+        Seed of the random generator.
+    thrusters : tuple of str
+        Names of the left and the right thruster, in the order of the columns.
+    n_max : float
+        Largest command. Larger commands are clipped.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
     """
     if kind not in MISSION_KINDS:
         raise ValueError(f"no mission kind {kind!r}")
@@ -113,18 +204,18 @@ def make_mission(
         "zigzag": (_zigzag,),
         "chirp": (_chirps,),
     }[kind]
-    sheet = SegmentBuilder(2)
-    sheet.rest(STATIC, MISSION_STATIC_S)
+    builder = SegmentBuilder(2)
+    builder.rest(STATIC, MISSION_STATIC_S)
     share = (seconds - 2 * MISSION_STATIC_S) / len(parts)
     for k, part in enumerate(parts, start=1):
-        part(sheet, rng, MISSION_STATIC_S + share * k, n_max)
-    sheet.rest(STATIC, MISSION_STATIC_S)
+        part(builder, rng, MISSION_STATIC_S + share * k, n_max)
+    builder.rest(STATIC, MISSION_STATIC_S)
     return Mission(
         name=f"{kind}, seed {seed}",
         kind="mission",
         thrusters=thrusters,
-        segments=tuple(sheet.segments),
-        end=sheet.t,
+        segments=tuple(builder.segments),
+        end=builder.t,
         n_max=n_max,
         made_by=(
             f"seatrial mission generate --kind {kind} --seconds {seconds:g} --seed {seed}"
@@ -135,67 +226,74 @@ def make_mission(
 
 
 def _pair(common: float, difference: float, n_max: float) -> list[float]:
+    """Return the commands of the left and the right thruster, clipped to `n_max`."""
     return [float(np.clip(common + side * difference, -n_max, n_max)) for side in (1.0, -1.0)]
 
 
 def _fit(durations: list[float], until: float) -> list[float]:
-    """Shorten the last duration so that the sum is `until`."""
+    """Shorten the last duration, so that the sum of all durations is `until`."""
     return [*durations[:-1], durations[-1] - (sum(durations) - until)]
 
 
-def _surge_steps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Steady speeds forward and in reverse, each with a small difference: resistance over its range."""
+def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+    """Append steady speeds forward and in reverse, each with a small difference. They inform the surge damping."""
     levels = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, 0.0, -0.3]) * n_max
     durations: list[float] = []
     rows: list[list[float]] = []
-    while sum(durations) < stop - sheet.t:
-        # A full round of levels in random order: a short mission must not miss reverse by bad luck.
+    while sum(durations) < stop - builder.t:
+        # All levels in random order, then all again: independent draws could leave out reverse in a short mission.
         for level in rng.permutation(levels):
-            if sum(durations) < stop - sheet.t:
+            if sum(durations) < stop - builder.t:
                 rows.append(_pair(level, rng.choice([-1, 1]) * rng.uniform(0.02, 0.15), n_max))
                 durations.append(float(rng.uniform(5.0, 12.0)))
-    sheet.add("surge steps", _fit(durations, stop - sheet.t), rows)
+    builder.add("surge steps", _fit(durations, stop - builder.t), rows)
 
 
-def _zigzag(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Turns to both sides at several speeds: sway, yaw damping and their coupling."""
+def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+    """Append turns to both sides at several speeds. They inform sway and yaw damping and their coupling."""
     durations: list[float] = []
     rows: list[list[float]] = []
-    while sum(durations) < stop - sheet.t:
+    while sum(durations) < stop - builder.t:
         speed, difference = rng.choice([0.3, 0.5, 0.7, 0.85]) * n_max, rng.uniform(0.1, 0.35)
         half, side = float(rng.uniform(4.0, 9.0)), float(rng.choice([-1, 1]))
         for _ in range(4):
-            if sum(durations) < stop - sheet.t:
+            if sum(durations) < stop - builder.t:
                 rows.append(_pair(speed, side * difference, n_max))
                 durations.append(half)
                 side = -side
-    sheet.add("zigzag", _fit(durations, stop - sheet.t), rows)
+    builder.add("zigzag", _fit(durations, stop - builder.t), rows)
 
 
-def _random_steps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Both thrusters apart from each other over their range: mismatch, interaction, reverse, dead band."""
+def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+    """Append independent random steps of both thrusters.
+
+    They inform differences and interaction of the thrusters, reverse thrust and the dead zone.
+    """
     durations: list[float] = []
     rows: list[list[float]] = []
-    while sum(durations) < stop - sheet.t:
+    while sum(durations) < stop - builder.t:
         rows.append((rng.uniform(-0.7, 1.0, 2) * n_max).tolist())
         durations.append(float(rng.uniform(1.0, 5.0)))
-    sheet.add("random steps", _fit(durations, stop - sheet.t), rows)
+    builder.add("random steps", _fit(durations, stop - builder.t), rows)
 
 
-def _chirps(sheet: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Oscillation about rest and about forward speed, of the difference, the sum and both: lags, delays, added mass."""
+def _chirps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
+    """Append oscillations about rest and about forward speed. They inform lags, delays and added masses.
+
+    Each chirp oscillates the difference of the commands, their sum, or both.
+    """
     number = 0
-    while stop - sheet.t > RAMP_DT:
+    while stop - builder.t > RAMP_DT:
         number += 1
-        seconds = min(float(rng.uniform(15.0, 30.0)), stop - sheet.t)
+        seconds = min(float(rng.uniform(15.0, 30.0)), stop - builder.t)
         _, phase = sweep_phase(seconds, 0.05, 0.5)
         mean, amplitude = rng.choice([0.0, 0.4, 0.6]) * n_max, rng.uniform(0.2, 0.4) * n_max
         swing = amplitude * np.sin(phase)
-        sort = int(rng.integers(3))
-        if sort == 0:
+        axis = int(rng.integers(3))
+        if axis == 0:
             n, word = np.stack([mean + swing, mean - swing], 1), "yaw"
-        elif sort == 1:
+        elif axis == 1:
             n, word = np.stack([mean + swing + 0.07, mean + swing - 0.07], 1), "surge"
         else:
             n, word = np.stack([mean + swing, mean + amplitude * np.cos(1.37 * phase)], 1), "both"
-        sheet.wave(f"chirp {number} {word}", seconds, np.clip(n, -n_max, n_max))
+        builder.wave(f"chirp {number} {word}", seconds, np.clip(n, -n_max, n_max))

@@ -1,4 +1,4 @@
-"""The dry run of a mission against the limits of its rig; nothing moves."""
+"""Dry run of a mission against the limits of its rig. No thruster is commanded."""
 
 from __future__ import annotations
 
@@ -10,11 +10,17 @@ from seatrial.daq.rig import Rig
 
 
 def dry_run(mission: Mission, rig: Rig) -> None:
-    """Raise SeatrialError when the rig has no such thruster or a set-point is beyond a limit; moves nothing."""
+    """Check every set-point of a mission against `limits.n_max` of the rig. No thruster is commanded.
+
+    Raises
+    ------
+    SeatrialError
+        If the rig lacks a thruster of the mission, or if a set-point is beyond the limit.
+    """
     t, n = mission.setpoints()
     for column, name in enumerate(mission.thrusters):
         rig.thruster(name)
-        beyond = np.flatnonzero(~(np.abs(n[:, column]) <= rig.limits.n_max))  # NaN is beyond any limit
+        beyond = np.flatnonzero(~(np.abs(n[:, column]) <= rig.limits.n_max))  # `~(<=)`: NaN counts as beyond
         if beyond.size:
             k = int(beyond[0])
             raise SeatrialError(

@@ -1,4 +1,4 @@
-"""A mission as text: its segments, the range of each thruster's command in them, and what a design predicted."""
+"""Description of a mission as text: its segments, the range of each command, and the predictions of its design."""
 
 from __future__ import annotations
 
@@ -10,7 +10,11 @@ from seatrial.daq.config import FloatArray, Mission, Prediction
 
 
 def describe_mission(mission: Mission) -> str:
-    """Name, limits and origin, a line for each segment, then the prediction of the design that made it."""
+    """Return the text that `seatrial mission show` prints.
+
+    The text contains name, limits and origin of the mission and a line for each segment. For a designed mission it
+    also contains the predicted standard errors and the predicted track.
+    """
     slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
     lines = [
         f"{mission.name} ({mission.kind}), {mission.end:g} s, n_max {mission.n_max:g}{slew}",
@@ -24,7 +28,7 @@ def describe_mission(mission: Mission) -> str:
 
 
 def describe_segments(mission: Mission) -> list[str]:
-    """A line for each segment: begin and end [s], name, and the least and the greatest command of each thruster."""
+    """Return a table with a line for each segment: begin, end [s], name, and range of each thruster's command."""
     t, n = mission.setpoints()
     names = max(len("segment"), *(len(name) for _, _, name in mission.starts()))
     head = "".join(f"  {'n_cmd ' + thruster:>14}" for thruster in mission.thrusters)
@@ -40,7 +44,17 @@ def _range(low: float, high: float) -> str:
 
 
 def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tuple[float, float]:
-    """Least and greatest value in [begin, end) of held commands `n` (K,) from `t` (K,) [s]; zero before t[0]."""
+    """Return the smallest and the largest value of a held command in an interval.
+
+    Parameters
+    ----------
+    t : Array (n_rows,)
+        Times [s] from which the commands hold. Before the first time the command is zero.
+    n : Array (n_rows,)
+        Commands.
+    begin, end : float
+        The interval [begin, end) [s].
+    """
     first, last = np.searchsorted(t, begin, side="right") - 1, np.searchsorted(t, end, side="left")
     held = n[max(first, 0) : max(last, 1)]
     if first < 0:
@@ -49,18 +63,26 @@ def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tup
 
 
 def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> list[str]:
-    """A line for each parameter: its predicted standard error, and in brackets the one before the mission."""
+    """Return a line for each parameter with its predicted standard error.
+
+    Parameters
+    ----------
+    after : Mapping
+        Predicted standard error after the mission, by parameter. No lines are returned if it is empty.
+    before : Mapping
+        Standard error before the mission, by parameter. It is shown in brackets.
+    """
     if not after:
         return []
     lines = ["", "predicted standard errors" + (" (before this mission)" if before else "")]
     for name, error in after.items():
-        known = f"  ({before[name]:.3g})" if name in before else ""
-        lines.append(f"  {name:<10} {error:.3g}{known}")
+        earlier = f"  ({before[name]:.3g})" if name in before else ""
+        lines.append(f"  {name:<10} {error:.3g}{earlier}")
     return lines
 
 
 def describe_track(predicted: Prediction) -> list[str]:
-    """One line: how much room the predicted track needs with its 95 % band; nothing for an empty track."""
+    """Return a line with the area that the predicted track needs, with its 95 % band. An empty track has no line."""
     if len(predicted.t) == 0:
         return []
     x, y, radius = predicted.x, predicted.y, predicted.radius

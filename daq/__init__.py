@@ -1,1 +1,1 @@
-"""Data acquisition: device bytes to samples to an MCAP log, and logs to arrays."""
+"""Data acquisition: device bytes are decoded to samples and written to an MCAP log; logs are read as arrays."""

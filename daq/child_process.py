@@ -1,7 +1,7 @@
-"""Command line and environment of child processes: Python modules of this program, and none of the working folder.
+"""Command line and environment of child processes, in which no module of the working folder is imported.
 
-`python -m` puts the working folder first on the path of modules. A `socket.py` that lies there would then be executed
-in the place of Python's own. Option -P keeps the folder off the path.
+`python -m` puts the working folder first on the module path. A file `socket.py` in that folder would then replace
+Python's own module. The option -P keeps the folder off the path.
 """
 
 from __future__ import annotations
@@ -12,14 +12,22 @@ from pathlib import Path
 
 
 def module_command(module: str, *words: str) -> list[str]:
-    """Return the command line that runs a module of this program with these arguments."""
+    """Return the command line that runs a module of this program.
+
+    Parameters
+    ----------
+    module : str
+        Full name of the module.
+    words : str
+        Arguments.
+    """
     return [sys.executable, "-P", "-m", module, *words]
 
 
 def module_environment() -> dict[str, str]:
     """Return the environment in which `module_command` finds this program from any working folder.
 
-    Entries of PYTHONPATH that are empty or relative mean the working folder or a folder in it. They are left out.
+    Empty and relative entries of PYTHONPATH are left out, because they refer to the working folder.
     """
     here = str(Path(__file__).resolve().parent.parent)
     before = os.environ.get("PYTHONPATH", "").split(os.pathsep)

@@ -1,6 +1,6 @@
 """Commands of daq: log, info, recover, import, devices, replay, export.
 
-The LOG of a command line is a file, or the folder of the one log that it holds.
+The argument LOG of a command is a file, or a folder that contains exactly one log.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ if TYPE_CHECKING:
     from seatrial.daq.tools import DiscoveredDevice
 
 _EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
-_SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a bag
+_SOURCE = click.Path(exists=True, path_type=Path)  # a file, or the folder of a ROS 2 bag
 _NEW = click.Path(dir_okay=False, path_type=Path)
 _FOLDER = click.Path(file_okay=False, path_type=Path)
-MAX_NAMED = 8
-ROUTER_S = 1.0  # wall, for the router of ROS 2 to be there
+MAX_NAMED = 8  # logs that an error message names
+ROUTER_S = 1.0  # wall seconds to wait for the router of ROS 2
 
 
 @final
 class LogPath(click.Path):
-    """A log that is there; of a folder the log in it, where there is only one (its segments count as one)."""
+    """Type of an argument that is an existing log: a file, or a folder with one log, whose segments count as one."""
 
     def __init__(self) -> None:
         super().__init__(exists=True, path_type=Path)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """The file to open. Fails, as wrong usage, where there is none or more than one."""
+        """Return the file to open. Fail with a usage error if there is no log or more than one."""
         path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
         if not path.is_dir():
             return path
-        from seatrial.daq.log import first_segments  # takes numpy along, which --help can do without
+        from seatrial.daq.log import first_segments  # imported here, because it imports numpy and --help needs none
 
         found = first_segments(path)
         if not found:
             self.fail(f"{path} is a folder without a log (*.mcap) in it", param, ctx)
         if len(found) > 1:
-            names = ", ".join(one.name for one in found[:MAX_NAMED]) + (", ..." if len(found) > MAX_NAMED else "")
+            names = ", ".join(file.name for file in found[:MAX_NAMED]) + (", ..." if len(found) > MAX_NAMED else "")
             self.fail(f"{path} is a folder of {len(found)} logs: name one of {names}", param, ctx)
         return found[0]
 
@@ -58,7 +58,7 @@ LOG = LogPath()
 
 @contextlib.contextmanager
 def _stop_signal() -> Iterator[threading.Event]:
-    """An event that SIGINT, SIGTERM and SIGHUP set, instead of their usual effect."""
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set while the context lasts, instead of their usual effect."""
     stop = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
@@ -75,7 +75,7 @@ def _stop_signal() -> Iterator[threading.Event]:
     "--duration",
     type=FiniteRange(min=0.0, min_open=True),
     metavar="S",
-    help="Run seconds; until Ctrl-C if not given.",
+    help="Duration in run seconds [default: until Ctrl-C].",
 )
 @click.option(
     "-o",
@@ -83,18 +83,21 @@ def _stop_signal() -> Iterator[threading.Event]:
     "output",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="The log; a name made of rig and date if not given.",
+    help="The log to write [default: named after rig and date].",
 )
 @click.option(
-    "--request-rates", "ask", is_flag=True, help="Ask autopilots for the rates of RIG; else nothing is sent to them."
+    "--request-rates",
+    "ask",
+    is_flag=True,
+    help="Request the rates of RIG from autopilots. Without it no message is sent to them.",
 )
-@click.option("--live", "serve", is_flag=True, help="Serve the samples to Foxglove, too (see [live] in the rig).")
-@click.option("--ros2", is_flag=True, help="Publish the samples to ROS 2, too (see [ros2] in the rig).")
+@click.option("--live", "serve", is_flag=True, help="Also serve the samples to Foxglove (see [live] in the rig).")
+@click.option("--ros2", is_flag=True, help="Also publish the samples to ROS 2 (see [ros2] in the rig).")
 def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve: bool, ros2: bool) -> None:
     """Record every device of RIG until Ctrl-C, with a live table.
 
-    Devices may be plugged in and out meanwhile; missing and silent ones are reported. Commands no thrust, and sends no
-    heartbeat to an autopilot: its failsafes go by its own ground station.
+    Devices may be plugged in and out meanwhile; missing and silent devices are reported. The command commands no thrust
+    and sends no heartbeat to an autopilot, so that the failsafes still depend on its own ground station.
     """
     from rich.console import Console
 
@@ -111,7 +114,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     console = Console(highlight=False)
     with (
         _stop_signal() as stop,
-        contextlib.ExitStack() as outer,  # what may take its time to end, when the log is closed
+        contextlib.ExitStack() as outer,  # for what may end slowly, after the log is closed
         Acquisition(loaded, path, clock=clock, ask=ask) as acquisition,
         contextlib.ExitStack() as stack,
     ):
@@ -141,7 +144,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
 def info(log: Path) -> None:
     """Show the content of a LOG with all its segments: topics and rates, health counters, events, warnings.
 
-    LOG may be the folder of a single log, too.
+    LOG may also be the folder of a single log.
 
     \b
     Example:
@@ -154,20 +157,20 @@ def info(log: Path) -> None:
 
     console = Console(highlight=False)
     if not console.is_terminal:
-        console.width = 140  # a pipe has no width of its own
+        console.width = 140  # a pipe has no width
     with open_log(log) as opened:
         show_log(opened, console)
 
 
 @click.command()
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=_NEW, help="The whole log to write (default: LOG with -recovered in its name).")
-@click.option("--force", is_flag=True, help="Replace OUT where it exists.")
+@click.option("-o", "--out", type=_NEW, help="The log to write (default: LOG with -recovered in its name).")
+@click.option("--force", is_flag=True, help="Replace OUT if it exists.")
 @bounded("log")
 def recover(log: Path, out: Path | None, force: bool) -> None:
-    """Recover the LOG of a killed run or a damaged disk, all its segments, into one whole file.
+    """Recover the LOG of a killed run or a damaged disk, with all its segments, into one complete file.
 
-    Every other command opens a killed log as it is; this is for tools that do not. LOG itself is not changed.
+    All other commands can open an incomplete log; this command is for tools that cannot. LOG itself is not changed.
 
     \b
     Example:
@@ -180,12 +183,12 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     for warning in done.warnings:
         click.echo(f"warning: {warning}", err=True)
     pieces = f" of {done.files} segments" if done.files > 1 else ""
-    fine = "" if done.warnings else "; nothing was wrong with it"
-    click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{fine}")
+    condition = "" if done.warnings else "; nothing was wrong with it"
+    click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{condition}")
 
 
 class _ImportGroup(click.Group):
-    """What is no sub-command is a map or a source."""
+    """Group of commands in which a first argument that is not a sub-command is taken as a map or a source."""
 
     default = "map"
 
@@ -199,10 +202,10 @@ class _ImportGroup(click.Group):
 def import_() -> None:
     """Turn foreign logs into MCAP.
 
-    `seatrial import MAP.toml SOURCE...` takes signals by a map from CSV and other text, bags of ROS 1 and 2, PX4
-    (.ulg), ArduPilot (tlog, BIN), MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet and CAN logs; `seatrial import
-    --guess SOURCE` writes the map.
-    The sub-commands decode what a device of ours has sent, as if it had been recorded.
+    `seatrial import MAP.toml SOURCE...` reads signals, which a map selects, from CSV and other text, bags of ROS 1 and
+    2, PX4 (.ulg), ArduPilot (tlog, BIN), MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet and CAN logs. `seatrial
+    import --guess SOURCE` writes the map. The sub-commands decode recorded bytes of a supported device, as if this
+    program had recorded them.
 
     \b
     Example:
@@ -214,8 +217,8 @@ def import_() -> None:
 @import_.command("map", short_help="MAP SOURCE...: signals by a map; the word map may be left out.")
 @click.argument("sources", metavar="MAP SOURCE...", type=_SOURCE, nargs=-1, required=True)
 @click.option("--guess", is_flag=True, help="Write a map of SOURCE, to the screen or to -o, with its caveats.")
-@click.option("--dbc", type=_EXISTING, help="With --guess: what the frames of a CAN log are.")
-@click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, where it is a single one.")
+@click.option("--dbc", type=_EXISTING, help="With --guess: the DBC file that describes the frames of a CAN log.")
+@click.option("-o", "--out", type=_NEW, help="The log (or the map) to write, if it is a single one.")
 @click.option("--out-dir", type=_FOLDER, help="Folder for the logs, named after the sources (default: here).")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @bounded("sources", "dbc")
@@ -248,6 +251,7 @@ def import_map(
 
 
 def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
+    """Write the guessed map of one source to a file or to the screen."""
     from seatrial.daq.files import write_output
     from seatrial.daq.importers.guess import guess_map
     from seatrial.daq.importers.write_log import replacing
@@ -269,12 +273,12 @@ def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force:
 @click.argument("rig", type=_EXISTING)
 @click.argument("file", type=_EXISTING)
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
-@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("rig", "file")
 def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
     """Turn FILE, a CAN log, into the log that RIG would have recorded: raw frames and samples of its CAN devices.
 
-    Signals by a DBC, or without a rig, are a matter of a map: `seatrial import --guess FILE`.
+    For signals that a DBC file describes, or without a rig, import by a map: `seatrial import --guess FILE`.
 
     \b
     Example:
@@ -282,16 +286,16 @@ def import_can(rig: Path, file: Path, out: Path | None, force: bool) -> None:
     """
     from seatrial.daq.importers.can_log import import_can as run
 
-    path, said = run(file, rig, out=out, force=force)
-    click.echo(f"{path}: {said}")
+    path, summary = run(file, rig, out=out, force=force)
+    click.echo(f"{path}: {summary}")
 
 
 @import_.command("mavlink", short_help="A tlog of a ground station or a DataFlash log of ArduPilot.")
 @click.argument("file", type=_EXISTING)
 @click.option("--rig", "rig_path", type=_EXISTING, help="Names the thrusters and scales their outputs.")
-@click.option("--system", type=click.IntRange(1, 255), help="Which system (default: the first autopilot).")
+@click.option("--system", type=click.IntRange(1, 255), help="System id of the autopilot (default: the first one).")
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
-@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("file", "rig_path")
 def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: Path | None, force: bool) -> None:
     """Turn FILE, a ground station's tlog or an ArduPilot DataFlash log (BIN), into a log.
@@ -306,12 +310,12 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
     from seatrial.daq.importers.mavlink import import_mavlink as run
 
     rig = None if rig_path is None else load_rig(rig_path)
-    path, said = run(file, rig=rig, system=system, out=out, force=force)
-    click.echo(f"{path}: {said}")
+    path, summary = run(file, rig=rig, system=system, out=out, force=force)
+    click.echo(f"{path}: {summary}")
 
 
 def _serial_protocol(context: click.Context, parameter: click.Parameter, name: str) -> str:
-    """Check the name of a serial protocol. The names are listed only now: other packages may add some."""
+    """Check the name of a serial protocol. The names are listed at run time, because other packages may add some."""
     from seatrial.daq.protocol import serial_protocols
 
     return str(click.Choice(serial_protocols()).convert(name, parameter, context))
@@ -320,16 +324,18 @@ def _serial_protocol(context: click.Context, parameter: click.Parameter, name: s
 @import_.command("raw", short_help="Recorded bytes of a device, decoded by its protocol.")
 @click.argument("protocol", callback=_serial_protocol)
 @click.argument("file", type=_EXISTING)
-@click.option("--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, for the times.")
+@click.option(
+    "--rate", type=FiniteRange(min=0.0, min_open=True), help="Samples per second, from which the times are computed."
+)
 @click.option("-o", "--out", type=_NEW, help="The log to write (default: named after FILE, here).")
-@click.option("--force", is_flag=True, help="Replace the log where it exists.")
+@click.option("--force", is_flag=True, help="Replace the log if it exists.")
 @bounded("file")
 def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, force: bool) -> None:
     """Decode FILE, recorded bytes of a device, as PROTOCOL: vectornav, mip, nmea, ubx, loadcell, openscale,
     mantracourt, or a serial protocol that another installed package adds.
 
-    A capture has no times of receipt: with --rate the samples are evenly spaced; without it they get the times
-    that the device itself sends, if any.
+    Recorded bytes have no times of receipt. With --rate the samples are evenly spaced. Without it they get the times
+    that the device sends, if any.
 
     \b
     Example:
@@ -337,11 +343,12 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     """
     from seatrial.daq.importers.raw import import_raw as run
 
-    path, said = run(protocol, file, rate=rate, out=out, force=force)
-    click.echo(f"{path}: {said}")
+    path, summary = run(protocol, file, rate=rate, out=out, force=force)
+    click.echo(f"{path}: {summary}")
 
 
 def _addresses(_context: click.Context, _parameter: click.Parameter, ports: tuple[str, ...]) -> tuple[str, ...]:
+    """Check the network addresses among the ports."""
     from seatrial.daq.rig import NET_KINDS, parse_address
 
     for port in ports:
@@ -363,15 +370,20 @@ def _addresses(_context: click.Context, _parameter: click.Parameter, ports: tupl
     help="Try this rate only, with every protocol; may be repeated.",
 )
 @click.option(
-    "--seconds", type=FiniteRange(min=0.1), default=1.3, show_default=True, help="To listen at each baud rate."
+    "--seconds",
+    type=FiniteRange(min=0.1),
+    default=1.3,
+    show_default=True,
+    help="How long to listen at each baud rate [s].",
 )
 @click.option("--toml", is_flag=True, help="Print a rig file with its [[device]] tables.")
 def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml: bool) -> None:
     """Find the serial ports and CAN buses of this machine, or of PORTs, and identify the protocol of each device.
 
-    Only listens, at one baud rate after the other. PORT may be an autopilot's on a network, as udp:HOST:PORT or
-    tcp:HOST:PORT. With --toml an autopilot that is named, there or on a serial port, is asked for its parameters; none
-    is changed. Its thrusters are written too: a whole rig file, in which what is yours to measure is a caveat.
+    The command only listens, at one baud rate after the other. PORT may be the address of an autopilot on a network, as
+    udp:HOST:PORT or tcp:HOST:PORT. With --toml the parameters of an autopilot at a given PORT are requested; no
+    parameter is changed. The rig file then also contains its thrusters. Comments that begin with "caveat" also mark
+    values that you have to measure.
 
     \b
     Example:
@@ -387,38 +399,38 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
         click.echo(text, err=True)
 
     def identify(port: str) -> DiscoveredDevice:
-        """On a network, and where parameters are wanted, by its own way."""
+        """Identify the device at a port. An autopilot is also asked for its parameters if a rig file is printed."""
         if port.partition(":")[0] in NET_KINDS:
             return identify_autopilot(port, 0, toml)
-        one = identify_protocol(port, bauds=bauds, listen=seconds)
-        return identify_autopilot(port, one.baud, True) if toml and one.protocol == "mavlink" else one
+        device = identify_protocol(port, bauds=bauds, listen=seconds)
+        return identify_autopilot(port, device.baud, True) if toml and device.protocol == "mavlink" else device
 
     found = [identify(port) for port in ports] if ports else find(seconds, bauds, say)
     if not found:
         raise SeatrialError("there is no serial port and no CAN bus; plug the device in, or name its port")
     if toml:
         click.echo('format = "seatrial-rig 1"\nname = "boat"\n')
-    alone = sum(one.protocol == "mavlink" for one in found) < 2
-    for k, one in enumerate(found, start=1):
-        if toml and one.protocol in _rig_protocols():
-            click.echo(one.toml(f"{one.protocol}{k}", alone))
+    alone = sum(device.protocol == "mavlink" for device in found) < 2
+    for k, device in enumerate(found, start=1):
+        if toml and device.protocol in _rig_protocols():
+            click.echo(device.toml(f"{device.protocol}{k}", alone))
         elif not toml:
-            speed = f" at {one.baud} baud" * bool(one.baud)
-            rate = f", {one.rate:.4g}/s" if math.isfinite(one.rate) else ""
-            at = f"{one.protocol}{speed}{rate}" if one.protocol else "-"
-            about = f" ({one.description})" if one.description and one.description != "n/a" else ""
-            click.echo(f"{one.port}{about}: {at}: {one.says}")
-        if one.hint:
-            click.echo(f"hint: {one.port}: {one.hint}", err=True)
+            speed = f" at {device.baud} baud" * bool(device.baud)
+            rate = f", {device.rate:.4g}/s" if math.isfinite(device.rate) else ""
+            protocol = f"{device.protocol}{speed}{rate}" if device.protocol else "-"
+            about = f" ({device.description})" if device.description and device.description != "n/a" else ""
+            click.echo(f"{device.port}{about}: {protocol}: {device.says}")
+        if device.hint:
+            click.echo(f"hint: {device.port}: {device.hint}", err=True)
     if toml:
         click.echo(_LIMITS)
-    if any("latency_timer" in one.hint for one in found):
-        click.echo(f"hint: for good, in a file of /etc/udev/rules.d: {UDEV_RULE}", err=True)
-    if not any(one.protocol or one.port.startswith("socketcan:") for one in found):
+    if any("latency_timer" in device.hint for device in found):
+        click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
+    if not any(device.protocol or device.port.startswith("socketcan:") for device in found):
         raise SeatrialError("no device was recognised; is it powered, and is its output switched on?")
 
 
-# Written behind the devices of a new rig file; without limits a run goes on whatever happens.
+# Text after the devices in a new rig file. Without limits no measured value ends a run.
 _LIMITS = """\
 # Uncomment these lines and put in your own values. A run ends at zero thrust when a limit is passed. Each limit needs a
 # device that reports its quantity.
@@ -432,6 +444,7 @@ _LIMITS = """\
 
 
 def _rig_protocols() -> tuple[str, ...]:
+    """Return the protocols that a rig file can have."""
     from seatrial.daq.protocol import DEVICES
 
     return tuple(DEVICES)
@@ -439,7 +452,9 @@ def _rig_protocols() -> tuple[str, ...]:
 
 @click.command()
 @click.argument("log", type=LOG)
-@click.option("--dir", "folder", type=_FOLDER, default="ports", show_default=True, help="Where the ports are made.")
+@click.option(
+    "--dir", "folder", type=_FOLDER, default="ports", show_default=True, help="Folder in which the ports are made."
+)
 @click.option("--device", "names", multiple=True, help="Only this device; may be repeated.")
 @click.option(
     "--speed", type=FiniteRange(min=0.0, min_open=True), default=1.0, show_default=True,
@@ -448,8 +463,8 @@ def _rig_protocols() -> tuple[str, ...]:
 def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> None:
     """Send the raw bytes of LOG again, on ports DIR/DEVICE, at their times of receipt.
 
-    Begins when every port has a reader: `seatrial log DIR/replay.toml`, which is the log's own rig with these ports,
-    records the log anew. A CAN bus comes back as an slcan adapter. Ctrl-C ends it.
+    The replay begins when every port has a reader. `seatrial log DIR/replay.toml` records the log again; that file is
+    the rig of the log with these ports. A CAN bus is replayed as an slcan adapter. Ctrl-C ends the replay.
 
     \b
     Example:
@@ -466,19 +481,22 @@ def replay(log: Path, folder: Path, names: tuple[str, ...], speed: float) -> Non
 @click.command()
 @click.argument("form", type=click.Choice(["csv", "parquet", "mat", "netcdf", "ros"]))
 @click.argument("log", type=LOG)
-@click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made where it is not there.")
+@click.option("-o", "--out", type=_FOLDER, required=True, help="Folder for the files; made if it does not exist.")
 @click.option("--force", is_flag=True, help="Replace files that exist.")
 @click.option(
-    "--rate", type=FiniteRange(min=0.0, min_open=True), help="One table of all at this rate, Hz (mat, netcdf: 10)."
+    "--rate",
+    type=FiniteRange(min=0.0, min_open=True),
+    help="One table of all signals at this rate, Hz (default of mat and netcdf: 10).",
 )
 @click.option("--from", "t_from", type=FiniteRange(0.0), default=0.0, help="Start [s of the log].")
 @click.option("--to", "t_to", type=FiniteRange(0.0), help="End [s of the log].")
 def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_from: float, t_to: float | None) -> None:
     """Write LOG as files of FORM.
 
-    csv and parquet: a table per device and kind, and the events; with --rate one table of all, as mat and netcdf always
-    are. ros: a bag of ROS 2 with the axes and frames of REP-103 and REP-105 beside what was logged, the package
-    seatrial_msgs for colcon, and layouts of Foxglove and PlotJuggler. With --from and --to only a part is read.
+    csv and parquet: a table for each device and kind of sample, and the events; with --rate one table of all signals.
+    mat and netcdf: always one table. ros: a bag of ROS 2 with the logged messages and with messages in the axes and
+    frames of REP-103 and REP-105, the package seatrial_msgs for colcon, and layouts for Foxglove and PlotJuggler. With
+    --from and --to only a part of the log is read.
 
     \b
     Examples:
@@ -490,7 +508,7 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
     from seatrial.daq.tools import export_log, export_resampled, export_ros
 
     if form == "ros" and rate is not None:
-        raise click.UsageError("--rate is not for ros, whose messages are as they were logged")
+        raise click.UsageError("--rate does not apply to ros, which exports the messages as they were logged")
 
     t_to = math.inf if t_to is None else t_to
     with open_log(log) as opened:

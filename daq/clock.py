@@ -1,7 +1,8 @@
-"""Run clock, shared by all parts, and the mapping of device clocks onto it.
+"""Run clock, which all parts share, and the map from device clocks to run time.
 
-Run time is seconds since 1970 that never step: one reading of the wall clock, then the raw monotonic clock. Against
-mocks the run clock may go faster than the wall (`speed` run seconds a wall second); with real devices it is 1.
+Run time is in seconds since 1970 and never steps: the wall clock is read once, then the raw monotonic clock is added.
+With mocks the run clock may be faster than the wall clock (`speed` run seconds per wall second). With real devices
+`speed` is 1.
 """
 
 from __future__ import annotations
@@ -9,19 +10,32 @@ from __future__ import annotations
 import math
 import time
 
-CLOCK_STEP_S = 0.5  # times of one device that run back by more are of a clock that was set, or of two
-Origin = tuple[float, float]
-# The plain monotonic clock is slewed: chrony takes half a second off in six, and every stamp of a device clock would be
-# off by as much until the map has followed. Deadlines and watchdogs keep to the plain one; the two never meet.
+CLOCK_STEP_S = 0.5  # times of one device that run back by more come from a clock that was set, or from two clocks
+Origin = tuple[float, float]  # raw monotonic time [s] and run time [s] of one instant
+# The plain monotonic clock is slewed: chrony corrects half a second within six seconds. All mapped device times would
+# be wrong by that amount until the map has adapted. Deadlines and watchdogs use the plain clock; the two are not mixed.
 _RAW = getattr(time, "CLOCK_MONOTONIC_RAW", time.CLOCK_MONOTONIC)
 
 
 class RunClock:
-    """Run seconds since 1970, monotonic. Another process given the same `origin` and `speed` agrees with it.
+    """Monotonic clock of run seconds since 1970. Two processes with the same `origin` and `speed` have the same clock.
 
-    `origin` is (raw monotonic seconds, run seconds) of the same instant. The raw monotonic clock is that of the
-    machine, not of the process, so a plain tuple is all that two processes need to share. It goes at the rate of the
-    machine's crystal, whatever sets or slews the wall clock meanwhile.
+    Parameters
+    ----------
+    speed : float
+        Run seconds per wall second.
+    origin : tuple of float, optional
+        Raw monotonic time [s] and run time [s] of one instant; now by default.
+
+    Raises
+    ------
+    ValueError
+        If `speed` is not a positive number.
+
+    Notes
+    -----
+    The raw monotonic clock belongs to the machine and not to a process. It follows the machine's crystal, even if the
+    wall clock is set or slewed.
     """
 
     def __init__(self, speed: float = 1.0, origin: Origin | None = None) -> None:
@@ -31,28 +45,28 @@ class RunClock:
         self.origin: Origin = (time.clock_gettime(_RAW), time.time()) if origin is None else (origin[0], origin[1])
 
     def now(self) -> float:
-        """Run time now [s since 1970]."""
+        """Return the present run time [s since 1970]."""
         raw, run = self.origin
         return run + (time.clock_gettime(_RAW) - raw) * self.speed
 
     def wall(self, dt_run: float) -> float:
-        """Wall seconds that `dt_run` run seconds take."""
+        """Return the wall seconds that `dt_run` run seconds take."""
         return dt_run / self.speed
 
     def sleep_until(self, t_run: float) -> None:
-        """Sleep until run time `t_run`; returns at once when it has passed."""
+        """Sleep until run time `t_run` [s]. Return at once if it has passed."""
         while (left := self.wall(t_run - self.now())) > 0.0:
             time.sleep(left)
 
 
 class SuspendDetector:
-    """Tells when the computer was suspended: the monotonic clock stands still then, the boot-time clock does not.
+    """Detector of a suspended computer. The monotonic clock stops during a suspend, the boot-time clock does not.
 
-    Without it a command from before would go on as if no time had passed. Where a system has no such clock (its
-    monotonic clock runs on), nothing is ever detected: the timeouts see the pause themselves.
+    Without the detector an old command would be repeated after a suspend as if no time had passed. On a system without
+    a boot-time clock the monotonic clock does not stop, so that the time-outs notice the pause.
     """
 
-    LEAST = 0.1  # s
+    LEAST = 0.1  # s, shortest suspend that is detected
 
     def __init__(self) -> None:
         self._ahead = self._difference()
@@ -63,7 +77,7 @@ class SuspendDetector:
         return 0.0 if clock is None else time.clock_gettime(clock) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
     def slept(self) -> float:
-        """Seconds that the computer was suspended since the last call; 0 where it was not."""
+        """Return the seconds that the computer was suspended since the last detected suspend; 0 if it was not."""
         ahead = self._difference()
         slept = ahead - self._ahead
         if slept <= self.LEAST:
@@ -73,7 +87,7 @@ class SuspendDetector:
 
 
 class _Hull:
-    """Lower convex hull of (device time, offset) points that arrive in the order of device time."""
+    """Lower convex hull of points (device time, offset), which are added in the order of device time."""
 
     __slots__ = ("offset", "start", "x")
 
@@ -83,7 +97,7 @@ class _Hull:
         self.offset: list[float] = []
 
     def push(self, x: float, offset: float) -> None:
-        """Add the newest point; drops the points that no longer are on the lower hull. O(1) amortised."""
+        """Add the newest point, and drop points that are no longer on the lower hull. O(1) amortised."""
         xs, ys = self.x, self.offset
         while len(xs) > 1 and (ys[-1] - ys[-2]) * (x - xs[-2]) >= (offset - ys[-2]) * (xs[-1] - xs[-2]):
             xs.pop()
@@ -92,7 +106,7 @@ class _Hull:
         ys.append(offset)
 
     def slope(self) -> float:
-        """Slope of the hull's segment over the middle of its window: the longest support there is."""
+        """Return the slope of the segment over the middle of the window, which points on both sides support."""
         xs, ys = self.x, self.offset
         middle = 0.5 * (xs[0] + xs[-1])
         for i in range(1, len(xs)):
@@ -102,38 +116,51 @@ class _Hull:
 
 
 class _Kind:
-    """What is known of the times of one kind of sample."""
+    """State of the times of one kind of sample. The delay is receive time minus mapped device time."""
 
     __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
 
     def __init__(self, newest: float, least: float) -> None:
-        self.newest = self.last = newest  # device time
-        self.least = least  # s, the least that it was late by
-        self.since = math.inf  # run time from which all of it is late
-        self.back = 0.0  # s by which one that ran back was late, until one comes that is not,
-        self.back_at = math.inf  # its run time,
-        self.after = 0  # and those since
+        self.newest = self.last = newest  # device times [s]: the largest one, and that of the last sample
+        self.least = least  # s, smallest delay
+        self.since = math.inf  # run time [s] since which all samples are late
+        # Delay [s] of a sample whose time ran back. It is reset to 0 by a sample that is not late.
+        self.back = 0.0
+        self.back_at = math.inf  # run time [s] of that sample
+        self.after = 0  # number of samples since that one
 
 
 class ClockMap:
-    """Maps a device's clock to run time, online, by the lower convex hull of (device time, delay).
+    """Online map from a device clock to run time, by the lower convex hull of (device time, delay).
 
-    A byte can arrive late, never early, so the true offset between both clocks runs along the lower edge of the
-    cloud of (receive time minus device time); averaging or least squares would keep the mean delay as a bias.
-    Two hulls of staggered age follow a slow change of skew; the older one answers (the switching convex hull
-    filter of Sikarwar and de Kok, "Convex hull filter" in cuckoo_time_translator, ETH Zurich). The smallest delay
-    itself cannot be told from an offset: it stays in the estimate.
+    If a device restarts or its clock jumps, a new map begins. `resets` counts these events.
 
-    A device that restarts, or whose clock jumps, starts a new map (`resets` counts them).
+    Parameters
+    ----------
+    window : float
+        Length [s] of the data that determine the map.
+
+    Notes
+    -----
+    A byte can arrive late but never early. The true offset between both clocks is therefore the lower edge of the
+    points (receive time minus device time). An average or least squares would keep the mean delay as a bias.
+
+    Two hulls of different age follow a slow change of the skew; the older one gives the map. This is the switching
+    convex hull filter of Sikarwar and de Kok ("Convex hull filter" in cuckoo_time_translator, ETH Zurich). The smallest
+    delay cannot be distinguished from an offset, so that it remains in the estimate.
     """
 
-    SKEW_MAX = 300e-6  # two crystals are closer than this; bounds the slope of a short hull
-    JUMP = 0.5  # s, device time ahead of the map by more: its clock was set
-    LATE = 1.0  # s, behind the newest by more: its clock was set back, or it restarted
-    LATER = 0.5  # s later than its kind ever was, for LATER_FOR: set back, or stopped; less is a link with a queue
-    LATER_FOR = 10.0
-    AGAIN = 0.05  # s late where a time runs back: of a packet that was overtaken, unless all are as late for AGAIN_FOR
-    AGAIN_FOR, AGAIN_N = 1.0, 3  # s, and samples
+    SKEW_MAX = 300e-6  # the skew of two crystals is smaller; it limits the slope of a short hull
+    JUMP = 0.5  # s; a device time that is ahead of the map by more means that the clock was set
+    LATE = 1.0  # s; a device time that is behind the newest by more means that the clock was set back, or a restart
+    # s; samples that are later by more than their kind ever was, for LATER_FOR, mean that the clock was set back or has
+    # stopped. A smaller delay may come from a queue in the link.
+    LATER = 0.5
+    LATER_FOR = 10.0  # s
+    # s; a sample whose time runs back and that is later by more was overtaken on the link. If all samples are as late
+    # for AGAIN_FOR, the clock was set back.
+    AGAIN = 0.05
+    AGAIN_FOR, AGAIN_N = 1.0, 3  # s, and number of samples
 
     def __init__(self, window: float = 100.0) -> None:
         self.window = window
@@ -152,17 +179,34 @@ class ClockMap:
         self._m2 = 0.0
 
     def update(self, t_device: float, t_rx: float) -> float:
-        """Take one message's times [s] and return its estimated run time, never above `t_rx`, never decreasing.
+        """Take the times of a message and return its estimated run time [s].
 
-        A device time that is not finite gives `t_rx` and leaves the map alone.
+        The estimate is never later than `t_rx` and never decreases.
+
+        Parameters
+        ----------
+        t_device : float
+            Device time [s]. If it is not finite, `t_rx` is returned and the map does not change.
+        t_rx : float
+            Run time of receipt [s].
         """
         return self.estimate(t_device, t_rx)
 
     def estimate(self, t_device: float, t_rx: float, unordered: bool = False, kind: object = None) -> float:
-        """As `update`; of an `unordered` device, a time up to `LATE` behind the newest only asks the map.
+        """Take the times of a sample of a device that may send several kinds of samples, and return its run time [s].
 
-        Such a device sends things of different age over one link: an attitude of now, then a fix of a while ago. The
-        times of one `kind` ascend: where they run back, and stay late, its clock was set back.
+        Parameters
+        ----------
+        t_device : float
+            Device time [s]. If it is not finite, `t_rx` is returned and the map does not change.
+        t_rx : float
+            Run time of receipt [s].
+        unordered : bool
+            Whether device times may run back by up to `LATE`, as an older fix may follow a newer attitude. Such a
+            sample is mapped, but does not change the map.
+        kind : object
+            Kind of the sample. Times of one kind ascend. If they run back and the samples stay late, the clock was set
+            back.
         """
         if not math.isfinite(t_device):
             return t_rx
@@ -178,9 +222,10 @@ class ClockMap:
         elif t_device > self._last_device:
             before = self._mapped(t_device)
             self._push(t_device, t_rx)
-            if (fell := before - self._mapped(t_device)) > 0.0:  # by a message that came sooner: all others are later
-                for each in self._kinds.values():
-                    each.least += fell
+            # A message with a smaller delay lowers the map, so that all earlier samples were later by that amount.
+            if (fell := before - self._mapped(t_device)) > 0.0:
+                for times in self._kinds.values():
+                    times.least += fell
         self._last_device = t_device
         t = min(max(self._mapped(t_device), self._last_run), t_rx)
         self._last_run = t
@@ -198,13 +243,15 @@ class ClockMap:
         return math.sqrt(self._m2 / (self._count - 1)) if self._count > 1 else math.nan
 
     def forget_statistics(self) -> None:
-        """Reset `bias` and `spread`; the map stays."""
+        """Reset `bias` and `spread`. The map does not change."""
         self._count, self._mean, self._m2 = 0, 0.0, 0.0
 
     def _mapped(self, t_device: float) -> float:
+        """Return the run time [s] of a device time by the present map."""
         return t_device + self._base + self._skew * (t_device - self._zero)
 
     def _jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
+        """Return whether the device clock has jumped or the device has restarted. Update the state of the kind."""
         late = t_rx - self._mapped(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):
             return True
@@ -213,9 +260,9 @@ class ClockMap:
             return False
         excess = late - seen.least
         if t_device == seen.last:
-            pass  # another sample of the same message, mostly
+            pass  # mostly another sample of the same message
         elif seen.back and excess < max(0.5 * seen.back, seen.back - self.AGAIN):
-            seen.back = 0.0  # it was overtaken: the link is as quick as before
+            seen.back = 0.0  # the earlier sample was overtaken on the link: this one is as quick as before
         elif seen.back:
             seen.after += 1
             if seen.after >= self.AGAIN_N and t_rx - seen.back_at >= self.AGAIN_FOR:
@@ -233,8 +280,9 @@ class ClockMap:
         return False
 
     def _push(self, t_device: float, t_rx: float) -> None:
+        """Add a point to both hulls, and compute the skew and the offset of the map."""
         if self._old is None or self._young is None:
-            # Offsets are taken relative to the first point, so that doubles keep their digits.
+            # Offsets are relative to the first point, which keeps the precision of doubles.
             self._zero, self._first_offset = t_device, t_rx - t_device
             self._old, self._young = _Hull(0.0), _Hull(0.0)
         x, offset = t_device - self._zero, t_rx - t_device - self._first_offset
@@ -247,6 +295,7 @@ class ClockMap:
         self._skew, self._base = skew, lowest + self._first_offset
 
     def _note(self, delay: float) -> None:
+        """Update mean and variance of the delay (Welford's algorithm)."""
         self._count += 1
         step = delay - self._mean
         self._mean += step / self._count

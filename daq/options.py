@@ -1,4 +1,4 @@
-"""Types of options, shared by the command lines."""
+"""Types of command-line options that several commands share."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import click
 
 @final
 class FiniteRange(click.FloatRange):
-    """Finite numbers within bounds; click's own range takes `nan`, which is beyond no bound."""
+    """Type of an option that takes finite numbers within bounds. The range of click would accept `nan`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """The number. Fails, as wrong usage, where it is none, is not finite or is beyond a bound."""
+        """Return the number. Fail with a usage error if the value is not a finite number within the bounds."""
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)

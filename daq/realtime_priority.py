@@ -1,7 +1,7 @@
-"""Real-time priority for the control path on a busy machine: ports, set-points, limits.
+"""Real-time priority of the threads that serve ports, send set-points and check limits.
 
-Niceness alone is not enough: where Linux groups processes by session (sched_autogroup_enabled, as on most desktops) it
-counts within a session only, and every program that others started weighs as much as all of ours.
+Niceness alone is not sufficient. If Linux groups processes by session (sched_autogroup_enabled, as on most desktops),
+niceness counts only within a session, and another session gets as much time as all processes of this program.
 """
 
 from __future__ import annotations
@@ -11,14 +11,21 @@ import os
 from collections.abc import Iterator
 
 NICENESS = -10
-REAL_TIME = 2  # of 99: before all that is not real-time, and before what has the least of it
+# Real-time priority of 1 to 99. It is above all normal threads and above the lowest real-time priority.
+REAL_TIME = 2
 
 
 def set_realtime_priority(behind: int = 0) -> None:
-    """Raise the priority of this thread and those it starts, as far as allowed: real-time scheduling on Linux.
+    """Raise the priority of this thread and of threads that it starts, as far as the system allows.
 
-    ``behind`` 1: before other programs still, but behind those of us that must not wait (they share a core in turns of
-    100 ms otherwise).
+    On Linux the thread gets real-time scheduling.
+
+    Parameters
+    ----------
+    behind : int
+        By how much the priority is lower than the highest one of this program. 1 is for a thread that may be delayed
+        by the other threads of this program, but not by other programs. With equal priorities, threads on one core
+        would take turns of 100 ms.
     """
     with contextlib.suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
@@ -29,7 +36,7 @@ def set_realtime_priority(behind: int = 0) -> None:
 
 @contextlib.contextmanager
 def realtime_priority() -> Iterator[None]:
-    """The same for as long as the context lasts."""
+    """Raise the priority of this thread while the context lasts; see `set_realtime_priority`."""
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
     policy = os.sched_getscheduler(0) if hasattr(os, "sched_getscheduler") else 0
     set_realtime_priority()
@@ -38,6 +45,6 @@ def realtime_priority() -> Iterator[None]:
     finally:
         with contextlib.suppress(OSError):
             if hasattr(os, "sched_setscheduler"):
-                of_it = REAL_TIME if policy in (os.SCHED_FIFO, os.SCHED_RR) else 0
-                os.sched_setscheduler(0, policy, os.sched_param(of_it))
+                priority = REAL_TIME if policy in (os.SCHED_FIFO, os.SCHED_RR) else 0
+                os.sched_setscheduler(0, policy, os.sched_param(priority))
             os.setpriority(os.PRIO_PROCESS, 0, niceness)

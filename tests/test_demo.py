@@ -16,7 +16,7 @@ import pytest
 
 from seatrial.bench import demo
 from seatrial.bench.demo import DemoSteps, StepFailed
-from seatrial.bench.execution.sequencer import said_of_losses
+from seatrial.bench.execution.sequencer import describe_losses
 from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.errors import SeatrialError
 from tests.bench.guard_replay import replay
@@ -219,7 +219,7 @@ def test_a_run_whose_set_points_were_overtaken_is_repeated_too(tmp_path: Path, m
 def test_overtaken_set_points_are_counted_by_what_a_run_wrote(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for counts in ((1, 0, 0), (12, 3, 0), (0, 5, 0)):
-        log.event(T0, "invalid", f"chirp: {said_of_losses((0, 0, 0), counts)}")
+        log.event(T0, "invalid", f"chirp: {describe_losses((0, 0, 0), counts)}")
     log.close()
     assert demo.n_skipped(tmp_path / "run.mcap") == 13
     assert demo.n_skipped(tmp_path / "none.mcap") == 0

@@ -1,4 +1,4 @@
-"""Mission execution: set-points in time, safety guard, operator interface; whatever happens ends at zero thrust."""
+"""Execution of missions: set-points in time, safety guard and operator interface. Every run ends at zero thrust."""
 
 import lazy_loader
 

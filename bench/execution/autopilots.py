@@ -1,6 +1,6 @@
-"""Autopilots between us and the thrusters: their parameters, their estimator, arming, and what they do by themselves.
+"""Autopilots that pass commands on to thrusters: checks of their parameters and estimator, arming and disarming.
 
-Nothing of theirs is changed but what was asked for: with `arm` they are put into MANUAL and armed, and disarmed again.
+An autopilot is changed only on request: with `arm` it is put into MANUAL, armed, and disarmed at the end of the run.
 """
 
 from __future__ import annotations
@@ -20,22 +20,23 @@ from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
 from seatrial.daq.rig import Device, Rig
 
 # Wall seconds.
-AWAIT_S = 10.0  # for heartbeats, parameters and answers
-ESTIMATOR_S = 60.0  # it needs 30 to 40 s after power-on
+AWAIT_S = 10.0  # longest wait for heartbeats, parameters and answers
+ESTIMATOR_S = 60.0  # longest wait for the estimator, which needs 30 to 40 s after power-on
 POLL_S = 0.05
-LEAVE_S = 10.0  # for the disarming to be seen, where the link has to come back first
+LEAVE_S = 10.0  # longest wait for a confirmed disarming; a lost link may have to come back first
 ASK_S = 1.0  # between two requests to disarm
-RECEIVER_S = 3.0  # for RC_CHANNELS, which come once a second
-REASONS_S = 1.0  # for the texts that come after a refusal
-STATUS_AGE_S = 0.1  # of what the acquisition says of a link, at most
-NEUTRAL_S = 0.3  # of neutral sticks before arming
-# EKF_STATUS_REPORT: attitude, horizontal velocity, absolute horizontal position; and no constant-position mode.
+RECEIVER_S = 3.0  # longest wait for RC_CHANNELS, which arrive once a second
+REASONS_S = 1.0  # wait for the texts that follow a refusal
+STATUS_AGE_S = 0.1  # largest age of a link's state in the status of the acquisition
+NEUTRAL_S = 0.3  # duration of neutral sticks before arming
+# Flags of EKF_STATUS_REPORT. Wanted: attitude, horizontal velocity, absolute horizontal position. Unwanted:
+# constant-position mode.
 EKF_WANTED, EKF_UNWANTED = 1 | 2 | EKF_POSITION, EKF_STANDS
-MANUAL_NUMBER = 0.0  # of ArduPilot Rover's mode
+MANUAL_NUMBER = 0.0  # number of the mode MANUAL of ArduPilot Rover
 
 
 class Autopilots:
-    """The autopilots that the thrusters of a mission hang on; none where they hang on a CAN bus."""
+    """Autopilots behind which the thrusters of a mission are connected. Thrusters on a CAN bus have no autopilot."""
 
     def __init__(
         self,
@@ -47,34 +48,70 @@ class Autopilots:
         say: Callable[[str], None],
         n_max: float = 0.0,
     ) -> None:
-        """`n_max`: the largest command of the mission; beyond `limits.link_test_n` it needs a link test."""
+        """Find the autopilots of a mission.
+
+        Parameters
+        ----------
+        rig : Rig
+            The rig with its devices and limits.
+        thrusters : tuple of str
+            Names of the thrusters of the mission.
+        acquisition : Acquisition
+            The running acquisition.
+        clock : RunClock
+            The run clock.
+        wait : Callable
+            Waits for the given wall seconds. It may raise an error that ends the run.
+        say : Callable
+            Prints a line for the operator.
+        n_max : float
+            Largest command of the mission. A passed link test is needed if it is beyond `limits.link_test_n`.
+        """
         self._n_max = n_max
         self._rig, self._acquisition, self._clock, self._wait, self._say = rig, acquisition, clock, wait, say
         names = dict.fromkeys(rig.thruster(name).device for name in thrusters)
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
-        self._armed: dict[str, float] = {}  # by us: when arming, then disarming, was asked for first (monotonic)
+        # Autopilots that this run has armed: monotonic time of the request to arm, later of the first one to disarm.
+        self._armed: dict[str, float] = {}
         self.changes: dict[str, int] = {}  # by device: parameter changes before its parameters were checked
         self.found_armed: list[str] = []  # autopilots that were armed before this run asked for it
         self.tested_s: dict[str, float] = {}  # by device: seconds to neutral after a lost link, by its link test
 
     @property
     def names(self) -> list[str]:
-        """Of the autopilots."""
+        """Names of the autopilots."""
         return [device.name for device in self._devices]
 
     def begin_link_test(self) -> None:
-        """What runs is the link test itself, which needs none before it, however little `limits.link_test_n` allows."""
+        """Prepare for a link test. It may run without an earlier link test, whatever `limits.link_test_n` is."""
         self._n_max = 0.0
 
     def await_ready(self) -> None:
-        """Until every autopilot is fit to run the mission. Raises SeatrialError."""
+        """Wait until every autopilot is ready for the mission.
+
+        Raises
+        ------
+        SeatrialError
+            If an autopilot does not answer, is not a rover, has another ground station with our system id, has a
+            parameter that forbids driving, lacks a link test that the mission needs, or has no position estimate.
+        """
         for device in self._devices:
             self._await_parameters(device)
             self._await_estimator(device)
 
     def prepare(self, arm: bool) -> None:
-        """See that every autopilot is armed and passes the commands on; arms it only with `arm`. Raises
-        SeatrialError."""
+        """Check that every autopilot is armed and in MANUAL.
+
+        Parameters
+        ----------
+        arm : bool
+            Whether to put each autopilot into MANUAL and arm it before the check.
+
+        Raises
+        ------
+        SeatrialError
+            If an autopilot refuses, is in another mode, or is disarmed.
+        """
         for device in self._devices:
             if arm:
                 self._arm(device)
@@ -90,6 +127,7 @@ class Autopilots:
         return self._acquisition.status().links.get(device.name, LinkStatus())
 
     def _await(self, device: Device, condition: Callable[[LinkStatus], bool], seconds: float) -> LinkStatus | None:
+        """Wait up to `seconds` (wall) until a link fulfils the condition. Return its state; None after that time."""
         deadline = time.monotonic() + seconds
         while not condition(link := self._link(device)):
             if time.monotonic() > deadline:
@@ -98,6 +136,7 @@ class Autopilots:
         return link
 
     def _await_parameters(self, device: Device) -> None:
+        """Wait for the parameters of an autopilot and check them. Raises SeatrialError if it must not be driven."""
         link = self._await(device, lambda link: link.received and not link.parameters_pending, AWAIT_S)
         if link is None:
             port = self._acquisition.status().ports.get(device.name)
@@ -123,6 +162,7 @@ class Autopilots:
         fatal = [str(finding) for finding in found if finding.fatal]
         if fatal:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
+            # The recorded trials (docs/data/autopilot-faults.jsonl) are classified by these words.
             raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
         if self._n_max > self._rig.limits.link_test_n:
             seconds = require_link_test(self._rig, device.name, self._await_receiver(device), self._n_max)
@@ -130,14 +170,20 @@ class Autopilots:
             self._acquisition.mark("parameter", f"{device.name}: a lost link was tested, neutral after {seconds:.2f} s")
 
     def await_receivers(self) -> dict[str, LinkStatus]:
-        """What each autopilot says of itself, once it has said whether it hears a receiver, or had its time to."""
+        """Return the state of each autopilot, by name.
+
+        For up to `RECEIVER_S` the function waits for the report whether an autopilot hears a receiver.
+        """
         return {device.name: self._await_receiver(device) for device in self._devices}
 
     def _await_receiver(self, device: Device) -> LinkStatus:
+        """Return the state of an autopilot. Wait before that for the report whether it hears a receiver."""
         self._await(device, lambda link: link.receiver is not None, RECEIVER_S)
         return self._link(device)
 
     def _await_estimator(self, device: Device) -> None:
+        """Wait until the estimator of an autopilot has a position. Raises SeatrialError after `ESTIMATOR_S`."""
+
         def ready(link: LinkStatus) -> bool:
             return link.ekf >= 0 and link.ekf & EKF_WANTED == EKF_WANTED and not link.ekf & EKF_UNWANTED
 
@@ -150,12 +196,13 @@ class Autopilots:
             )
 
     def _arm(self, device: Device) -> None:
+        """Put an autopilot into MANUAL and arm it. Raises SeatrialError if it refuses."""
         link = self._link(device)
         if link.mode != MANUAL:
             self._ask(device, "mode", MANUAL_NUMBER, lambda link: link.mode == MANUAL)
         if self._link(device).armed:
             return
-        # It arms only with sticks at neutral, and without a transmitter ours are the only ones.
+        # An autopilot arms only with neutral sticks. Without a transmitter our commands are the only sticks.
         nodes = {thruster.name: 0.0 for thruster in self._rig.thrusters if thruster.device == device.name}
         self._acquisition.schedule([(self._clock.now(), nodes)])
         self._wait(NEUTRAL_S)
@@ -164,7 +211,10 @@ class Autopilots:
         self._say(f"{device.name}: armed")
 
     def _ask(self, device: Device, action: str, value: float, done: Callable[[LinkStatus], bool]) -> None:
-        """Ask, and wait for the answer and for its effect; raises SeatrialError with the autopilot's reason."""
+        """Send a request to an autopilot, and wait for the answer and for the effect.
+
+        Raises SeatrialError with the autopilot's reason if it refuses.
+        """
         self._acquisition.request(device.name, action, value)
         link = self._await(device, lambda link: link.answer.startswith(f"{action}:"), AWAIT_S)
         if link is not None and link.answer != f"{action}: accepted":
@@ -173,25 +223,36 @@ class Autopilots:
         if link is None or link.answer != f"{action}: accepted":
             raise SeatrialError(f"{device.name}: {link.answer if link else f'{action}: no answer'}")
         if self._await(device, done, AWAIT_S) is None:
-            raise SeatrialError(f"{device.name}: {action} was accepted and has not come about in {AWAIT_S:g} s")
+            raise SeatrialError(f"{device.name}: {action} was accepted but took no effect in {AWAIT_S:g} s")
 
     def still_armed(self) -> list[str]:
-        """Return the autopilots that this run has not disarmed and that report to be armed."""
+        """Return the names of autopilots that report to be armed.
+
+        After the end of the acquisition these are the autopilots that were armed before the run.
+        """
         try:
             links = {name: self._link(self._rig.device(name)) for name in self.names}
         except SeatrialError:
-            return self.found_armed  # as they were found: nothing newer is known
+            return self.found_armed  # the acquisition has ended: their state before the run is the newest one
         return [name for name, link in links.items() if link.armed]
 
     def release(self) -> None:
-        """Disarm what was armed here; thrust has to be zero before. Raises SeatrialError where it is not confirmed: a
-        run that leaves a vehicle armed has not ended well."""
+        """Disarm the autopilots that this run has armed. Thrust must be zero before.
+
+        Raises
+        ------
+        SeatrialError
+            If the disarming is not confirmed. A run that leaves a vehicle armed counts as failed.
+        """
         self.disarm()
         if armed := self.maybe_armed():
             raise SeatrialError(f"{', '.join(armed)}: disarming was not confirmed in {LEAVE_S:g} s")
 
     def maybe_armed(self) -> list[str]:
-        """Those that were armed here and have not said since, in a heartbeat of now, that they are disarmed."""
+        """Return the names of autopilots that this run has armed and that have not confirmed their disarming.
+
+        A heartbeat confirms the disarming only if the autopilot has sent it after the request to disarm.
+        """
         try:
             links = [self._link(self._rig.device(name)) for name in self._armed]
         except SeatrialError:  # the acquisition is gone, and the watchdog has sent the zero
@@ -200,23 +261,25 @@ class Autopilots:
         now, found = time.monotonic(), zip(self._armed.items(), links, strict=True)
         return [
             name
-            for (name, asked), link in found
-            # a heartbeat of before the request says nothing of what came of it
-            if link.armed or not link.age <= min(LINK_AGE_S, now - asked - STATUS_AGE_S)
+            for (name, requested_at), link in found
+            # a heartbeat from before the request does not confirm it
+            if link.armed or not link.age <= min(LINK_AGE_S, now - requested_at - STATUS_AGE_S)
         ]
 
     def disarm(self) -> None:
-        """Ask to disarm what was armed here until it is, and for a while where the link has to come back first;
-        whatever signals come."""
-        begun, asked = time.monotonic(), -math.inf
+        """Disarm the autopilots that this run has armed.
+
+        The request is repeated every `ASK_S` until all confirm it, for at most `LEAVE_S`. Signals do not interrupt it.
+        """
+        begun, requested_at = time.monotonic(), -math.inf
         self._armed = dict.fromkeys(self._armed, begun)
-        names = list(self._armed)  # all of them at first: an arming may be newer than the last heartbeat
+        names = list(self._armed)  # all of them, because an arming may be newer than the last heartbeat
         while names and (now := time.monotonic()) - begun < LEAVE_S:
-            if now - asked >= ASK_S:
-                asked = now
+            if now - requested_at >= ASK_S:
+                requested_at = now
                 for name in names:
                     self._acquisition.request(name, "disarm")
             time.sleep(POLL_S)
             names = self.maybe_armed()
         if self._armed:
-            time.sleep(POLL_S)  # its own texts about it are in the log then
+            time.sleep(POLL_S)  # so that the autopilot's texts about the disarming are in the log

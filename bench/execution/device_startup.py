@@ -1,6 +1,6 @@
-"""Waiting for the devices before anything moves.
+"""Start-up checks before the first set-point.
 
-Each device has to send samples at the rate that the rig gives, each limit needs its source, and no thruster may turn.
+Each device must send samples at the rate in the rig, each limit needs its source, and no thruster may turn.
 """
 
 from __future__ import annotations
@@ -13,12 +13,27 @@ from seatrial.daq.acquisition import Acquisition, Status
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
 
-AWAIT_S = 10.0  # wall seconds for the first sample of every device, and then for that of every limit
+AWAIT_S = 10.0  # wall seconds to wait for the first sample of every device, and again for the source of every limit
 POLL_S = 0.02
 
 
 def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[str]:
-    """Return what has not sent anything yet, with its fault if it is known: devices, and the thrusters by node."""
+    """Return the devices and thrusters that have not sent any sample yet.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig with its devices and thrusters.
+    status : Status
+        Newest status of the acquisition.
+    thrusters : sequence of str
+        Names of the thrusters to check.
+
+    Returns
+    -------
+    list of str
+        A text for each silent device (name, port and fault if known) and for each silent thruster (name and node).
+    """
     silent = []
     for device in rig.devices:
         port = status.ports.get(device.name)
@@ -35,7 +50,13 @@ def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[s
 def await_devices(
     rig: Rig, acquisition: Acquisition, thrusters: Sequence[str], wait: Callable[[float], None]
 ) -> list[str]:
-    """Wait for a sample of every device; returns their names. Raises SeatrialError that names the silent ones."""
+    """Wait for a sample of every device and of every named thruster, and return the names of the devices.
+
+    Raises
+    ------
+    SeatrialError
+        If a device or thruster sends no sample within 10 s. The message names all silent ones.
+    """
     deadline = time.monotonic() + AWAIT_S
     while silent := silent_devices(rig, acquisition.status(), thrusters):
         if time.monotonic() > deadline:
@@ -51,7 +72,8 @@ def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: C
 
     Raises
     ------
-    SeatrialError : names the first thing that is not so after 10 s, and what to do about it.
+    SeatrialError
+        If one of these conditions is not fulfilled after 10 s. The message contains the first one and its remedy.
     """
     deadline = time.monotonic() + AWAIT_S
     while reasons := _refusals(guard, acquisition.status()):
@@ -62,7 +84,7 @@ def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: C
 
 
 def _refusals(guard: SafetyGuard, status: Status) -> list[str]:
-    """Return why nothing may move yet."""
+    """Return the reasons why no set-point may be sent yet; empty if the run may start."""
     turning = [
         f"thruster {text} though nothing was commanded: stop it, and look for another program that commands it; "
         'unwatched = ["telemetry"] in [limits] allows it'

@@ -1,9 +1,10 @@
-"""The link test: how soon an autopilot ends thrust when we fall silent, measured at its own outputs and kept.
+"""Link test: measurement of the time in which an autopilot ends thrust after a lost link.
 
-Which of its failsafes ends thrust, and when, depends on parameters, on the receiver and on its version; so it is tried:
-a tenth of full command, nothing more is sent, and SERVO_OUTPUT_RAW is watched. The result stands beside the rig
-(`RIG.link-test.json`) with the hash of the parameters that decide it and whether a receiver was heard, and missions
-beyond `limits.link_test_n` need it.
+The failsafe that ends thrust, and its delay, depend on the autopilot's parameters, receiver and version. Therefore it
+is tried: a tenth of full command is sent, then no frame at all, and the outputs (SERVO_OUTPUT_RAW) are recorded.
+
+The result is written beside the rig (`RIG.link-test.json`). It contains the hash of the failsafe parameters, and
+whether a receiver was heard. A mission with a command beyond `limits.link_test_n` needs a passed test.
 """
 
 from __future__ import annotations
@@ -27,46 +28,54 @@ from seatrial.daq.samples import Servo
 N_TEST = 0.1  # of full command
 # Wall seconds.
 REST_S, HOLD_S = 1.0, 2.0  # at zero and at N_TEST before the silence
-SILENCE_S = 10.0  # of ours, at most
-SETTLED_S = 0.5  # at neutral, and it stays there
-ALLOWED_S = 2.0  # RC_OVERRIDE_TIME of a second, or half of one of FS_THR_ENABLE, and what the outputs' rate adds
-NEUTRAL = 0.02  # n of an output that pushes nothing
-PUSHED = 0.5  # of the command: an output of less, before the silence, did not follow it
-MUTED = "muted"  # event: nothing is sent from here on
+SILENCE_S = 10.0  # longest time without a frame to the autopilot
+SETTLED_S = 0.5  # an output that is at neutral for so long stays there
+# Longest time that passes the test: RC_OVERRIDE_TIME of 1 s, or the 0.5 s of FS_THR_ENABLE, plus a period of the
+# reported outputs.
+ALLOWED_S = 2.0
+NEUTRAL = 0.02  # largest |n| of an output at zero thrust
+PUSHED = 0.5  # part of the command that an output must reach before the silence to count as following it
+MUTED = "muted"  # kind of the event after which no frame is sent
 
 
 class LinkTest(msgspec.Struct, frozen=True):
-    """What a link test of one autopilot has found."""
+    """Result of the link test of one autopilot."""
 
-    seconds: float  # from our last frame to the last output at neutral
-    n: float  # commanded before
+    seconds: float  # wall s from our last frame until all outputs are at neutral
+    n: float  # command before the silence
     date: str  # ISO 8601, UTC
-    parameters: str  # SHA-256 of those that decide (seatrial.daq.drivers.link_loss_hash)
-    receiver: bool | None = None  # whether one was heard; None: not known
+    parameters: str  # SHA-256 of the failsafe parameters (seatrial.daq.drivers.link_loss_hash)
+    receiver: bool | None = None  # whether a receiver was heard; None if unknown
 
     @property
     def passed(self) -> bool:
-        """Whether thrust ended soon enough."""
+        """Return whether thrust ended within `ALLOWED_S`."""
         return self.seconds <= ALLOWED_S
 
 
 class LinkTests(msgspec.Struct, frozen=True):
-    """The file beside a rig."""
+    """Content of the file of link tests beside a rig."""
 
     format: str
-    devices: dict[str, LinkTest]
+    devices: dict[str, LinkTest]  # by name of the autopilot
 
 
 FORMAT = "seatrial-link-test 1"
 
 
 def link_test_path(rig: Rig) -> Path:
-    """Where the result stands."""
+    """Return the path of the file of link tests of a rig."""
     return rig.path.with_suffix(".link-test.json")
 
 
 def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
-    """The results by device; none where there is no such file. Raises SeatrialError for one that is none."""
+    """Return the results of link tests by device; empty if the file does not exist.
+
+    Raises
+    ------
+    SeatrialError
+        If the file cannot be read or has another format.
+    """
     path = link_test_path(rig)
     if not path.is_file():
         return {}
@@ -80,15 +89,34 @@ def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
 
 
 def save_link_tests(rig: Rig, tests: Mapping[str, LinkTest]) -> None:
-    """Replace the results of these devices."""
+    """Write the results of these devices into the file of link tests. Results of other devices stay."""
     text = msgspec.json.encode(LinkTests(FORMAT, {**load_link_tests(rig), **tests}))
     write_output(link_test_path(rig), msgspec.json.format(text, indent=2) + b"\n")
 
 
 def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> float:
-    """Seconds that a passed test has measured with the parameters and the receiver of `link`.
+    """Return the time to neutral of a passed link test that is still valid.
 
-    Raises SeatrialError where there is none.
+    Parameters
+    ----------
+    rig : Rig
+        The rig, beside which the results are stored.
+    device : str
+        Name of the autopilot.
+    link : LinkStatus
+        Present parameters and receiver of the autopilot.
+    n_max : float
+        Largest command of the mission, for the message.
+
+    Returns
+    -------
+    float
+        Seconds (wall) from the lost link to neutral outputs.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no passed test with the present parameters and receiver. The message names the command to run.
     """
     test = load_link_tests(rig).get(device)
     if test is None:
@@ -96,15 +124,15 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
     elif not test.passed:
         why = f"on {test.date} thrust went on for {test.seconds:.2f} s"
     elif test.n < N_TEST:
-        why = f"that of {test.date} commanded n = {test.n:g}, which is below {N_TEST:g}"
+        why = f"the test of {test.date} commanded n = {test.n:g}, which is below {N_TEST:g}"
     elif test.parameters != link_loss_hash(link.parameters):
-        why = f"parameters that decide it have changed since {test.date}"
+        why = f"the failsafe parameters have changed since {test.date}"
     elif link.receiver is None or test.receiver is None:
-        whose = "now" if link.receiver is None else f"in that of {test.date}"
-        why = f"whether it hears a receiver, which decides it, is not known {whose} (RC_CHANNELS)"
+        when = "does not report" if link.receiver is None else f"did not report on {test.date}"
+        why = f"the result depends on a receiver, and the autopilot {when} whether it hears one (RC_CHANNELS)"
     elif test.receiver != link.receiver:
         then, now = ("no receiver", "one") if link.receiver else ("a receiver", "none")
-        why = f"that of {test.date} was done with {then}, and {now} is heard now"
+        why = f"the test of {test.date} was done with {then}, and {now} is heard now"
     else:
         return test.seconds
     raise SeatrialError(
@@ -115,14 +143,20 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
 
 
 def link_test_plan(rig: Rig) -> Mission:
-    """N_TEST on every thruster behind an autopilot, for as long as the silence may last. Raises SeatrialError."""
+    """Return the mission of a link test: rest, then `N_TEST` on every thruster behind an autopilot.
+
+    Raises
+    ------
+    SeatrialError
+        If the rig has no such thruster, or if `limits.n_max` is below `N_TEST`.
+    """
     names = tuple(thruster.name for thruster in rig.thrusters if thruster.output is not None)
     if not names:
-        raise SeatrialError(f"{rig.path}: --link-test is of an autopilot, and no thruster hangs behind one")
+        raise SeatrialError(f"{rig.path}: --link-test needs an autopilot, and no thruster is connected to one")
     if rig.limits.n_max < N_TEST:
         raise SeatrialError(
             f"{rig.path}: --link-test commands n = {N_TEST:g}, and limits.n_max is {rig.limits.n_max:g}; "
-            "raise it for the test: an output at less cannot be told from one at rest"
+            "raise it for the test: a smaller output cannot be distinguished from rest"
         )
     times = np.array([0.0, REST_S * rig.speed])
     segments = (
@@ -134,18 +168,36 @@ def link_test_plan(rig: Rig) -> Mission:
 
 
 def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> LinkTest:
-    """What the log of a link test says about one device; SILENCE_S where thrust went on to the end. `link` is its state
-    before the silence.
+    """Return the result of a link test for one autopilot, from the log of the test.
 
-    Raises SeatrialError where the log has no such test, or where an output did not push before the silence: then its
-    being at neutral says nothing.
+    Parameters
+    ----------
+    log : Log
+        The closed log.
+    device : Device
+        The autopilot.
+    link : LinkStatus
+        State of the autopilot before the silence.
+    n : float
+        Command before the silence.
+
+    Returns
+    -------
+    LinkTest
+        `seconds` is `SILENCE_S` if an output was not at neutral by the end of the silence.
+
+    Raises
+    ------
+    SeatrialError
+        If the log contains no link test. Also if an output did not follow the command before the silence, because its
+        neutral value afterwards then proves nothing.
     """
     rig = log.rig
     assert rig is not None
     muted = [t for t, kind, _ in log.events() if kind == MUTED]
     sent = np.array([t for t, direction, _ in log.raw(device.name) if direction == "tx"])
     if not muted or not sent.size:
-        raise SeatrialError(f"{log.path}: no silence of ours in it")
+        raise SeatrialError(f"{log.path}: the log contains no link test")
     last = float(sent[sent < muted[0] + 0.5 * SETTLED_S * rig.speed].max())
     resumed = float(min(sent[sent > last], default=math.inf))
     seconds = 0.0
@@ -155,14 +207,14 @@ def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> L
         table = log.table(Servo, device.name, thruster.node)
         before = table["n"][table["t"] <= last]
         if not (before.size and abs(before[-1]) >= PUSHED * n):
-            told = f"n = {before[-1]:+.2f}" if before.size else "nothing"
+            output = f"was n = {before[-1]:+.2f}" if before.size else "was not reported"
             raise SeatrialError(
-                f"{log.path}: {thruster.name} did not push before the silence, so the link test says nothing: its "
-                f"output was {told}, commanded {n:+.2f}; is {device.name} armed, and does no dead zone (RCn_DZ) eat it?"
+                f"{log.path}: {thruster.name} did not push before the silence, so the link test proves nothing: its "
+                f"output {output}, commanded {n:+.2f}; arm {device.name}, and check its dead zone (RCn_DZ)"
             )
         table = table[(table["t"] > last) & (table["t"] < resumed)]
-        pushes = np.flatnonzero(~(np.abs(table["n"]) <= NEUTRAL))
-        k = int(pushes[-1]) + 1 if pushes.size else 0
+        pushes = np.flatnonzero(~(np.abs(table["n"]) <= NEUTRAL))  # NaN counts as pushing
+        k = int(pushes[-1]) + 1 if pushes.size else 0  # the first row from which the output stays at neutral
         seconds = max(seconds, (float(table["t"][k]) - last) / rig.speed if k < len(table) else math.inf)
     date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     seconds = seconds if math.isfinite(seconds) else SILENCE_S

@@ -1,7 +1,7 @@
-"""The operator's side of a run: its status on the terminal, signals that stop it, and single keys.
+"""Operator interface of a run: status display, signals that stop the run, and single keys.
 
-The status is a live display on a terminal and plain lines elsewhere. Signals (Ctrl-C and others) set a flag that the
-runner checks; they never raise an exception in the middle of a line.
+The status is a live display on a terminal, and plain lines elsewhere. Signals (Ctrl-C and others) set a flag that the
+runner checks. They never raise an exception at an arbitrary line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from rich.text import Text
 
 PLAIN_EVERY_S = 2.0  # wall seconds between plain lines within a segment
 LIVE_EVERY_S = 0.1
-AGAIN_S = 1.0  # wall seconds within which a key that comes again is still the same press
+AGAIN_S = 1.0  # wall seconds within which a repeated key counts as one press
 CAUGHT = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 WORDS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "hang-up (SIGHUP)"}
 HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero and end"
@@ -35,19 +35,19 @@ HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero and e
 
 @dataclass(frozen=True)
 class MissionStatus:
-    """One moment of a run, ready to be shown; times in run seconds, NaN where a value is not known, or not any more."""
+    """State of a run for the display. A value that is unknown or outdated is NaN."""
 
     segment: str
-    elapsed: float
-    total: float
-    n_cmd: tuple[float, ...]
-    rpm: tuple[float, ...]
-    force: float | None = None  # N; None where nothing measures it
-    speed: float | None = None  # m/s over ground
-    warning: str = ""
+    elapsed: float  # run s of the mission's own time
+    total: float  # run s, length of the mission
+    n_cmd: tuple[float, ...]  # of each thruster
+    rpm: tuple[float, ...]  # of each thruster
+    force: float | None = None  # N; None if no device measures it
+    speed: float | None = None  # m/s over ground; None if no device measures it
+    warning: str = ""  # empty without one
 
     def values(self) -> str:
-        """Command, rpm, force or speed, and the guard's warning."""
+        """Return commands, shaft speeds, force, speed and the warning as one line."""
         parts = [
             "n " + " ".join(f"{value:+.2f}" for value in self.n_cmd),
             "rpm " + " ".join(_shown(value, "+5.0f") for value in self.rpm),
@@ -65,10 +65,10 @@ def _shown(value: float, form: str) -> str:
 
 
 class Display(Protocol):
-    """Where a run shows itself."""
+    """Display of a run: the interface of the live and the plain display."""
 
     def __enter__(self) -> Self:
-        """Start to show."""
+        """Start the display."""
         ...
 
     def __exit__(
@@ -78,34 +78,34 @@ class Display(Protocol):
         ...
 
     def show(self, view: MissionStatus) -> None:
-        """Show one moment; may be called often, shows as often as is readable."""
+        """Show a state. It may be called at any rate; the display limits its own rate."""
         ...
 
     def say(self, line: str) -> None:
-        """Print one line that stays."""
+        """Print one line that is not overwritten."""
         ...
 
 
 class LiveDisplay:
-    """Two lines that are drawn over again, of 80 columns: progress of the plan, and what the devices report.
+    """Display on a terminal: two lines of 80 columns that are redrawn, with the progress and the newest values.
 
-    A terminal that has been closed is no error here: SIGHUP ends the run, or nobody, as under nohup.
+    Errors of a closed terminal are ignored: SIGHUP ends the run, unless it runs under nohup.
     """
 
     def __init__(self, console: Console) -> None:
-        # No thread of its own: a stuck terminal shall be seen by the deadman.
+        # Without a refresh thread a blocked terminal blocks the runner, and the acquisition then commands zero.
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._last = -math.inf
 
     def __enter__(self) -> Self:
-        """Start to draw."""
+        """Start to draw the lines."""
         self._live.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the lines away."""
+        """Remove the lines."""
         with contextlib.suppress(OSError):
             self._live.stop()
 
@@ -118,12 +118,13 @@ class LiveDisplay:
             self._live.update(_drawn(view), refresh=True)
 
     def say(self, line: str) -> None:
-        """Print above the lines."""
+        """Print a line above the redrawn ones."""
         with contextlib.suppress(OSError):
             self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _drawn(view: MissionStatus) -> Group:
+    """Return the two lines of the live display."""
     done = min(max(view.elapsed, 0.0), view.total)
     head = Table.grid(padding=(0, 1))
     bar = ProgressBar(total=view.total, completed=done, width=28)
@@ -132,23 +133,23 @@ def _drawn(view: MissionStatus) -> Group:
 
 
 class PlainDisplay:
-    """A line at each segment's start and every few seconds, for pipes and files."""
+    """Display for pipes and files: a line at the start of each segment and every few seconds."""
 
     def __init__(self) -> None:
         self._last = -math.inf
         self._segment = ""
 
     def __enter__(self) -> Self:
-        """Nothing to prepare."""
+        """Return the display."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Nothing to clean up."""
+        """Do nothing."""
 
     def show(self, view: MissionStatus) -> None:
-        """Print when the segment has changed or the last line is old."""
+        """Print a line if the segment has changed or `PLAIN_EVERY_S` have passed."""
         now = time.monotonic()
         if view.segment == self._segment and now - self._last < PLAIN_EVERY_S:
             return
@@ -156,20 +157,20 @@ class PlainDisplay:
         self.say(f"  {view.elapsed:6.1f}/{view.total:.0f} s  {view.segment:<14}  {view.values()}")
 
     def say(self, line: str) -> None:
-        """Print."""
+        """Print one line."""
         print(line, flush=True)
 
 
 def make_display() -> Display:
-    """The live display on a terminal, the plain one elsewhere."""
+    """Return the live display on a terminal, and the plain display elsewhere."""
     console = Console()
     return LiveDisplay(console) if console.is_terminal else PlainDisplay()
 
 
 class StopSignals:
-    """While the context lasts, SIGINT, SIGTERM and SIGHUP only set `.caught` and end `.wait` early.
+    """Context in which SIGINT, SIGTERM and SIGHUP only set `caught` and end `wait` early.
 
-    No second Ctrl-C can break the way to zero thrust, because none of them raises.
+    The handlers raise no exception, so that a second Ctrl-C cannot interrupt the return to zero thrust.
     """
 
     def __init__(self) -> None:
@@ -178,8 +179,8 @@ class StopSignals:
         self._old: dict[signal.Signals, object] = {}
 
     def __enter__(self) -> Self:
-        """Install the handlers; only the main thread can."""
-        # A pipe rather than threading.Event: an Event set by a handler can meet its own lock and never return.
+        """Install the handlers. Only the main thread may do this."""
+        # A pipe and not threading.Event: an Event set by a signal handler can deadlock on its own lock.
         self._read, self._write = os.pipe()
         os.set_blocking(self._write, False)
         for number in CAUGHT:
@@ -189,31 +190,30 @@ class StopSignals:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Put back the handlers that were there; but once a signal has come, ignore any further one.
+        """Restore the earlier handlers. If a signal has arrived, ignore all further ones instead.
 
-        The process is on its way out then, and an impatient hand must not cut off the line that says where the log
-        is.
+        The process then ends, and a second Ctrl-C must not suppress the last line, which names the log.
         """
         for number, handler in self._old.items():
             after = handler if self.caught is None else signal.SIG_IGN
-            signal.signal(number, after)  # type: ignore[arg-type]  # what signal.signal itself returned
+            signal.signal(number, after)  # type: ignore[arg-type]  # a value that signal.signal returned
         os.close(self._read)
         os.close(self._write)
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         self.caught = self.caught or signal.Signals(number)
-        with contextlib.suppress(BlockingIOError):  # full of earlier signals: the wait ends anyway
+        with contextlib.suppress(BlockingIOError):  # the pipe is full of earlier signals, so that `wait` ends anyway
             os.write(self._write, b"!")
 
     def wait(self, seconds: float) -> bool:
-        """Wait so long [wall s] or until a signal comes; returns whether one has come."""
+        """Wait for `seconds` (wall) or until a signal arrives. Return whether a signal has arrived."""
         if self.caught is None:
             select.select([self._read], [], [], seconds)
         return self.caught is not None
 
 
 class Keys:
-    """While the context lasts, keys that are pressed are given by `take`; none where stdin is no terminal."""
+    """Context in which `take` returns the keys that were pressed; no keys if stdin is not a terminal."""
 
     def __init__(self) -> None:
         self._fd = -1
@@ -221,7 +221,7 @@ class Keys:
         self._pressed: dict[str, float] = {}  # wall time, by key
 
     def __enter__(self) -> Self:
-        """Take the keys one by one; Ctrl-C stays a signal."""
+        """Put the terminal into a mode without line editing. Ctrl-C remains a signal."""
         with contextlib.suppress(OSError, ValueError, termios.error):
             if sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp():
                 fd = sys.stdin.fileno()
@@ -233,29 +233,32 @@ class Keys:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the terminal as it was."""
+        """Restore the mode of the terminal."""
         if self._fd >= 0:
             with contextlib.suppress(termios.error):
                 termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
             self._fd = -1
 
     @property
-    def there(self) -> bool:
-        """Whether there is a terminal to press keys at."""
+    def available(self) -> bool:
+        """Return whether stdin is a terminal whose keys are read."""
         return self._fd >= 0
 
     def take(self) -> str:
-        """What was pressed since the last call."""
+        """Return the keys that were pressed since the last call."""
         if self._fd < 0 or not select.select([self._fd], [], [], 0.0)[0]:
             return ""
         try:
             return self._once(os.read(self._fd, 64).decode("ascii", errors="ignore"), time.monotonic())
-        except OSError:  # the terminal has gone; SIGHUP says so
+        except OSError:  # the terminal was closed; SIGHUP reports that
             self._fd = -1
             return ""
 
     def _once(self, keys: str, now: float) -> str:
-        """A key that is held or hit twice counts once: the one that stops also resumes. Marks all count."""
+        """Return the keys without repetitions within `AGAIN_S`.
+
+        Pause and resume are the same key, so that a held key must count once. Each mark counts.
+        """
         taken = ""
         for key in keys.replace("p", " "):
             if key == "m" or now - self._pressed.get(key, -math.inf) > AGAIN_S:

@@ -1,4 +1,4 @@
-"""Executes a mission; whatever happens, it ends at zero thrust and with a closed log."""
+"""Runner of missions and link tests. Every run ends at zero thrust and with a closed log."""
 
 from __future__ import annotations
 
@@ -41,19 +41,20 @@ from seatrial.daq.realtime_priority import realtime_priority
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Esc, Gnss, LoadCell, Servo
 
-POLL_S = 0.02  # wall seconds between two looks at the status
-AHEAD_S = 0.5  # wall seconds that set-points are sent ahead of their time, at most
-LEAD_S = 0.2  # wall seconds from the decision to start to the first set-point
-ZERO = "thrust is zero"  # as measured
 # Wall seconds.
-SETTLE_S = 4.0  # for the thrusters to be measured at rest after the last zero
+POLL_S = 0.02  # between two checks of the status
+AHEAD_S = 0.5  # longest time by which set-points are sent to the acquisition before they are due
+LEAD_S = 0.2  # from the decision to start to the first set-point
+SETTLE_S = 4.0  # longest wait for a measurement of rest after the last zero
 SETTLE_POLL_S = 0.05
-STOOD_S = 1.0  # wall seconds between two looks at the run
-FLUSH_S = 0.8  # wall seconds after which everything recorded so far is in the file (it is flushed every 0.25 s)
+LONGEST_PAUSE_S = 1.0  # longest pause between two checks of the status
+FLUSH_S = 0.8  # after which all samples so far are in the file, which is flushed every 0.25 s
+
+ZERO = "thrust is zero"  # used only if zero thrust was measured
 
 
 class RunInterrupted(SeatrialError):
-    """A signal ended the run."""
+    """Error of a run that a signal has ended. The exit status is 128 plus the number of the signal."""
 
     def __init__(self, line: str, number: signal.Signals) -> None:
         super().__init__(line)
@@ -70,16 +71,47 @@ def run_mission(
     retries: int = 0,
     commands: CommandSource | None = None,
 ) -> RunResult:
-    """Run `mission` on `rig` and record it at `path`.
+    """Run a mission and record it. Must be called from the main thread, because it handles signals.
 
-    With `commands` these are followed, within the mission's limits, in the place of its set-points.
+    Keys pause the mission, repeat a step and mark the log (seatrial.bench.execution.operator_interface).
 
-    An autopilot between us and the thrusters is armed only with `arm`, and then disarmed again. Steps in which
-    set-points or samples were lost are run again, `retries` times in all. Keys
-    (seatrial.bench.execution.operator_interface) pause, repeat and mark. Raises SafetyStop when the guard ends it,
-    Interrupted on Ctrl-C, SIGTERM or SIGHUP, and SeatrialError when a device or the acquisition fails; in every case
-    zero is commanded and the log is closed first. The error's line reports zero thrust only if it was measured;
-    otherwise the exit status is 3. Call it from the main thread: it takes the signals while it runs.
+    Parameters
+    ----------
+    mission : Mission
+        The set-points and their limits.
+    rig : Rig
+        The rig that is driven.
+    path : Path
+        The new log.
+    display : Display
+        Display of the run.
+    metadata : dict, optional
+        Metadata of the log.
+    arm : bool
+        Whether to arm an autopilot before the run and disarm it after the run.
+    retries : int
+        How many steps, in all, are repeated if set-points or samples were lost in them.
+    commands : CommandSource, optional
+        Commands that replace the set-points of the mission. The limits of the mission apply to them.
+
+    Returns
+    -------
+    RunResult
+        Tares and the autopilots that are still armed.
+
+    Raises
+    ------
+    SafetyStop
+        If the guard ends the run, or if zero thrust is not measured at its end.
+    RunInterrupted
+        On Ctrl-C, SIGTERM or SIGHUP.
+    SeatrialError
+        If a device or the acquisition fails.
+
+    Notes
+    -----
+    Before an error is raised, zero is commanded and the log is closed. The message reports zero thrust only if it was
+    measured. Otherwise the exit status is 3.
     """
     keys = Keys()
     with _prepared(mission, rig, path, display, metadata or {}, keys, commands) as runner:
@@ -87,9 +119,30 @@ def run_mission(
 
 
 def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, str], arm: bool) -> dict[str, LinkTest]:
-    """Measure how soon each autopilot ends thrust when we fall silent, and keep it beside the rig; by device.
+    """Measure how soon each autopilot ends thrust after a lost link. THRUSTERS TURN, at a tenth of full command.
 
-    THRUSTERS TURN, at a tenth of full command. Raises what `run_mission` raises.
+    Parameters
+    ----------
+    rig : Rig
+        The rig. The results are written beside its file.
+    path : Path
+        The new log.
+    display : Display
+        Display of the run.
+    metadata : dict
+        Metadata of the log.
+    arm : bool
+        Whether to arm the autopilots before the test and disarm them after it.
+
+    Returns
+    -------
+    dict
+        Result of each autopilot, by device.
+
+    Raises
+    ------
+    SeatrialError
+        As `run_mission`.
     """
     with _prepared(link_test_plan(rig), rig, path, display, metadata, nullcontext()) as runner:
         tests = runner.test_link(arm)
@@ -107,7 +160,7 @@ def _prepared(
     keys: AbstractContextManager[object],
     commands: CommandSource | None = None,
 ) -> Iterator[_Runner]:
-    """A runner of a mission that may be driven, with signals, keys and the acquisition up."""
+    """Check a mission, and yield its runner with signal handlers, keys and acquisition started."""
     dry_run(mission, rig)
     new_log_file(path)
     clock = RunClock(rig.speed)
@@ -116,13 +169,19 @@ def _prepared(
         StopSignals() as signals,
         keys,
         Acquisition(rig, path, clock=clock, attachments=attachments, metadata=metadata, drive=True) as acquisition,
-        realtime_priority(),  # whoever watches the limits
+        realtime_priority(),  # this thread checks the limits
     ):
         yield _Runner(mission, rig, path, clock, acquisition, signals, display, commands)
 
 
 def new_log_file(path: Path) -> None:
-    """Make the folder of a log that is to be written; raises SeatrialError when the file is there already."""
+    """Make the folder of a new log.
+
+    Raises
+    ------
+    SeatrialError
+        If the log exists already, or if the folder cannot be made.
+    """
     if path.exists():
         raise SeatrialError(f"{path} exists, and a log is never overwritten; give another name with -o")
     try:
@@ -132,7 +191,7 @@ def new_log_file(path: Path) -> None:
 
 
 class NewestValues(NamedTuple):
-    """As last measured: NaN where that was too long ago, None where nothing measures it."""
+    """Newest measured values for the display. A value is NaN if it is outdated, and None if no device measures it."""
 
     force: float | None  # N
     speed: float | None  # m/s
@@ -140,7 +199,10 @@ class NewestValues(NamedTuple):
 
 
 def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
-    """What the display shows. Of two sources the one that still speaks counts."""
+    """Return the newest force, speed and shaft speeds for the display.
+
+    Of two sources of one quantity, a source whose sample is not outdated takes precedence.
+    """
     force: float | None = None
     speed: float | None = None
     rpm: dict[Source, float] = {}
@@ -157,19 +219,19 @@ def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Outcome of a run that ended well."""
+    """Outcome of a run that was completed."""
 
-    tares: tuple[Tare, ...]  # the load cell's zeros at start and end
+    tares: tuple[Tare, ...]  # zeros of the load cells at start and end
     still_armed: tuple[str, ...]  # autopilots that were armed before the run and still are
 
 
 def _at_zero(rests: list[Rest] | None) -> bool:
-    """Whether every thruster was measured at zero thrust."""
+    """Return whether every thruster was measured at zero thrust."""
     return rests is not None and all(rest.is_zero for rest in rests)
 
 
 class _Runner:
-    """One run: what `run_mission` was given, and how thrust returns to zero."""
+    """Runner of one mission or link test. It also returns thrust to zero after an error."""
 
     def __init__(
         self,
@@ -188,34 +250,34 @@ class _Runner:
         n_max = float(np.abs(mission.setpoints()[1]).max(initial=0.0)) if commands is None else mission.n_max
         self._vehicles = Autopilots(rig, mission.thrusters, acquisition, clock, self._wait, display.say, n_max)
         self._segment = mission.segments[0].name
-        self._moved = False  # whether thrust was commanded
+        self._moved = False  # whether a set-point other than zero was sent
         self._suspended = SuspendDetector()
 
     def run(self, arm: bool, retries: int, keys: Keys) -> RunResult:
-        """From waiting for the devices to the closed log."""
+        """Run the mission: wait for the devices, send the set-points, measure zero thrust and close the log."""
         with self._display:
             try:
-                course = self._excite(arm, retries, keys)
+                sequencer = self._excite(arm, retries, keys)
                 self._acquisition.zero("end of the mission")
                 self._vehicles.release()
-                tares = self._tare(course.timeline)
+                tares = self._tare(sequencer.timeline)
                 self._require_zero()
                 still_armed = self._vehicles.still_armed()
                 self._acquisition.stop()
-                self._say_skipped(course.commanded)
+                self._say_skipped(sequencer.commanded)
             except BaseException as error:
                 self._end_at_zero(error)
                 raise
         return RunResult(tuple(tares), tuple(still_armed))
 
     def test_link(self, arm: bool) -> dict[str, LinkTest]:
-        """From waiting for the devices to what the closed log says about a silence of ours."""
+        """Run a link test, and return the result of each autopilot from the closed log."""
         with self._display:
             try:
                 self._vehicles.begin_link_test()
                 self._await_ready(arm)
                 links = self._vehicles.await_receivers()
-                self._fall_silent()
+                self._stop_sending()
                 self._acquisition.zero("end of the link test")
                 self._vehicles.release()
                 self._require_zero()
@@ -229,12 +291,15 @@ class _Runner:
 
     def _require_zero(self) -> None:
         """Raise SafetyStop if the thrusters are not measured at zero thrust."""
-        rests = self._settled()
+        rests = self._await_rest()
         if self._moved and not _at_zero(rests):
             raise SafetyStop("the run has ended")
 
-    def _fall_silent(self) -> None:
-        """Command the plan, send nothing more, and go on when the outputs are at neutral, or have had their time."""
+    def _stop_sending(self) -> None:
+        """Command the plan of a link test, then send no frame until the outputs are at neutral.
+
+        The method returns after `SILENCE_S` if an output is still not at neutral.
+        """
         speed, start = self._clock.speed, self._clock.now() + LEAD_S * self._clock.speed
         t, n = self._mission.setpoints()
         rows = [dict(zip(self._mission.thrusters, map(float, row), strict=True)) for row in n]
@@ -246,7 +311,7 @@ class _Runner:
             if not muted and now >= silent_at:
                 for name in self._vehicles.names:
                     self._acquisition.request(name, "mute", SILENCE_S)
-                self._acquisition.mark(MUTED, "nothing is sent from here on: the link test")
+                self._acquisition.mark(MUTED, "link test: no frame is sent from here on")
                 muted = True
             if muted:
                 pushes = any(
@@ -264,7 +329,7 @@ class _Runner:
             self._wait(POLL_S)
 
     def _await_ready(self, arm: bool) -> None:
-        """Wait for the devices and the sources of the limits; an autopilot is armed then."""
+        """Wait for the devices and the sources of the limits. Then prepare the autopilots and start the guard."""
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
         self._vehicles.await_ready()
@@ -287,43 +352,44 @@ class _Runner:
         self._acquisition.mark(kind, text)
 
     def _excite(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
-        """Wait for the devices, then send every set-point in time; returns how it went."""
+        """Wait for the devices, then send every set-point in time. Return the sequencer of the run."""
         self._await_ready(arm)
-        if keys.there:
+        if keys.available:
             self._display.say(HELP)
         lead, ahead = LEAD_S * self._clock.speed, AHEAD_S * self._clock.speed
         start = self._clock.now() + lead
         self._acquisition.mark("start", f"{self._mission.name} at {start:.6f}")
         acquisition, say = self._acquisition, self._display.say
-        course: MissionSequencer
+        sequencer: MissionSequencer
         if self._commands is None:
-            course = MissionSequencer(self._mission, start, lead, self, self._guard.patience, say, retries)
+            sequencer = MissionSequencer(self._mission, start, lead, self, self._guard.patience, say, retries)
         else:
             acquisition.stream(self._commands.put)
             timeout = self._rig.ros2.timeout_s * self._clock.speed
-            course = CommandFollower(self._mission, start, timeout, self, say, self._commands)
-        looked = time.monotonic()
-        while not course.is_over(now := self._clock.now()) or course.must_repeat(now, self._acquisition.status()):
+            sequencer = CommandFollower(self._mission, start, timeout, self, say, self._commands)
+        checked_at = time.monotonic()
+        while not sequencer.is_over(now := self._clock.now()) or sequencer.must_repeat(now, self._acquisition.status()):
             status = self._acquisition.status()
-            # Under thrust the acquisition sees that; after a rest the thrusters would begin in the middle of the plan.
-            stood, looked = time.monotonic() - looked, time.monotonic()
-            if stood > STOOD_S and not status.stopped:
-                raise SafetyStop(f"this program stood still for {stood:.1f} s")
+            # After a pause of this program the thrusters would start in the middle of the plan. The acquisition
+            # notices such a pause only while thrust is commanded.
+            pause, checked_at = time.monotonic() - checked_at, time.monotonic()
+            if pause > LONGEST_PAUSE_S and not status.stopped:
+                raise SafetyStop(f"this program stood still for {pause:.1f} s")
             self._check(status, now)
-            course.step(now, ahead, status, keys.take())
+            sequencer.step(now, ahead, status, keys.take())
             self._acquisition.alive()
-            self._segment = course.segment or self._segment
-            self._display.show(self._view(status, course, now))
+            self._segment = sequencer.segment or self._segment
+            self._display.show(self._view(status, sequencer, now))
             self._wait(POLL_S)
-        return course
+        return sequencer
 
     def _check(self, status: Status, now: float) -> None:
-        """Raise SafetyStop when the guard ends the run."""
+        """Raise SafetyStop if the guard ends the run."""
         if stop := self._guard.step(now, status).stop:
             raise SafetyStop(stop.reason)
 
     def _say_skipped(self, commanded: int) -> None:
-        """Report set-points that this machine was too busy to send in time; the log holds what was sent."""
+        """Report the number of set-points that a later one replaced before they could be sent."""
         skipped = self._acquisition.status().skipped
         if skipped:
             self._display.say(
@@ -332,19 +398,23 @@ class _Runner:
             )
 
     def _wait(self, wall_s: float) -> None:
-        """Wait, unless a signal comes: that raises Interrupted. Raises SafetyStop after the computer was suspended."""
+        """Wait for some wall seconds.
+
+        Raises RunInterrupted on a signal, and SafetyStop if the computer was suspended.
+        """
         if slept := self._suspended.slept():
             raise SafetyStop(f"the computer was suspended for {slept:.1f} s")
         if self._signals.wait(wall_s) and self._signals.caught is not None:
             number = self._signals.caught
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)
 
-    def _view(self, status: Status, course: MissionSequencer, now: float) -> MissionStatus:
+    def _view(self, status: Status, sequencer: MissionSequencer, now: float) -> MissionStatus:
+        """Return the state of the run for the display."""
         force, speed, rpm = newest_values(status, self._guard)
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
         return MissionStatus(
-            segment="paused" if course.paused else self._segment,
-            elapsed=max(course.elapsed(now), 0.0),
+            segment="paused" if sequencer.paused else self._segment,
+            elapsed=max(sequencer.elapsed(now), 0.0),
             total=self._mission.end,
             n_cmd=tuple(status.commanded.get(thruster.name, 0.0) for thruster in thrusters),
             rpm=tuple(rpm.get((thruster.device, thruster.node), math.nan) for thruster in thrusters),
@@ -354,14 +424,14 @@ class _Runner:
         )
 
     def _tare(self, timeline: Schedule) -> list[Tare]:
-        """The load cell's zero from the static segments, printed and written as events."""
+        """Return the tares from the segments at rest. Print them and write them to the log as events."""
         windows = timeline.static_windows()
         if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):
             return []
         self._wait(FLUSH_S)
         try:
             tares = measure_tares(self._path, self._rig, windows)
-        except SeatrialError as error:  # the log is worth keeping without its tare
+        except SeatrialError as error:  # a missing tare must not fail the run: its log is still useful
             self._display.say(f"tare: not measured: {error}")
             return []
         for line in describe_tares(tares, self._rig):
@@ -370,22 +440,24 @@ class _Runner:
         return tares
 
     def _end_at_zero(self, error: BaseException) -> None:
-        """Command zero, note the reason, close the log, and complete the error's line.
+        """Command zero, disarm, write the reason to the log, close the log, and complete the error message.
 
-        The line names the measured thrust, the log and, last, an autopilot that is still armed.
+        The message also reports the measured thrust, the path of the log and the autopilots that are still armed.
         """
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
-        self._tried(lambda: self._acquisition.zero(reason))
-        self._tried(self._vehicles.disarm)
-        self._tried(lambda: self._acquisition.mark("stop", reason))
+        self._attempt(lambda: self._acquisition.zero(reason))
+        self._attempt(self._vehicles.disarm)
+        self._attempt(lambda: self._acquisition.mark("stop", reason))
         if stop := self._guard.stop:
-            self._tried(lambda: self._acquisition.mark("stop-code", stop.code.value))
-        self._tried(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
-        rests = self._settled()
-        closed = self._tried(self._acquisition.stop)
+            self._attempt(lambda: self._acquisition.mark("stop-code", stop.code.value))
+        self._attempt(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
+        rests = self._await_rest()
+        closed = self._attempt(self._acquisition.stop)
         if not _at_zero(rests):
-            rests = self._rests()  # the acquisition process has repeated zero before it closed the log
+            rests = (
+                self._measure_rest()
+            )  # measured again: the acquisition process repeats zero before it closes the log
         thrust = self._thrust_in_words(rests)
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):
@@ -394,30 +466,33 @@ class _Runner:
             error.args = (f"{reason}: {thrust}, {log}{self._armed_in_words()}",)
 
     def _armed_in_words(self) -> str:
-        """Return the end of the last line: which autopilots are still armed."""
+        """Return the end of the error message: the autopilots that are still armed; empty without one."""
         ours = self._vehicles.maybe_armed()
         others = [name for name in self._vehicles.still_armed() if name not in ours]
         loud = f"; {', '.join(ours)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if ours else ""
         return loud + (f"; {', '.join(others)} IS STILL ARMED: disarm it yourself" if others else "")
 
-    def _rests(self) -> list[Rest] | None:
-        """Return whether each thruster is at zero thrust; None if the acquisition does not answer."""
+    def _measure_rest(self) -> list[Rest] | None:
+        """Return for each thruster whether it is measured at zero thrust; None if the acquisition has failed."""
         try:
             return self._guard.rest(self._acquisition.status())
         except SeatrialError:
             return None
 
-    def _settled(self) -> list[Rest] | None:
-        """Wait until every thruster is measured at zero thrust, or its time is over; return the last measurement."""
+    def _await_rest(self) -> list[Rest] | None:
+        """Wait until every thruster is measured at zero thrust, for at most `SETTLE_S`. Return the last measurement.
+
+        The method does not wait if no thrust was commanded or if a port of a thruster is closed.
+        """
         until = time.monotonic() + SETTLE_S
-        while (rests := self._rests()) is not None and not _at_zero(rests):
+        while (rests := self._measure_rest()) is not None and not _at_zero(rests):
             if time.monotonic() > until or not (self._moved and self._ports_are_open()):
                 break
             time.sleep(SETTLE_POLL_S)
         return rests
 
     def _ports_are_open(self) -> bool:
-        """Whether the ports of all thrusters are open, so that waiting for a measurement makes sense."""
+        """Return whether the ports of all thrusters are open. Otherwise no measurement can arrive."""
         try:
             ports = self._acquisition.status().ports
         except SeatrialError:
@@ -426,7 +501,7 @@ class _Runner:
         return all(name in ports and ports[name].open for name in names)
 
     def _thrust_in_words(self, rests: list[Rest] | None) -> str:
-        """Return what was measured of the thrust at the end. "Zero" is used only for a measurement."""
+        """Return the part of the error message on the thrust at the end. "Zero" is used only for a measurement."""
         if _at_zero(rests):
             return ZERO
         wrong = [rest for rest in rests or [] if not rest.is_zero]
@@ -440,14 +515,17 @@ class _Runner:
         measured = ": " + "; ".join(rest.text for rest in wrong) if wrong else ""
         times = self._vehicles.tested_s.items()
         tested = [f"{name} ended thrust {seconds:.1f} s after its link was lost" for name, seconds in times]
-        known = f" (in its link test {', '.join(tested)})" if tested else ""
-        return f"zero was sent, not confirmed{measured}{known}; MAKE SURE THAT THE PROPELLERS STAND STILL"
+        in_link_test = f" (in its link test {', '.join(tested)})" if tested else ""
+        return f"zero was sent, not confirmed{measured}{in_link_test}; MAKE SURE THAT THE PROPELLERS STAND STILL"
 
     def _is_output(self, thruster: str) -> bool:
         return self._rig.thruster(thruster).output is not None
 
-    def _tried(self, action: Callable[[], None]) -> bool:
-        """Whether `action` worked; no failure may keep the next step to zero from being tried."""
+    def _attempt(self, action: Callable[[], None]) -> bool:
+        """Run `action` and return whether it succeeded.
+
+        Its errors are suppressed, so that the next step to zero thrust is always tried.
+        """
         try:
             action()
         except (SeatrialError, OSError):

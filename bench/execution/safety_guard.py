@@ -1,4 +1,4 @@
-"""The safety guard: a pure state machine that decides which set-points may be sent and when a run has to end.
+"""Safety guard: a pure state machine that decides which set-points may be sent and when a run has to end.
 
 Theory of operation
 -------------------
@@ -14,13 +14,13 @@ RUNNING  within n_max                              STOPPED, at the first stop
 STOPPED  none                                      no state: thrust starts only with a new run
 ======== ========================================= =====================================================
 
-A limit needs a source: a device that reports the limited quantity, and whose values change when the thrust does.
-Without a source nothing moves, and a run whose limit loses its source ends. The geofence is a circle around the start,
-within which the boat has to be able to stop. The outputs of autopilots and the speed controllers are compared with the
-commands, so that "zero" is a measurement.
+A limit needs a source: a device that reports the limited quantity, and whose values change when the thrust changes. If
+a limit has no source, no set-point is allowed. If a limit loses its source, the run ends. The geofence is a circle
+around the start; the boat must be able to stop inside it. The outputs of autopilots and the reports of speed
+controllers are compared with the commands, so that zero thrust is a measurement.
 
-Two further safety nets work without the guard: the acquisition process commands zero when the runner falls silent, and
-every ESC stops by its own time-out when the acquisition process falls silent.
+Two further protections work without the guard. The acquisition process commands zero if the runner sends no heartbeat.
+Every ESC stops by its own time-out if the acquisition process sends no command.
 """
 
 from __future__ import annotations
@@ -42,50 +42,56 @@ from seatrial.daq.samples import NAN, Ahrs, Battery, Esc, Gnss, LoadCell, Sample
 Row = tuple[float, Mapping[str, float]]  # run time, n_cmd by thruster
 LOAD_CELLS = ("loadcell", "openscale", "mantracourt")  # protocols
 SATURATED, SPIKE = 1, 2  # LoadCell.flags
-STALE_S = 1.0  # run seconds a device may be silent, at least
+# How long a device may be silent: STALE_PERIODS of its `rate_hz`, within these bounds.
 STALE_PERIODS = 5.0
-STALE_MAX_S = 5.0  # run seconds, whatever `rate_hz` says
-# Wall seconds, at least. With real devices this is the same second; against mocks at 20 run seconds a wall second,
-# one run second is 50 ms, and a busy machine makes longer pauses by itself.
+STALE_S = 1.0  # run seconds, at least
+STALE_MAX_S = 5.0  # run seconds, at most
+# Wall seconds, at least. With real devices this is the same second as STALE_S. With mocks at 20 run seconds per wall
+# second, one run second is 50 ms, and a busy machine alone makes longer pauses.
 STALE_WALL_S = 1.0
-STUCK_WALL_S = 3.0  # the log's file must grow within this; it is flushed every 0.25 s
-# A limited quantity may be missing for so many times the patience with its device: longer than the device itself, so
-# that a plug that was pulled is called that; position, temperature, voltage and charge come more slowly.
+STUCK_WALL_S = 3.0  # wall seconds within which the file of the log must grow; it is flushed every 0.25 s
+# A limited quantity may be missing for this multiple of the patience with its device. The factor is above 1, so that a
+# pulled plug is reported as a silent device. SLOW is for position, temperature, voltage and charge, which are sent less
+# often.
 QUICK, SLOW = 1.5, 3.0
-LIMIT_MAX_S = 6.0  # run seconds a limited quantity may be missing, whatever `rate_hz` says
-REST_PART = 0.05  # of limits.force_n: a force at rest beyond this is named
-RATE_RATIO = 3.0  # of the measured rate to `rate_hz`: beyond this the patience does not fit the device
+LIMIT_MAX_S = 6.0  # run seconds for which a limited quantity may be missing, at most
+REST_PART = 0.05  # part of limits.force_n; a larger force at rest is named in the reason of a stop
+RATE_RATIO = 3.0  # largest ratio of measured rate and `rate_hz`; beyond it the patience does not fit the device
 EARTH_RADIUS_M = 6_371_008.8  # IUGG mean radius
 STOPPED = 0.05  # m/s; a boat slower than this drifts and does not coast
-REACTION_S = 0.1  # from the fix to zero thrust
-JUMP_SPEED, JUMP_M = 15.0, 20.0  # m/s and m: a fix farther than this from the one before needs a second one
-LINK_AGE_S = 3.0  # wall; heartbeats come once a second
-COLDEST_C = -40.0  # below it a temperature sensor is missing or broken
+REACTION_S = 0.1  # s from the fix to zero thrust
+# Speed [m/s] and distance [m] of a possible movement between two fixes. A fix beyond them needs a second one.
+JUMP_SPEED, JUMP_M = 15.0, 20.0
+LINK_AGE_S = 3.0  # wall seconds without a heartbeat; an autopilot sends one every second
+COLDEST_C = -40.0  # deg C; a lower reading means that the temperature sensor is missing or broken
 
-# Movement: a value that has to change when the commanded thrust does.
-CHANGE = 0.3  # of a command
-FROZEN_S, FROZEN_SAMPLES = 2.0, 5  # run s, and samples, after that change
-IMPULSE_S, AT_REST_S, TRAVEL_M = 3.0, 5.0, 5.0  # of a position: run s of full thrust ahead; run s; m by its own speed
+# Movement: a value that must change when the commanded thrust changes.
+CHANGE = 0.3  # smallest change of a command after which the value must change
+FROZEN_S, FROZEN_SAMPLES = 2.0, 5  # run seconds, and samples, for which the value may stay the same after that change
+# A position must change after IMPULSE_S run seconds of full thrust ahead (at least AT_REST_S after its last change), or
+# after TRAVEL_M metres by the reported speed.
+IMPULSE_S, AT_REST_S, TRAVEL_M = 3.0, 5.0, 5.0
 
 # Outputs of autopilots against commands. Run seconds at the speed of the wall clock.
-TOLERANCE, WINDOW_S = 0.05, 0.25  # of an output from the commands of the last moment, and that moment
-LASTS_S = 0.1  # that it is another one before the run ends: with the link's own delays, thrust is zero in 0.5 s
+TOLERANCE, WINDOW_S = 0.05, 0.25  # an output may differ by TOLERANCE from the commands of the last WINDOW_S
+LASTS_S = 0.1  # a longer deviation ends the run; with the delays of the link, thrust is then zero within 0.5 s
 
 # Speed controllers against commands.
-DUTY_TOLERANCE, DUTY_WINDOW_S, DUTY_LASTS_S = 0.1, 1.0, 0.3  # controllers ramp, and report with a delay
-FREE_DUTY = 0.05  # a motor at less is not driven
-COAST_S, FALLING = 3.0, 0.92  # a propeller that coasts has lost some of its speed in that time
-IDLE_PART, IDLE_RPM_MIN, IDLE_RPM_MAX = 0.07, 30.0, 300.0  # of rpm_max
-IDLE_CURRENT, SENSED_A = 0.05, 1.0  # of the largest current; a controller that has reported more measures its current
-BLOCKED_N, BLOCKED_RPM = 0.3, 10.0
+DUTY_TOLERANCE, DUTY_WINDOW_S, DUTY_LASTS_S = 0.1, 1.0, 0.3  # wider, as controllers ramp and report with a delay
+FREE_DUTY = 0.05  # a motor with a smaller duty is not driven
+COAST_S, FALLING = 3.0, 0.92  # in COAST_S s a coasting propeller falls below this part of its speed
+IDLE_PART, IDLE_RPM_MIN, IDLE_RPM_MAX = 0.07, 30.0, 300.0  # speed of a motor at rest: part of rpm_max, and its bounds
+IDLE_CURRENT = 0.05  # part of the largest current so far; a motor with less is not driven
+SENSED_A = 1.0  # A; a controller that has reported more is known to measure its current
+BLOCKED_N, BLOCKED_RPM = 0.3, 10.0  # a motor that turns more slowly at such a command is blocked
 
-TELEMETRY = "telemetry"  # in limits.unwatched: speed controllers are not compared with their commands
+TELEMETRY = "telemetry"  # word in limits.unwatched: speed controllers are not compared with their commands
 MANUAL = "MANUAL"
 RIVAL = "another ground station has our own system id: its heartbeats hide the loss of ours"
 
 
 class GuardState(enum.StrEnum):
-    """State of the guard."""
+    """State of the safety guard; see the table of the module."""
 
     WAITING = "waiting"
     RUNNING = "running"
@@ -93,7 +99,7 @@ class GuardState(enum.StrEnum):
 
 
 class StopCode(enum.StrEnum):
-    """Kind of reason that ends a run; it stands in the log beside the reason."""
+    """Kind of the reason that ends a run. It is written to the log with the reason."""
 
     ACQUISITION = "acquisition"  # the acquisition process ended thrust, or does not answer
     LOG = "log"  # the log does not grow
@@ -110,17 +116,17 @@ class StopCode(enum.StrEnum):
 
 
 class Stop(NamedTuple):
-    """Why a run has to end, in one line."""
+    """Decision to end a run."""
 
     code: StopCode
-    reason: str
+    reason: str  # one line
 
 
 class Decision(NamedTuple):
-    """Answer of the guard to one status."""
+    """Decision of the guard on one status."""
 
-    setpoints: tuple[Row, ...]
-    stop: Stop | None
+    setpoints: tuple[Row, ...]  # that may be sent
+    stop: Stop | None  # None while the run may go on
 
 
 @dataclass(frozen=True)
@@ -169,9 +175,9 @@ _QUANTITIES = {  # by key of [limits]
 
 
 class MovementWatch:
-    """Finds a value that stays exactly the same although the commanded thrust changes.
+    """Detector of a frozen source: its value stays exactly the same although the commanded thrust changes.
 
-    A frozen source passes every other test: it is on time, its frames are valid and its value is within the limits.
+    A frozen source passes every other check: its samples are on time and valid, and its value is within the limits.
     """
 
     def __init__(self) -> None:
@@ -179,24 +185,28 @@ class MovementWatch:
         self._take(math.nan, (), {})
 
     def _take(self, t: float, value: tuple[float, ...], commands: Mapping[str, float]) -> None:
-        """Take a value that differs from the one before, and begin to count."""
+        """Store a value that differs from the previous one, and reset the counters."""
         self._value = value
-        self._t = self._changed_at = t  # of the newest sample, and of the first one with its value
-        self._commands = dict(commands)  # when the value changed last
-        self._commanded_at = math.nan  # since when the commands are others than those
-        self._samples = 0  # since then
+        self._t = self._changed_at = t  # run times of the newest sample, and of the first one with this value
+        self._commands = dict(commands)  # commands at the last change of the value
+        self._commanded_at = math.nan  # run time from which the commands differ from those; NaN if they do not
+        self._samples = 0  # samples since that time
         self._repeats = 0  # samples with the same value
-        self._impulse = self._travel = 0.0  # since the value changed
+        self._impulse = self._travel = 0.0  # s of full thrust, and m by the reported speed, since the last change
 
     def update(self, t: float, value: tuple[float, ...], commands: Mapping[str, float], speed: float = NAN) -> None:
         """Take a sample.
 
         Parameters
         ----------
-        t : run time of the sample [s]
-        value : the values that have to change together
-        commands : n_cmd by thruster, as last sent
-        speed : speed over ground [m/s] that a receiver reports beside its position; NaN for other quantities
+        t : float
+            Run time of the sample [s].
+        value : tuple of float
+            The value, or several values at least one of which must change.
+        commands : Mapping
+            n_cmd by thruster, as last sent.
+        speed : float
+            Speed over ground [m/s] that a receiver reports with its position; NaN for other quantities.
         """
         if value != self._value:
             self._take(t, value, commands)
@@ -205,7 +215,7 @@ class MovementWatch:
             return
         dt, self._t = t - self._t, t
         self._repeats += 1
-        # Opposite commands turn a boat on the spot, and its position stays: only the mean drives it away.
+        # Only the mean command moves the boat: with opposite commands it turns on the spot.
         self._impulse += dt * abs(sum(commands.values())) / max(len(commands), 1)
         self._travel += dt * speed if speed > 0.0 else 0.0
         change = max((abs(n - self._commands.get(name, 0.0)) for name, n in commands.items()), default=0.0)
@@ -222,7 +232,7 @@ class MovementWatch:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether the value should have changed by now."""
+        """Return whether the value should have changed by now."""
         if self.is_position:
             driven = self._impulse >= IMPULSE_S and self.unchanged_s >= AT_REST_S
             return self._repeats >= FROZEN_SAMPLES and (driven or self._travel >= TRAVEL_M)
@@ -231,25 +241,37 @@ class MovementWatch:
 
 @dataclass
 class LimitSource:
-    """A limit, what it protects, and the device that has last reported a number for it."""
+    """A limit, the thruster or load cell that it protects, and the device that has last reported its quantity."""
 
-    key: str  # of [limits]
+    key: str  # name in [limits]
     limit: float
-    whom: str  # a thruster or a load cell; empty if any source counts
-    place: str  # of the thruster
-    takes: Callable[[Source, Sample], bool]
-    source: str = ""  # the device
-    t: float = -math.inf  # run time of that number
-    frozen: str = ""  # why the source does not count, if its value does not change; else empty
+    whom: str  # the thruster or load cell; empty if samples of any device count
+    place: str  # node and device of the thruster in words; else empty
+    takes: Callable[[Source, Sample], bool]  # whether a sample counts for this limit
+    source: str = ""  # the device that has last reported the quantity
+    t: float = -math.inf  # run time of its report
+    frozen: str = ""  # why the source does not count, if its value is frozen; else empty
     _watches: dict[Source, MovementWatch] = field(default_factory=dict)
 
     @property
     def is_slow(self) -> bool:
-        """Whether the quantity may be missing for a little longer."""
+        """Return whether the quantity is sent less often and may be missing for longer."""
         return _QUANTITIES[self.key].slow
 
     def observe(self, source: Source, sample: Sample, t: float, commands: Mapping[str, float]) -> None:
-        """Note a sample that holds the quantity."""
+        """Update the source of the limit if a sample contains its quantity.
+
+        Parameters
+        ----------
+        source : Source
+            Device and node of the sample.
+        sample : Sample
+            The sample.
+        t : float
+            Run time of the sample [s].
+        commands : Mapping
+            n_cmd by thruster, as last sent.
+        """
         quantity = _QUANTITIES[self.key]
         value = quantity.value.get(type(sample))
         if value is None or not self.takes(source, sample) or not math.isfinite(number := value(sample)):
@@ -272,19 +294,22 @@ class LimitSource:
             self.source, self.t, self.frozen = name, t, ""
 
     def silence(self, now: float) -> str:
-        """Describe which quantity is missing, and for how long or why."""
+        """Return a text with the missing quantity and the time [run s] since its last report, or why it is frozen."""
         whom = f" of {self.whom}" if self.whom else ""
         missing = f"no {_QUANTITIES[self.key].name}{whom}{self.place}"
         return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_since(now - self.t)}"
 
     def refusal(self, now: float) -> str:
-        """Return the sentence that refuses a start: the limit without a source, and the remedy."""
+        """Return the message that refuses a start: the limit without a source, and its remedy."""
         remedy = f'{_QUANTITIES[self.key].remedy}, or write unwatched = ["{self.key}"] in [limits]'
         return f"limits.{self.key} = {self.limit:g} is not watched: {self.silence(now)}; {remedy}"
 
 
 def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]:
-    """Yield the limits that have to be watched: those of thrusters once for each, the force for each load cell."""
+    """Yield the limits that have to be watched.
+
+    A limit of speed controllers is yielded for each thruster, and the limit of the force for each load cell.
+    """
     cells = [device.name for device in rig.devices if device.protocol in LOAD_CELLS]
     for key, quantity in _QUANTITIES.items():
         limit = getattr(rig.limits, key)
@@ -302,7 +327,7 @@ def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]
 
 
 def _of_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
-    """Accept the samples of the thruster's own controller; those of a battery count for every thruster."""
+    """Return a function that accepts the samples of a thruster's own controller and of any battery."""
 
     def takes(source: Source, sample: Sample) -> bool:
         own = (source[0].partition("/")[0], source[1]) == (thruster.device, thruster.node)
@@ -312,38 +337,40 @@ def _of_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
 
 
 def _of_device(name: str) -> Callable[[Source, Sample], bool]:
+    """Return a function that accepts the samples of one device."""
     return lambda source, sample: source[0].partition("/")[0] == name
 
 
 class History:
-    """The values of a quantity that holds its value, over the last seconds."""
+    """History of a quantity that is constant between its changes, over the last seconds."""
 
     def __init__(self, keep_s: float) -> None:
+        """Keep the values of the last `keep_s` run seconds."""
         self._keep = keep_s
         self._rows: deque[tuple[float, float]] = deque()  # run time, value
 
     def add(self, t: float, value: float) -> None:
         """Add the value that holds from run time `t` on."""
         self._rows.append((t, value))
-        # The oldest row that is kept holds at the begin of the window.
+        # The oldest row must hold at the start of the window, so that it may be older than the window.
         while len(self._rows) > 1 and self._rows[1][0] <= t - self._keep:
             self._rows.popleft()
 
     def since(self, t: float) -> list[float]:
-        """Return the values that held at `t` or later."""
+        """Return the values that held at run time `t` or later."""
         recent = [value for at, value in self._rows if at >= t]
         held = [value for at, value in self._rows if at < t][-1:]
         return held + recent
 
     def covers(self, t: float) -> bool:
-        """Whether the history reaches back to `t`."""
+        """Return whether the history reaches back to run time `t`."""
         return bool(self._rows) and self._rows[0][0] <= t
 
 
 class OutputCheck:
-    """Compares what an autopilot puts out for a thruster with the commands.
+    """Comparison of an autopilot's output for one thruster with the commands.
 
-    Each parameter that bends, blocks or crosses commands shows in its output.
+    An output that deviates reveals a parameter that changes, blocks or exchanges commands.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
@@ -352,7 +379,7 @@ class OutputCheck:
         self._wrong_since = math.nan
 
     def reason(self, status: Status) -> str:
-        """Return why the run has to end, in one line; empty while the output is one of the recent commands."""
+        """Return why the run has to end, in one line; empty while the output agrees with a recent command."""
         self._commands.append((status.t, status.commanded.get(self._thruster.name, 0.0)))
         while self._commands[0][0] < status.t - 2.0 * self._window:
             self._commands.popleft()
@@ -368,65 +395,66 @@ class OutputCheck:
         if latest.t - self._wrong_since < self._lasts:
             return ""
         name, device = self._thruster.name, self._thruster.device
-        bent = "a parameter bends commands, or its link is late"
-        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else bent
+        deviates = "a parameter bends commands, or its link is late"
+        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else deviates
         return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: {why}"
 
 
 class Rest(NamedTuple):
-    """Whether a thruster is at zero thrust, as measured."""
+    """Measurement whether a thruster is at zero thrust."""
 
     thruster: str
-    is_zero: bool | None  # None: not measured
+    is_zero: bool | None  # None if it is not measured
     text: str  # the measurement in words, as "left turns at 2700 rpm"
 
 
 class _Motion(enum.Enum):
-    """What a motor does when zero is commanded."""
+    """Motion of a motor while zero is commanded."""
 
     REST = enum.auto()
-    COASTS = enum.auto()  # it turns and is measured not to be driven
-    SLOWS = enum.auto()  # its speed falls; whether it is driven is not measured
+    COASTS = enum.auto()  # it turns, and a measurement shows that it is not driven
+    SLOWS = enum.auto()  # its speed falls, and no measurement shows whether it is driven
     DRIVEN = enum.auto()
     UNKNOWN = enum.auto()
 
 
 class ControllerCheck:
-    """Compares duty, shaft speed and current of one speed controller with its commands.
+    """Comparison of duty, shaft speed and current of one speed controller with its commands.
 
     Notes
     -----
-    A controller that limits its current puts out less duty than commanded, and a propeller turns freely while the boat
-    coasts. Neither is a fault. More duty than commanded, a propeller that is still driven seconds after zero, and a
-    controller that does not move at all are faults.
+    Two deviations are no faults: a controller that limits its current puts out less duty than commanded, and a
+    propeller turns freely while the boat coasts. Faults are more duty than commanded, a propeller that is driven
+    seconds after zero was commanded, a motor that does not turn when commanded, and frozen telemetry.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
         self._thruster = thruster
-        delay = WINDOW_S * speed  # of the way to the controller and back
+        delay = WINDOW_S * speed  # run s on the way to the controller and back
         self._window, self._lasts, self._coast = DUTY_WINDOW_S + delay, DUTY_LASTS_S + LASTS_S * speed, COAST_S + delay
-        # A sample is older than the status that holds it, so that its window begins before that of the status.
+        # Twice the window: a sample is older than the status that contains it, so that its window begins earlier.
         self._commands, self._rpm = History(2.0 * self._coast), History(2.0 * self._coast)
         self._wrong_since = math.nan
         self._current = 0.0  # A, the largest so far
         self._watch = MovementWatch()
-        self._seen = -math.inf
+        self._seen = -math.inf  # run time of the newest sample
         idle = IDLE_PART * thruster.rpm_max if math.isfinite(thruster.rpm_max) else IDLE_RPM_MAX
         self.idle_rpm = min(max(idle, IDLE_RPM_MIN), IDLE_RPM_MAX)
 
     def _latest(self, status: Status) -> tuple[Esc, float] | None:
+        """Return the newest sample of the controller with its run time; None before the first one."""
         latest = status.latest.get((self._thruster.device, self._thruster.node))
         return None if latest is None or not isinstance(latest.sample, Esc) else (latest.sample, latest.t)
 
     def reason(self, status: Status) -> str:
-        """Return why the run has to end, in one line; empty while the controller does as commanded."""
+        """Return why the run has to end, in one line; empty while the controller follows its commands."""
         if (latest := self.observe(status)) is None:
             return ""
         esc, t = latest
         return self._too_much_duty(esc, t) or self._turns(esc, t) or self._blocked(esc, t) or self._frozen()
 
     def observe(self, status: Status) -> tuple[Esc, float] | None:
-        """Note the command and the newest sample, and return that sample with its run time."""
+        """Store the command and the newest sample. Return the sample with its run time; None before the first one."""
         n = status.commanded.get(self._thruster.name, 0.0)
         self._commands.add(status.t, n)
         if (latest := self._latest(status)) is None:
@@ -439,14 +467,15 @@ class ControllerCheck:
             self._current = max(self._current, abs(esc.current)) if math.isfinite(esc.current) else self._current
             values = (esc.rpm, esc.current, esc.duty, esc.voltage, esc.temperature)
             if any(map(math.isfinite, values)):
-                known = tuple(value if math.isfinite(value) else 0.0 for value in values)
-                self._watch.update(t, known, {self._thruster.name: n})
+                finite = tuple(value if math.isfinite(value) else 0.0 for value in values)
+                self._watch.update(t, finite, {self._thruster.name: n})
         return latest
 
     def _name(self) -> str:
         return f"thruster {self._thruster.name} (node {self._thruster.node} on {self._thruster.device})"
 
     def _too_much_duty(self, esc: Esc, t: float) -> str:
+        """Return the reason of a stop if the duty is beyond the recent commands for too long; else empty."""
         recent = [0.0, *self._commands.since(t - self._window)]
         if not math.isfinite(esc.duty) or min(recent) - DUTY_TOLERANCE <= esc.duty <= max(recent) + DUTY_TOLERANCE:
             self._wrong_since = math.nan
@@ -457,18 +486,19 @@ class ControllerCheck:
         return f"{self._name()} puts out duty {esc.duty:+.2f}, commanded {recent[-1]:+.2f}: it ignores commands"
 
     def _turns(self, esc: Esc, t: float) -> str:
+        """Return the reason of a stop if the motor is still driven `COAST_S` after zero was commanded; else empty."""
         begin = t - self._coast
         if not self._commands.covers(begin) or any(self._commands.since(begin)):
             return ""
         speeds = self._rpm.since(begin)
-        # The water may turn a propeller, for a while even faster than before, but not at a constant speed.
+        # The flow may turn a propeller, for a while even faster than before, but not at a constant speed.
         constant = not speeds or min(speeds) >= FALLING * max(speeds)
         if self._motion(esc, t) is not _Motion.DRIVEN or not constant:
             return ""
         return f"{self._name()} turns at {esc.rpm:.0f} rpm, {COAST_S:g} s after zero was commanded: it ignores commands"
 
     def _motion(self, esc: Esc, t: float) -> _Motion:
-        """Return what the motor does when zero is commanded."""
+        """Return the motion of the motor, under the condition that zero is commanded."""
         has_duty = math.isfinite(esc.duty)
         if has_duty and abs(esc.duty) > FREE_DUTY:
             return _Motion.DRIVEN
@@ -476,7 +506,7 @@ class ControllerCheck:
             return _Motion.REST if has_duty else _Motion.UNKNOWN
         if abs(esc.rpm) <= self.idle_rpm:
             return _Motion.REST
-        # The propeller turns. While a boat coasts the water turns it, without current and ever slower.
+        # The propeller turns. While the boat coasts, the flow turns it: without current and more and more slowly.
         if self._current >= SENSED_A and abs(esc.current) <= IDLE_CURRENT * self._current:
             return _Motion.COASTS
         if abs(esc.rpm) > FALLING * max(self._rpm.since(t - self._coast)):
@@ -484,6 +514,7 @@ class ControllerCheck:
         return _Motion.COASTS if has_duty else _Motion.SLOWS
 
     def _blocked(self, esc: Esc, t: float) -> str:
+        """Return the reason of a stop if the motor does not turn although it is commanded to; else empty."""
         begin = t - self._coast
         recent = self._commands.since(begin)
         driven = self._commands.covers(begin) and (min(recent) >= BLOCKED_N or max(recent) <= -BLOCKED_N)
@@ -501,7 +532,7 @@ class ControllerCheck:
         return f"{self._name()} repeats the same telemetry for {seconds:.1f} s though its command changed"
 
     def rest(self, status: Status, since: float) -> Rest:
-        """Return whether the motor is at rest, by a sample of after run time `since`."""
+        """Return whether the motor is at zero thrust, measured after run time `since` [s]."""
         name = self._thruster.name
         latest = self.observe(status)
         if latest is None or not latest[1] > since:
@@ -517,31 +548,34 @@ class ControllerCheck:
 
 
 class SafetyGuard:
-    """State machine of one run; see the theory of operation above."""
+    """State machine of one run; see the theory of operation in the module."""
 
     def __init__(self, rig: Rig, speed: float, thrusters: tuple[str, ...]) -> None:
         """Prepare the checks.
 
         Parameters
         ----------
-        rig : the rig with its limits
-        speed : run seconds per wall second
-        thrusters : names of the thrusters that the mission commands
+        rig : Rig
+            The rig with its limits.
+        speed : float
+            Run seconds per wall second.
+        thrusters : tuple of str
+            Names of the thrusters that the mission commands.
         """
         self._rig = rig
         self._speed = speed
         self._thrusters = [rig.thruster(name) for name in thrusters]
         self._fence = None if rig.limits.radius_m is None else Fence(rig.limits.radius_m, rig.vehicle)
         self._size: float = math.nan  # bytes of the log at the last status
-        self._grown_at = math.nan
-        self._saturated_at: dict[str, float] = {}  # by load cell
+        self._grown_at = math.nan  # run time at which the log has last grown
+        self._saturated_at: dict[str, float] = {}  # by load cell: run time of the first saturated reading
         self._rest_force: dict[str, float] = {}  # N, by load cell, before thrust was commanded
         self.limits = list(_limit_sources(rig, self._thrusters))
         self.state = GuardState.WAITING
         self.stop: Stop | None = None
         self._changes: dict[str, int] = {}  # by autopilot: parameters that had changed when the run started
         driving = {thruster.device for thruster in self._thrusters}
-        # Those that the mission does not command, too: a crossed command pushes there.
+        # Thrusters that the mission does not command are compared too: an exchanged command acts on one of them.
         self._outputs = [
             OutputCheck(thruster, speed)
             for thruster in rig.thrusters
@@ -556,23 +590,28 @@ class SafetyGuard:
 
         Parameters
         ----------
-        changes : for each autopilot, the number of parameter changes that were known when its parameters were checked
+        changes : Mapping, optional
+            By autopilot, the number of parameter changes that were known when its parameters were checked.
         """
         if self.state is GuardState.WAITING:
             self.state, self._changes = GuardState.RUNNING, dict(changes or {})
 
     def step(self, now: float, status: Status, wanted: Sequence[Row] = ()) -> Decision:
-        """Judge one status, and the set-points that the mission wants to send.
+        """Check one status, and the set-points that the mission would send.
 
         Parameters
         ----------
-        now : run time [s]
-        status : newest state of the acquisition
-        wanted : set-points as rows of run time and n_cmd by thruster
+        now : float
+            Run time [s].
+        status : Status
+            Newest status of the acquisition.
+        wanted : sequence of Row
+            Set-points, as rows of run time [s] and n_cmd by thruster.
 
         Returns
         -------
-        The rows that may be sent, and the stop that ends the run. The first stop stays.
+        Decision
+            The rows that may be sent, and the stop that ends the run. The first stop is kept.
         """
         if self.stop is None:
             self.stop = next(self._stops(now, status), None) or self._forbidden(wanted)
@@ -581,23 +620,31 @@ class SafetyGuard:
         return Decision(tuple(wanted) if self.state is GuardState.RUNNING else (), self.stop)
 
     def allow(self, wanted: Sequence[Row]) -> Sequence[Row]:
-        """Return the set-points that may be sent. Raises SafetyStop for one that is not allowed."""
+        """Return the set-points that may be sent: all of them while the guard is running, else no set-point.
+
+        Raises
+        ------
+        SafetyStop
+            If a set-point is not allowed.
+        """
         if self.stop is None and (stop := self._forbidden(wanted)):
             self.stop, self.state = stop, GuardState.STOPPED
             raise SafetyStop(stop.reason)
         return wanted if self.state is GuardState.RUNNING else ()
 
     def _forbidden(self, wanted: Sequence[Row]) -> Stop | None:
-        most = min(self._rig.limits.n_max, 1.0)
+        """Return the stop for the first set-point that is not allowed; None if all are allowed."""
+        largest = min(self._rig.limits.n_max, 1.0)
         names = {thruster.name for thruster in self._rig.thrusters}
         for t, row in wanted:
             for name, n in row.items():
-                if name not in names or not (math.isfinite(t) and abs(n) <= most):
-                    reason = f"set-point {n:g} for {name} at {t:.3f}: only -{most:g} to {most:g} is allowed"
+                if name not in names or not (math.isfinite(t) and abs(n) <= largest):
+                    reason = f"set-point {n:g} for {name} at {t:.3f}: only -{largest:g} to {largest:g} is allowed"
                     return Stop(StopCode.SETPOINT, reason)
         return None
 
     def _stops(self, now: float, status: Status) -> Iterator[Stop]:
+        """Yield all reasons to end the run at this status."""
         if status.stopped:
             yield Stop(StopCode.ACQUISITION, status.stopped)
         if not now - status.t <= NO_STATUS_S * self._speed:
@@ -608,14 +655,18 @@ class SafetyGuard:
         yield from self._limits(status)
 
     def check(self, status: Status) -> None:
-        """Raise SafetyStop at the first limit that is passed; links and outputs are not looked at.
+        """Check the limits, but neither links nor outputs. A link test needs this, as it interrupts the link.
 
-        A link test needs this: its autopilot is meant to miss the ground station.
+        Raises
+        ------
+        SafetyStop
+            If a limit is passed or has no source, or if a device is silent.
         """
         for stop in self._limits(status):
             raise SafetyStop(stop.reason)
 
     def _limits(self, status: Status) -> Iterator[Stop]:
+        """Yield stops for silent devices, a log that does not grow, passed limits, and limits without a source."""
         yield from self._silent(status)
         yield from self._recorder(status)
         for source, latest in status.latest.items():
@@ -633,6 +684,7 @@ class SafetyGuard:
             yield Stop(StopCode.UNWATCHED, reason)
 
     def _passed(self, name: str, sample: Sample, t: float) -> Iterator[str]:
+        """Yield a reason for each limit that a sample passes."""
         if isinstance(sample, Esc):
             yield from self._esc(sample)
         elif isinstance(sample, LoadCell):
@@ -645,14 +697,14 @@ class SafetyGuard:
     # Sources.
 
     def unwatched(self, status: Status) -> list[LimitSource]:
-        """Return the limits without a source at this status; nothing may move before there are none."""
+        """Return the limits without a source at this status. A run may start only if there is no such limit."""
         commands = {thruster.name: status.commanded.get(thruster.name, 0.0) for thruster in self._thrusters}
-        # A dead source watches nothing, whatever its value.
-        alive = [one for one in status.latest.items() if not _is_dead(one[0], one[1].sample, status)]
+        # A dead source does not count, whatever its value is.
+        alive = [item for item in status.latest.items() if not _is_dead(item[0], item[1].sample, status)]
         for source, latest in alive:
             for limit in self.limits:
                 limit.observe(source, latest.sample, latest.t, commands)
-        # A second receiver stands in for one that was found frozen after it.
+        # Second pass: another source replaces one that was found frozen later in the first pass.
         for source, latest in alive:
             for limit in self.limits:
                 if limit.frozen:
@@ -660,18 +712,20 @@ class SafetyGuard:
         return [limit for limit in self.limits if not status.t - limit.t <= self._limit_patience(limit)]
 
     def _limit_patience(self, limit: LimitSource) -> float:
+        """Return how long [run s] the quantity of a limit may be missing; minus infinity without a source."""
         if not limit.source:
             return -math.inf
         device = self._rig.device(limit.source)
         nodes = sum(thruster.device == device.name for thruster in self._rig.thrusters)
         factor = SLOW if limit.is_slow else QUICK
-        most = max(LIMIT_MAX_S, factor * STALE_WALL_S * self._speed)
-        return min(self._patience(device.rate_hz / max(nodes, 1)) * factor, most)
+        longest = max(LIMIT_MAX_S, factor * STALE_WALL_S * self._speed)
+        return min(self._patience(device.rate_hz / max(nodes, 1)) * factor, longest)
 
     def rate_conflicts(self, status: Status) -> list[str]:
-        """Return the devices whose measured rate does not fit the rig, a line each.
+        """Return a line for each device whose measured rate does not fit the rig.
 
-        How long a device may be silent follows from `rate_hz`, so that a wrong one allows thrust without a watch.
+        The guard derives from `rate_hz` how long a device may be silent. With a wrong `rate_hz` it would notice a
+        silent device too late.
         """
         found = []
         for device in self._rig.devices:
@@ -691,31 +745,34 @@ class SafetyGuard:
         return self._patience(self._rig.device(device).rate_hz)
 
     def _patience(self, rate_hz: float) -> float:
+        """Return how long [run s] a device with this rate may be silent."""
         return max(STALE_S, min(STALE_PERIODS / rate_hz, STALE_MAX_S), STALE_WALL_S * self._speed)
 
     def is_outdated(self, source: Source, status: Status) -> bool:
-        """Whether the newest sample of a source is too old to be shown. No limit depends on it."""
+        """Return whether the newest sample of a source is too old for the display. No limit depends on it."""
         name = source[0].partition("/")[0]
         kinds, nodes = senders(status, name)
         rate_hz = self._rig.device(name).rate_hz / (1 if source[1] is None else nodes)
-        # The rate is that of one kind, or of all together: others come more slowly.
+        # The rate holds for one kind of samples or for all kinds together, so that a further kind may be slower.
         slow = SLOW if kinds > 1 or name != source[0] else QUICK
         return not status.t - status.latest[source].t <= slow * self._patience(rate_hz)
 
     def _silent(self, status: Status) -> Iterator[Stop]:
+        """Yield a stop for each lost port, silent device and silent thruster."""
         for device in self._rig.devices:
             port = status.ports.get(device.name)
             age = math.inf if port is None else port.age
             if port is not None and port.samples and not port.open:
-                # A hang-up is known at once; waiting for the device to be silent would cost a second of thrust.
+                # A lost port is known at once. Waiting for the silence of the device would add a second of thrust.
                 yield Stop(StopCode.PORT_LOST, f"{device.name} ({device.port}) was lost: {port.message or 'closed'}")
-            # `not <=`: an age that is NaN is no sign of life.
+            # Written with `not`, so that an age of NaN counts as silent.
             if not age <= self._patience(device.rate_hz):
                 yield Stop(StopCode.SILENT, f"{device.name} ({device.port}) is silent{_since(age)}")
         for reason in self._silent_thrusters(status):
             yield Stop(StopCode.SILENT, reason)
 
     def _silent_thrusters(self, status: Status) -> Iterator[str]:
+        """Yield a reason for each thruster whose controller is silent."""
         for thruster in self._thrusters:
             latest = status.latest.get((thruster.device, thruster.node))
             age = math.inf if latest is None else status.t - latest.t
@@ -723,11 +780,12 @@ class SafetyGuard:
                 yield f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_since(age)}"
 
     def _report_rate(self, thruster: Thruster) -> float:
-        """Return the samples a run second that a thruster's controller sends."""
+        """Return the rate [1/run s] at which the controller of a thruster sends samples."""
         device = self._rig.device(thruster.device)
         return device.rate_hz / sum(other.device == device.name for other in self._rig.thrusters)
 
     def _recorder(self, status: Status) -> Iterator[Stop]:
+        """Yield a stop if the file of the log does not grow."""
         if status.bytes != self._size:
             self._size, self._grown_at = status.bytes, status.t
         elif status.t - self._grown_at > STUCK_WALL_S * self._speed:
@@ -736,6 +794,7 @@ class SafetyGuard:
     # Links and outputs.
 
     def _links(self, status: Status) -> Iterator[Stop]:
+        """Yield stops for autopilots that are silent, disarmed, in another mode, in alarm, or were reconfigured."""
         for name in dict.fromkeys(thruster.device for thruster in self._thrusters):
             if self._rig.device(name).mavlink is None:
                 continue
@@ -751,12 +810,14 @@ class SafetyGuard:
                 yield Stop(StopCode.LINK, f"{name} says {link.alarm}")
             if link.rivals:
                 yield Stop(StopCode.RIVAL, f"{name}: {RIVAL}")
-            # The link still answers, so that zero and disarming get through; after a lost link they would not.
+            # A changed parameter may disable a failsafe. The run ends while the link can still transmit zero and the
+            # request to disarm.
             if changed := link.changed[self._changes.get(name, 0) :]:
                 more = f" (and {counted(len(changed) - 1, 'other')})" if len(changed) > 1 else ""
                 yield Stop(StopCode.PARAMETER, f"{name}: {changed[0]}{more} during the run; set it back, and run again")
 
     def _driven(self, status: Status) -> Iterator[Stop]:
+        """Yield a stop for each thruster that is not driven as commanded."""
         for output in self._outputs:
             if reason := output.reason(status):
                 yield Stop(StopCode.OUTPUT, reason)
@@ -766,14 +827,14 @@ class SafetyGuard:
                 yield Stop(StopCode.OUTPUT, reason)
 
     def turning(self, status: Status) -> list[str]:
-        """Return the thrusters that turn although nothing was commanded, in words; nothing may be commanded then."""
+        """Return a text for each thruster that turns although no thrust was commanded. A run may not start then."""
         if TELEMETRY in self._rig.limits.unwatched:
             return []
         found = (controller.rest(status, -math.inf) for controller in self._controllers.values())
         return [rest.text for rest in found if rest.is_zero is False]
 
     def rest(self, status: Status) -> list[Rest]:
-        """Return for each thruster whether it is at zero thrust, by what was measured after zero was written to it."""
+        """Return for each thruster whether it is at zero thrust. Only samples after the last zero count."""
         found = []
         for thruster in self._thrusters:
             since = status.zeroed.get(thruster.device, math.nan)
@@ -788,6 +849,7 @@ class SafetyGuard:
     # Limits of one sample.
 
     def _esc(self, esc: Esc) -> Iterator[str]:
+        """Yield a reason for each limit that a sample of a speed controller passes."""
         limits = self._rig.limits
         if limits.rpm is not None and abs(esc.rpm) > limits.rpm:
             yield f"speed of node {esc.node} is {esc.rpm:.0f} rpm, limit {limits.rpm:g}"
@@ -799,12 +861,14 @@ class SafetyGuard:
             yield f"voltage of node {esc.node} is {esc.voltage:.1f} V, least {limits.voltage_min_v:g} V"
 
     def _attitude(self, name: str, ahrs: Ahrs) -> Iterator[str]:
+        """Yield a reason if roll or pitch passes its limit."""
         limits = self._rig.limits
         for word, angle, limit in (("roll", ahrs.roll, limits.roll_deg), ("pitch", ahrs.pitch, limits.pitch_deg)):
             if limit is not None and abs(math.degrees(angle)) > limit:
                 yield f"{word} is {math.degrees(angle):.0f} deg by {name}, limit {limit:g}"
 
     def _battery(self, name: str, battery: Battery) -> Iterator[str]:
+        """Yield a reason if the voltage or the charge of a battery passes its limit."""
         limits = self._rig.limits
         if limits.voltage_min_v is not None and battery.voltage < limits.voltage_min_v:
             yield f"battery of {name} is at {battery.voltage:.1f} V, least {limits.voltage_min_v:g} V"
@@ -812,24 +876,25 @@ class SafetyGuard:
             yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
 
     def _force(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
+        """Yield a reason if the force passes its limit, or if a load cell stays saturated."""
         limit = self._rig.limits.force_n
         if limit is None:
             return
         if cell.flags & SATURATED:
-            # One saturated reading is a glitch of the converter; the next one decides.
+            # A single saturated reading may be an error of the converter; a second one ends the run.
             if t > self._saturated_at.setdefault(name, t):
                 yield f"{name} is saturated, its force cannot be watched"
             return
         self._saturated_at.pop(name, None)
         if not cell.flags & SPIKE and abs(cell.force) > limit:
             rest = self._rest_force.get(name, 0.0)
-            # A wrong zero uses up the limit before anything moves, and the line has to show it.
+            # A wrong zero of the load cell uses up part of the limit, so that the reason has to name it.
             at_rest = f", {rest:.1f} N of it at rest (zero_counts in the rig)" if abs(rest) > REST_PART * limit else ""
             yield f"force is {cell.force:.1f} N, limit {limit:g} N{at_rest}"
 
 
 def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
-    """Return whether an autopilot's output is at neutral, by a sample of after run time `since`."""
+    """Return whether an autopilot's output is at neutral, measured after run time `since` [s]."""
     name = thruster.name
     latest = status.latest.get((thruster.device, thruster.node))
     if latest is None or not latest.t > since or not isinstance(latest.sample, Servo):
@@ -842,7 +907,10 @@ def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
 
 
 def _is_dead(source: Source, sample: Sample, status: Status) -> bool:
-    """Whether a device repeats its samples as a dead sensor does. A load cell may, at rest: converters are coarse."""
+    """Return whether a device repeats its samples as a dead sensor does.
+
+    A load cell at rest is not dead if it repeats its samples, because converters are coarse.
+    """
     port = status.ports.get(source[0].partition("/")[0])
     rests = isinstance(sample, LoadCell) and not any(status.commanded.values())
     return port is not None and type(sample).__name__ in port.stuck and not rests
@@ -853,11 +921,23 @@ def _since(age: float) -> str:
 
 
 def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
-    """Return the distance [m] that a boat coasts from `speed` [m/s] without thrust.
+    """Return the distance [m] that a boat coasts without thrust.
+
+    Parameters
+    ----------
+    speed : float
+        Initial speed [m/s].
+    vehicle : Mapping
+        Parameters of [vehicle] in the rig: `m_u` [kg], `d_u` [kg/s], `d_uu` [kg/m].
+
+    Returns
+    -------
+    float
+        The distance; 0 if the rig does not give `m_u` and a damping.
 
     Notes
     -----
-    The solution of m_u u' = -d_u u - d_uu u^2; 0 if the rig's [vehicle] does not give `m_u` and a damping.
+    The distance follows from m_u u' = -d_u u - d_uu u^2, integrated until the speed is `STOPPED`.
     """
     m_u, d_u, d_uu = (max(vehicle.get(name, 0.0), 0.0) for name in ("m_u", "d_u", "d_uu"))
     if speed <= STOPPED or m_u == 0.0 or d_u + d_uu == 0.0:
@@ -868,26 +948,26 @@ def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
 
 
 class _Fix(NamedTuple):
-    """A fix as the fence uses it: run time, position north and east of the start, speed over ground."""
+    """A position fix relative to the start."""
 
-    t: float
+    t: float  # run time [s]
     north: float  # rad
-    east: float  # rad, as seen from the start's latitude
+    east: float  # rad, scaled by the cosine of the latitude
     speed: float  # m/s
 
 
 class Fence:
-    """Keeps the position at the start, and checks that the boat can stop within the circle around it.
+    """Geofence: a circle around the first position, inside which the boat must be able to stop.
 
-    A receiver may jump for one fix. A fix that the boat cannot have reached counts once a second one confirms that the
-    boat is not where it was.
+    A receiver may report a single wrong fix. A fix that the boat cannot have reached counts only if a second fix
+    confirms it.
     """
 
     def __init__(self, radius_m: float, vehicle: Mapping[str, float]) -> None:
         self._radius, self._vehicle = radius_m, vehicle
         self._home: tuple[float, float] | None = None  # rad
         self._last: dict[str, _Fix] = {}  # by receiver: the newest fix that counts
-        self._doubted: dict[str, float] = {}  # by receiver: run time of a fix that needs another one
+        self._doubted: dict[str, float] = {}  # by receiver: run time of a fix that needs a confirmation
 
     def reason(self, name: str, fix: Gnss, t: float) -> str:
         """Return why the run has to end, in one line; empty while the boat is inside and can stop inside."""
@@ -897,7 +977,7 @@ class Fence:
         if self._home is None:
             self._home = (lat, lon)
         north = lat - self._home[0]
-        # The shorter way round, so that a start beside the date line is a start like any other.
+        # The remainder takes the shorter way around the globe, so that a start near the date line works.
         east = math.remainder(lon - self._home[1], 2.0 * math.pi) * math.cos(lat)
         here = _Fix(t, north, east, fix.speed)
         if self._is_doubtful(name, here):
@@ -906,7 +986,7 @@ class Fence:
         return self._beyond(name, here, fix)
 
     def _is_doubtful(self, name: str, here: _Fix) -> bool:
-        """Whether a fix is one that the boat cannot have reached, and the first of its kind."""
+        """Return whether the boat cannot have reached this fix and no second fix confirms it."""
         last = self._last.get(name)
         if last is not None:
             step = EARTH_RADIUS_M * math.hypot(here.north - last.north, here.east - last.east)
@@ -922,12 +1002,13 @@ class Fence:
         return True
 
     def _beyond(self, name: str, here: _Fix, fix: Gnss) -> str:
+        """Return why the run has to end, if the boat is outside or cannot stop inside; else empty."""
         length = math.hypot(here.north, here.east)
         distance = EARTH_RADIUS_M * length
         if distance > self._radius:
             return f"{distance:.0f} m from the start by {name}, limit {self._radius:g} m"
         outward = (here.north * fix.vel_n + here.east * fix.vel_e) / length if length > 0.0 else 0.0
-        if math.isnan(outward):  # a speed without a course may be straight outward
+        if math.isnan(outward):  # a speed without a course is taken as straight outward
             outward = fix.speed
         if not outward > 0.0:  # NaN too: the receiver reports no velocity
             return ""

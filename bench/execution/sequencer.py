@@ -1,7 +1,7 @@
-"""A mission as a sequence in time: set-points, pauses, marks, and steps repeated on request or because of bad data.
+"""Sequencers of a mission: they turn run time into set-points and handle pauses, marks and repeated steps.
 
-`MissionSequencer` decides, `Schedule` knows where the run is in its mission; `CommandFollower` takes the set-points of
-somebody else instead. Run time in, set-points out: nothing here reads a clock.
+`MissionSequencer` sends the set-points of a mission. `Schedule` contains their run times. `CommandFollower` sends
+commands of an external source instead. Run time is an argument: no function here reads a clock.
 """
 
 from __future__ import annotations
@@ -22,14 +22,15 @@ from seatrial.daq.errors import SafetyStop, SeatrialError, counted
 from seatrial.daq.rig import Rig
 from seatrial.daq.tools import FLOOD, ReceivedCommand
 
-GAP_PART = 0.5  # of the guard's patience: so long a silence spoils a step without ending the run
+# Part of the guard's patience with a device. A longer silence makes a step invalid, but does not end the run.
+GAP_PART = 0.5
 
 
 class EventSink(Protocol):
-    """Receiver of set-points and events: the runner, which asks the safety guard first."""
+    """Receiver of set-points and events. It is the runner, which asks the safety guard before it sends a set-point."""
 
     def schedule(self, rows: Sequence[Row]) -> None:
-        """Append set-points."""
+        """Append set-points, as rows of run time [s] and n_cmd by thruster."""
 
     def zero(self, reason: str) -> None:
         """Command zero at once."""
@@ -39,7 +40,7 @@ class EventSink(Protocol):
 
 
 class MissionSequencer:
-    """Takes one mission from set-point to set-point; `step` is called with every status."""
+    """Sequencer of one mission. The runner calls `step` with every new status."""
 
     def __init__(
         self,
@@ -51,7 +52,25 @@ class MissionSequencer:
         say: Callable[[str], None],
         retries: int = 0,
     ) -> None:
-        """`lead` [run s] from a decision to the first set-point; `patience` [run s] of the guard by device."""
+        """Prepare the schedule of a mission.
+
+        Parameters
+        ----------
+        mission : Mission
+            The mission.
+        start : float
+            Run time [s] of the mission's time 0.
+        lead : float
+            Run seconds from a decision to the first set-point.
+        acquisition : EventSink
+            Receiver of set-points and events.
+        patience : Callable
+            Returns how long [run s] a device may be silent, by its name.
+        say : Callable
+            Prints a line for the operator.
+        retries : int
+            How many invalid steps, in all, are repeated.
+        """
         self.timeline = Schedule(mission, start)
         self.commanded = 0  # set-points given to the acquisition
         self._paused_at: float | None = None
@@ -64,29 +83,41 @@ class MissionSequencer:
 
     @property
     def segment(self) -> str:
-        """The name of the present step; empty before the first."""
+        """Name of the present step; empty before the first one."""
         return "" if self._span is None else self._span.name
 
     @property
     def paused(self) -> bool:
-        """Whether the operator holds the mission at zero thrust."""
+        """Return whether the operator has paused the mission at zero thrust."""
         return self._paused_at is not None
 
     def elapsed(self, now: float) -> float:
-        """The mission's own time; it stands still in a pause."""
+        """Return the mission's own time [run s] at run time `now`. It does not advance during a pause."""
         return self.timeline.elapsed(now if self._paused_at is None else self._paused_at)
 
     def is_over(self, now: float) -> bool:
-        """Whether the mission has been run to its end."""
+        """Return whether the mission has been run to its end."""
         return not self.paused and now >= self.timeline.end
 
     def must_repeat(self, now: float, status: Status) -> bool:
-        """Judge the last step, at the mission's end; whether it is run again."""
+        """Check the last step at the end of the mission. Return whether the mission goes on with a repetition."""
         self._enter(now, status)
         return not self.is_over(now)
 
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
-        """Act on the status and on the keys pressed, then send the set-points up to `now + ahead`."""
+        """Act on the status and on the keys, then send set-points.
+
+        Parameters
+        ----------
+        now : float
+            Run time [s].
+        ahead : float
+            Set-points are sent up to run time `now + ahead`.
+        status : Status
+            Newest status of the acquisition.
+        keys : str
+            Keys that the operator has pressed.
+        """
         for key in keys:
             self._press(key, now)
         if self.paused:
@@ -98,6 +129,7 @@ class MissionSequencer:
             self.commanded += sum(len(values) for _, values in rows)
 
     def _press(self, key: str, now: float) -> None:
+        """Act on a key: pause or resume, repeat the step, or mark the log."""
         name = "" if self._span is None else self._span.name
         if key in " p" and not self.paused:
             self._paused_at = now
@@ -120,19 +152,19 @@ class MissionSequencer:
             self._say(f"mark {self._marks}")
 
     def _again(self, now: float) -> None:
-        """Take up the present step from its beginning."""
+        """Start the present step again from its beginning."""
         segment = 0 if self._span is None else self._span.segment
         self.timeline.restart(segment, now + self._lead)
         self._span = None
 
     def _watch(self, status: Status) -> None:
-        """Keep the first sensor that was silent for too long in this step."""
+        """Note the first device that is silent for too long in the present step."""
         for name, port in status.ports.items():
             if not self._gap and not port.age <= GAP_PART * self._patience(name):
                 self._gap = f"{name} was silent for {port.age:.1f} s"
 
     def _enter(self, now: float, status: Status) -> None:
-        """If a step has started or the mission ended: check the one before, and mark the new one."""
+        """If a step has started or the mission has ended, check the previous step and mark the new one in the log."""
         started, ended = self.timeline.started(now), now >= self.timeline.end
         if self._span is not None and (ended or started[-1] != self._span):
             fault = self._fault(status)
@@ -153,32 +185,55 @@ class MissionSequencer:
                 self._span, self._before, self._gap = span, _counts(status), ""
 
     def _fault(self, status: Status) -> str:
-        """Why the data of the step that has just ended are invalid; empty when they are valid."""
-        return said_of_losses(self._before, _counts(status)) or self._gap
+        """Return why the data of the step that has just ended are invalid; empty if they are valid."""
+        return describe_losses(self._before, _counts(status)) or self._gap
 
 
-def said_of_losses(before: tuple[int, ...], after: tuple[int, ...]) -> str:
-    """What was lost between two counts of set-points skipped, samples dropped and ports lost: the first of them."""
+def describe_losses(before: tuple[int, ...], after: tuple[int, ...]) -> str:
+    """Return the first loss between two counts in words, as "2 set-points were skipped"; empty without a loss.
+
+    Parameters
+    ----------
+    before, after : tuple of int
+        Numbers of skipped set-points, dropped samples and lost ports, at the start and at the end of a step.
+    """
     words = (("set-point", "skipped"), ("sample", "dropped"), ("port", "lost"))
-    for earlier, later, (what, how) in zip(before, after, words, strict=True):
+    for earlier, later, (noun, verb) in zip(before, after, words, strict=True):
         if later > earlier:
-            return f"{counted(later - earlier, what)} {'was' if later - earlier == 1 else 'were'} {how}"
+            return f"{counted(later - earlier, noun)} {'was' if later - earlier == 1 else 'were'} {verb}"
     return ""
 
 
 def _counts(status: Status) -> tuple[int, ...]:
+    """Return the numbers of skipped set-points, dropped samples and lost ports so far."""
     ports = status.ports.values()
     return status.skipped, sum(port.dropped for port in ports), sum(port.reconnects for port in ports)
 
 
-FOLLOW = "follow"
+FOLLOW = "follow"  # name of the mission and of its segment while external commands are followed
 
 
 def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> Mission:
-    """A mission without set-points of its own: all thrusters, for so many run seconds, up to `n_max` (by default the
-    rig's), changing by `slew` [1/s] at most. Raises SeatrialError where the rig takes no commands."""
+    """Return a mission without set-points of its own, which limits external commands to all thrusters.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig. It must allow commands in [ros2].
+    seconds : float
+        Length [run s].
+    n_max : float or None
+        Largest command; `limits.n_max` of the rig if None.
+    slew : float
+        Largest rate of change of a command [1/s].
+
+    Raises
+    ------
+    SeatrialError
+        If the rig does not allow commands, has no thruster, or has a smaller `limits.n_max`.
+    """
     if not rig.ros2.commands:
-        raise SeatrialError(f"{rig.path}: nobody may command its thrusters: it has no `commands = true` in [ros2]")
+        raise SeatrialError(f"{rig.path}: ROS 2 may not command its thrusters: set commands = true in [ros2]")
     if not rig.thrusters:
         raise SeatrialError(f"{rig.path}: has no [[thruster]] to command")
     if n_max is not None and n_max > rig.limits.n_max:
@@ -190,21 +245,25 @@ def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> M
 
 
 class CommandSource(Protocol):
-    """Whose commands are followed, and who is told the samples (seatrial.daq.tools.Ros2Node)."""
+    """Source of external commands, which also receives the samples (seatrial.daq.tools.Ros2Node)."""
 
     def put(self, samples: Sequence[StreamedSample], dropped: int) -> None:
-        """Samples that were logged; never waits."""
+        """Pass on logged samples and the number of dropped ones. Never waits."""
 
     def take(self) -> Mapping[str, Sequence[ReceivedCommand]]:
-        """The commands since the last call by thruster, oldest first; never waits."""
+        """Return the commands since the last call, by thruster and oldest first. Never waits."""
 
 
 class CommandFollower(MissionSequencer):
-    """Follows commands as they come: within the mission's n_max and slew rate, and zero without them.
+    """Sequencer that follows external commands within the mission's `n_max` and slew limit.
 
-    As with a transmitter, neutral comes first: at the start and after each silence or pause nothing moves before every
-    thruster is commanded zero. These end the run: an invalid command, a command beyond n_max, one without a whole
-    attachment, one that is repeated or out of order, a second sender and a flood.
+    Notes
+    -----
+    A thruster without a new command for the time-out ends thrust on all thrusters. At the start, and after each silence
+    or pause, commands are followed only after every thruster was commanded zero, as with a transmitter.
+
+    The run ends after an invalid command, a command beyond `n_max`, a command without a complete attachment, a repeated
+    command or one out of order, a second sender, and too many commands at once.
     """
 
     def __init__(
@@ -216,29 +275,52 @@ class CommandFollower(MissionSequencer):
         say: Callable[[str], None],
         source: CommandSource,
     ) -> None:
-        """`timeout` [run s] without a command of a thruster, after which thrust is zero."""
+        """Prepare to follow commands.
+
+        Parameters
+        ----------
+        mission : Mission
+            Names of the thrusters, `n_max`, slew limit and length.
+        start : float
+            Run time [s] of the start.
+        timeout : float
+            Run seconds without a command for a thruster, after which thrust is zero.
+        acquisition : EventSink
+            Receiver of set-points and events.
+        say : Callable
+            Prints a line for the operator.
+        source : CommandSource
+            Source of the commands.
+        """
         super().__init__(mission, start, 0.0, acquisition, lambda device: math.inf, say)
         self._mission, self._timeout, self._source = mission, timeout, source
-        source.take()  # what came before the devices were ready is old
+        source.take()  # discard commands from before the devices were ready
         self._follows, self._stepped = False, start
-        self._heard: dict[str, tuple[float, ReceivedCommand]] = {}  # when, and what, by thruster
-        self._n = dict.fromkeys(mission.thrusters, 0.0)  # as scheduled last
+        self._heard: dict[str, tuple[float, ReceivedCommand]] = {}  # by thruster: run time and newest command
+        self._n = dict.fromkeys(mission.thrusters, 0.0)  # set-points that were scheduled last
 
     def must_repeat(self, now: float, status: Status) -> bool:
-        """Commands of somebody else have no steps to run again."""
+        """Return False: external commands have no steps that could be repeated."""
         return False
 
     @property
     def segment(self) -> str:
-        """What it does."""
+        """State for the display: whether commands are followed."""
         return FOLLOW if self._follows else "waiting for zero"
 
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
-        """Take what came, then schedule the set-points of now. Raises SafetyStop."""
+        """Take the new commands, then schedule the present set-points.
+
+        Raises
+        ------
+        SafetyStop
+            If a command is not allowed; see the class.
+        """
         for key in keys:
             self._press(key, now)
         dt, self._stepped = max(now - self._stepped, 0.0), now
-        if silent := self._silent(now):  # before what came since: that must not hide the silence before it
+        # The silence is checked before the new commands are taken, because they would hide it.
+        if silent := self._silent(now):
             self._stop_following(f"no command for {', '.join(silent)}")
         for name, received in self._source.take().items():
             if len(received) >= FLOOD:
@@ -253,17 +335,20 @@ class CommandFollower(MissionSequencer):
             self._say("commands are followed")
         if not self._follows:
             return
-        most = self._mission.slew_per_s * dt
-        wanted = {name: self._heard[name][1].n for name in self._n}
-        self._send(now, {name: n + min(max(wanted[name] - n, -most), most) for name, n in self._n.items()})
+        max_change = self._mission.slew_per_s * dt
+        commanded = {name: self._heard[name][1].n for name in self._n}
+        limited = {name: n + min(max(commanded[name] - n, -max_change), max_change) for name, n in self._n.items()}
+        self._send(now, limited)
 
     def _silent(self, now: float) -> list[str]:
+        """Return the thrusters without a command within the time-out."""
         return [name for name in self._mission.thrusters if not self._age(name, now) <= self._timeout]
 
     def _hear(self, name: str, command: ReceivedCommand, now: float) -> None:
-        if not abs(command.n) <= self._mission.n_max:  # NaN neither
-            most = f"{self._mission.n_max:g}"
-            raise SafetyStop(f"command n = {command.n:g} for {name}: only -{most} to {most} is followed")
+        """Check a command and keep it as the newest one of a thruster. Raises SafetyStop if it is not allowed."""
+        if not abs(command.n) <= self._mission.n_max:  # written with `not`, so that NaN is refused too
+            limit = f"{self._mission.n_max:g}"
+            raise SafetyStop(f"command n = {command.n:g} for {name}: only -{limit} to {limit} is followed")
         if not command.sender:
             raise SafetyStop(
                 f"a command for {name} has no whole attachment (sequence number, time and id of its publisher), "
@@ -271,7 +356,7 @@ class CommandFollower(MissionSequencer):
             )
         before = self._heard.get(name)
         if before is not None and before[1].sender != command.sender:
-            # After a silence another sender may begin, with zero as the first one had to.
+            # After a silence another sender may take over. It also has to begin with zero.
             if now - before[0] <= self._timeout:
                 raise SafetyStop(f"two senders command {name}")
         elif before is not None and command.number <= before[1].number:
@@ -282,16 +367,21 @@ class CommandFollower(MissionSequencer):
         self._heard[name] = now, command
 
     def _age(self, name: str, now: float) -> float:
+        """Return the run seconds since the newest command of a thruster; infinite without one."""
         return now - self._heard[name][0] if name in self._heard else math.inf
 
     def _send(self, now: float, n: dict[str, float]) -> None:
+        """Schedule the set-points if they have changed."""
         if n != self._n:
             self._n = n
             self._acquisition.schedule([(now, n)])
             self.commanded += len(n)
 
     def _stop_following(self, why: str) -> None:
-        """Zero as a set-point, which a stop of the acquisition's own outlasts: only an operator's zero ends that."""
+        """Send zero and wait for zero commands.
+
+        Zero is sent as a set-point and not as `zero`, which would end a stop by the acquisition process itself.
+        """
         if self._follows:
             self._follows = False
             self._send(self._stepped, dict.fromkeys(self._n, 0.0))
@@ -299,51 +389,51 @@ class CommandFollower(MissionSequencer):
             self._say(f"thrust is zero: {why}; waiting for zero from every thruster's sender")
 
     def _again(self, now: float) -> None:
-        """After a pause or a repetition, both at zero thrust: neutral first."""
+        """Wait for zero commands after a pause or a repetition. Thrust is zero in both cases."""
         self._follows, self._heard = False, {}
         self._n = dict.fromkeys(self._n, 0.0)
 
 
 class ScheduledSegment(NamedTuple):
-    """A segment's place on the run clock [s]."""
+    """A segment with its run times."""
 
-    begin: float
-    end: float
-    segment: int
+    begin: float  # run time [s]
+    end: float  # run time [s]
+    segment: int  # its index in the mission
     name: str
 
 
 class Schedule:
-    """A mission on the run clock; it can be taken up again at any of its segments."""
+    """Schedule of a mission in run time. It can be restarted at any segment."""
 
     def __init__(self, mission: Mission, start: float) -> None:
-        """The mission's time 0 is run time `start`."""
+        """Schedule the whole mission. Its time 0 is run time `start` [s]."""
         self._mission = mission
         self._done: list[ScheduledSegment] = []
         self._lay(0, start)
 
     def _lay(self, segment: int, start: float) -> None:
-        """Lay the segments from this one on, their own time running from `start`."""
+        """Schedule the mission from `segment` on. Run time `start` is the mission's time 0."""
         self._start = start
         rest = replace(self._mission, segments=self._mission.segments[segment:])
-        t, n = rest.setpoints()  # the slew limit begins at zero again
+        t, n = rest.setpoints()  # the slew limit starts from zero thrust
         self._t, self._n, self._sent = t + start, n, 0
         self._spans = [
             ScheduledSegment(start + a, start + b, segment + k, name) for k, (a, b, name) in enumerate(rest.starts())
         ]
 
     def restart(self, segment: int, start: float) -> None:
-        """Zero was commanded: take the mission up again with the first row of `segment` at `start`."""
+        """Restart the mission, with the first row of `segment` at run time `start`. Zero must have been commanded."""
         self._done += [span for span in self._spans if span.segment < segment]
         self._lay(segment, start - float(self._mission.segments[segment].t[0]))
 
     @property
     def end(self) -> float:
-        """Run time from which thrust is zero."""
+        """Run time [s] of the end of the mission."""
         return self._spans[-1].end
 
     def rows(self, until: float) -> list[Row]:
-        """The set-points before run time `until` that were not asked for before."""
+        """Return the set-points before run time `until` that were not returned before."""
         rows: list[Row] = []
         while self._sent < len(self._t) and self._t[self._sent] < until:
             values = dict(zip(self._mission.thrusters, self._n[self._sent].tolist(), strict=True))
@@ -352,13 +442,13 @@ class Schedule:
         return rows
 
     def started(self, now: float) -> list[ScheduledSegment]:
-        """The segments that have started since the start or the restart."""
+        """Return the segments that have started by run time `now`, since the start or the last restart."""
         return [span for span in self._spans if span.begin <= now]
 
     def elapsed(self, now: float) -> float:
-        """The mission's own time at `now`."""
+        """Return the mission's own time [s] at run time `now`."""
         return now - self._start
 
     def static_windows(self) -> list[tuple[str, float, float]]:
-        """The rest at the start and at the end, as it came to be."""
+        """Return the rest intervals at the start and at the end, in run time, as they were executed."""
         return windows_of([(span.begin, span.end, span.name) for span in [*self._done, *self._spans]])

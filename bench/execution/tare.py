@@ -1,4 +1,4 @@
-"""The load cell's zero and its drift, from the segments at rest before and after."""
+"""Tare of load cells: their zero and its drift, from the segments at rest at the start and at the end."""
 
 from __future__ import annotations
 
@@ -14,27 +14,51 @@ from seatrial.daq.log import open_log
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import LoadCell
 
-SETTLE_S = 3.0  # run seconds after the thrust has gone until the water and the rod are at rest
+SETTLE_S = 3.0  # run seconds from zero thrust until the water and the rod are at rest
 
 
 class Tare(NamedTuple):
-    """The mean reading of one load cell at rest."""
+    """Mean reading of one load cell at rest."""
 
     device: str
     where: str  # "start" or "end"
     t: float  # s, run time of the middle of the readings
     counts: float
-    standard_error: float  # counts, as if the readings were independent
+    standard_error: float  # counts; the readings are taken as independent
     n_samples: int
 
 
 def static_windows(mission: Mission, start: float) -> list[tuple[str, float, float]]:
-    """Place, begin and end [run s] of the rest at the start and at the end of a mission."""
+    """Return the rest intervals at the start and at the end of a mission.
+
+    Parameters
+    ----------
+    mission : Mission
+        The mission. Only its first and last segment count, if they are named `STATIC`.
+    start : float
+        Run time [s] at which the mission starts.
+
+    Returns
+    -------
+    list of tuple
+        ("start" or "end", begin, end) in run seconds.
+    """
     return windows_of([(start + begin, start + end, name) for begin, end, name in mission.starts()])
 
 
 def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, float, float]]:
-    """The same of segments (begin, end, name) as they were run."""
+    """Return the rest intervals at the start and at the end of segments as they were run.
+
+    Parameters
+    ----------
+    spans : sequence of tuple
+        Begin [run s], end [run s] and name of each segment.
+
+    Returns
+    -------
+    list of tuple
+        ("start" or "end", begin, end) in run seconds. The last interval begins `SETTLE_S` after zero thrust.
+    """
     windows = []
     if spans[0][2] == STATIC:
         windows.append(("start", spans[0][0], spans[0][1]))
@@ -45,11 +69,26 @@ def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, flo
 
 
 def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, float]]) -> list[Tare]:
-    """Mean counts of each load cell in each window, without flagged readings; from a log that may still grow."""
+    """Return the mean reading of each load cell in each interval. Flagged readings are left out.
+
+    Parameters
+    ----------
+    path : Path
+        The log, which may still grow.
+    rig : Rig
+        The rig with its load cells. Only devices with the protocol "loadcell" count.
+    windows : sequence of tuple
+        ("start" or "end", begin, end) in run seconds.
+
+    Returns
+    -------
+    list of Tare
+        An interval with fewer than two readings has no tare.
+    """
     tares = []
     with open_log(path) as log:
-        there = log.sources(LoadCell)
-        cells = [device.name for device in rig.devices if device.protocol == "loadcell" and device.name in there]
+        with_samples = log.sources(LoadCell)
+        cells = [device.name for device in rig.devices if device.protocol == "loadcell" and device.name in with_samples]
         tables = {name: log.table(LoadCell, name) for name in cells}
     for name, table in tables.items():
         for where, begin, end in windows:
@@ -63,7 +102,7 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
 
 
 def describe_tares(tares: Sequence[Tare], rig: Rig) -> list[str]:
-    """A line a tare, and one for the drift between two of the same cell, in counts and N."""
+    """Return a line for each tare, and a line for the drift between two tares of one load cell, in counts and N."""
     lines, first = [], dict[str, Tare]()
     for tare in tares:
         lines.append(

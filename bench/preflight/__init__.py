@@ -1,1 +1,1 @@
-"""Preflight: `seatrial check` of a rig, a mission and the actuators."""
+"""Preflight checks of `seatrial check`: rig, mission, actuators and logs."""

@@ -1,4 +1,4 @@
-"""The actuator test of a preflight: each thruster for some seconds at low thrust, and the warning before it."""
+"""Actuator test of a preflight: each thruster runs for some seconds at low thrust. The operator is warned before."""
 
 from __future__ import annotations
 
@@ -7,36 +7,49 @@ from seatrial.daq.config import STATIC, Mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
 
-N_TEST = 0.3  # of full command: above every usual dead band, and a boat hardly leaves its place
+N_TEST = 0.3  # of full command: above the usual dead zones, and low enough that a boat hardly moves
 STATIC_S, HOLD_S, REST_S = 4.0, 3.0, 1.5  # s
-STAIRS, STAIR_S = 6, 0.8  # levels up to the test's, s each: where the shaft begins to turn is its dead band
+STAIRS, STAIR_S = 6, 0.8  # number of levels of the staircase, and s of each; it shows the edge of the dead zone
 
 
 def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
-    """Forward, reverse and a staircase for each thruster, then all together. Raises SeatrialError without one."""
+    """Return the mission of an actuator test: each thruster forward, in reverse and in a staircase, then all together.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig with its thrusters.
+    n : float
+        Largest command; limited to `limits.n_max` of the rig.
+
+    Raises
+    ------
+    SeatrialError
+        If the rig has no thruster.
+    """
     if not rig.thrusters:
         raise SeatrialError(f"{rig.path}: --actuators needs a [[thruster]], and the rig has none")
     n = min(n, rig.limits.n_max)
     count = len(rig.thrusters)
-    sheet = SegmentBuilder(count)
-    sheet.rest(STATIC, STATIC_S)
+    builder = SegmentBuilder(count)
+    builder.rest(STATIC, STATIC_S)
     for k, thruster in enumerate(rig.thrusters):
         levels = [n, 0.0, -n, 0.0, *(n * (j + 1) / STAIRS for j in range(STAIRS)), 0.0]
         holds = [HOLD_S, REST_S, HOLD_S, REST_S, *[STAIR_S] * STAIRS, REST_S]
-        sheet.add(thruster.name, holds, [[level if j == k else 0.0 for j in range(count)] for level in levels])
-    sheet.add("together", [HOLD_S, REST_S, HOLD_S, REST_S], [[level] * count for level in (n, 0.0, -n, 0.0)])
-    sheet.rest(STATIC, STATIC_S)
+        builder.add(thruster.name, holds, [[level if j == k else 0.0 for j in range(count)] for level in levels])
+    builder.add("together", [HOLD_S, REST_S, HOLD_S, REST_S], [[level] * count for level in (n, 0.0, -n, 0.0)])
+    builder.rest(STATIC, STATIC_S)
     return Mission(
         name="actuator test",
         kind="mission",
         thrusters=tuple(thruster.name for thruster in rig.thrusters),
-        segments=tuple(sheet.segments),
-        end=sheet.t,
+        segments=tuple(builder.segments),
+        end=builder.t,
         n_max=n,
         made_by=f"seatrial check --actuators, n {n:g}",
     )
 
 
 def warning(plan: Mission) -> str:
-    """What is about to happen, for whoever has to agree."""
+    """Return the warning that the operator has to confirm: the thrusters, the largest command, and the duration."""
     return f"{', '.join(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"

@@ -1,4 +1,4 @@
-"""The command `seatrial check`: a preflight of a rig, or the same questions to a log."""
+"""Command `seatrial check`: preflight checks of a rig, or the same checks of recorded logs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from seatrial.bench.preflight.report import MotionChecks
 
 FILE = click.Path(path_type=Path)
-# Colours of a terminal; click leaves them out elsewhere. The words say the same.
+# Colours of the levels on a terminal. Elsewhere click leaves them out; the level is also printed as a word.
 STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING: {"fg": "yellow"}, OK: {"fg": "green"}}
 
 
@@ -48,18 +48,18 @@ STYLES: dict[str, dict[str, Any]] = {FAULT: {"fg": "red", "bold": True}, WARNING
       seatrial check rig.toml --actuators"""
 )
 @click.argument("paths", metavar="RIG | LOG...", nargs=-1, required=True, type=LOG)
-@click.option("--seconds", type=FiniteRange(0.5, 600.0), default=3.0, show_default=True, help="Wall s to listen.")
+@click.option("--seconds", type=FiniteRange(0.5, 600.0), default=3.0, show_default=True, help="How long to listen [s].")
 @click.option(
     "--mission",
     "mission_path",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Dry run: limits, duration, and whether it leaves the fence.",
+    help="Dry run of a mission: its limits, its duration, and whether its track leaves the fence.",
 )
-@click.option("--actuators", is_flag=True, help="THRUSTERS TURN: each at low thrust; which one answers, and how?")
+@click.option("--actuators", is_flag=True, help="Test each thruster at low thrust. THRUSTERS TURN.")
 @click.option(
     "--link-test",
     is_flag=True,
-    help="With --actuators, instead of it: 0.1 of thrust, silence; how soon does the autopilot end it?",
+    help="With --actuators: instead measure how soon the autopilot ends a thrust of 0.1 after a lost link.",
 )
 @click.option("--thrust", type=FiniteRange(0, 1, min_open=True), help="Largest command of --actuators [default: 0.3].")
 @click.option("--yes", is_flag=True, help="Do not ask before thrusters turn.")
@@ -83,12 +83,12 @@ def check(
     as_json: bool,
     report: Path | None,
 ) -> None:
-    """Look for what would spoil a run, and say what to do about it.
+    """Find faults that would spoil a run, and print a remedy for each.
 
-    RIG (a .toml file): devices alive, at their rates, clocks, noise, battery, link, disk, and with --mission its dry
-    run; nothing moves unless --actuators is given: then the boat has to be free to move. LOG: the same from recorded
-    data, and whether sensors and thrusters agree: sides, signs, units, delays, dead bands. Exit status 1 where there is
-    a fault, 3 where a limit ended the actuator test.
+    RIG (a .toml file): checks whether devices answer, their rates, clocks and noise, battery, link and disk, and with
+    --mission the dry run of a mission. No thruster turns unless --actuators is given; the boat must be free to move
+    then. LOG: the same checks of recorded data, and whether sensors and thrusters agree: sides, signs, units, delays,
+    dead zones. Exit status 1: there is a fault. Exit status 3: a limit ended the actuator test.
     """
     _consistent(paths, mission_path, actuators, bool(arm or out or thrust or link_test), link_test, thrust)
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
@@ -105,7 +105,7 @@ def check(
         else:
             found = _logs(motion, paths)
             done = CheckReport(", ".join(path.name for path in paths), tuple(worst_first(found)), paths)
-        faults = _tell(found, as_json)
+        faults = _print_findings(found, as_json)
         if report is not None:
             report.parent.mkdir(parents=True, exist_ok=True)
             motion.write_check_page(done, report)
@@ -136,7 +136,7 @@ def _consistent(
     link_test: bool,
     thrust: float | None,
 ) -> None:
-    """Raise UsageError where what was given does not belong together."""
+    """Raise UsageError if options or arguments do not fit together."""
     rig = any(_is_rig(path) for path in paths)
     if rig and len(paths) > 1:
         raise click.UsageError("give one RIG, or one or more LOGs")
@@ -148,8 +148,8 @@ def _consistent(
         raise click.UsageError("--link-test commands 0.1 of thrust always; leave --thrust out")
 
 
-def _tell(found: Sequence[Finding], as_json: bool) -> list[str]:
-    """Show the findings; returns where there is a fault."""
+def _print_findings(found: Sequence[Finding], as_json: bool) -> list[str]:
+    """Print the findings and their summary. Return the devices and files that have a fault."""
     _show(found, as_json)
     faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
     if not (as_json or faults):
@@ -158,7 +158,7 @@ def _tell(found: Sequence[Finding], as_json: bool) -> list[str]:
 
 
 def _show(found: Sequence[Finding], as_json: bool) -> None:
-    """Print the findings, worst first; a line each, and wrapped in a terminal."""
+    """Print the findings, worst first: as JSON, in wrapped paragraphs on a terminal, else in a line each."""
     found = worst_first(found)
     if as_json:
         from seatrial.bench.preflight.report import as_json as written
@@ -172,18 +172,18 @@ def _show(found: Sequence[Finding], as_json: bool) -> None:
 
 
 class _Test(NamedTuple):
-    """The actuator test that somebody has agreed to: its plan, where its log goes, and whether to arm."""
+    """Actuator test or link test that the operator has confirmed."""
 
-    plan: Any
-    out: Path | None
-    arm: bool
-    of_link: bool
+    plan: Any  # Mission
+    out: Path | None  # the log; None for a name by date in the rig's log directory
+    arm: bool  # whether to arm autopilots
+    of_link: bool  # whether it is a link test
 
 
 def _rig(
     motion: MotionChecks, rig: Rig, seconds: float, mission: Any, test: _Test | None, folder: Path, as_json: bool
 ) -> tuple[list[Finding], list[Path]]:
-    """Findings of a rig and the log that shows them; nothing moves without a ``test``."""
+    """Return the findings of a rig and the log that they come from. No thruster turns without a `test`."""
     path = folder / "check.mcap"
     found = _listened(rig, seconds, mission, path)
     if test is None:
@@ -191,13 +191,13 @@ def _rig(
     kind = "link" if test.of_link else "actuator"
     out = test.out or rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{kind}-test.mcap"
     tested = _actuators(motion, rig, test._replace(out=out), found, as_json)
-    # Its log answers the questions about devices once more, and about the same devices.
-    known = {(finding.check, finding.where) for finding in tested}
-    return [*(f for f in found if (f.check, f.where) not in known), *tested], [out if out.exists() else path]
+    # The log of the test repeats checks of the same devices. Its findings replace the earlier ones.
+    repeated = {(finding.check, finding.where) for finding in tested}
+    return [*(f for f in found if (f.check, f.where) not in repeated), *tested], [out if out.exists() else path]
 
 
 def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
-    """Listen, recording at ``path``; nothing moves."""
+    """Record all devices at `path` without a command, and return the findings."""
     from seatrial.bench.execution import SafetyGuard
     from seatrial.bench.preflight.mission_checks import check_mission
     from seatrial.bench.preflight.rig_checks import check_computer, check_limits, check_ports, listen
@@ -215,7 +215,7 @@ def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Findin
 
 
 def _agreed(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
-    """The plan of the actuator test, after somebody has said that nobody is in its way."""
+    """Return the plan of the actuator test or link test, after the operator has confirmed that it is safe."""
     from seatrial.bench.execution import link_test_plan
     from seatrial.bench.preflight.actuator_test import N_TEST, actuator_plan, warning
 
@@ -228,10 +228,10 @@ def _agreed(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
 
 
 def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Finding], as_json: bool) -> list[Finding]:
-    """Run the plan as any mission is run, guard and watchdog included, then look at its log."""
+    """Run the plan as a mission, with guard and watchdog, and return the findings of its log."""
     faults = [finding.where for finding in before if finding.level == FAULT]
     if faults:
-        text = "not tested: there are faults already"
+        text = "not tested: there are faults already"  # a test would turn thrusters of a faulty rig
         return [
             Finding(
                 WARNING,
@@ -239,7 +239,7 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
                 "actuators",
                 rig.name,
                 text,
-                f"first {', '.join(dict.fromkeys(faults))}",
+                f"repair first: {', '.join(dict.fromkeys(faults))}",
             )
         ]
     from seatrial.bench.execution import PlainDisplay, make_display, run_link_test, run_mission
@@ -247,20 +247,20 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
 
     assert test.out is not None
     if not as_json:
-        _show(before, False)  # said now: the run may end in a stop
+        _show(before, False)  # printed before the run, which may end with an error
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         display = PlainDisplay() if as_json else make_display()
         metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
         if test.of_link:
             tests = run_link_test(rig, test.out, display, metadata, test.arm)
-            return [_of_link(name, found.seconds, found.passed) for name, found in tests.items()]
+            return [_link_finding(name, found.seconds, found.passed) for name, found in tests.items()]
         result = run_mission(test.plan, rig, test.out, display, metadata, test.arm)
         found = _logs(motion, [test.out])
         return [*found, *(armed_finding(name) for name in result.still_armed)]
 
 
-def _of_link(name: str, seconds: float, passed: bool) -> Finding:
-    """What a link test has found."""
+def _link_finding(name: str, seconds: float, passed: bool) -> Finding:
+    """Return the finding of a link test."""
     from seatrial.bench.execution import ALLOWED_S
 
     text = f"thrust ended {seconds:.2f} s after our last frame, allowed {ALLOWED_S:g}"
@@ -270,7 +270,7 @@ def _of_link(name: str, seconds: float, passed: bool) -> Finding:
 
 
 def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
-    """Findings of each log: of its devices here, of the motion by ident where that is installed."""
+    """Return the findings of each log. The motion is checked only if the package ident is installed."""
     from seatrial.daq.checks import check_devices
     from seatrial.daq.log import open_log
     from seatrial.daq.samples import MEASURED
@@ -284,7 +284,7 @@ def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
             here += _motion(motion, path)
         else:
             advice = "`seatrial info` shows what is in it"
-            here.append(Finding(FAULT, "log-empty", "log", "all of it", "it holds no sample of any device", advice))
+            here.append(Finding(FAULT, "log-empty", "log", "all of it", "it contains no sample of any device", advice))
         if not here:
             here = [
                 Finding(
@@ -292,7 +292,7 @@ def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
                     "nothing-to-check",
                     "log",
                     "all of it",
-                    f"nothing in it that a check compares: {', '.join(counts) or 'empty'}",
+                    f"no check applies to its content: {', '.join(counts) or 'empty'}",
                 )
             ]
         prefix = f"{path.stem}: " if len(paths) > 1 else ""
@@ -301,7 +301,7 @@ def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
 
 
 def _motion(motion: MotionChecks, path: Path) -> list[Finding]:
-    """Return the findings on the motion in a log; one warning if the package that compares motions is missing."""
+    """Return the findings on the motion in a log. If the package ident is missing, return one warning."""
     try:
         return motion.check_log(path)
     except SeatrialError as error:

@@ -1,4 +1,4 @@
-"""A mission before it is run: is it within the rig's limits, and does it stay inside the fence?"""
+"""Checks of a mission before it is run: limits of the rig, duration, and whether its track stays inside the fence."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
 
 FloatArray = npt.NDArray[np.float64]
-STEP = 0.05  # s
+STEP = 0.05  # s, of the simulated track
 MASSES = ("m_u", "m_v", "m_r")
-NEEDED = (*MASSES, "d_u", "d_v", "d_r", "c1")  # of [vehicle], for a track
-CLOSE = 0.8  # of the fence
+NEEDED = (*MASSES, "d_u", "d_v", "d_r", "c1")  # parameters of [vehicle] that a simulated track needs
+CLOSE = 0.8  # part of the fence's radius beyond which a track is near the fence
 
 
 def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
-    """Findings about limits, duration and the predicted track of a mission."""
+    """Yield the findings on the limits, the duration and the predicted track of a mission."""
     try:
         dry_run(mission, rig)
     except SeatrialError as error:
@@ -41,19 +41,22 @@ def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
 
 
 def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
+    """Return the finding whether the predicted track stays inside a fence of `radius` [m]."""
     if mission.prediction is not None:
         p = mission.prediction
         t, far = p.t, np.hypot(p.x - p.x[0], p.y - p.y[0]) + p.radius
         by = f"the design, by model {p.model}"
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
-        hint = "a model's c1 (N at full speed) there, or a designed mission"
+        hint = "add them (c1: thrust of a model at full speed, in N), or use a designed mission"
         return _not_predicted(mission, f"has no {', '.join(missing)}", hint)
     elif wrong := [name for name in MASSES if not rig.vehicle[name] > 0.0]:
-        return _not_predicted(mission, f"has {' and '.join(wrong)} not above zero", "the masses of a boat there")
+        return _not_predicted(
+            mission, f"has {' and '.join(wrong)} not above zero", "write the masses of the boat there"
+        )
     else:
         t, x, y = track(mission, rig)
         if not np.isfinite([x, y]).all():
-            return _not_predicted(mission, "makes it diverge", "masses and damping of one boat there")
+            return _not_predicted(mission, "makes it diverge", "write masses and damping of the same boat there")
         far, by = np.hypot(x, y), "the rig's nominal vehicle without current"
     k = int(np.argmax(far))
     text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
@@ -65,10 +68,12 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
             "fence",
             mission.name,
             f"{text}, left after {left:.0f} s",
-            "shorter, slower, or more room",
+            "make the mission shorter or slower, or give it more room",
         )
     if far[k] > CLOSE * radius:
-        return Finding(WARNING, "track-near-fence", "fence", mission.name, text, "wind and current add to it")
+        return Finding(
+            WARNING, "track-near-fence", "fence", mission.name, text, "wind and current may carry the boat further"
+        )
     return Finding(OK, "track-inside-fence", "fence", mission.name, text)
 
 
@@ -78,10 +83,23 @@ def _not_predicted(mission: Mission, why: str, hint: str) -> Finding:
 
 
 def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Time (K,) s and track x, y (K,) m of the rig's nominal vehicle from rest, heading north, without current.
+    """Simulate the track of the rig's nominal vehicle from rest, heading north, without current.
 
-    Surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping; the thrust is c1 n|n| + c2 n^2. NaN from
-    where it diverges.
+    Parameters
+    ----------
+    mission : Mission
+        The commands.
+    rig : Rig
+        [vehicle] must give the parameters in `NEEDED`.
+
+    Returns
+    -------
+    tuple of Array (n_samples,)
+        Time [s], and position x, y [m] north and east of the start. Positions are NaN after a divergence.
+
+    Notes
+    -----
+    Model of surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping. The thrust is c1 n|n| + c2 n^2.
     """
     p = {"c2": 0.0, "d_uu": 0.0, "d_vv": 0.0, "d_rr": 0.0, **rig.vehicle}
     y_thruster = [rig.thruster(name).position_m[1] for name in mission.thrusters]
@@ -100,7 +118,7 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def _step(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
-    """One step: velocities first, then the place with the new ones."""
+    """Return the state (x, y, psi, u, v, r) after one step. The new velocities move the position."""
     x, y, psi, u, v, r = state
     u_next = _accelerate(u, thrust + p["m_v"] * v * r, p["m_u"], p["d_u"], p["d_uu"])
     v_next = _accelerate(v, -p["m_u"] * u * r, p["m_v"], p["d_v"], p["d_vv"])
@@ -113,6 +131,9 @@ def _step(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str
 
 
 def _accelerate(speed: float, force: float, mass: float, d: float, dd: float) -> float:
-    """One step of the linearly implicit Euler method, which no damping makes unstable, however light the boat."""
+    """Return the velocity after one step of the linearly implicit Euler method.
+
+    The implicit method is stable for any damping, even if the boat is very light.
+    """
     slope = max(d + 2.0 * dd * abs(speed), 0.0)
     return speed + STEP * (force - (d + dd * abs(speed)) * speed) / (mass + STEP * slope)

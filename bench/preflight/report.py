@@ -1,4 +1,4 @@
-"""What a check reports beyond its lines: findings as JSON, and the content of its page."""
+"""Output of a check as JSON and as a page (HTML)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ FORMAT = "seatrial-check 1"
 
 
 class MotionChecks(Protocol):
-    """Checks of a log that `seatrial.ident` makes for the command `check`.
+    """Interface of the checks that `seatrial.ident` provides for the command `check`.
 
-    `seatrial.command_line` puts an object of this kind into the context of the command, because bench must not import
-    ident, which may not be installed. Both methods raise SeatrialError if it is not.
+    `seatrial.command_line` puts an object of this kind into the context of the command. The package bench must not
+    import ident, which may not be installed. Both methods raise SeatrialError if ident is not installed.
     """
 
     def check_log(self, path: Path) -> list[Finding]:
-        """What the motion in a log says of its sensors and thrusters."""
+        """Return the findings on sensors and thrusters from the motion in a log."""
         ...
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
@@ -31,18 +31,21 @@ class MotionChecks(Protocol):
 
 
 def as_json(found: Sequence[Finding]) -> str:
-    """Findings as `seatrial check --json` prints them."""
+    """Return findings as the JSON that `seatrial check --json` prints."""
     return json.dumps({"format": FORMAT, "findings": [finding._asdict() for finding in found]}, indent=2)
 
 
 def dry_run_of(mission: Mission, rig: Rig) -> DryRun:
-    """What a mission is going to command, and where it is expected to take the boat of the rig."""
+    """Return the dry run of a mission: its commands and its predicted track."""
     t, n = mission.setpoints()
     return DryRun(mission.name, tuple(mission.thrusters), t, n, mission.end, rig.limits.radius_m, _track(mission, rig))
 
 
 def _track(mission: Mission, rig: Rig) -> PredictedTrack | None:
-    """By the design that made the mission, else by the rig's nominal vehicle; None where it does not say enough."""
+    """Return the predicted track of a mission; None if it cannot be predicted.
+
+    The prediction of the mission's design takes precedence over a simulation of the rig's nominal vehicle.
+    """
     if mission.prediction is not None:
         p = mission.prediction
         return PredictedTrack(p.x, p.y, f"the design, by model {p.model}", p.radius)

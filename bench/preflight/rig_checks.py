@@ -1,4 +1,4 @@
-"""Checks of a rig with its devices at rest: do they answer, at which rates, and is there room for a log?"""
+"""Checks of a rig with its devices at rest: answers, rates, autopilots, limits, and room for a log."""
 
 from __future__ import annotations
 
@@ -15,17 +15,28 @@ from seatrial.daq.drivers import LinkStatus, check_parameters
 from seatrial.daq.protocol import EKF_POSITION, EKF_STANDS, ROVER
 from seatrial.daq.rig import Device, Rig
 
-ARMED = "autopilot-armed"  # code of a finding, whose line comes last
-STILL_WALL_S = 1.0  # wall s of silence that a busy machine may make by itself
-LOST = 0.01  # part of an autopilot's frames
-HOURS = 4.0  # of logging, for which there should be room
-UNDERSTOOD = 5  # frames with a right checksum, from which baud rate and protocol are right
-POLL_WALL_S = 0.05  # between two looks at the status
+ARMED = "autopilot-armed"  # code of the finding that is also printed as the last line
+STILL_WALL_S = 1.0  # wall s of silence that a busy machine alone can cause
+LOST = 0.01  # part of an autopilot's frames that may be lost
+HOURS = 4.0  # hours of logging for which the disk should have room
+UNDERSTOOD = 5  # number of valid frames that proves baud rate and protocol
+POLL_WALL_S = 0.05  # wall s between two checks of the status
 
 
 def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
-    """Record every device for `wall_s` wall seconds at `path`; commands nothing. Returns the last status; ``guard`` has
-    seen them all."""
+    """Record every device without a command, and return the last status.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    wall_s : float
+        Duration [wall s].
+    path : Path
+        The new log.
+    guard : SafetyGuard
+        It takes every status, so that it finds the sources of the limits.
+    """
     clock = RunClock(rig.speed)
     with Acquisition(rig, path, clock=clock, ask=True) as acquisition:
         until = clock.now() + wall_s * clock.speed
@@ -36,14 +47,16 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
 
 
 def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
-    """What only the acquisition knows: silent devices, ports that cannot be opened, autopilots."""
+    """Yield the findings on silent devices, ports that cannot be opened, and autopilots."""
     for device in rig.devices:
         port = status.ports.get(device.name)
         if port is None or port.samples == 0:
             yield _silent(device, port)
             continue
         if port.message and port.message == port.remark:
-            yield Finding(WARNING, "port-error", "alive", device.name, port.message, "the rig, if not meant so")
+            yield Finding(
+                WARNING, "port-error", "alive", device.name, port.message, "correct the rig, if this is not intended"
+            )
         elif port.message:
             yield Finding(FAULT, "port-error", "alive", device.name, port.message, "power, cable, port")
         elif port.age > max(1.0, 10.0 / device.rate_hz, STILL_WALL_S * rig.speed):
@@ -67,17 +80,18 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
 
 
 def _silent(device: Device, port: PortStatus | None) -> Finding:
-    """A device without a sample: its port, its baud rate, or what it is set to send."""
+    """Return the finding on a device without a sample, with the probable cause: port, baud rate or output settings."""
     text, advice = "nothing received", "power, cable, port, baud"
     if port is not None and port.frames >= UNDERSTOOD:
-        text = f"{port.frames} frames of {device.protocol} understood, and none has a measurement"
-        advice = "which messages it is set to send; baud rate and protocol are right"
+        text = f"{port.frames} frames of {device.protocol} understood, but no frame contains a measurement"
+        advice = "baud rate and protocol are right: look at the messages that the device is set to send"
     elif port is not None and port.bytes_in:
         text = f"{port.bytes_in} bytes, no sample: wrong baud rate or protocol?"
     return Finding(FAULT, "device-silent", "alive", device.name, (port.message if port else "") or text, advice)
 
 
 def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:
+    """Yield the findings on an autopilot: its link, parameters, rates, arming and estimator."""
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
         yield Finding(
@@ -104,7 +118,7 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
                 "parameters",
                 device.name,
                 str(found),
-                "set it yourself: nothing is changed from here",
+                "set it yourself: this program does not change it",
             )
     for line in link.refused:
         yield Finding(
@@ -122,12 +136,12 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
     if link.rivals:
         own = device.mavlink.own_system_id
         text = f"another ground station has system id {own}, as this rig: its heartbeats hide the loss of ours"
-        yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of both another id")
+        yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of the two another id")
     if link.lost > LOST * port.frames:
-        text = f"{link.lost} frames lost on the way, {port.frames} came"
+        text = f"{link.lost} frames lost on the way, {port.frames} received"
         yield Finding(WARNING, "frames-lost", "link", name, text, "range and rate of the radio link; lower rates")
     if link.alarm:
-        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "what it asks for")
+        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "remove its cause")
     if link.armed:
         yield armed_finding(name)
     trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
@@ -136,7 +150,10 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
         state += ", a receiver was heard" if link.receiver else ", no receiver heard"
     text = f"{link.vehicle}, {state}, EKF flags {link.ekf}{' (position)' * bool(link.ekf & EKF_POSITION)}{trip}"
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
-        text, advice = f"{text}: its estimator has no position", "open sky, 40 s after power-on; no run begins before"
+        text, advice = (
+            f"{text}: its estimator has no position",
+            "open sky, and 40 s after power-on; a run cannot start before",
+        )
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:
         yield Finding(OK, "autopilot-answers", "link", name, text)
@@ -144,12 +161,12 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
 
 def armed_finding(name: str) -> Finding:
     """Return the finding that an autopilot is armed."""
-    text = "it is armed: its outputs follow whoever commands it"
-    return Finding(WARNING, ARMED, "link", name, text, "disarm it, if no run is to begin")
+    text = "it is armed: its outputs follow any command that it receives"
+    return Finding(WARNING, ARMED, "link", name, text, "disarm it, unless a run follows")
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Room on the disk of the logs."""
+    """Yield the finding on the free space of the disk for logs."""
     place = rig.log_directory
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -177,12 +194,12 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
 def _wanted_limits(rig: Rig) -> list[str]:
     """Return the limits that a rig of this kind should have."""
     on_bench = any(device.protocol in LOAD_CELLS for device in rig.devices)
-    on_bus = any(thruster.output is None for thruster in rig.thrusters)  # an autopilot reports no current of a motor
+    on_bus = any(thruster.output is None for thruster in rig.thrusters)  # an autopilot does not report motor currents
     return [*([] if on_bench else ["radius_m"]), "voltage_min_v", *(["current_a"] if on_bus else [])]
 
 
 def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Finding]:
-    """Which limits the guard would watch, by which source and how old its last number is."""
+    """Yield the findings on the limits: those without a source, those that are missing, and those that are watched."""
     if not rig.thrusters:
         return
     silent = guard.unwatched(status)
@@ -191,10 +208,10 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
         yield Finding(FAULT, "limit-without-source", "limits", rig.name, text, remedy)
     for key in rig.limits.unwatched:
         text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
-        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "a source for it")
+        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "add a source for it")
     missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
     if missing:
-        text = f"[limits] has no {', '.join(missing)}: nothing ends a run by it"
+        text = f"[limits] has no {', '.join(missing)}: no run ends because of it"
         advice = "set them (`seatrial devices --toml` writes examples), or leave them out on purpose"
         yield Finding(WARNING, "limit-missing", "limits", rig.name, text, advice)
     watched = [f"n_max {rig.limits.n_max:g}"]

@@ -1,4 +1,4 @@
-"""Acquisition: the process that reads ports and writes the log, its watchdog and its link to the parent."""
+"""Acquisition: a process that reads ports and writes the log, its watchdog, and its connection to the parent."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""One loop for every device: open, read, stamp, decode, hand over, and open again when the port is lost."""
+"""Thread of one device: opens the port, reads and decodes bytes, sends set-points, and reopens a lost port."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from seatrial.daq.rig import Device
 from seatrial.daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
 from seatrial.daq.transport import Port, PortError, decode_read
 
-IDLE_S = 0.5  # wall; longest wait for bytes
-RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0)  # wall; waits between attempts to open
-DRIVEN_RETRY_S = 0.1
-MUTE_BYTES = 2000  # so many without a valid frame are no start-up noise
-STUCK_S = 0.25  # wall; a thread that commands thrust has a turn every 20 ms
-JOIN_BYTES = 256  # as much may be the rest of a frame
-RATE_WINDOW_S = 2.0  # wall
-# As where many kinds come over one port: an attitude of now comes before the fix of a moment ago.
+IDLE_S = 0.5  # wall s, longest wait for bytes
+RETRY_S = (0.05, 0.1, 0.2, 0.5, 1.0)  # wall s, waits between attempts to open a port
+DRIVEN_RETRY_S = 0.1  # wall s, longest such wait for a port that has commanded thrust
+MUTE_BYTES = 2000  # bytes without a valid frame that are too many for start-up noise
+STUCK_S = 0.25  # wall s; a thread that commands thrust runs every 20 ms
+JOIN_BYTES = 256  # bytes before the first valid frame that may be the rest of an earlier frame
+RATE_WINDOW_S = 2.0  # wall s
+# Protocols whose samples do not arrive in the order of their times, as an attitude may precede an older fix.
 UNORDERED = ("nmea", "ubx")
-# Fixes and attitudes over one port: neither may hide the other. Those of the main kind bear the device's name alone.
+# Main kind of sample of protocols with several kinds on one port. It is stored under the name of the device alone, so
+# that a fix does not replace an attitude as the newest sample.
 MAIN: dict[str, type] = {"nmea": Gnss, "ubx": Gnss, "vectornav": Ahrs, "mip": Ahrs}
 
 
@@ -38,9 +39,20 @@ def _is_attitude(sample: Sample) -> bool:
 
 
 def source_of(device: Device, sample: Sample) -> Source:
-    """Return under which name and node the newest sample of this kind is kept.
+    """Return the name and the node under which a sample is stored as the newest one of its kind.
 
-    The main kind of a device has the device's name, and every further kind has the name `DEVICE/KIND`.
+    Parameters
+    ----------
+    device : Device
+        The device that has sent the sample.
+    sample : Sample
+        The sample.
+
+    Returns
+    -------
+    Source
+        The name is that of the device for its main kind of sample, and `DEVICE/KIND` for every further kind. The node
+        is None except for speed controllers and outputs of autopilots.
     """
     if not device.sends_many_kinds:
         if isinstance(sample, MAIN.get(device.protocol, Sample)):
@@ -53,11 +65,13 @@ def source_of(device: Device, sample: Sample) -> Source:
 
 
 class DeviceLoop(threading.Thread):
-    """The thread of one port, with its counters and newest samples.
+    """Thread of one port, with its counters and newest samples.
 
-    `setpoints` makes it an actuator too: due set-points are sent from this thread as `driver` encodes them, which
-    may also send messages of its own. When the port is lost or the computer was suspended after the first command, also
-    while the thrusters rest, `on_lost(reason)` is called from this thread.
+    With `setpoints` the device is also an actuator. The thread sends the set-points that are due, encoded by `driver`.
+    The driver may also send messages of its own.
+
+    After the first command the thread calls `on_lost(reason)` if the port is lost or the computer was suspended, even
+    while the thrusters are at rest. It also calls `on_lost` if it was itself stopped for a while under thrust.
     """
 
     def __init__(
@@ -88,7 +102,8 @@ class DeviceLoop(threading.Thread):
         self._latest: dict[Source, Latest] = {}
         self._t_last = -math.inf
         self._samples = self._rated = self._dropped = self._opened = self._mute_bytes = 0
-        self._unforgiven = self._forgiven = 0  # unparsed bytes: when the port was opened, and those not counted
+        # Unparsed bytes when the port was opened, and unparsed bytes that are not counted.
+        self._unparsed_at_open = self._uncounted_bytes = 0
         self._joining = False
         self._open = False
         self._stepped = self._checked = time.monotonic()
@@ -107,7 +122,7 @@ class DeviceLoop(threading.Thread):
         self.wake()
 
     def run(self) -> None:
-        """The thread: until `end`, whatever the port does."""
+        """Run until `end` is called. A port that fails is opened again."""
         failures = 0
         while not self._ending:
             try:
@@ -117,44 +132,50 @@ class DeviceLoop(threading.Thread):
                 while not self._ending:
                     self._step()
             except Exception as error:
-                # Whatever the error, the port is opened again, and the error is in the status and in the log.
-                known = isinstance(error, PortError)
-                self._lost(str(error) if known else f"internal error ({type(error).__name__}: {error})")
+                # After any error the port is opened again. The error is reported in the status and in the log.
+                is_port_error = isinstance(error, PortError)
+                self._lost(str(error) if is_port_error else f"internal error ({type(error).__name__}: {error})")
                 self._wait(-1, self._retry_s(failures))
                 failures += 1
         self._finish()
 
     def _retry_s(self, failures: int) -> float:
-        """Seconds to the next attempt to open; a port that has commanded thrust is wanted back for its zero."""
+        """Return the wall seconds until the next attempt to open the port.
+
+        The wait is short for a port that has commanded thrust, because it still has to send zero.
+        """
         drives = self._setpoints is not None and bool(self._setpoints.held)
         return min(RETRY_S[min(failures, len(RETRY_S) - 1)], DRIVEN_RETRY_S if drives else math.inf)
 
     def is_at_zero(self, now: float) -> bool:
-        """Whether the port is open and zero has been repeated on it; true of one that has never commanded thrust."""
+        """Return whether the port is open and zero was repeated on it. True if it has never commanded thrust."""
         if self._setpoints is None or not self._setpoints.held:
             return True
         return self._open and self._setpoints.is_settled(now)
 
     def _start(self) -> None:
+        """Reset the state of the decoder and of the driver after the port was opened, and zero the set-points."""
         self._opened += 1
         self._open, self._problem = True, ""
         self._checked = time.monotonic()
         self._mute_bytes = 0
         self._decoder.reset()
-        self._joining, self._unforgiven = True, self._unparsed()
+        self._joining, self._unparsed_at_open = True, self._unparsed()
         if self._driver is not None:
             self._driver.opened(time.monotonic())
         if self._setpoints is not None and self._setpoints.held:
-            self._setpoints.zero(time.monotonic())  # a command from before the loss is no longer valid
+            self._setpoints.zero(time.monotonic())  # a command from before the loss must not be sent
 
     def _lost(self, why: str) -> None:
+        """Note that the port is lost, zero the set-points and close the port."""
         was_open, self._open, self._problem = self._open, False, why
         if was_open and self._setpoints is not None and self._setpoints.held:
             self._setpoints.zero(time.monotonic())
-            self._on_lost(f"{self.device.name} ({self.device.port}) {why}")  # before a close that may take its time
+            self._on_lost(f"{self.device.name} ({self.device.port}) {why}")  # before the close, which may block
         self._port.close()
 
     def _step(self) -> None:
+        """Wait for bytes or for the next set-point. Then read, send due set-points and poll the driver."""
         self._stepped = time.monotonic()
         wait = IDLE_S
         if self._setpoints is not None:
@@ -177,10 +198,10 @@ class DeviceLoop(threading.Thread):
             self._poll_driver(self._driver)
 
     def _check_pause(self, setpoints: Setpoints, waited: float = 0.0) -> None:
-        """Command zero if this thread was stopped for a while: the command that would be repeated is an old one.
+        """Command zero if this thread was stopped for a while, because it would repeat an old command.
 
-        The time counts from the last check, of which it was to wait for `waited` seconds. A pause may come at any place
-        of the loop.
+        The pause is the time since the last check, less the `waited` seconds of an intended wait. The method is called
+        at several places, because a pause can occur at any line of the loop.
         """
         now = time.monotonic()
         paused, self._checked = now - self._checked - waited, now
@@ -189,7 +210,7 @@ class DeviceLoop(threading.Thread):
             self._on_lost(f"the acquisition process stood still for {paused:.1f} s")
 
     def _check_suspend(self, setpoints: Setpoints) -> None:
-        """Zero after the computer was suspended: it is a command of long ago that would be repeated."""
+        """Command zero if the computer was suspended, because the thread would repeat an old command."""
         if (slept := self._suspended.slept()) and setpoints.held:
             setpoints.zero(time.monotonic())
             self._on_lost(f"the computer was suspended for {slept:.1f} s")
@@ -205,12 +226,15 @@ class DeviceLoop(threading.Thread):
             self._log("", b"", t, [(Frame(event, t, NAN), t) for event in events])
 
     def _log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
-        """Hand over to the log what was read or written, or count it as lost."""
+        """Put the bytes and samples of one read or write into the queue of the log, or count them as dropped."""
         if not self._sink.put(LogItem(self.device.name, direction, raw, t, frames)):
             self._dropped += max(len(frames), 1)
 
     def _wait(self, fd: int, seconds: float) -> bool:
-        """Wait for bytes at `fd` (none if negative), for a wake-up or for the time; whether there are bytes."""
+        """Wait for bytes at `fd`, for a wake-up or for the given time. Return whether there are bytes.
+
+        A negative `fd` is not waited for.
+        """
         fds = [self._wake_read] if fd < 0 else [fd, self._wake_read]
         ready, _, _ = select.select(fds, [], [], seconds)
         if self._wake_read in ready:
@@ -218,6 +242,7 @@ class DeviceLoop(threading.Thread):
         return fd >= 0 and fd in ready
 
     def _received(self, data: bytes, t_rx: float) -> None:
+        """Decode bytes that were received at run time `t_rx`, and store their samples."""
         frames_before = self._decoder.frames
         frames = [(frame, self._estimate(frame)) for frame in decode_read(self._port, self._decoder, data, t_rx)]
         for frame, t in frames:
@@ -236,7 +261,11 @@ class DeviceLoop(threading.Thread):
         self._log("rx", data, t_rx, frames)
 
     def _is_rated(self, sample: Sample) -> bool:
-        """Whether a sample counts for the rate; there are no attitudes as long as none has come."""
+        """Return whether a sample counts for the rate of the device.
+
+        For a device with several kinds of samples only the attitudes count. On an NMEA 2000 bus without attitudes the
+        fixes count.
+        """
         if not self._many_kinds:
             return True
         self._attitudes |= _is_attitude(sample)
@@ -244,16 +273,17 @@ class DeviceLoop(threading.Thread):
         return bool(self.device.is_rated(type(sample), yaw, self._attitudes))
 
     def _join(self) -> None:
-        """The first valid frame: bytes before it are not counted, since a port is opened in the middle of a frame."""
+        """Stop counting bytes before the first valid frame as unparsed: a port may be opened within a frame."""
         if self._joining:
             self._joining = False
-            before = self._unparsed() - self._unforgiven
-            self._forgiven += before if before <= JOIN_BYTES else 0
+            before = self._unparsed() - self._unparsed_at_open
+            self._uncounted_bytes += before if before <= JOIN_BYTES else 0
 
     def _unparsed(self) -> int:
-        return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._forgiven
+        return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._uncounted_bytes
 
     def _estimate(self, frame: Frame) -> float:
+        """Return the estimated run time [s] of a frame; its time of receipt if the device has no clock."""
         if math.isnan(frame.t_device):
             return frame.t_rx
         self._has_clock = True
@@ -276,11 +306,11 @@ class DeviceLoop(threading.Thread):
 
     @property
     def zeroed(self) -> float:
-        """Run time at which zero was written to every thruster of the port; NaN if a command has followed."""
+        """Run time [s] at which zero was written to every thruster of the port; NaN if a command has followed."""
         return self._zeroed
 
     def _finish(self) -> None:
-        """Send zero to every thruster, as far as the port allows."""
+        """Send zero to every thruster if the port is open, and close the port."""
         with contextlib.suppress(PortError):
             if self._setpoints is not None and self._open:
                 for _ in range(3):
@@ -292,22 +322,30 @@ class DeviceLoop(threading.Thread):
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:
-        """The newest samples, by device and node."""
+        """Return the newest samples by source."""
         return dict(self._latest)
 
     def request(self, action: str, value: float) -> None:
-        """Pass a request (`arm`, `disarm`, `mode`) to the driver."""
+        """Pass a request to the driver.
+
+        Parameters
+        ----------
+        action : str
+            `arm`, `disarm`, `mode`, `mute` or `leave`.
+        value : float
+            Number of the mode, or seconds to be mute.
+        """
         if self._driver is not None:
             self._driver.request(action, value)
             self.wake()
 
     def is_stuck(self, now: float) -> bool:
-        """Whether set-points, due every 20 ms, have not been checked for `STUCK_S`."""
+        """Return whether the thread hangs under thrust: it has not checked its set-points for `STUCK_S`."""
         commanded = self._setpoints is not None and not self._setpoints.is_settled(now)
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
-        """State of the device at the other end; None for a port without a driver."""
+        """Return the state of the connected autopilot; None for a port without a driver."""
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property
@@ -316,7 +354,7 @@ class DeviceLoop(threading.Thread):
         return self._port.hint or ("" if self._driver is None else self._driver.hint)
 
     def health(self) -> PortHealth:
-        """The counters, for the log."""
+        """Return the counters of the port for the log."""
         decoder, port = self._decoder, self._port
         return PortHealth(
             port=self.device.port,
@@ -331,7 +369,7 @@ class DeviceLoop(threading.Thread):
         )
 
     def status(self, now: float) -> PortStatus:
-        """Counters, rate and age at run time `now`, for the live table and the safety guard."""
+        """Return counters, rate and age at run time `now` [s], for the live table and the safety guard."""
         health = self.health()
         return PortStatus(
             name=self.device.name,
@@ -356,24 +394,38 @@ class DeviceLoop(threading.Thread):
         )
 
     def _message(self) -> str:
+        """Return the fault of the port, of the link or of the samples in one line, else the decoder's remark."""
         if self._problem:
             return self._problem
-        if self._driver is not None and (said := self._driver.message()):
-            return said
+        if self._driver is not None and (message := self._driver.message()):
+            return message
         if self._mute_bytes >= MUTE_BYTES:
             return f"no valid frame in {MUTE_BYTES} bytes: wrong baud rate or protocol?"
         return self._sensor_health.message() or self._decoder.remark
 
 
 class RateMeter:
-    """Event rate from a counter that is read now and then."""
+    """Estimator of the rate of events from a counter that is read from time to time."""
 
     def __init__(self, window: float) -> None:
         self._window = window
         self._seen: list[tuple[float, int]] = []
 
     def rate(self, t: float, count: int) -> float:
-        """Rate over the last window [1/s] when `count` has been reached at `t`; NaN until it has grown."""
+        """Return the rate over the last window.
+
+        Parameters
+        ----------
+        t : float
+            Run time [s].
+        count : int
+            Value of the counter at that time.
+
+        Returns
+        -------
+        float
+            Rate [1/run s]; NaN until the counter has grown.
+        """
         if count == 0:
             return math.nan
         self._seen.append((t, count))

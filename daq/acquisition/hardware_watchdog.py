@@ -1,4 +1,4 @@
-"""The watchdog timer of the computer (Linux `/dev/watchdog`): it restarts a computer that hangs during a run."""
+"""Watchdog timer of the computer (Linux `/dev/watchdog`), which restarts a computer that hangs during a run."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ import os
 import struct
 from pathlib import Path
 
-TIMEOUT_S = 10  # until the computer restarts
-BEAT_S = 1.0
+TIMEOUT_S = 10  # wall s without a beat after which the computer restarts
+BEAT_S = 1.0  # wall s between beats
 SET_TIMEOUT = 0xC0045706  # WDIOC_SETTIMEOUT of linux/watchdog.h
 DISARM = b"V"  # the "magic close" of the kernel's watchdog API
 
 
 class HardwareWatchdog:
-    """A watchdog timer that is armed until `close`.
+    """Watchdog timer that is armed until `close`.
 
     Notes
     -----
-    The timer is a net for the computer and not for thrust: speed controllers stop by their own time-out long before.
+    The timer protects the computer and not the thrusters: speed controllers stop by their own time-out long before.
     A driver that was loaded with `nowayout` cannot be disarmed, so that the computer restarts after every run.
     """
 
     def __init__(self, path: Path) -> None:
         """Open the timer, which arms it. Raises OSError."""
         self._file = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-        with contextlib.suppress(OSError):  # a driver may have one fixed time
+        with contextlib.suppress(OSError):  # some drivers have a fixed time-out
             fcntl.ioctl(self._file, SET_TIMEOUT, struct.pack("i", TIMEOUT_S))
         self._next = -float("inf")
 

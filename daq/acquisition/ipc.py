@@ -26,20 +26,21 @@ from typing import Any
 from seatrial.daq import samples
 from seatrial.daq.acquisition.status import Status, StreamedSample, fields_of, from_json, to_json
 
-ACTIVE, IDLE, FINISHED = b"1", b"0", b"q"  # heartbeats: thrust is commanded; it is not; nothing is left to watch
-ANSWER = b"a"  # of the watchdog
+# Heartbeats: thrust is commanded; thrust is not commanded; the monitoring may end.
+ACTIVE, IDLE, FINISHED = b"1", b"0", b"q"
+ANSWER = b"a"  # answer of the watchdog to heartbeats
 
 
 @dataclass(frozen=True)
 class Configuration:
-    """What to record, and where to; the first message of the parent."""
+    """Configuration of the acquisition: the first message of the parent."""
 
     rig_text: str
     rig_path: str  # absolute
-    path: str  # of the log, absolute
+    path: str  # absolute path of the log
     speed: float  # run seconds per wall second
-    origin: Sequence[float]  # of the run clock: `RunClock.origin`
-    role: str  # LinkRole, to the autopilots
+    origin: Sequence[float]  # `RunClock.origin`
+    role: str  # value of LinkRole: the role towards autopilots
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
     terminal: int = -1  # inherited descriptor of the parent's standard error; -1 if it has none
@@ -47,28 +48,28 @@ class Configuration:
 
 @dataclass(frozen=True)
 class ParentAlive:
-    """The parent's heartbeat."""
+    """Heartbeat of the parent."""
 
-    runner: bool  # whether the runner has called `Acquisition.alive` since the last one
+    runner: bool  # whether the runner has called `Acquisition.alive` since the last heartbeat
 
 
 @dataclass(frozen=True)
 class ScheduleSetpoints:
-    """Set-points to append: rows of (run time [s], {thruster: n_cmd})."""
+    """Request to append set-points: rows of (run time [s], {thruster: n_cmd})."""
 
     rows: Sequence[tuple[float, Mapping[str, float]]]
 
 
 @dataclass(frozen=True)
 class ZeroThrust:
-    """Clear the schedule and command zero at once."""
+    """Request to clear the schedule and command zero at once."""
 
-    reason: str
+    reason: str  # is written to the log
 
 
 @dataclass(frozen=True)
 class LogEvent:
-    """An event to write to the log."""
+    """Request to write an event to the log."""
 
     kind: str
     text: str
@@ -76,7 +77,7 @@ class LogEvent:
 
 @dataclass(frozen=True)
 class DriverRequest:
-    """A request to the driver of a device: `arm`, `disarm`, or `mode` with its number as the value."""
+    """Request to the driver of a device: `arm`, `disarm`, `mode` (value: its number), or `mute` (value: seconds)."""
 
     device: str
     action: str
@@ -85,58 +86,58 @@ class DriverRequest:
 
 @dataclass(frozen=True)
 class StreamSamples:
-    """From here on the samples that are logged are sent to the parent, too."""
+    """Request to send all further logged samples to the parent."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Zero thrust, close the log and end."""
+    """Request to command zero, close the log and end."""
 
 
 @dataclass(frozen=True)
 class StatusReport:
-    """The state of the acquisition, sent every 50 ms."""
+    """State of the acquisition, sent every 50 ms."""
 
     status: Status
 
 
 @dataclass(frozen=True)
 class SampleBatch:
-    """Samples that were logged, oldest first, and how many of all could not be sent."""
+    """Logged samples."""
 
-    samples: Sequence[StreamedSample]
-    dropped: int
+    samples: Sequence[StreamedSample]  # oldest first
+    dropped: int  # number of samples, since the start, that could not be sent
 
 
 @dataclass(frozen=True)
 class Failed:
-    """The process ends because of an error."""
+    """Report that the process ends because of an error."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class Closed:
-    """The log is closed in good order, and the process ends."""
+    """Report that the log is closed without an error and that the process ends."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class WatchdogConfiguration:
-    """What to watch: the process, and the rig whose thrusters are brought to zero when it fails."""
+    """Configuration of the watchdog: the process to monitor, and the rig whose thrusters it brings to zero."""
 
     rig_text: str
     rig_path: str
-    pid: int
+    pid: int  # of the acquisition process
     log: str  # absolute path
 
 
 @dataclass(frozen=True)
 class WatchdogReady:
-    """The watchdog can step in from now on, or it states why it cannot."""
+    """Report that the watchdog is ready."""
 
-    trouble: str = ""
+    trouble: str = ""  # why it is not ready; empty if it is
 
 
 Message = (
@@ -147,7 +148,7 @@ _TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.__ar
 
 
 def encode_message(message: Message) -> bytes:
-    """One line of JSON, its end included; NaN and Infinity are written as Python's json does."""
+    """Return a message as one line of JSON with its line end. NaN and Infinity are written as Python's json does."""
     values: dict[str, Any] = {name.name: getattr(message, name.name) for name in dataclasses.fields(message)}
     if isinstance(message, Configuration):
         values["attachments"] = {name: base64.b64encode(data).decode() for name, data in message.attachments.items()}
@@ -161,7 +162,7 @@ def encode_message(message: Message) -> bytes:
 
 
 def decode_message(line: bytes | bytearray) -> Message:
-    """The inverse of `encode`."""
+    """Return the message in a line of `encode_message`."""
     name, values = json.loads(line)
     kind = _TYPES[name]
     if kind is Configuration:
@@ -177,7 +178,7 @@ def decode_message(line: bytes | bytearray) -> Message:
 
 
 class AcquisitionChannel:
-    """One end of the socket. `send` may be called from any thread, `receive` from one."""
+    """One end of the socket between two processes. Any thread may call `send`; only one thread may call `receive`."""
 
     def __init__(self, sock: socket.socket) -> None:
         self._socket = sock
@@ -185,17 +186,23 @@ class AcquisitionChannel:
         self._buffer = bytearray()
 
     def fileno(self) -> int:
-        """The file descriptor to wait on."""
+        """Return the file descriptor of the socket, for `select`."""
         return self._socket.fileno()
 
     def send(self, message: Message) -> None:
-        """Send one message; raises OSError when the other end is closed."""
+        """Send one message. Raises OSError if the other end is closed."""
         data = encode_message(message)
         with self._lock:
             self._socket.sendall(data)
 
     def receive(self) -> list[Message]:
-        """Wait for bytes and return the complete messages, maybe none; raises EOFError when the other end is closed."""
+        """Wait for bytes, and return the messages that are complete. The list may be empty.
+
+        Raises
+        ------
+        EOFError
+            If the other end is closed.
+        """
         try:
             data = self._socket.recv(1 << 20)
         except OSError as error:
@@ -208,13 +215,13 @@ class AcquisitionChannel:
         return [decode_message(line) for line in lines]
 
     def receive_first(self) -> Message:
-        """Wait for the first message. Raises EOFError when the other end is closed before."""
+        """Wait for the first message and return it. Raises EOFError if the other end is closed before."""
         while not (messages := self.receive()):
             pass
         return messages[0]
 
     def messages(self) -> Iterator[Message]:
-        """All messages until the other end is closed."""
+        """Yield all messages until the other end is closed."""
         while True:
             try:
                 yield from self.receive()
@@ -222,7 +229,7 @@ class AcquisitionChannel:
                 return
 
     def close(self) -> None:
-        """Close; a `receive` that waits in another thread ends too."""
+        """Close the socket. A `receive` that waits in another thread ends too."""
         with contextlib.suppress(OSError):  # the other end may be closed already
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()

@@ -1,4 +1,4 @@
-"""From the ports' threads to the log: a bounded queue, and the one thread that writes."""
+"""Queue between the threads of the ports and the log, and the only thread that writes the log."""
 
 from __future__ import annotations
 
@@ -16,40 +16,43 @@ from seatrial.daq.log import Recorder
 from seatrial.daq.realtime_priority import set_realtime_priority
 from seatrial.daq.samples import Event, Frame, PortHealth
 
-QUEUE_ITEMS = 20_000
-WRITE_S = 0.01  # wall
-HEALTH_S = 1.0
-STREAM_SAMPLES = 5_000  # that wait for the parent at most
+QUEUE_ITEMS = 20_000  # reads and writes in the queue, at most
+WRITE_S = 0.01  # wall s between writes to the log
+HEALTH_S = 1.0  # wall s between writes of the counters
+STREAM_SAMPLES = 5_000  # samples that wait for the parent, at most
 DELETED = "the log was deleted while it is recorded: what comes now is lost"
 
 
 class LogItem(NamedTuple):
-    """The data of one read or write, for the log."""
+    """Data of one read or write, for the log."""
 
     device: str
-    direction: str  # "rx" | "tx"; "" when there are no raw bytes
+    direction: str  # "rx" or "tx"; "" if there are no raw bytes
     raw: bytes
-    t: float
-    frames: list[tuple[Frame, float]]  # with the estimated times
+    t: float  # run time of the read or write [s]
+    frames: list[tuple[Frame, float]]  # each with its estimated run time [s]
 
 
 class LogSink:
-    """The bounded queue between the ports' threads and the writer. Putting never waits. Events, which say why a run
-    ended, have as much room again: a disk that hangs fills the queue with data."""
+    """Bounded queue between the threads of the ports and the log thread. `put` never waits.
+
+    Events have additional room, because a disk that hangs fills the queue with data. An event may contain the reason
+    why a run ended.
+    """
 
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:
         self._items: deque[LogItem] = deque()
         self._limit = limit
 
     def put(self, item: LogItem) -> bool:
-        """Append an item; False when the queue is full."""
+        """Append an item. Return False, without appending, if the queue is full."""
         if len(self._items) >= (self._limit if item.raw else 2 * self._limit):
             return False
         self._items.append(item)
         return True
 
     def take(self) -> list[LogItem]:
-        """Remove and return all items, oldest first. For the log thread alone."""
+        """Remove and return all items, oldest first. Only the log thread may call it."""
         out = []
         with contextlib.suppress(IndexError):
             while True:
@@ -58,7 +61,13 @@ class LogSink:
 
 
 class SampleStream:
-    """The samples that were logged, for the parent: the log thread puts, the main thread takes; neither ever waits."""
+    """Bounded queue of logged samples for the parent. The log thread puts, the main thread takes, and neither waits.
+
+    Attributes
+    ----------
+    dropped : int
+        Samples for which the queue had no room.
+    """
 
     def __init__(self, limit: int = STREAM_SAMPLES) -> None:
         self._samples: deque[StreamedSample] = deque()
@@ -66,7 +75,7 @@ class SampleStream:
         self.dropped = 0
 
     def put(self, sample: StreamedSample) -> None:
-        """Append a sample, or count it as dropped where those before it were not taken."""
+        """Append a sample, or count it as dropped if the queue is full."""
         if len(self._samples) < self._limit:
             self._samples.append(sample)
         else:
@@ -74,16 +83,30 @@ class SampleStream:
 
     @property
     def waiting(self) -> int:
-        """How many there are to take."""
+        """Number of samples in the queue."""
         return len(self._samples)
 
-    def take(self, most: int) -> list[StreamedSample]:
-        """Remove and return the oldest."""
-        return [self._samples.popleft() for _ in range(min(most, len(self._samples)))]
+    def take(self, n_max: int) -> list[StreamedSample]:
+        """Remove and return the oldest samples, at most `n_max`."""
+        return [self._samples.popleft() for _ in range(min(n_max, len(self._samples)))]
 
 
 class LogThread(threading.Thread):
-    """Empties the queue into the log. The only thread that touches the recorder."""
+    """Thread that writes the queue into the log. No other thread uses the recorder.
+
+    Attributes
+    ----------
+    messages : int
+        Samples written.
+    stream : SampleStream or None
+        Queue for the parent; None unless the parent has requested the samples.
+    size : int
+        Bytes of the log.
+    failure : str
+        Error that has ended the log; empty without one.
+    alarm : str
+        Why no data are written at present; the log may go on later. Empty while data are written.
+    """
 
     def __init__(
         self, recorder: Recorder, sink: LogSink, health: Callable[[], dict[str, PortHealth]], clock: RunClock
@@ -92,18 +115,18 @@ class LogThread(threading.Thread):
         self._recorder, self._sink, self._health_of, self._clock = recorder, sink, health, clock
         self._ending = threading.Event()
         self.messages = 0
-        self.stream: SampleStream | None = None  # while somebody wants the samples
+        self.stream: SampleStream | None = None
         self.size = recorder.size
         self.failure = ""
-        self.alarm = ""  # why nothing is kept now, though it may be again
+        self.alarm = ""
 
     def run(self) -> None:
-        """Until `end`: write what there is, every 10 ms, and the counters every second."""
-        set_realtime_priority(behind=1)  # it compresses: the ports and the set-points come first
+        """Run until `end` is called: write the queue every 10 ms, and the counters every second."""
+        set_realtime_priority(behind=1)  # below the ports and set-points, because this thread compresses data
         health_at = time.monotonic() + HEALTH_S
         try:
             while not self._ending.wait(WRITE_S):
-                if not self._recorder.paused:  # while it is, what comes waits in the queue
+                if not self._recorder.paused:  # while the recorder is paused, items wait in the queue
                     self._write()
                 if time.monotonic() >= health_at:
                     health_at += HEALTH_S
@@ -115,7 +138,7 @@ class LogThread(threading.Thread):
             self._health()
         except SeatrialError as error:
             self.failure = str(error)
-        except Exception as error:  # a programming error: the thrusters must go to zero all the same
+        except Exception as error:  # a programming error must be reported too, so that thrust ends
             self.failure = f"the log could not be written ({type(error).__name__}: {error})"
         try:
             self._recorder.close()
@@ -128,6 +151,7 @@ class LogThread(threading.Thread):
         self._ending.set()
 
     def _write(self) -> None:
+        """Write all items of the queue to the log, and put their samples into the stream."""
         for item in self._sink.take():
             if item.direction:
                 self._recorder.write_raw(item.device, item.direction, item.raw, item.t)

@@ -1,8 +1,8 @@
-"""The acquisition process: owns every port and the log, and brings thrust to zero when its parent stops responding.
+"""Acquisition process: it owns every port and the log, and commands zero if its parent stops responding.
 
-Started by `seatrial.daq.acquisition.session.Acquisition` as `python -m seatrial.daq.acquisition.process FD`. No user
-code runs here, so that only the operating system can delay it. One thread per port and one that writes the log; the
-main thread receives the messages of the parent (seatrial.daq.acquisition.ipc).
+`seatrial.daq.acquisition.session.Acquisition` starts it as `python -m seatrial.daq.acquisition.process FD`. No user
+code runs in this process, so that only the operating system can delay it. One thread serves each port, and one thread
+writes the log. The main thread receives the messages of the parent (seatrial.daq.acquisition.ipc).
 """
 
 from __future__ import annotations
@@ -49,15 +49,17 @@ from seatrial.daq.rig import DRIVES, Rig
 from seatrial.daq.samples import NAN, Event, Frame, PortHealth
 from seatrial.daq.transport import make_port
 
-STATUS_S = 0.05  # wall, as all of these
-SILENCE_S = 0.25  # the parent, while thrust is commanded
-BATCH = 100  # samples of one message to the parent: some 25 kB, which a socket that may be written takes at once
-RECORD_ON_S = 1.0  # after a stop that the parent did not request
-RETURN_S = 3.0  # for a thruster's port that was lost to come back, so that it gets its zero
+# Wall seconds.
+STATUS_S = 0.05  # between two reports of the status
+SILENCE_S = 0.25  # longest time without a heartbeat of the parent while thrust is commanded
+RECORD_ON_S = 1.0  # recording goes on for so long after a stop that the parent did not request
+RETURN_S = 3.0  # longest wait for a lost port of a thruster to come back and receive its zero
+
+BATCH = 100  # samples in one message to the parent: about 25 kB, which a writable socket accepts without blocking
 
 
 class Process:
-    """The threads of the ports and of the log, and the handling of the parent's messages."""
+    """Acquisition process: its threads and the handling of the parent's messages."""
 
     def __init__(
         self,
@@ -81,17 +83,17 @@ class Process:
         self._reporter = StatusReporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
         self._parent_seen = self._runner_seen = time.monotonic()
         self._terminated = False
-        self._stopped = ""  # why this process stopped thrust, which is for good: thrust starts with a new run
-        self._thrust = threading.RLock()  # to stop thrust, or to command it
+        self._stopped = ""  # why this process stopped thrust; thrust can start again only with a new run
+        self._thrust = threading.RLock()  # held while thrust is stopped or commanded
         self._end_reason = ""
         self._unrequested = self._parent_hangs = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
-        """SIGTERM: end as on a `Stop` message."""
+        """Handle SIGTERM: end as on a `Stop` message."""
         self._terminated = True
 
     def run(self) -> None:
-        """Run until stopped, abandoned or failed; then zero thrust and close the log."""
+        """Run until the parent stops it or is gone, or an error occurs. Then command zero and close the log."""
         self._writer.start()
         for loop in self._loops.values():
             loop.start()
@@ -102,6 +104,7 @@ class Process:
         self._finish()
 
     def _serve(self) -> None:
+        """Send the status, handle messages and check time-outs until there is a reason to end."""
         status_at = 0.0
         while not self._end_reason:
             now = time.monotonic()
@@ -116,6 +119,7 @@ class Process:
             self._beat()
 
     def _loop(self, name: str) -> DeviceLoop:
+        """Return the thread of one device."""
         device = self._rig.device(name)
         decoder = make_decoder(device, self._rig)
         return DeviceLoop(
@@ -130,12 +134,16 @@ class Process:
         )
 
     def _role_of(self, name: str) -> LinkRole:
-        """What we are to a device: the ground station of those alone that thrusters hang on, since its heartbeats end
-        with the run, and hide meanwhile that the operator's do not come any more."""
+        """Return the role of this process towards a device.
+
+        In a run it is the ground station only of autopilots that drive thrusters. Its heartbeats end with the run, and
+        meanwhile they would hide from an autopilot that the heartbeats of the operator's station are missing.
+        """
         drives = self._role is not LinkRole.DRIVE or any(thruster.device == name for thruster in self._rig.thrusters)
         return self._role if drives else LinkRole.ASK
 
     def _listen(self) -> None:
+        """Receive and handle messages of the parent. End if the parent is gone."""
         try:
             messages = self._link.receive()
         except EOFError:
@@ -146,18 +154,25 @@ class Process:
             self._handle(message)
 
     def _beat(self, at_once: bool = False) -> None:
-        """Send the heartbeat to the watchdog, unless a port's thread hangs: then the watchdog has to step in."""
+        """Send the heartbeat to the watchdog, unless the thread of a port hangs.
+
+        Without heartbeats the watchdog kills this process and sends zero itself.
+        """
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
             return
-        # The watchdog is needed until zero has left this process and was repeated, not only until it is wanted.
+        # The watchdog must monitor until zero was sent and repeated, and not only until zero is commanded.
         self._heartbeat.beat(not all(s.is_settled(now) for s in self._setpoints.values()), now, at_once)
         active = any(setpoints.active for setpoints in self._setpoints.values())
         if self._heartbeat.trouble and active and not self._stopped:
             self._stop_thrust(self._heartbeat.trouble)
 
     def _check_timeouts(self) -> None:
-        """Stop on timeouts and failures. Called after receiving: a pause of this process is not the parent's."""
+        """End or stop thrust after a time-out or failure.
+
+        Must be called after messages were received, so that a pause of this process does not count as one of the
+        parent.
+        """
         now = time.monotonic()
         if self._terminated:
             active = any(setpoints.active for setpoints in self._setpoints.values())
@@ -165,7 +180,7 @@ class Process:
         if self._writer.failure:
             self._end(self._writer.failure, unrequested=False)
         if self._writer.alarm and not self._stopped and any(s.active for s in self._setpoints.values()):
-            self._stop_thrust(self._writer.alarm)  # a run that is not recorded is not worth its risk
+            self._stop_thrust(self._writer.alarm)  # an unrecorded run has no use that justifies its risk
         if any(setpoints.active for setpoints in self._setpoints.values()):
             if now - self._parent_seen > SILENCE_S:
                 self._parent_hangs = True
@@ -175,10 +190,12 @@ class Process:
                 self._end(f"no sign of life of the runner for {SILENCE_S} s", unrequested=True)
 
     def _end(self, reason: str, unrequested: bool) -> None:
+        """Note the first reason to end. `unrequested`: the parent did not request the end."""
         if not self._end_reason:
             self._end_reason, self._unrequested = reason, unrequested
 
     def _handle(self, message: Message) -> None:
+        """Act on a message of the parent."""
         match message:
             case ParentAlive():
                 self._runner_seen = self._parent_seen if message.runner else self._runner_seen
@@ -197,6 +214,7 @@ class Process:
                 self._end("closed as asked", unrequested=False)
 
     def _schedule(self, message: ScheduleSetpoints) -> None:
+        """Append set-points to the schedules of their devices. They are ignored after this process stopped thrust."""
         self._runner_seen = self._parent_seen
         nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
         rows: dict[str, list[tuple[float, dict[int, float]]]] = {}
@@ -209,9 +227,9 @@ class Process:
                 rows.setdefault(device, []).append((t, part))
         with self._thrust:
             if self._stopped:
-                return  # rows that were under way when thrust was ended
-            for device, wanted in rows.items():
-                self._setpoints[device].append(wanted)
+                return  # the parent sent these rows before it knew of the stop
+            for device, device_rows in rows.items():
+                self._setpoints[device].append(device_rows)
                 self._loops[device].wake()
 
     def _health(self) -> dict[str, PortHealth]:
@@ -234,6 +252,7 @@ class Process:
         self._sink.put(LogItem("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
 
     def _finish(self) -> None:
+        """Command zero, wait until it was repeated, end all threads, close the log and report the end."""
         self._zero()
         self._beat(at_once=True)
         self._report()
@@ -258,35 +277,43 @@ class Process:
             why = self._writer.failure
             self._link.send(Failed(why) if why else Closed(self._end_reason))
         if self._unrequested and (self._parent_hangs or os.getppid() != self._parent):
-            self._say_the_end()
+            self._print_last_line()
 
-    def _say_the_end(self) -> None:
-        """Print the last line of the run, since the parent is not there to do it or hangs."""
+    def _print_last_line(self) -> None:
+        """Print the last line of the run in place of the parent, which is gone or hangs."""
         thrust = "zero was sent, not confirmed; " if self._setpoints and self._role is LinkRole.DRIVE else ""
         text = f"seatrial: {self._end_reason}: {thrust}the log is {printable(str(self._path))}\n"
-        # A reader that reads nothing must not keep this process: one line fits whenever a pipe can be written at all.
+        # A terminal or pipe that nobody reads must not block this process. One line always fits into a writable pipe.
         with contextlib.suppress(OSError, ValueError):
             if select.select([], [self._terminal], [], 0.0)[1]:
                 os.write(self._terminal, text.encode(errors="replace"))
 
     def _may_close(self, since: float) -> bool:
-        """Whether zero has been repeated to every thruster, or its port has not come back in time."""
+        """Return whether the log may be closed, `since` seconds after the end of the run.
+
+        Zero must have been repeated on every port of a thruster, or `RETURN_S` must have passed. After a stop that the
+        parent did not request, `RECORD_ON_S` must have passed too.
+        """
         if self._unrequested and since < RECORD_ON_S and not self._writer.failure:
             return False
         now = time.monotonic()
         return since > RETURN_S or all(loop.is_at_zero(now) for loop in self._loops.values())
 
     def _send_samples(self) -> None:
-        """Send the samples that somebody wants, but never wait for a parent that reads none: it has to be noticed."""
+        """Send logged samples to the parent if it has requested them.
+
+        The method never waits for a parent that does not read, because this thread also checks the time-outs.
+        """
         if (stream := self._writer.stream) is None:
             return
         for _ in range(0, stream.waiting, BATCH):
             if not select.select([], [self._link], [], 0.0)[1]:
                 return
-            with contextlib.suppress(OSError):  # whether the parent is gone is seen by the next status
+            with contextlib.suppress(OSError):  # if the parent is gone, the next status report fails and ends the run
                 self._link.send(SampleBatch(stream.take(BATCH), stream.dropped))
 
     def _report(self) -> None:
+        """Send the status to the parent. End if the parent is gone."""
         try:
             self._reporter.report(self._stopped, self._end_reason if self._unrequested else "")
         except OSError:
@@ -294,7 +321,7 @@ class Process:
 
 
 def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
-    """The connection to the watchdog; no thrust without it."""
+    """Return the connection to the watchdog. Raises SeatrialError if the watchdog does not start."""
     try:
         return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)
     except (OSError, EOFError) as error:
@@ -303,7 +330,7 @@ def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
 
 
 def main() -> None:
-    """Receive the configuration from the parent, then run."""
+    """Receive the configuration from the parent, then run the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link = AcquisitionChannel(socket.socket(fileno=int(sys.argv[1])))
     begin = link.receive_first()
@@ -323,10 +350,9 @@ def main() -> None:
         link.send(Failed(str(error)))
         return
     signal.signal(signal.SIGTERM, process.terminate)
-    # Threads take turns often enough for set-points a millisecond apart, and the collector has less to walk through.
-    sys.setswitchinterval(0.0005)
-    gc.freeze()
-    set_realtime_priority()  # a busy machine must not hold up receive times and set-points
+    sys.setswitchinterval(0.0005)  # threads switch often enough for set-points a millisecond apart
+    gc.freeze()  # the garbage collector skips all objects so far, which shortens its pauses
+    set_realtime_priority()  # a busy machine must not delay times of receipt and set-points
     process.run()
 
 

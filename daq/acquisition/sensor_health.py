@@ -1,8 +1,8 @@
-"""Plausibility of a device's samples whose frames are valid. No I/O, no clock.
+"""Plausibility checks of the samples of one device, without I/O and without a clock.
 
-Stuck sensors, saturated and spiking load cells, floods of wrong checksums, clocks that jump,
-dates from another GPS era. Each message stays the same while its fault lasts: a new one
-goes into the log as an event.
+The checks find stuck sensors, saturated load cells, spikes, frequent wrong checksums, clocks that jump, and dates of
+another GPS era. A message stays the same while its fault lasts, because each new message is written to the log as an
+event.
 """
 
 from __future__ import annotations
@@ -17,40 +17,41 @@ from seatrial.daq.protocol import SATURATED, SPIKE
 from seatrial.daq.samples import Frame, Gnss, LoadCell
 from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_LIVE, can_be_stuck
 
-SPIKES_S = 10.0
-FLOOD_S = 5.0
-FLOOD_SHARE = 0.05  # of the frames
-FLOOD_ERRORS = 10
-JUMP_S = 10.0  # the message stays for so long
-ERA = 1024 * 604_800.0  # s, after which the week of GPS begins again
+SPIKES_S = 10.0  # run s over which spikes are counted
+FLOOD_S = 5.0  # run s over which checksum errors are counted
+FLOOD_SHARE = 0.05  # part of the frames that may have a wrong checksum
+FLOOD_ERRORS = 10  # smallest number of checksum errors that is reported
+JUMP_S = 10.0  # run s for which a jump of the clock is reported
+ERA = 1024 * 604_800.0  # s; the GPS week number repeats after this time
 
 
 class _Same(NamedTuple):
-    """A sample that repeats."""
+    """A repeated sample."""
 
-    key: tuple[float, ...]
-    since: float
-    until: float
+    key: tuple[float, ...]  # compared values, 0 for NaN
+    since: float  # run time of the first sample with these values
+    until: float  # run time of the last one
     repeats: int
 
 
-# A kind of sample, and which of its compared fields it has: an autopilot's attitudes and the accelerations between them
-# are compared each with their own.
+# A kind of sample, and which of its compared fields are not NaN. An autopilot sends attitudes and accelerations in
+# different samples of one kind. Each is compared only with samples that have the same fields.
 _Form = tuple[type, tuple[bool, ...]]
 
 
 def _getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
+    """Return a function that returns these fields of a sample."""
     get: Callable[[Any], Any] = attrgetter(*fields)
     return get if len(fields) > 1 else lambda sample: (get(sample),)
 
 
-# Every sample is compared: what there is of it to look up is looked up once.
+# These tables are built once, because every sample is compared.
 _VALUES = {kind: _getter(limit.fields) for kind, limit in STUCK_LIVE.items()}
 _WHOLE: dict[type, _Form] = {kind: (kind, (True,) * len(limit.fields)) for kind, limit in STUCK_LIVE.items()}
 
 
 class SensorHealth:
-    """Checks the samples and counters of one device."""
+    """Plausibility checks of the samples and counters of one device."""
 
     def __init__(self) -> None:
         self._same: dict[_Form, _Same] = {}
@@ -62,7 +63,7 @@ class SensorHealth:
         self._counters: deque[tuple[float, int, int]] = deque()
 
     def take(self, frame: Frame) -> None:
-        """Take a decoded sample."""
+        """Take the sample of a decoded frame."""
         sample, t = frame.sample, frame.t_rx
         kind = type(sample)
         if kind in _VALUES and can_be_stuck(kind, sample):
@@ -74,7 +75,19 @@ class SensorHealth:
             self._flags(t, sample.flags)
 
     def count(self, t: float, frames: int, errors: int, jumps: int = 0) -> None:
-        """The counters of the decoder and of the clock's map at run time `t`; to be called after every read."""
+        """Take the counters of the decoder and of the clock map. Must be called after every read.
+
+        Parameters
+        ----------
+        t : float
+            Run time [s].
+        frames : int
+            Valid frames so far.
+        errors : int
+            Wrong checksums so far.
+        jumps : int
+            Jumps of the device clock so far.
+        """
         if jumps != self._jumps:
             self._jumps, self._jumped = jumps, t
         self._now = t
@@ -85,16 +98,17 @@ class SensorHealth:
 
     @property
     def stuck(self) -> tuple[type, ...]:
-        """The kinds of samples that repeat themselves, as those of a dead sensor do."""
+        """Kinds of samples that repeat the same values, as a dead sensor does."""
         return tuple(dict.fromkeys(form[0] for form in self._same if self._is_stuck(form)))
 
     def _is_stuck(self, form: _Form) -> bool:
+        """Return whether samples of this form repeat the same values for too long."""
         same, limit = self._same[form], STUCK_LIVE[form[0]]
         still_sent = self._last - same.until < limit.seconds
         return still_sent and same.repeats >= limit.samples and same.until - same.since >= limit.seconds
 
     def message(self) -> str:
-        """The fault, in one line; empty without one."""
+        """Return the fault in one line; empty without a fault."""
         if self._counters:
             (_, frames_0, errors_0), (_, frames, errors) = self._counters[0], self._counters[-1]
             if errors - errors_0 >= max(FLOOD_ERRORS, FLOOD_SHARE * (frames - frames_0)):
@@ -112,11 +126,12 @@ class SensorHealth:
         return ""
 
     def _repeat(self, kind: type, values: tuple[float, ...], t: float) -> None:
+        """Count how often the values of a sample repeat those of the previous sample of its form."""
         total = sum(values)
-        if total == total:  # none of them is NaN, as mostly
+        if total == total:  # the usual case: no value is NaN
             key, form = values, _WHOLE[kind]
         else:
-            key = tuple([0.0 if value != value else value for value in values])  # NaN equals NaN here
+            key = tuple([0.0 if value != value else value for value in values])  # so that NaN equals NaN
             form = kind, tuple([value == value for value in values])
         self._last = t
         before = self._same.get(form)
@@ -126,6 +141,7 @@ class SensorHealth:
             self._same[form] = _Same(key, before.since, t, before.repeats + 1)
 
     def _flags(self, t: float, flags: int) -> None:
+        """Count the spikes of a load cell over the last `SPIKES_S`."""
         self._cell.append((t, flags))
         self._spikes += bool(flags & SPIKE)
         while t - self._cell[0][0] > SPIKES_S:

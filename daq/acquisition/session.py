@@ -1,4 +1,4 @@
-"""The parent's side of an acquisition: starts the acquisition process, sends it messages, and ends it."""
+"""Acquisition session in the parent process: starts the acquisition process, sends it messages, and ends it."""
 
 from __future__ import annotations
 
@@ -40,11 +40,12 @@ from seatrial.daq.log import read_note
 from seatrial.daq.realtime_priority import set_realtime_priority
 from seatrial.daq.rig import Rig
 
-STDERR = 2
-HEARTBEAT_S = 0.05  # wall, as all of these
-START_S = 30.0
-STOP_S = 15.0
-WATCHDOG_S = 5.0  # it opens ports for 3 s at most, and sends zero for 1
+STDERR = 2  # file descriptor
+# Wall seconds.
+HEARTBEAT_S = 0.05
+START_S = 30.0  # longest start of the acquisition process
+STOP_S = 15.0  # longest end of the acquisition process
+WATCHDOG_S = 5.0  # longest end of the watchdog, which tries to open ports for 3 s and sends zero for 1 s
 
 
 def _copy_of_stderr() -> int | None:
@@ -56,13 +57,33 @@ def _copy_of_stderr() -> int | None:
 
 
 class Acquisition:
-    """Records every device of `rig` to a new log at `path`, in a process of its own, while in the `with` block.
+    """Acquisition of all devices of a rig into a new log, by a process of its own, while the context lasts.
 
-    The process is safe against any failure here: when this process dies or stops answering, or when thrust is
-    commanded and `alive` is not called for 0.25 s (wall), it commands zero, records one second more and closes the
-    log. With `drive` a watchdog process monitors it (seatrial.daq.acquisition.watchdog); no thrust may be commanded
-    without. Autopilots are only listened to, but for `drive`, and with `ask` for their parameters and the rates of the
-    rig. All methods may be called from any thread; all but `alive` raise SeatrialError when the process has failed.
+    Any thread may call the methods. All methods except `alive` raise SeatrialError if the process has failed.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig with its devices.
+    path : Path
+        The new log.
+    clock : RunClock
+        The run clock, which the process shares.
+    attachments : Mapping, optional
+        Attachments of the log: bytes by name.
+    metadata : Mapping, optional
+        Metadata of the log.
+    drive : bool
+        Whether thrust will be commanded. A watchdog process then monitors the acquisition process
+        (seatrial.daq.acquisition.watchdog).
+    ask : bool
+        Whether to request parameters and the rates of the rig from autopilots. Without `drive` and `ask` no message is
+        sent to autopilots.
+
+    Notes
+    -----
+    A failure of the parent cannot leave thrust on. If the parent ends or stops answering, or if `alive` is not called
+    for 0.25 s (wall) while thrust is commanded, the process commands zero, records one more second and closes the log.
     """
 
     def __init__(
@@ -84,15 +105,21 @@ class Acquisition:
         self._status: Status | None = None
         self._take_samples: Callable[[Sequence[StreamedSample], int], None] | None = None
         self._failure = ""
-        self._gone = False  # the process has closed its side of the socket
-        self._ended = ""  # why it ended by itself, in good order
+        self._gone = False  # whether the process has closed its end of the socket
+        self._ended = ""  # why the process ended by itself, without an error
         self._alive = threading.Event()
         self._stopping = threading.Event()
         self._stopped = False
         self._watchdog: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Acquisition:
-        """Start the process; returns when the log is open. Raises SeatrialError when it cannot be."""
+        """Start the process, and wait until the log is open.
+
+        Raises
+        ------
+        SeatrialError
+            If the process does not start or cannot open the log.
+        """
         ours, theirs = socket.socketpair()
         self._stderr: IO[bytes] = tempfile.TemporaryFile()
         with theirs, contextlib.ExitStack() as stack:
@@ -136,7 +163,7 @@ class Acquisition:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """`stop`; an error of the block itself takes precedence."""
+        """Call `stop`. An error that was raised in the context takes precedence over an error of `stop`."""
         try:
             self.stop()
         except SeatrialError:
@@ -144,11 +171,19 @@ class Acquisition:
                 raise
 
     def schedule(self, rows: Sequence[tuple[float, Mapping[str, float]]]) -> None:
-        """Append set-points (run time, {thruster: n_cmd}), -1..1, positive forward; the last one holds.
+        """Append set-points. A set-point holds until the next one. A row whose time has passed is sent at once.
 
-        A row whose time has passed is sent at once. Rows are ignored once the process has ended thrust by itself
-        (`Status.stopped`): thrust starts only with a new run. Raises SeatrialError for a thruster that the rig has not
-        and for a value beyond `limits.n_max`.
+        If the process has stopped thrust by itself (`Status.stopped`), rows are ignored until a new run.
+
+        Parameters
+        ----------
+        rows : sequence of tuple
+            Run time [s] and n_cmd by thruster, -1 to 1, positive forward.
+
+        Raises
+        ------
+        SeatrialError
+            If the rig lacks a thruster, or if a value is beyond `limits.n_max`.
         """
         limit = min(self.rig.limits.n_max, 1.0)
         for t, row in rows:
@@ -167,24 +202,44 @@ class Acquisition:
         self._send(LogEvent(kind, text))
 
     def stream(self, take: Callable[[Sequence[StreamedSample], int], None]) -> None:
-        """From here on give every sample that is logged to `take`, twenty times a second, and how many were dropped.
+        """Pass all further logged samples to a function, twenty times a second.
 
-        `take` is called by the thread that receives the status: it must neither wait nor raise.
+        Parameters
+        ----------
+        take : Callable
+            Called with new samples and with the number of dropped samples. The thread that receives the status calls
+            it, so that it must neither wait nor raise.
         """
         self._take_samples = take
         self._send(StreamSamples())
 
     def request(self, device: str, action: str, value: float = 0.0) -> None:
-        """Request an autopilot to `arm`, `disarm` or change its `mode`; the answer is in `Status.links`."""
+        """Send a request to an autopilot. Its answer is in `Status.links`.
+
+        Parameters
+        ----------
+        device : str
+            Name of the autopilot.
+        action : str
+            `arm`, `disarm`, `mode`, or `mute` (send no frame, except a zero command).
+        value : float
+            Number of the mode, or seconds to be mute.
+        """
         self.rig.device(device)
         self._send(DriverRequest(device, action, value))
 
     def alive(self) -> None:
-        """Heartbeat of the runner: to be called every 0.1 s (wall) while thrust is commanded."""
+        """Report that the runner works. Must be called every 0.1 s (wall) while thrust is commanded."""
         self._alive.set()
 
     def status(self) -> Status:
-        """The newest status, at most some 50 ms (wall) old; after `stop` the last one."""
+        """Return the newest status, which is about 50 ms (wall) old at most. After `stop` it is the last status.
+
+        Raises
+        ------
+        SeatrialError
+            If the process has failed or has ended by itself.
+        """
         with self._changed:
             self._raise_failure()
             if self._gone and not self._stopped:
@@ -193,12 +248,18 @@ class Acquisition:
             return self._status
 
     def stop(self) -> None:
-        """Zero thrust, close the log and wait for it. Calling it again does nothing."""
+        """Command zero, close the log and wait until it is closed. A second call does nothing.
+
+        Raises
+        ------
+        SeatrialError
+            If the process has failed or does not close the log.
+        """
         if self._stopped:
             return
         self._stopped = True
         try:
-            with contextlib.suppress(OSError):  # it is ending by itself; whether in good order is seen below
+            with contextlib.suppress(OSError):  # the process is ending by itself; its errors are raised below
                 if not self._gone:
                     self._link.send(Stop())
             self._await(lambda: self._gone, STOP_S, "did not close the log")
@@ -207,6 +268,7 @@ class Acquisition:
         self._raise_failure()
 
     def _configuration(self, terminal: int) -> Configuration:
+        """Return the first message to the process. `terminal`: descriptor of standard error, or -1."""
         return Configuration(
             rig_text=self.rig.text,
             rig_path=str(Path(self.rig.path).absolute()),
@@ -220,6 +282,7 @@ class Acquisition:
         )
 
     def _send(self, message: Message) -> None:
+        """Send a message. Raises SeatrialError if the process has ended."""
         try:
             self._link.send(message)
         except OSError:
@@ -230,7 +293,8 @@ class Acquisition:
             raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
 
     def _beat(self) -> None:
-        set_realtime_priority()  # this thread's heartbeats keep thrust on, also on a busy machine
+        """Send heartbeats until the end. This method is a thread."""
+        set_realtime_priority()  # a busy machine must not delay the heartbeats, without which thrust ends
         while not self._stopping.wait(HEARTBEAT_S):
             alive = self._alive.is_set()
             self._alive.clear()
@@ -240,6 +304,7 @@ class Acquisition:
                 return
 
     def _listen(self) -> None:
+        """Receive messages of the process until it closes the socket. This method is a thread."""
         closed = False
         for message in self._link.messages():
             if isinstance(message, SampleBatch) and self._take_samples is not None:
@@ -260,34 +325,37 @@ class Acquisition:
             self._changed.notify_all()
 
     def _died(self) -> str:
-        """The error, in one line, of a process that has ended without a message."""
+        """Return the error, in one line, of a process that has ended without a last message."""
         code = "none yet"
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = str(self._process.wait(timeout=2.0))
         self._stderr.seek(0)
         lines = self._stderr.read().decode(errors="replace").strip().splitlines()
-        said = f": {lines[-1].strip()}" if lines else ""
+        details = f": {lines[-1].strip()}" if lines else ""
         if self._watchdog is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._watchdog.wait(timeout=WATCHDOG_S)
-            said += f"; {note}" if (note := read_note(self.path)) else ""
-        return f"the acquisition process ended by itself (status {code}{said}); the log so far is {self.path}"
+            details += f"; {note}" if (note := read_note(self.path)) else ""
+        return f"the acquisition process ended by itself (status {code}{details}); the log so far is {self.path}"
 
     def _raise_failure(self) -> None:
         if self._failure:
             raise SeatrialError(self._failure)
 
-    def _await(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
+    def _await(self, condition: Callable[[], bool], seconds: float, failure: str) -> None:
+        """Wait for a condition. Raises SeatrialError after `seconds` (wall) or if the process fails."""
         with self._changed:
             if not self._changed.wait_for(lambda: condition() or self._failure, timeout=seconds):
-                raise SeatrialError(f"the acquisition process {what} in {seconds:g} s; the log so far is {self.path}")
+                raise SeatrialError(
+                    f"the acquisition process {failure} in {seconds:g} s; the log so far is {self.path}"
+                )
             self._raise_failure()
 
     def _abandon(self) -> None:
-        """End the process, by a signal if it does not end by itself, and release its resources."""
+        """Wait for the end of the processes, kill one that does not end, and release all resources."""
         self._stopped = True
         self._stopping.set()
-        self._link.close()  # a process that still runs takes this as the parent's death: zero thrust, log closed
+        self._link.close()  # a process that still runs then commands zero and closes the log
         try:
             self._process.wait(timeout=STOP_S)
         except subprocess.TimeoutExpired:

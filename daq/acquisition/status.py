@@ -1,4 +1,4 @@
-"""State of a running acquisition: ports, newest samples, set-points, log and links, sent to the parent at 20 Hz."""
+"""Status of a running acquisition: ports, newest samples, set-points, log and links. It is sent at 20 Hz."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from seatrial.daq import samples
 from seatrial.daq.drivers import LinkStatus
 from seatrial.daq.samples import Sample
 
-NO_STATUS_S = 1.0  # wall seconds without a status (there are twenty a second) after which the acquisition hangs
-Source = tuple[str, int | None]  # device and node; `DEVICE/KIND` for the further kinds of a device that has several
+NO_STATUS_S = 1.0  # wall seconds without a status after which the acquisition counts as hanging; the rate is 20 Hz
+# Name and node. The name is that of the device, or `DEVICE/KIND` for the further kinds of a device with several kinds.
+Source = tuple[str, int | None]
 
 
 class Latest(NamedTuple):
@@ -31,11 +32,11 @@ class StreamedSample(NamedTuple):
 
 @dataclass(frozen=True)
 class PortStatus:
-    """One port. Counters count from the start of the log; rates and ages are in run time."""
+    """State of one port. Counters start at the start of the log. Rates and ages refer to run time."""
 
-    name: str
+    name: str  # of the device
     protocol: str
-    port: str
+    port: str  # device file or address
     expected: float  # samples per run second, from the rig
     rate: float  # samples per run second over the last few seconds, NaN before the second sample
     age: float  # run seconds since the last sample, infinite before the first
@@ -48,49 +49,62 @@ class PortStatus:
     bytes_in: int
     latency: float  # s, mean of receive time minus estimated sample time; NaN for a device without a clock
     latency_spread: float  # s
-    message: str  # the fault of the port, in one line, else `remark`; empty without either
-    remark: str = ""  # what a user has to know of the stream though it is in order
-    stuck: tuple[str, ...] = ()  # the kinds of samples that repeat themselves, as those of a dead sensor do
-    open: bool = True  # False before the port was opened, and after it was lost
+    message: str  # fault of the port in one line, else `remark`; empty without both
+    remark: str = ""  # note for the user on a stream without a fault
+    stuck: tuple[str, ...] = ()  # kinds of samples that repeat the same values, as a dead sensor does
+    open: bool = True  # False before the port was opened and after it was lost
 
 
 @dataclass(frozen=True)
 class Status:
-    """The whole acquisition at run time `t`."""
+    """State of the whole acquisition at run time `t`."""
 
-    t: float
+    t: float  # run time [s]
     ports: dict[str, PortStatus]  # by device
     latest: dict[Source, Latest]  # by device and node; the node is None except for speed controllers
     commanded: dict[str, float]  # n_cmd by thruster, as last sent; 0 before the first command
     pending: int  # set-points that wait for their time
-    path: str
-    bytes: int
+    path: str  # of the log
+    bytes: int  # size of the log
     messages: int  # samples written
     duration: float  # run seconds since the start of the log
-    stopped: str  # why the acquisition process stopped thrust by itself; empty while it has not
+    stopped: str  # why the acquisition process stopped thrust by itself; empty if it has not
     warnings: tuple[str, ...]
     skipped: int = 0  # set-points that a later one replaced before they could be sent
     links: dict[str, LinkStatus] = dataclasses.field(default_factory=dict)  # by device
-    # By device: run time at which zero was written to its port, if nothing else was commanded since.
+    # By device: run time at which zero was written to its port. A device is missing if a command has followed.
     zeroed: dict[str, float] = dataclasses.field(default_factory=dict)
-    alarm: str = ""  # why nothing is written to the log now; it is the first of the warnings, too
-    hints: tuple[str, ...] = ()  # no faults, but possible improvements, one line each
+    alarm: str = ""  # why no data are written to the log at present; it is also the first of the warnings
+    hints: tuple[str, ...] = ()  # possible improvements that are no faults, one line each
 
 
 def senders(status: Status, device: str) -> tuple[int, int]:
-    """How many kinds of samples a device has sent, and how many nodes of it have; both at least 1."""
+    """Count the senders of one device.
+
+    Parameters
+    ----------
+    status : Status
+        Newest status.
+    device : str
+        Name of the device.
+
+    Returns
+    -------
+    tuple of int
+        Number of kinds of samples that it has sent, and number of its nodes that have sent a sample; both at least 1.
+    """
     sent = [(source, latest) for source, latest in status.latest.items() if source[0].partition("/")[0] == device]
     nodes = {source[1] for source, _ in sent if source[1] is not None}
     return max(len({type(latest.sample) for _, latest in sent}), 1), max(len(nodes), 1)
 
 
 def fields_of(sample: Sample) -> list[Any]:
-    """The values of a sample, in order: in a tenth of the time of dataclasses.astuple."""
+    """Return the values of a sample in the order of its fields, ten times as fast as `dataclasses.astuple`."""
     return [getattr(sample, name) for name in type(sample).__slots__]
 
 
 def to_json(status: Status) -> dict[str, Any]:
-    """`status` as values for JSON (NaN and Infinity as Python's json writes them)."""
+    """Return a status as values for JSON. NaN and Infinity are written as Python's json does."""
     out = {field.name: getattr(status, field.name) for field in dataclasses.fields(status)}
     out["ports"] = [dataclasses.asdict(port) for port in status.ports.values()]
     out["links"] = {name: dataclasses.asdict(link) for name, link in status.links.items()}
@@ -102,7 +116,7 @@ def to_json(status: Status) -> dict[str, Any]:
 
 
 def from_json(data: dict[str, Any]) -> Status:
-    """The inverse of `to_json`."""
+    """Return the status in values of `to_json`."""
     ports = {port["name"]: PortStatus(**port | {"stuck": tuple(port["stuck"])}) for port in data["ports"]}
     latest: dict[Source, Latest] = {}
     for device, node, kind, values, t in data["latest"]:

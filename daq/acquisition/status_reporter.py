@@ -1,4 +1,4 @@
-"""Status of the acquisition process: sent to the parent, and its new warnings and hints to the log."""
+"""Reporter of the acquisition process: it sends the status to the parent, and writes new warnings to the log."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from seatrial.daq.rig import Rig
 
 
 class StatusReporter:
-    """Assembles the status from the loops and the set-points by device, and sends it.
+    """Reporter of the status, which it assembles from the threads of the ports and the set-points by device.
 
-    `event(kind, text)` writes to the log: each warning, hint and loss of set-points once, when it is new.
+    The function `event(kind, text)` writes an event to the log. Each warning, hint and loss of set-points is written
+    once, when it is new.
     """
 
     def __init__(
@@ -39,7 +40,20 @@ class StatusReporter:
         self._skipped = 0  # set-points whose loss is in the log
 
     def report(self, stopped: str, ended: str) -> None:
-        """Send the status; `stopped`: why thrust was stopped, `ended`: why all was. Raises OSError without a parent."""
+        """Send the status to the parent, and write new warnings and hints to the log.
+
+        Parameters
+        ----------
+        stopped : str
+            Why the process has stopped thrust; empty if it has not.
+        ended : str
+            Why the process ends without a request of the parent; else empty.
+
+        Raises
+        ------
+        OSError
+            If the parent is gone.
+        """
         status = self._status(stopped, ended)
         for kind, lines in (("warning", status.warnings), ("hint", status.hints)):
             for text in lines:
@@ -50,7 +64,7 @@ class StatusReporter:
         self._link.send(StatusReport(status))
 
     def note_skipped(self) -> None:
-        """Log an event for the set-points skipped since the last one: the mission was not run as planned."""
+        """Write an event to the log for set-points that were skipped since the last call."""
         total = self._count_skipped()
         if total > self._skipped:
             lost = counted(total - self._skipped, "set-point")
@@ -61,6 +75,7 @@ class StatusReporter:
         return sum(setpoints.skipped for setpoints in self._setpoints.values())
 
     def _status(self, stopped: str, ended: str) -> Status:
+        """Return the present status."""
         now = self._clock.now()
         ports = {name: loop.status(now) for name, loop in self._loops.items()}
         warnings = [f"{port.name} ({port.port}): {port.message}" for port in ports.values() if port.message]

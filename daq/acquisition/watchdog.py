@@ -1,9 +1,10 @@
-"""The watchdog: a separate process that commands zero thrust when the acquisition process hangs or dies.
+"""Watchdog: a separate process that commands zero thrust if the acquisition process hangs or dies.
 
-The acquisition process sends it a heartbeat every 50 ms: thrust is commanded, or not. When the heartbeats stop while
-thrust is commanded, the watchdog kills the process, opens the thrusters' ports itself and sends zero; it writes what it
-did and why to `LOG.stop`, since no process writes the log any more. Started by
-`seatrial.daq.acquisition.session.Acquisition` as `python -m seatrial.daq.acquisition.watchdog FD`. See
+The acquisition process sends it heartbeats, which contain whether thrust is commanded. If the heartbeats stop while
+thrust is commanded, the watchdog kills the acquisition process, opens the ports of the thrusters and sends zero. It
+writes the reason and the outcome to `LOG.stop`, because no process writes the log any more.
+
+`seatrial.daq.acquisition.session.Acquisition` starts it as `python -m seatrial.daq.acquisition.watchdog FD`. See
 docs/decisions/0013-a-watchdog-behind-the-deadman.md.
 """
 
@@ -40,26 +41,44 @@ from seatrial.daq.rig import DRIVES, Device, Rig
 from seatrial.daq.transport import Port, PortError, decode_read, make_port
 
 # Wall seconds.
-HANG_S = 0.6  # without a heartbeat: more than a busy machine pauses, less than the second of most ESCs
+# Longest time without a heartbeat: longer than pauses of a busy machine, shorter than the time-out of most ESCs (1 s).
+HANG_S = 0.6
 POLL_S = 0.02
-HEARTBEAT_S = 0.02  # between heartbeats, at least
-READY_S = 20.0
-OPEN_S = 3.0  # for a port to be free again
-ZERO_S = 1.0  # zero is sent for so long
-ANSWER_S = 1.0  # for the watchdog to answer a heartbeat
+HEARTBEAT_S = 0.02  # shortest time between heartbeats
+READY_S = 20.0  # longest start of the watchdog
+OPEN_S = 3.0  # longest wait for a port to be free again
+ZERO_S = 1.0  # duration for which zero is sent
+ANSWER_S = 1.0  # longest wait for an answer to heartbeats
 
 READ_BYTES = 4096
 
 
 class Heartbeat:
-    """The acquisition's side. Raises nothing while thrust is commanded: `trouble` says why the watchdog cannot help.
+    """Heartbeat of the acquisition process to the watchdog.
 
-    Each side hears the other: the watchdog answers what it gets, and when it has answered nothing for `ANSWER_S` it
-    hangs (stopped, swapped out) and would not step in.
+    Only the constructor raises errors. Later failures are stored in `trouble`: why the watchdog would not step in;
+    empty while it works. The watchdog answers heartbeats. It counts as hanging if it does not answer for `ANSWER_S`.
     """
 
     def __init__(self, sock: socket.socket, rig: Rig, log: Path) -> None:
-        """Return when the watchdog is ready. Raises OSError or EOFError when it does not start, else SeatrialError."""
+        """Wait until the watchdog is ready.
+
+        Parameters
+        ----------
+        sock : socket.socket
+            Connection to the watchdog.
+        rig : Rig
+            The rig whose thrusters the watchdog brings to zero.
+        log : Path
+            The log.
+
+        Raises
+        ------
+        OSError, EOFError
+            If the watchdog does not start.
+        SeatrialError
+            If the watchdog reports that it cannot work.
+        """
         self.trouble = ""
         self._socket = sock
         self._next = self._looked = -math.inf
@@ -73,46 +92,72 @@ class Heartbeat:
         sock.setblocking(False)
 
     def beat(self, active: bool, now: float, at_once: bool = False) -> None:
-        """Send a heartbeat, whether thrust is commanded, and hear the answers to earlier ones."""
+        """Send a heartbeat, and read the answers to earlier heartbeats.
+
+        Parameters
+        ----------
+        active : bool
+            Whether thrust is commanded.
+        now : float
+            Monotonic time [s].
+        at_once : bool
+            Whether to send even if the last heartbeat is less than `HEARTBEAT_S` old.
+        """
         if at_once or now >= self._next:
             self._next = now + HEARTBEAT_S
             self._send(ACTIVE if active else IDLE)
             self._hear(now)
 
     def _hear(self, now: float) -> None:
+        """Read answers of the watchdog. Set `trouble` if there was no answer for `ANSWER_S`."""
         with contextlib.suppress(OSError):
             if self._socket.recv(READ_BYTES):
                 self._unanswered_since = math.inf
-        paused = now - self._looked > 0.5 * ANSWER_S  # a pause of this process: the answer may have been there in time
+        paused = now - self._looked > 0.5 * ANSWER_S  # after a pause of this process the time is counted anew
         self._unanswered_since = now if paused else min(self._unanswered_since, now)
         self._looked = now
         if now - self._unanswered_since > ANSWER_S:
             self.trouble = f"the watchdog has not answered for {ANSWER_S:g} s"
 
     def end(self) -> None:
-        """End the monitoring: the thrusters are at zero and the ports will be closed."""
+        """End the monitoring. The thrusters must be at zero."""
         self._send(FINISHED)
 
     def _send(self, word: bytes) -> None:
+        """Send one byte without waiting. Set `trouble` if the watchdog is gone."""
         try:
             self._socket.send(word)
         except BlockingIOError:
-            return  # it has not read for so long that it hangs itself; it will find out when it goes on
+            return  # the watchdog has not read for a long time; `_hear` then sets `trouble`
         except OSError:
             self.trouble = "the watchdog is gone"
 
 
 class HeartbeatMonitor:
-    """Decides from the heartbeats when to step in. Reads no clock."""
+    """Monitor of the heartbeats, which decides when the watchdog steps in. It reads no clock."""
 
     def __init__(self, now: float) -> None:
         self._last_heartbeat = self._looked = now
         self._active = False
 
     def look(self, now: float, words: bytes | None) -> str | None:
-        """Take the bytes read (None: the socket is closed). Returns a reason to step in, "" to end, else None."""
+        """Take the heartbeats that were received.
+
+        Parameters
+        ----------
+        now : float
+            Monotonic time [s].
+        words : bytes or None
+            Bytes that were read, possibly none; None if the socket is closed.
+
+        Returns
+        -------
+        str or None
+            A reason to step in, an empty string if the monitoring is over, or None to go on.
+        """
         if (pause := now - self._looked) > 3 * POLL_S:
-            self._last_heartbeat += pause - POLL_S  # of this process, which counts as one look: pauses come to an end
+            # A pause of the watchdog itself counts only as one poll, since heartbeats may wait unread.
+            self._last_heartbeat += pause - POLL_S
         self._looked = now
         if words is None:
             return "the acquisition process died while thrust was commanded" if self._active else ""
@@ -126,7 +171,13 @@ class HeartbeatMonitor:
 
 
 class FailsafeSender(threading.Thread):
-    """Sends zero to the thrusters on one port, as soon as it can be opened."""
+    """Thread that sends zero to the thrusters of one port, as soon as the port can be opened.
+
+    Attributes
+    ----------
+    outcome : str
+        Result in words.
+    """
 
     def __init__(self, device: Device, rig: Rig) -> None:
         super().__init__(name=f"failsafe {device.name}")
@@ -138,12 +189,12 @@ class FailsafeSender(threading.Thread):
         self._decoder: Decoder | None = None
         if device.protocol != "vesc":
             self._prepare()
-            self._zero()  # whatever has to be loaded for it is loaded now
+            self._zero()  # loads all modules now, so that none has to be loaded in an emergency
         else:
             self._frames = b"".join(pack_can(*vesc.encode_duty(t.node, 0.0)) for t in self._thrusters)
 
     def _prepare(self) -> None:
-        """A decoder and a driver that begin now: a signature of long ago is refused."""
+        """Make a decoder and a driver. They are made again before use, because an old MAVLink signature is refused."""
         from seatrial.daq.drivers import LinkRole, make_driver
         from seatrial.daq.protocol import make_decoder
 
@@ -151,15 +202,16 @@ class FailsafeSender(threading.Thread):
         self._driver = make_driver(self._device, self._rig, self._decoder, LinkRole.RESCUE)
 
     def _zero(self) -> bytes:
+        """Return the bytes that command zero on all thrusters of the port."""
         if self._driver is None:
             return self._frames
         return b"".join(data for data, _ in self._driver.zero(time.monotonic()))
 
     def run(self) -> None:
-        """Open, send zero for a second, close."""
+        """Open the port, send zero for `ZERO_S`, and close the port. Retry for up to `OPEN_S`."""
         deadline = time.monotonic() + OPEN_S
         if self._driver is not None:
-            with contextlib.suppress(SeatrialError):  # a key file that is gone: what was prepared first has the key
+            with contextlib.suppress(SeatrialError):  # if the key file is gone, the first driver still has the key
                 self._prepare()
         while True:
             try:
@@ -175,12 +227,13 @@ class FailsafeSender(threading.Thread):
         self._port.close()
 
     def _send_zero(self) -> None:
+        """Send zero repeatedly for `ZERO_S`, and read what arrives."""
         until = time.monotonic() + ZERO_S
         while time.monotonic() < until:
             ready, _, _ = select.select([self._port.fileno()], [], [], POLL_S)
             if ready:
                 data = self._port.read()
-                if self._decoder is not None:  # a listening UDP port learns the address to answer from this
+                if self._decoder is not None:  # a listening UDP port obtains the address to answer to
                     decode_read(self._port, self._decoder, data, 0.0)
             self._port.write(self._zero())
 
@@ -188,7 +241,7 @@ class FailsafeSender(threading.Thread):
 def main() -> None:
     """Receive the rig from the acquisition process, then monitor it."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # it ends when what it watches has ended well
+        signal.signal(number, signal.SIG_IGN)  # the watchdog ends only when the acquisition process has ended
     sock = socket.socket(fileno=int(sys.argv[1]))
     link = AcquisitionChannel(sock)
     config = link.receive_first()
@@ -203,7 +256,7 @@ def main() -> None:
         remedy = "give this user the right to write to it, or take the key out of the rig"
         link.send(WatchdogReady(f"{rig.path}: {why}: {remedy}"))
         return
-    set_realtime_priority()  # all of its life it waits, and when it does not it is urgent
+    set_realtime_priority()  # it waits nearly all the time, and when it acts it is urgent
     link.send(WatchdogReady())
     reason = _watch(sock, timer)
     if reason:
@@ -213,7 +266,7 @@ def main() -> None:
 
 
 def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
-    """Monitor until there is a reason to step in; empty when the acquisition process has finished."""
+    """Monitor the acquisition process. Return the reason to step in; empty if the process has finished."""
     sock.setblocking(False)
     watch = HeartbeatMonitor(time.monotonic())
     while True:
@@ -227,7 +280,7 @@ def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
             except OSError:
                 words = None
         if words:
-            with contextlib.suppress(OSError):  # it does not read any more: nobody is there to be answered
+            with contextlib.suppress(OSError):  # the process has died, or does not read any more
                 sock.send(ANSWER)
         if timer is not None:
             timer.beat(time.monotonic())
@@ -237,19 +290,19 @@ def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
 
 
 def _step_in(pid: int, log: Path, reason: str, senders: list[FailsafeSender]) -> None:
-    """Kill the process that hangs, send zero, and write down why."""
+    """Kill the process that hangs, send zero, and write the reason and the outcome beside the log."""
     if "died" not in reason:
         with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.kill(pid, signal.SIGKILL)  # its end of the socket is open: it is there, and the number is its own
+            os.kill(pid, signal.SIGKILL)  # its end of the socket is open, so that the process id is still its own
     for sender in senders:
         sender.start()
-    # Thrust ends before anything is written: a disk may be full, or keep a write waiting.
-    said = f"{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())} watchdog: {reason}"
-    write_note(log, said)
+    # Thrust ends before the note is written, because the disk may be full or may block the write.
+    note = f"{time.strftime('%Y-%m-%dT%H:%M:%SZ', time.gmtime())} watchdog: {reason}"
+    write_note(log, note)
     for sender in senders:
         sender.join()
     outcome = ", ".join(f"{sender.name.removeprefix('failsafe ')}: {sender.outcome}" for sender in senders)
-    write_note(log, f"{said}; {outcome}")
+    write_note(log, f"{note}; {outcome}")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Checks of a log device by device: rates, clocks, noise, impossible values."""
+"""Checks of the devices in a log: rates, clocks, noise, implausible values, and what an import left out."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""What a check hands over for its page: findings, the logs that show them, and the dry run of a mission."""
+"""Data for the page (HTML) of a check: findings, their logs, and the dry run of a mission."""
 
 from __future__ import annotations
 
@@ -15,10 +15,17 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PredictedTrack:
-    """Where a mission is expected to take the boat.
+    """Predicted track of a mission.
 
-    ``x``, ``y``: north and east [m] (n,); ``radius``: of the circle about each point that holds 95 % of the boats [m]
-    (n,), None where nobody has predicted it; ``source``: who predicted it, in words.
+    Attributes
+    ----------
+    x, y : Array (n_points,)
+        Position north and east of the start [m].
+    source : str
+        Source of the prediction, in words.
+    radius : Array (n_points,), optional
+        Radius [m] of the circle around each point that contains the boat with a probability of 95 %. None if it is not
+        predicted.
     """
 
     x: FloatArray
@@ -29,8 +36,25 @@ class PredictedTrack:
 
 @dataclass(frozen=True)
 class DryRun:
-    """A mission without the boat: commands ``n`` (n_times, n_thrusters), -1 to 1, each held from its time ``t`` [s]
-    (n_times,) on until the next one, the last one until ``end`` [s]; ``fence``: radius of the rig's geofence [m]."""
+    """Dry run of a mission: its commands and its predicted track.
+
+    Attributes
+    ----------
+    name : str
+        Name of the mission.
+    thrusters : tuple of str
+        Names of the thrusters, in the order of the columns of `n`.
+    t : Array (n_times,)
+        Times [s] from which the commands hold.
+    n : Array (n_times, n_thrusters)
+        Commands, -1 to 1. The last row holds until `end`.
+    end : float
+        End of the mission [s].
+    fence : float, optional
+        Radius [m] of the rig's geofence; None if it has none.
+    track : PredictedTrack, optional
+        None if the track cannot be predicted.
+    """
 
     name: str
     thrusters: tuple[str, ...]
@@ -43,8 +67,21 @@ class DryRun:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """A finished check. ``subject``: the file that was checked, or several, for people; ``rig``: its name where a rig
-    was checked, None where logs were; ``logs``: where the evidence is."""
+    """Result of a check.
+
+    Attributes
+    ----------
+    subject : str
+        Name of the checked file, or of several files.
+    findings : tuple of Finding
+        The findings.
+    logs : tuple of Path
+        The logs from which the findings come.
+    rig : str, optional
+        Name of the rig; None if logs were checked.
+    mission : DryRun, optional
+        Dry run of the mission, if one was checked.
+    """
 
     subject: str
     findings: tuple[Finding, ...]

@@ -1,6 +1,6 @@
-"""Checks of a log device by device: rate, time stamps, clock, noise, plausible values, stuck sensors, port counters.
+"""Checks of each device in a log: rate, time stamps, clock, noise, plausible values, stuck sensors, port counters.
 
-Whether devices agree with each other is a question of motion (seatrial.ident.checks.sensors,
+Whether devices agree with each other is checked from the motion (seatrial.ident.checks.sensors,
 seatrial.ident.checks.shafts).
 """
 
@@ -23,59 +23,59 @@ from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Command, Esc, Gnss, LoadCell, PortHealth, Scalar
 from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
 
-Tables = list[tuple[type, str, Any]]  # kind of sample, name for people, table
+Tables = list[tuple[type, str, Any]]  # kind of sample, name in findings, table
 FloatArray = npt.NDArray[np.float64]
-RATE_TOLERANCE = 0.2  # a rate within this part of the expected one is good
+RATE_TOLERANCE = 0.2  # part of the expected rate by which the measured rate may differ
 WRONG_RATE = "the device's output rate, its baud rate, or rate_hz of the rig"
-# An autopilot is asked for its rates after its first heartbeat; before, it sends at its own: so much of a log, at most
-# so many seconds, is left out.
+# An autopilot sends at its own rates until it receives our request after its first heartbeat. This part of a log, at
+# most this many seconds, is left out of its rate.
 UNASKED, UNASKED_S = 1.0 / 3.0, 10.0
-AT_REST = 5.0  # smallest steps of a load cell's counts: nearer to zero a scale is at rest
-MOST_DIGITS = 6  # of counts, after the point
-# White noise of one sample above which an AHRS is not what a fit expects: a few times that of a VN-100 on a boat.
+AT_REST = 5.0  # a load cell is at rest if its counts are within this many of their smallest steps
+MOST_DIGITS = 6  # digits of counts after the decimal point, at most
+# White noise of a sample above which an AHRS is too noisy for a fit: a few times that of a VN-100 on a boat.
 NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
-GRAVITY, GRAVITY_PART = 9.81, 0.15
-TOLD, STEP = 0.1, 0.1  # of full command
-NO_FIX = 0.05  # part of the samples
+GRAVITY, GRAVITY_PART = 9.81, 0.15  # m/s2, and the part of it by which the specific force may differ
+STEP = 0.1  # of full command; a larger change must change the shaft speed
+NO_FIX = 0.05  # part of the samples that may lack a position
 FEW_SATELLITES = 6
-REPEATED = 0.02  # part of the samples that may share their time with the one before
-BUNCHED, BUNCHES = 0.1, 5  # the same of a device without a clock of its own, and at least so many samples
-FEW_STILL = 0.05  # part of the samples that is enough to judge gravity by
-TURNING = 0.1  # rad/s; the specific force of a boat that turns is not gravity's alone
-GAP_S, GAP_PERIODS = 1.0, 10.0  # a pause longer than both is a section that is missing
-SILENT_S = 5.0  # a device that ends so long before the log has fallen silent
-TICK_S = 1e-3  # two messages of one time may round it to ms and to us; a clock that restarts goes back further
-# The earliest arrival in each block carries the device's clock; a block is at least so long, and so many samples.
+REPEATED = 0.02  # part of the samples of an imported signal that may not be later than the previous one
+BUNCHED, BUNCHES = 0.1, 5  # the same part for a device without a clock, and the smallest number of such samples
+FEW_STILL = 0.05  # part of the samples that suffices to check gravity
+TURNING = 0.1  # rad/s; in a faster turn the specific force is not gravity alone
+GAP_S, GAP_PERIODS = 1.0, 10.0  # s, and median sample periods; a pause longer than both is a missing section
+SILENT_S = 5.0  # s before the end of the log; a device that ends earlier has fallen silent
+TICK_S = 1e-3  # s; rounding of one time to ms and to us differs by less, and a restarted clock runs back by more
+# Length of a block [s], and its number of samples, at least. The earliest arrival in each block gives the clock offset.
 BLOCK_S, BLOCK_SAMPLES = 2.0, 5.0
-JUMP_S, SPREAD_S, DRIFT = 0.1, 0.1, 500e-6  # s, s, 1
-WALL_JITTER_S = 0.05  # wall s by which a busy machine is late at the best of times
-LEAST = 200  # samples that the digits of the time stamps are judged by
+JUMP_S, SPREAD_S, DRIFT = 0.1, 0.1, 500e-6  # largest jump [s], delay [s] and drift (no unit) of a good clock
+WALL_JITTER_S = 0.05  # wall s by which any busy machine may be late
+LEAST = 200  # smallest number of time stamps whose digits are checked
 
 
 def check_devices(log: Log) -> Iterator[Finding]:
-    """Every finding about the devices of an open log, one after the other."""
+    """Yield all findings on the devices of an open log."""
     rig = log.rig
     for text in log.warnings:
         yield Finding(
-            WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a whole log of what is there"
+            WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a complete log of it"
         )
     for text in (text for _, kind, text in log.events() if kind == "clock"):
         source, _, text = text.partition(": ")
-        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import what lies before and after by itself")
+        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import the parts before and after it separately")
     for topic, (n, longest) in log.clock_steps.items():
         text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
         yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
     for source, tables in _tables(log).items():
-        tables = [row for row in tables if len(row[2])]  # a part of a log may have none
+        tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
         device = next((d for d in rig.devices if d.name == source), None) if rig else None
-        of_times: list[Finding] = []
+        timing: list[Finding] = []
         for _, name, table in tables:
-            of_times += check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
-        yield from _rate(source, device, log, tables, any(f.code == "sections-missing" for f in of_times))
-        yield from of_times
+            timing += check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
+        yield from _rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
+        yield from timing
         for kind, name, table in tables:
             yield from _stuck(kind, name, table)
-            yield from _VALUES.get(kind, _nothing)(name, table, rig)
+            yield from _VALUES.get(kind, _no_findings)(name, table, rig)
         yield from _port(source, log)
     yield from _absent(log, rig)
     yield from check_thruster_coverage(log)
@@ -84,7 +84,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
 
 
 def _tables(log: Log) -> dict[str, Tables]:
-    """Samples by device; none of an autopilot that says only how it is."""
+    """Return the tables of samples by device. An autopilot that sends only its state has no table."""
     found: dict[str, Tables] = {}
     for kind in (Ahrs, Gnss, LoadCell, Battery):
         for source in log.sources(kind):
@@ -99,24 +99,27 @@ def _tables(log: Log) -> dict[str, Tables]:
 
 
 def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
-    """Devices of the rig without a sample; commands to them do not count."""
+    """Yield a finding for each device of the rig without a sample. Commands to a device do not count as samples."""
     topics = [name.split("/")[1:] for name in log.counts]
-    spoke = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
+    present = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
     for device in rig.devices if rig else ():
-        if device.name not in spoke:
+        if device.name not in present:
             yield Finding(
                 FAULT,
                 "device-not-in-log",
                 "alive",
                 device.name,
-                "nothing of it in the log",
+                "the log contains no sample of it",
                 "power, cable, port, baud rate",
             )
 
 
 def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
-    """Rate of the samples against the rig's rate_hz; ``gaps_known``: whether there is a finding on missing sections."""
-    # A ground station recorded an autopilot at the rates that it had asked for itself.
+    """Compare the rate of the samples with `rate_hz` of the rig.
+
+    `gaps_known`: a finding reports missing sections already. They are then left out of the rate.
+    """
+    # In an imported tlog the ground station has set the rates, so that `rate_hz` does not apply.
     ours = device is not None and (device.protocol != "mavlink" or log.metadata.get("import") != "mavlink")
     t = _rated_times(device if ours else None, tables)
     if device is not None and device.protocol == "mavlink" and ours and t.size < 3:
@@ -130,16 +133,16 @@ def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_kno
             )
         return
     if device is not None and device.protocol == "mavlink" and ours:
-        asked = t[t >= t[0] + min(UNASKED * (t[-1] - t[0]), UNASKED_S)]
-        t = asked if asked.size > 1 and asked[-1] > asked[0] else t
-    # Nodes of a bus send one after the other: a gap is one that all of them have.
-    pause = np.diff(t)
-    away = float(pause[pause > max(1.0, 20.0 * float(np.median(pause)))].sum())
+        requested = t[t >= t[0] + min(UNASKED * (t[-1] - t[0]), UNASKED_S)]
+        t = requested if requested.size > 1 and requested[-1] > requested[0] else t
+    # The times of all nodes of a bus are checked together, so that only a gap common to all nodes counts.
+    pauses = np.diff(t)
+    missing_s = float(pauses[pauses > max(1.0, 20.0 * float(np.median(pauses)))].sum())
     span = float(t[-1] - t[0])
     rate = (t.size - 1) / span
-    without = (t.size - 1) / max(span - away, 1e-9)
-    if device is not None and gaps_known and abs(without / device.rate_hz - 1.0) < RATE_TOLERANCE:
-        rate = without  # samples lost in gaps are reported as missing sections
+    rate_without_gaps = (t.size - 1) / max(span - missing_s, 1e-9)
+    if device is not None and gaps_known and abs(rate_without_gaps / device.rate_hz - 1.0) < RATE_TOLERANCE:
+        rate = rate_without_gaps  # samples lost in gaps are reported as missing sections
     if device is None or not ours:
         yield Finding(OK, "rate-measured", "rate", source, f"{rate:.4g} Hz")
     elif abs(rate - device.rate_hz) > RATE_TOLERANCE * device.rate_hz:
@@ -149,7 +152,10 @@ def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_kno
 
 
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
-    """Times of the samples that count for the rate, in order: as in the live table; all where there is no rate_hz."""
+    """Return the sorted times of the samples that count for the rate, as in the live table.
+
+    Without a device, which has `rate_hz`, all samples count.
+    """
     with_attitudes = any(kind is Ahrs and np.isfinite(table["yaw"]).any() for kind, _, table in tables)
     found = [np.empty(0)]
     for kind, _, table in tables:
@@ -159,14 +165,14 @@ def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
 
 
 def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
-    """The longest time for which every value of a sensor stays exactly the same."""
+    """Yield a finding if all values of a sensor stay exactly the same for too long."""
     if kind not in STUCK_IN_LOG:
         return
     start = float(table["t"][0])
     alive = _can_be_stuck(kind, table)
     table = table if alive.all() else table[alive]
-    # An autopilot's attitudes and the accelerations between them: each is compared with its own. What a row lacks is
-    # the bits of a number: np.unique of rows takes sixty times as long.
+    # An autopilot sends attitudes and accelerations in different rows. Each row is compared only with rows that lack
+    # the same columns. A bit mask stands for the missing columns, since np.unique of rows takes sixty times as long.
     form = np.zeros(len(table), np.uint8)
     for k, column in enumerate(STUCK_IN_LOG[kind].fields):
         form |= np.isnan(table[column]).view(np.uint8) << k
@@ -186,8 +192,10 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
 
 
 def _can_be_stuck(kind: type, table: Any) -> Any:
-    """Whether each row of a log's table would change if its sensor were alive. Of a load cell all do that are not at
-    rest: under load also coarse counts flicker."""
+    """Return for each row of a table whether its values would change if the sensor worked.
+
+    For a load cell these are the rows that are not at rest, because under load even coarse counts flicker.
+    """
     if kind is not LoadCell:
         return can_be_stuck(kind, table.view(np.recarray))
     counts = table["counts"]
@@ -195,7 +203,7 @@ def _can_be_stuck(kind: type, table: Any) -> Any:
 
 
 def _smallest_step(counts: Any) -> float:
-    """Between two counts of a log; of one that has only one value, its last digit."""
+    """Return the smallest step between two counts. If all counts are equal, return the unit of their last digit."""
     steps = np.abs(np.diff(counts))
     if (steps := steps[steps > 0.0]).size:
         return float(steps.min())
@@ -204,14 +212,14 @@ def _smallest_step(counts: Any) -> float:
 
 
 def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
-    """From when to when the same reading comes again and again, for too long."""
+    """Yield begin and end [s] of each interval in which the same reading is repeated for too long."""
     columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(max(len(table) - 1, 0), dtype=bool)
     for column in columns:
         values = table[column]
-        same &= (values[1:] == values[:-1]) | np.isnan(values[1:])  # the rows know the same columns
+        same &= (values[1:] == values[:-1]) | np.isnan(values[1:])  # all rows lack the same columns
         if not same.any():
-            return  # a sensor that is alive: most often its first column tells
+            return  # a working sensor; mostly its first column is sufficient
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         since, until = float(table["t"][a]), float(table["t"][b])
@@ -220,12 +228,13 @@ def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
 
 
 def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    fine, noises = True, dict[str, float]()
-    for column, (most, unit) in NOISE.items():
-        noise = noises[column] = white(_known(table, column))
-        if noise > most:
-            fine = False
-            text = f"{column} has white noise of {noise:.2g} {unit}, expected below {most:.2g}"
+    """Yield the findings on noise, specific force and mounting of an AHRS."""
+    is_quiet, noises = True, dict[str, float]()
+    for column, (limit, unit) in NOISE.items():
+        noise = noises[column] = white(_finite(table, column))
+        if noise > limit:
+            is_quiet = False
+            text = f"{column} has white noise of {noise:.2g} {unit}, expected below {limit:.2g}"
             yield Finding(
                 FAULT,
                 "sensor-noisy",
@@ -235,46 +244,64 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
                 "vibration, mounting, interference; or the unit of that value",
             )
     yaw, rate = noises["yaw"], noises["r"]
-    if fine and math.isfinite(rate):
-        of_yaw = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
-        yield Finding(OK, "sensor-noise-as-expected", "noise", name, f"{of_yaw}yaw rate {rate:.2g} rad/s a sample")
+    if is_quiet and math.isfinite(rate):
+        yaw_text = f"yaw {math.degrees(yaw):.2g} deg, " if math.isfinite(yaw) else ""
+        text = f"{yaw_text}yaw rate {rate:.2g} rad/s a sample"
+        yield Finding(OK, "sensor-noise-as-expected", "noise", name, text)
     force = np.sqrt(sum(table[c] ** 2 for c in ("ax", "ay", "az")))
-    known = np.isfinite(force)
-    still = known & ~(np.abs(table["r"]) > TURNING)
-    known = still if np.count_nonzero(still) > FEW_STILL * np.count_nonzero(known) else known
-    g = float(np.median(force[known])) if known.any() else GRAVITY
+    finite = np.isfinite(force)
+    still = finite & ~(np.abs(table["r"]) > TURNING)
+    finite = still if np.count_nonzero(still) > FEW_STILL * np.count_nonzero(finite) else finite
+    g = float(np.median(force[finite])) if finite.any() else GRAVITY
     if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
-        unit = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
+        cause = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
         yield Finding(
             WARNING,
             "specific-force-not-gravity",
             "units",
             name,
-            f"specific force is {g:.3g} m/s2 and not 9.81{unit}",
+            f"specific force is {g:.3g} m/s2 and not 9.81{cause}",
             "its output settings",
         )
     tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
     if tilt > 0.35:
-        text = f"level is {math.degrees(tilt):.0f} deg off"
+        text = f"roll or pitch is {math.degrees(tilt):.0f} deg in the median"
         yield Finding(
-            WARNING, "sensor-not-level", "mounting", name, text, "forward, starboard, down; its reference frame"
+            WARNING,
+            "sensor-not-level",
+            "mounting",
+            name,
+            text,
+            "axes forward, starboard, down? check its reference frame",
         )
 
 
-def _known(table: Any, column: str) -> FloatArray:
-    """The values of a column that its rows have, headings without jumps; some rows have only other columns."""
+def _finite(table: Any, column: str) -> FloatArray:
+    """Return the finite values of a column. Headings are unwrapped."""
     values: FloatArray = table[column][np.isfinite(table[column])]
     return np.unwrap(values) if column == "yaw" else values
 
 
 def white(values: FloatArray) -> float:
-    """Standard deviation of the white noise of a signal that moves slowly, from its second differences (robust)."""
+    """Estimate the standard deviation of the white noise of a signal that changes slowly.
+
+    Parameters
+    ----------
+    values : Array (n_samples,)
+        The signal.
+
+    Returns
+    -------
+    float
+        Robust estimate from the median of the second differences; NaN for fewer than 23 samples.
+    """
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]
     return float(np.median(np.abs(second)) / 0.6745 / math.sqrt(6.0)) if second.size > 20 else math.nan
 
 
 def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the findings on the fixes and satellites of a GNSS receiver."""
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
     if at_zero.any():
         first = float(table["t"][int(np.argmax(at_zero))] - table["t"][0])
@@ -299,6 +326,7 @@ def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the finding on the voltage that a speed controller reports."""
     lowest = None if rig is None else rig.limits.voltage_min_v
     volts = table["voltage"][np.isfinite(table["voltage"])]
     if lowest is not None and volts.size:
@@ -306,6 +334,7 @@ def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _voltage(name: str, volts: float, lowest: float) -> Finding:
+    """Return the finding on a voltage and its lower limit [V]."""
     if volts < lowest:
         return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
     near = volts < 1.05 * lowest
@@ -314,6 +343,7 @@ def _voltage(name: str, volts: float, lowest: float) -> Finding:
 
 
 def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the finding on flagged readings of a load cell."""
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED_SHARE:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
@@ -323,6 +353,7 @@ def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the finding on the remaining charge of a battery."""
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
         low = left < least
@@ -333,11 +364,12 @@ def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 _VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
 
 
-def _nothing(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+def _no_findings(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     return iter(())
 
 
 def _port(source: str, log: Log) -> Iterator[Finding]:
+    """Yield the findings on the counters of a port: checksum errors, unparsed bytes, dropped samples, lost ports."""
     if source not in log.sources(PortHealth) or not (rows := log.health(source)):
         return
     last = rows[-1][1]
@@ -349,29 +381,30 @@ def _port(source: str, log: Log) -> Iterator[Finding]:
         yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; unexpected output")
     if last.dropped:
         text = f"{counted(last.dropped, 'sample')} dropped"
-        yield Finding(WARNING, "samples-dropped", "link", source, text, "a slower disk than the devices need")
+        yield Finding(WARNING, "samples-dropped", "link", source, text, "use a faster disk")
     if last.reconnects:
         text = f"its port was lost {counted(last.reconnects, 'time')}"
         yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
 
 
 def _controllers(log: Log) -> Iterator[Finding]:
-    """A shaft speed that does not change while the command does."""
+    """Yield a finding for each shaft speed that does not change while the command changes."""
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
             if node not in log.nodes(Command, source):
                 continue
-            table, told = log.table(Esc, source, node), log.table(Command, source, node)
+            table, commands = log.table(Esc, source, node), log.table(Command, source, node)
             rpm, t = table["rpm"], table["t"]
             if len(t) < 20 or np.isnan(rpm).all():
                 continue
             edges = np.flatnonzero(np.concatenate([[True], rpm[1:] != rpm[:-1], [True]]))
             first, last = edges[:-1], edges[1:] - 1
             held = (rpm[first] != 0.0) & (t[last] - t[first] > 2.0)
-            order = np.argsort(told["t"], kind="stable")
-            t_told, n_told = told["t"][order], told["n_cmd"][order]
+            order = np.argsort(commands["t"], kind="stable")
+            t_cmd, n_cmd = commands["t"][order], commands["n_cmd"][order]
             for a, b in zip(first[held], last[held], strict=True):
-                during = n_told[np.searchsorted(t_told, t[a], "right") : np.searchsorted(t_told, t[b] - 1.0)]
+                # Commands of the last second do not count, because the shaft responds with a delay.
+                during = n_cmd[np.searchsorted(t_cmd, t[a], "right") : np.searchsorted(t_cmd, t[b] - 1.0)]
                 if during.size > 1 and np.ptp(during) > STEP:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
                     yield Finding(
@@ -381,16 +414,16 @@ def _controllers(log: Log) -> Iterator[Finding]:
 
 
 def _imported(log: Log) -> Iterator[Finding]:
-    """Signals of an imported file: rows that the import left out, stamps that lost their zeros, values that stay."""
+    """Yield the findings on imported signals: rows left out, missing inputs, damaged time stamps, constant values."""
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
     yield from check_missing_inputs(log)
     if b"unpadded-ns" in by_map:
-        text = "time stamps whose nanoseconds had lost their zeros, put right by the import's map"
-        yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, "mend the logger")
+        text = "the nanoseconds of time stamps had lost their leading zeros; the import's map has restored them"
+        yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, "repair the logger")
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
-        # A command that is imported lasts until the next one: a pause in it is none in the recording.
+        # An imported command holds until the next one, so that a pause between commands is not a missing section.
         here = check_timestamps(source, table, None)
         yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
         yield from lost_zeros(source, table["t"])
@@ -400,10 +433,19 @@ def _imported(log: Log) -> Iterator[Finding]:
 
 
 def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
-    """Findings on the times of one table (t, t_rx, t_device).
+    """Yield the findings on the times of one table.
 
-    ``end``: of the log, None for an imported signal, whose times are those of its file and which may be a command that
-    ends with its last change; ``speed``: run seconds per wall second.
+    Parameters
+    ----------
+    name : str
+        Name of the device or signal.
+    table : structured array
+        Table with the columns t, t_rx and t_device [s].
+    end : float or None
+        End of the log [s]; None for an imported signal. An imported signal may be a command, which ends with its last
+        change.
+    speed : float
+        Run seconds per wall second.
     """
     t, imported = table["t"], end is None
     if len(t) < 3:
@@ -435,9 +477,10 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
 
 
 def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
+    """Yield a finding if sections of the samples are missing."""
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
-    # A signal of a file that is written when it changes has pauses by nature; a device goes on sending.
+    # An imported signal that is written only when it changes has many long pauses without a missing section.
     if long.size and (not imported or long.size < 0.02 * t.size + 1.0):
         k = int(long[np.argmax(pauses[long])])
         missing = f"missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
@@ -446,10 +489,11 @@ def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: 
 
 
 def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
-    known = np.isfinite(table["t_device"])
-    if np.count_nonzero(known) < 50:
+    """Yield the findings on the clock of a device: jumps, delays and drift against the clock of the computer."""
+    has_clock = np.isfinite(table["t_device"])
+    if np.count_nonzero(has_clock) < 50:
         return
-    device, received = table["t_device"][known], table["t_rx"][known]
+    device, received = table["t_device"][has_clock], table["t_rx"][has_clock]
     if back := int(np.count_nonzero(np.diff(device) < -TICK_S)):
         text = f"its clock ran back {counted(back, 'time')}"
         yield Finding(
@@ -458,7 +502,7 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "it restarted: power? a clock set by GNSS in the middle of the run?",
+            "the device restarted (power), or its clock was set by GNSS during the run",
         )
         return
     offset = received - device
@@ -476,7 +520,7 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "a clock set in the middle of the run: leave that out, or start later",
+            "its clock was set during the run: leave that part out, or start later",
         )
         return
     if late > max(SPREAD_S, jitter):
@@ -501,12 +545,15 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock-steady",
             "clock",
             name,
-            f"samples arrive within {1e3 * max(late, 0.0):.0f} ms of each other's delay",
+            f"the delays of the samples agree within {1e3 * max(late, 0.0):.0f} ms",
         )
 
 
 def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Time and offset of the earliest arrival in each block, which is longer for a slow device."""
+    """Return receive time and clock offset [s] of the earliest arrival in each block of samples.
+
+    The blocks of a slow device are longer.
+    """
     long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
     block = ((received - received[0]) / long).astype(int)
     order = np.lexsort((offset, block))  # the earliest of each block first
@@ -516,7 +563,17 @@ def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, Flo
 
 
 def lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
-    """Stamps whose fraction was written without its leading zeros: none of them is in the first tenth of a second."""
+    """Check whether the fractions of time stamps were written without leading zeros.
+
+    No such time stamp lies in the first tenth of its second.
+
+    Parameters
+    ----------
+    name : str
+        Name of the signal.
+    t : Array (n_samples,)
+        Times [s].
+    """
     tenth = np.floor(np.mod(t, 1.0) * 10.0).astype(int)
     share = np.bincount(tenth, minlength=10)[:10] / max(t.size, 1)
     if t.size >= LEAST and share[0] < 0.002 and share[1:].min() > 0.03:

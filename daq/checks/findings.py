@@ -1,4 +1,4 @@
-"""What a check found: one line each, for people and for machines."""
+"""Findings of a check, and their presentation as text."""
 
 from __future__ import annotations
 
@@ -9,15 +9,26 @@ from typing import NamedTuple
 from seatrial.daq.errors import counted
 
 OK, WARNING, FAULT = "ok", "warning", "fault"
-LEVEL = 8  # columns of the level
+LEVEL = 8  # width of the column of the level, in characters
 
 
 class Finding(NamedTuple):
-    """What one question to a rig or a log was answered with.
+    """Result of one check of a rig or a log.
 
-    ``level``: ok, warning or fault; ``code``: what was found, for programs, in kebab-case, and it stays the same when
-    the words change; ``check``: the question; ``where``: device, thruster or file; ``text``: the answer with its
-    numbers; ``advice``: what to do about it, empty when ok.
+    Attributes
+    ----------
+    level : str
+        `OK`, `WARNING` or `FAULT`.
+    code : str
+        Kind of the finding in kebab-case, for programs. It stays the same if the text changes.
+    check : str
+        Name of the check.
+    where : str
+        Device, thruster or file.
+    text : str
+        The finding with its numbers.
+    advice : str
+        What to do about it; empty if no action is needed.
     """
 
     level: str
@@ -29,39 +40,52 @@ class Finding(NamedTuple):
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Faults, warnings, then the rest; the order within each stays."""
+    """Return faults first, then warnings, then the rest. The order within each level stays."""
     order = (FAULT, WARNING, OK)
     return sorted(findings, key=lambda f: order.index(f.level))
 
 
 def findings_lines(findings: Sequence[Finding]) -> list[str]:
-    """A table, one line a finding, columns as wide as they have to be."""
-    both = zip(_heads(findings), findings, strict=True)
-    return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in both]
+    """Return a table with one line for each finding."""
+    rows = zip(_heads(findings), findings, strict=True)
+    return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in rows]
 
 
 def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
-    """The same for a terminal of ``width`` columns: wrapped, and what to do on a line of its own."""
+    """Return the findings as lines for a terminal.
+
+    Parameters
+    ----------
+    findings : sequence of Finding
+        The findings.
+    width : int
+        Width of the terminal in characters. Longer texts are wrapped.
+
+    Returns
+    -------
+    list of str
+        The lines. The advice of each finding starts on a new line.
+    """
     heads = _heads(findings)
     beside = len(heads[0]) <= width // 2 if heads else True
     indent = len(heads[0]) if heads and beside else LEVEL + 1
-    found = []
+    lines = []
     for head, f in zip(heads, findings, strict=True):
         texts = [f.text, *([f"→ {f.advice}"] if f.advice else [])]
         wrapped = [line for text in texts for line in textwrap.wrap(text, max(width - indent, 24))]
         rest = [" " * indent + line for line in wrapped]
-        found += [head + wrapped[0], *rest[1:]] if beside else [head.rstrip(), *rest]
-    return found
+        lines += [head + wrapped[0], *rest[1:]] if beside else [head.rstrip(), *rest]
+    return lines
 
 
 def _heads(findings: Sequence[Finding]) -> list[str]:
-    """Level, where and check of each, all of one length."""
-    wide = max((len(f.where) for f in findings), default=0)
-    what = max((len(f.check) for f in findings), default=0)
-    return [f"{f.level:<{LEVEL}} {f.where:<{wide}}  {f.check:<{what}}  " for f in findings]
+    """Return level, place and check of each finding, padded to one length."""
+    where_width = max((len(f.where) for f in findings), default=0)
+    check_width = max((len(f.check) for f in findings), default=0)
+    return [f"{f.level:<{LEVEL}} {f.where:<{where_width}}  {f.check:<{check_width}}  " for f in findings]
 
 
 def findings_summary(findings: Sequence[Finding]) -> str:
-    """How many of each."""
+    """Return the number of faults, warnings and other findings in words."""
     count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK)}
     return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order"

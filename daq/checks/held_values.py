@@ -1,7 +1,7 @@
-"""Sample-and-hold columns: a slow sensor whose last value stands in each row of a faster table.
+"""Detection of held values: a faster table repeats the last value of a slow sensor in each row.
 
-Each measurement is then in the table several times. A fit that takes each row for a measurement believes the sensor
-too much, and believes a late value at the time of each row.
+Each measurement is then in the table several times. A fit that takes each row for a measurement gives the sensor too
+much weight, and takes old values as new ones.
 
 Notes
 -----
@@ -32,16 +32,16 @@ MOST_SINGLE_STEPS = 0.5  # share of the changes that may be one step of the reso
 TIMES_CHANCE = 4.0  # by which repeats exceed what the resolution explains
 SAME_ROWS = 0.8  # share of common rows of change, from which two signals come from one sensor
 WITHIN = 0.95  # share of the changes of a coarse signal that are at the changes of its sensor
-# A held input is taken for a slow sensor's (a shaft speed) only if it changes at least so often, and rarely comes back
-# to a value: interpolation would make ramps of the steps of a command. Number of values, share of different ones,
-# longest time between two [s].
+# A held input is taken for a measurement of a slow sensor (a shaft speed), and not for a command, only if it changes
+# often and rarely returns to a value. Interpolation would turn the steps of a command into ramps. Smallest number of
+# values, smallest share of different values, longest time between two values [s].
 FEWEST_LEVELS, LEAST_DIFFERENT, SLOWEST_INPUT_S = 50, 0.5, 1.05
-# Signals that one sensor measures at once: where one of them changes, the other one was measured, too.
+# Signals that one sensor measures at once: if one of them changes, the other one was measured too.
 TOGETHER = (("x", "y"), ("vx", "vy"), ("u", "v"), ("ax", "ay"), ("speed_x", "speed_y"))
 
 
 class HeldValues(NamedTuple):
-    """Values that a table holds.
+    """Held values of a table.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     Returns
     -------
     HeldValues or None
-        None if the rows are measurements, or if that cannot be told.
+        None if the rows are measurements, or if the data do not show whether values are held.
     """
     changed = _changes(columns)
     first = np.flatnonzero(changed)
@@ -75,7 +75,7 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
         return None
     mean = _pace(changed)
     regular = (lengths >= 0.4 * mean) & (lengths <= 1.6 * mean + 1.0)
-    own = lengths[lengths <= 3.0 * mean + 1.0]  # a boat at rest, or a sensor that pauses, proves nothing
+    own = lengths[lengths <= 3.0 * mean + 1.0]  # longer runs may come from a boat at rest or a sensor that pauses
     repeated, longer = 1.0 - own.size / float(own.sum()), float(np.mean(lengths > 1))
     if min(repeated, longer) < LEAST_REPEATED or float(np.mean(regular)) < LEAST_REGULAR:
         return None
@@ -110,7 +110,7 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
     changed = {g: _changes([signals[n] for n in g]) for g in groups}
     held = []
     for g in groups:
-        if (one := held_values([signals[n] for n in g])) is not None and one.rows <= slowest:
+        if (values := held_values([signals[n] for n in g])) is not None and values.rows <= slowest:
             held.append(g)
     sensors = {g: np.logical_or.reduce([changed[o] for o in held if _alike(changed[g], changed[o])]) for g in held}
     found: dict[str, HeldValues] = {}
@@ -126,12 +126,12 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
 
 
 def is_measured(levels: FloatArray, interval: float) -> bool:
-    """Return whether the values (n,) of a held input are those of a sensor or a joystick, and not a command's steps.
+    """Return whether a held input comes from a sensor or a joystick, and is not a sequence of commanded steps.
 
     Parameters
     ----------
     levels
-        The values without their repeats.
+        The values (n,) without their repeats.
     interval
         Time between two of them [s].
     """
@@ -141,7 +141,18 @@ def is_measured(levels: FloatArray, interval: float) -> bool:
 
 
 def held_together(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:
-    """Join the names of held signals that have equally many measurements: mostly those of one sensor."""
+    """Join the names of held signals with equal numbers of measurements, which mostly come from one sensor.
+
+    Parameters
+    ----------
+    found
+        Held signals by name.
+
+    Returns
+    -------
+    list
+        Joined names, and the held values of the first of them.
+    """
     groups: dict[int, list[str]] = {}
     for name, held in found.items():
         groups.setdefault(int(held.new.sum()), []).append(name)
@@ -149,13 +160,13 @@ def held_together(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues
 
 
 def _pace(changed: Mask) -> float:
-    """Mean number of rows from one change to the next, long pauses left out."""
+    """Return the mean number of rows from one change to the next. Long pauses are left out."""
     lengths = np.diff(np.flatnonzero(changed))
     return float(np.mean(lengths[lengths <= 3.0 * np.median(lengths)]))
 
 
 def _changes(columns: Sequence[FloatArray]) -> Mask:
-    """Rows in which any of the columns differs from the row before, and the first row, (n,)."""
+    """Return a mask (n,) of rows in which a column differs from the previous row. The first row is included."""
     new = np.zeros(len(columns[0]), bool)
     new[:1] = True
     for column in columns:
@@ -164,7 +175,7 @@ def _changes(columns: Sequence[FloatArray]) -> Mask:
 
 
 def _single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> float:
-    """Share of the changes, at ``rows``, that are at most one step of the resolution in every column."""
+    """Return the share of the changes, at `rows`, that are at most one step of the resolution in every column."""
     small = np.ones(rows.size, bool)
     for column in columns:
         steps = np.abs(column[rows] - column[rows - 1])
@@ -175,8 +186,11 @@ def _single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> 
 
 
 def _measurements(changed: Mask, period: float) -> Mask:
-    """The rows of changes, and rows one period [rows] apart within a run that is much longer: there the sensor has
-    measured the same value again, as a boat at rest or a frozen sensor does."""
+    """Return a mask (n,) of rows with a measurement.
+
+    These are the rows of changes. In a run that is much longer than a period [rows], a row in each period is added,
+    because the sensor has measured the same value again, as for a boat at rest.
+    """
     new = changed.copy()
     first = np.append(np.flatnonzero(changed), changed.size)
     for k in np.flatnonzero(np.diff(first) > 2.5 * period):
@@ -184,5 +198,6 @@ def _measurements(changed: Mask, period: float) -> Mask:
     return new
 
 
-def _alike(one: Mask, other: Mask) -> bool:
-    return float(np.sum(one & other)) >= SAME_ROWS * float(np.sum(one | other))
+def _alike(a: Mask, b: Mask) -> bool:
+    """Return whether two signals change in mostly the same rows, so that they come from one sensor."""
+    return float(np.sum(a & b)) >= SAME_ROWS * float(np.sum(a | b))

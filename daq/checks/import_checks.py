@@ -1,4 +1,4 @@
-"""Checks of what an import left out: rows whose times repeat, run back or are wrong, and inputs without a value."""
+"""Checks of imported logs: rows that were left out because of their times, and inputs without a value."""
 
 from __future__ import annotations
 
@@ -12,18 +12,24 @@ from seatrial.daq.errors import counted
 from seatrial.daq.log import Log
 from seatrial.daq.samples import Scalar
 
-MOST_LEFT_OUT, FEWEST_LEFT_OUT = 0.05, 5  # share of a source's rows, and rows: more are a fault
-SHORTEST_GAP_S = 0.5  # s without a value of an input: the last one holds through shorter ones
+MOST_LEFT_OUT, FEWEST_LEFT_OUT = 0.05, 5  # share of a source's rows, and number of rows, above which it is a fault
+SHORTEST_GAP_S = 0.5  # s without a value of an input; in a shorter gap the last value holds
 
 
 def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
-    """Findings on the rows that are not in an imported log because of their times, by its ``metadata``."""
+    """Yield the findings on rows that an import left out because of their times.
+
+    Parameters
+    ----------
+    metadata
+        Metadata of the imported log, which contain the numbers of these rows.
+    """
     k = 1
     while (name := metadata.get(f"source.{k}.name")) is not None:
         lines = metadata.get(f"source.{k}.left_out")
         n_old = int(metadata.get(f"source.{k}.disordered", "0"))
         k += 1
-        if lines is None and n_old:  # a log of an earlier version, without the number of all rows
+        if lines is None and n_old:  # a log of an earlier version lacks the number of all rows
             text = f"{counted(n_old, 'row')} left out: times that ran back or repeated"
             yield Finding(WARNING, "rows-left-out", "time", name, text, _ADVICE["back"])
         for line in (lines or "").splitlines():
@@ -37,7 +43,7 @@ def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_missing_inputs(log: Log) -> Iterator[Finding]:
-    """Findings on inputs that are unknown at times, as an import marks them."""
+    """Yield a finding for each input that is unknown for some time, as an import marks it."""
     for source in log.sources(Scalar):
         if log.role(source) != "input":
             continue
@@ -74,7 +80,15 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
 
 
 def too_many_rows_missing(n: int, n_rows: int) -> bool:
-    """Whether a log without ``n`` of a source's ``n_rows`` is no longer the recording."""
+    """Return whether a log lacks too many rows to represent the recording.
+
+    Parameters
+    ----------
+    n
+        Number of rows of a source that were left out.
+    n_rows
+        Number of all rows of the source.
+    """
     return n >= FEWEST_LEFT_OUT and n > MOST_LEFT_OUT * n_rows
 
 

@@ -1,4 +1,4 @@
-"""Coverage of thrusters: whether each controller of the rig is heard, at which rate, and which nodes are unknown."""
+"""Coverage of thrusters in a log: controllers without samples, their rates, and unknown nodes."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from seatrial.daq.log import Log
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Command, Esc
 
-SLOW = 0.5  # of the rate of the fastest controller on the same bus
-LONGEST_PAUSE_S = 60.0  # s; a longer time between two speeds is a gap of the log and tells nothing of their rate
-FEWEST = 10  # samples of the fastest one
+SLOW = 0.5  # part of the samples of the fastest controller on the same bus; fewer are too few
+LONGEST_PAUSE_S = 60.0  # s; a longer time between two speeds is a gap of the log, which does not count for the rate
+FEWEST = 10  # smallest number of samples of the fastest controller from which rates are compared
 
 
 def _without_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
-    """Thrusters whose controllers report a speed that is no part of full speed, as the rig has no rpm_max of them."""
+    """Yield a finding for each thruster whose speed cannot be normalised, because the rig lacks its rpm_max."""
     for thruster in rig.thrusters:
         if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):
             continue
         rpm = np.abs(log.table(Esc, thruster.device, thruster.node)["rpm"])
         if np.nanmax(rpm, initial=0.0) > 0.0:
-            text = "its speed is in the log, and a fit takes its commands: the rig has no rpm_max of it"
+            text = "the log contains its speed, but a fit uses its commands: the rig lacks its rpm_max"
             advice = f"rpm_max of the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
             yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
 
 
 def _numbering(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
-    """What may be wrong about the numbers of the controllers of a bus."""
+    """Return the advice on wrong numbers of the controllers of a bus."""
     offset = min(heard) - min(nodes)
     of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
     if of_dronecan and offset and {node + offset for node in nodes} == heard:
@@ -58,7 +58,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             advice = "`node` of the rig's thrusters, or another controller on the bus"
             yield Finding(WARNING, "node-unknown", "thrusters", device, text, advice)
         for node, name in names.items():
-            # One that was commanded is a fault of its own (seatrial.ident.checks.log_checks).
+            # A silent node that was commanded is reported by another check (seatrial.ident.checks.log_checks).
             if node not in heard and node not in log.nodes(Command, device):
                 text = f"its controller, node {node} of {device}, is not in the log"
                 advice = "its power and cable"
@@ -66,16 +66,16 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
                     advice += f"; node {listed} is unknown: {_numbering(rig, device, set(names), set(heard))}"
                 yield Finding(FAULT, "thruster-not-heard", "thrusters", name, text, advice)
         counts = {node: len(log.table(Esc, device, node)) for node in names if node in heard}
-        most = max(counts.values(), default=0)
+        most_samples = max(counts.values(), default=0)
         for node, n in counts.items():
-            if most < FEWEST:
+            if most_samples < FEWEST:
                 continue
             t = np.sort(log.table(Esc, device, node)["t"])
             steps = np.diff(t)
             steps = steps[steps < LONGEST_PAUSE_S]
             rate = steps.size / float(steps.sum()) if steps.sum() > 0.0 else 0.0
-            if n < SLOW * most:
-                text = f"{n} speeds ({rate:.3g} Hz), and {most} of the other controllers on {device}"
+            if n < SLOW * most_samples:
+                text = f"{n} speeds ({rate:.3g} Hz); another controller on {device} has {most_samples}"
                 advice = "bus load, its cable, its power"
                 yield Finding(WARNING, "thruster-rate-low", "thrusters", names[node], text, advice)
             else:

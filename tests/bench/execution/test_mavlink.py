@@ -304,8 +304,12 @@ def test_a_link_test_counts_for_its_parameters_and_only_when_passed(tmp_path: Pa
         (replace(good, n=0.05), link, "commanded n = 0.05, which is below 0.1"),
         (good, LinkStatus(parameters=parameters, receiver=True), "was done with no receiver, and one is heard now"),
         (replace(good, receiver=True), link, "was done with a receiver, and none is heard now"),
-        (good, LinkStatus(parameters=parameters), "is not known now"),
-        (replace(good, receiver=None), link, "is not known in that of 2026"),
+        (good, LinkStatus(parameters=parameters), "the autopilot does not report whether it hears one"),
+        (
+            replace(good, receiver=None),
+            link,
+            "the autopilot did not report on 2026-01-01T00:00:00Z whether it hears one",
+        ),
     ):
         if test is not None:
             save_link_tests(rig, {"autopilot": test})

@@ -63,7 +63,7 @@ def test_nothing_turns_unless_it_is_asked_for_and_agreed(tmp_path: Path) -> None
         # A preflight that has found a fault already does not go on to turn propellers.
         done = check(tmp_path, "boat-rig.toml", "--actuators", "--yes", "--seconds", "1")
         assert done.returncode == 1
-        assert "not tested: there are faults already: first gnss" in done.stdout
+        assert "not tested: there are faults already: repair first: gnss" in done.stdout
         assert not trace(tmp_path)
     assert not list(tmp_path.rglob("*.mcap"))
 
