@@ -182,7 +182,7 @@ def make_mission(
     kind : str
         One of `MISSION_KINDS`.
     seconds : float
-        Length [s], with the rest at the start and at the end.
+        Duration [s], zero thrust at the start and at the end included.
     seed : int
         Seed of the random generator.
     thrusters : tuple of str

@@ -470,7 +470,7 @@ def _read_zda(epoch: _Epoch, message: Message) -> None:
 
 
 def _place(epoch: _Epoch, kind: str, message: Message) -> None:
-    """Store the position of a sentence if it is valid."""
+    """Store latitude and longitude [deg] of an NMEA sentence if both are in range."""
     lat, lon = _number(message.get("lat")), _number(message.get("lon"))
     if abs(lat) <= 90.0 and abs(lon) <= 180.0:
         epoch.position[kind] = (lat, lon)

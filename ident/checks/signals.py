@@ -342,7 +342,10 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
 
 
 def _alternating(channel: Channel) -> float:
-    """Return the share of the differences from the line between the neighbours that alternates in sign.
+    """Return how much of a signal alternates from sample to sample, from 0 (not at all) to 1.
+
+    Each sample is compared with the straight line between its two neighbours. The result is the share of the mean
+    square of these deviations that changes its sign at every sample.
 
     0 for too few samples and for repeated values: values that stand in two rows each also alternate.
     """

@@ -371,7 +371,10 @@ def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBa
 
 
 def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
-    """Return spline functions at z (n,), with the basis of the samples ``among``, by default z."""
+    """Return the values (n, n_functions) of spline functions at z (n,).
+
+    The knots are placed for the samples ``among``, by default for z itself.
+    """
     return spline_basis(z if among is None else among, n_functions)(z)
 
 

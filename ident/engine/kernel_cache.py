@@ -112,7 +112,10 @@ class TracedNumber:
 
 
 def _name(operand: Any) -> str:
-    """Return the text of an operand: the index of a recorded number, or the hexadecimal digits of a constant."""
+    """Return the text of an operand of a recorded expression.
+
+    A number that was computed before is written as ``#`` and its index, a constant as ``float.hex``.
+    """
     if isinstance(operand, TracedNumber):
         return f"#{operand.place}"
     if isinstance(operand, (int, float, np.integer, np.floating)):

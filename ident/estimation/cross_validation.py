@@ -47,16 +47,18 @@ class TimeBlocks:
 def time_blocks(
     records: Sequence[Record], block: float, starts: Sequence[Mapping[str, tuple[float, float]]]
 ) -> TimeBlocks:
-    """Cut records into five to eight blocks in time each, of a minute or longer if the record is long enough.
+    """Cut each record into blocks of consecutive rows, for cross-validation.
+
+    A record gets five to eight blocks of equal duration. Blocks of a long record are a minute or longer.
 
     Parameters
     ----------
     records
         The records.
     block
-        ``Model.block`` of the model [s].
+        Duration [s] over which the residuals of the model may be correlated (``Model.block``).
     starts
-        For each record, ``Record.start`` of its blocks.
+        For each record: state name -> mean and standard deviation with which its blocks start.
     """
     parts: list[Record] = []
     of: list[int] = []

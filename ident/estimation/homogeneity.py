@@ -293,12 +293,12 @@ def between_runs_effect(model: Model, target: str) -> Effect:
 
 
 def _between(target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str) -> Effect:
-    """Return the between-run effect of one per-record parameter.
+    """Return an effect by which one parameter differs between the runs (heterogeneity).
 
     Parameters
     ----------
     target
-        What differs: second part of the effect's name.
+        Name of the quantity that differs between the runs; the name of the effect ends with it.
     title
         Title of the effect.
     change

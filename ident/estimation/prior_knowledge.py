@@ -181,7 +181,7 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
     given = []
     for name, (mean, sd) in prior.items():
         if name not in model.values:
-            raise SeatrialError(f"--prior {name}: model {model.name} has {', '.join(model.values)}")
+            raise SeatrialError(f"--prior {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}")
         try:
             given.append(model.parameter(name).known(mean, sd, ParameterOrigin.PRIOR))
         except ValueError as problem:

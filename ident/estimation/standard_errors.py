@@ -417,12 +417,13 @@ class LikelihoodInterval:
 def flat_coordinates(
     value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array, bounds: Bounds
 ) -> list[LikelihoodInterval]:
-    """Return coordinates whose likelihood is flat at the estimate but falls nearby, each with its interval.
+    """Return coordinates whose likelihood is flat around the estimate and falls further away, each with its interval.
 
-    An example is the end of a dead zone between two commands that were given. Such a coordinate is inside its bounds.
-    Its standard error by the information alone exceeds its characteristic step, but the log-likelihood has fallen by
-    1.92 within half of that error's interval. Coordinates that are logarithms are skipped: the likelihood is smooth in
-    them.
+    An example is the end of a dead zone that lies between two commands of the log: all values in between fit equally
+    well. The curvature at the estimate is then no measure of the error. Such a coordinate is inside its bounds, and its
+    standard error from the information exceeds its characteristic step. The log-likelihood has fallen by 1.92 (the
+    limit of a 95 % interval) on both sides, within half of the 95 % interval that this standard error gives.
+    Coordinates that are logarithms are skipped, because the likelihood is smooth in them.
 
     Parameters
     ----------

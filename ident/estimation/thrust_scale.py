@@ -203,7 +203,7 @@ class ReportedEstimates:
 
     @property
     def scale(self) -> ThrustScale:
-        """Provenance of the force scale."""
+        """Return where the thrust and the arms of the thrusters come from: measured, given, built-in or estimated."""
         return self.units.scale
 
     def factor(self, unit: str) -> float:

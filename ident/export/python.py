@@ -44,7 +44,7 @@ def write(c: Content) -> str:
 
 
 def _math_functions() -> set[str]:
-    """Return the functions of ``math`` that the Python syntax may use."""
+    """Return the names of the functions of ``math`` that exported Python code may call."""
     words = {word for template, _ in PYTHON.templates.values() for word in FUNCTION_CALL.findall(template)}
     return words - BUILT_IN
 

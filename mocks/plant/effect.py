@@ -50,7 +50,7 @@ class Gust:
 
 @dataclass(frozen=True)
 class Noise:
-    """Difference between the noise of the sensors and the noise in their data sheets."""
+    """Size of the noise of AHRS and GNSS, and GNSS errors that are not white: correlated errors and outliers."""
 
     gain: float = 1.0  # factor on all white noise of AHRS and GNSS
     # Gauss-Markov error of the GNSS position: standard deviation (m) and correlation time (s)

@@ -18,9 +18,10 @@ FORCES = {"X": ("N", 5.0), "Y": ("N", 5.0), "N": ("N m", 0.6)}  # units and typi
 
 
 def push(s: Signals) -> None:
-    """Add the wave forces.
+    """Add the wave forces to the forces of the boat.
 
-    Unit white noise drives the filter, so the variance of its state is 1 / (4 zeta omega).
+    Unit white noise drives the second-order filter of each force. Its output has the variance 1 / (4 zeta omega), so
+    the gain makes ``A`` the standard deviation of the force.
     """
     gain = np.sqrt(4 * s.p.zeta_wave * 2 * np.pi * s.p.f_wave)
     for force in FORCES:
@@ -83,14 +84,14 @@ EFFECT = Effect(
 
 
 def waves_at(frequency: float, size: float = 0.4) -> Effect:
-    """Return the effect with initial values for a fit.
+    """Return the effect `waves` with initial values for a fit.
 
     Parameters
     ----------
     frequency : float
         Peak frequency [Hz].
     size : float
-        Initial standard deviations of the forces, relative to ``FORCES``.
+        Initial standard deviation of each wave force, as a multiple of its typical size (N, N m) in ``FORCES``.
     """
     start = {f"A_{force}": size * typical for force, (_, typical) in FORCES.items()} | {"f_wave": frequency}
     return replace(EFFECT, parameters=tuple(p.at(start.get(p.name, p.value)) for p in EFFECT.parameters))

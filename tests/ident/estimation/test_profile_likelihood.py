@@ -236,7 +236,7 @@ def test_what_was_not_estimated_is_named(few: tuple[Fit, Record]) -> None:
     with pytest.raises(ValueError, match="give the records of the fit"):
         profile(fit(turning().with_free(("m", "bias")), two), two[:1], "m")
     check_names(turning(), ["m", "bias@1"], 2)
-    with pytest.raises(SeatrialError, match="--profile mass: model turning has m, d"):
+    with pytest.raises(SeatrialError, match="--profile mass: model turning has no such parameter; it has m, d"):
         check_names(turning(), ["mass"], 1)
     with pytest.raises(SeatrialError, match="--profile d: it is given, not estimated; estimated are m"):
         check_names(turning().with_free(("m",)), ["d"], 1)
