@@ -348,7 +348,9 @@ class CommandFollower(MissionSequencer):
         """Check a command and keep it as the newest one of a thruster. Raises SafetyStop if it is not allowed."""
         if not abs(command.n) <= self._mission.n_max:  # written with `not`, so that NaN is refused too
             limit = f"{self._mission.n_max:g}"
-            raise SafetyStop(f"command n = {command.n:g} for {name} is outside -{limit} to {limit}; check --n-max and the sender")
+            raise SafetyStop(
+                f"command n = {command.n:g} for {name} is outside -{limit} to {limit}; check --n-max and the sender"
+            )
         if not command.sender:
             raise SafetyStop(
                 f"a command for {name} has no whole attachment (sequence number, time and id of its publisher), "

@@ -181,7 +181,9 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
     given = []
     for name, (mean, sd) in prior.items():
         if name not in model.values:
-            raise SeatrialError(f"--prior {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}")
+            raise SeatrialError(
+                f"--prior {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
+            )
         try:
             given.append(model.parameter(name).known(mean, sd, ParameterOrigin.PRIOR))
         except ValueError as problem:
@@ -193,5 +195,6 @@ def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
     """Return the model with other initial values. Raise SeatrialError if there is no such parameter."""
     unknown = set(initial) - set(model.values)
     if unknown:
-        raise SeatrialError(f"--initial {sorted(unknown)[0]}: model {model.name} has {', '.join(model.values)}")
+        names = ", ".join(model.values)
+        raise SeatrialError(f"--initial {sorted(unknown)[0]}: model {model.name} has no such parameter; it has {names}")
     return model.with_values(initial)

@@ -367,7 +367,9 @@ def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
     known |= {segment_name(p.name, i): p for p in model.parameters if p.per_record for i in range(n_logs)}
     for name in names:
         if name not in known:
-            raise SeatrialError(f"--profile {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}")
+            raise SeatrialError(
+                f"--profile {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
+            )
         if not known[name].free:
             raise SeatrialError(f"--profile {name}: it is given, not estimated; estimated are {', '.join(model.free)}")
 

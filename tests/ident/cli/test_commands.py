@@ -276,7 +276,7 @@ def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Ru
         ("vehicle {estimation} --model submarine", "no model 'submarine'"),
         ("vehicle {estimation} --model nowhere.py:boat", "nowhere.py: no such"),
         ("vehicle {estimation} --fix m_x=3", "--fix m_x: model horizontal has no such parameter; it has m_u"),
-        ("vehicle {estimation} --initial m_x=3", "--initial m_x: model horizontal has m_u"),
+        ("vehicle {estimation} --initial m_x=3", "--initial m_x: model horizontal has no such parameter; it has m_u"),
         ("vehicle {estimation} --thruster {rig}", "not 'seatrial-model 1'"),
         ("thruster {estimation}", "thrusters with commands and shaft speed: left, right; name one with --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
