@@ -87,7 +87,7 @@ class EscController:
         self._set(t, -duty if self.spec.reversed else duty, "command")
 
     def check(self, t: float) -> None:
-        """Stop the motor if the time-out ended before ``t`` [s]."""
+        """Stop the motor if the time-out ended before ``t`` [s]. A stuck controller (a fault) keeps turning."""
         if t > self.deadline and not self.stuck:
             t_end, self.deadline = self.deadline, math.inf
             self._set(t_end, 0.0, "timeout")

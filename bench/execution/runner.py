@@ -201,7 +201,7 @@ class NewestValues(NamedTuple):
 def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
     """Return the newest force, speed and shaft speeds for the display.
 
-    Of two sources of one quantity, a source whose sample is not outdated takes precedence.
+    A value whose sample is outdated is NaN. If two devices measure force or speed, one that is not outdated is shown.
     """
     force: float | None = None
     speed: float | None = None

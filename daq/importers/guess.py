@@ -437,7 +437,8 @@ def _rate_unit(
 ) -> tuple[str, str]:
     """Return the unit of a yaw rate and the caveat about it.
 
-    If the table has a heading, its derivative shows the unit. Otherwise the size of the yaw rate decides.
+    The derivative of a heading in the same table shows the unit. The size of the yaw rate decides if there is no
+    heading, no column of times, or no correlation between the two rates.
     """
     rate = numbers[column]
     if "psi" in names and t is not None:

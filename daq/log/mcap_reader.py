@@ -387,7 +387,8 @@ class RawLog:
     def _scan(self, found: _FoundChunks, only_new: bool) -> None:
         """Read the chunks to count their messages and to find the channels.
 
-        With `only_new`, a chunk is not read if its message indexes contain known channels only.
+        With `only_new`, a chunk is not read if its message indexes contain known channels only. The last chunk is
+        always read, because it may be cut.
         """
         self._unindexed = np.ones(len(self._chunks), bool)
         pairs: tuple[list[int], list[int]] = ([], [])

@@ -167,7 +167,10 @@ def message(kind: tuple[int, int], payload: bytes) -> bytes:
 
 
 def encode(gnss: Gnss) -> bytes:
-    """Encode a fix as NAV-PVT with the rounding of the receiver. NaN and a negative `n_sat` are sent as zero."""
+    """Encode a fix as NAV-PVT with the rounding of the receiver.
+
+    NaN and a negative `n_sat` are sent as zero. The time of the fix has to be a number.
+    """
     whole = math.floor(gnss.utc)
     nano = round((gnss.utc - whole) * 1e9)
     year, month, day, hour, minute, second = time.gmtime(whole)[:6]

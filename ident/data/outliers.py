@@ -155,7 +155,8 @@ def is_stepped(value: Array, least: float, n_bad: int) -> bool:
 def _limits(name: str, c: Channel) -> tuple[float, float]:
     """Return the minimum deviation of an outlier from its neighbours, and the maximum duration [s] of a burst.
 
-    The deviation is in the unit of the channel. It is infinite for commands, which may jump.
+    The deviation is in the unit of the channel. It is infinite, and the duration zero, for channels that may jump:
+    commands, given forces, sampled and averaged channels.
     """
     if name.startswith(("n_cmd_", "servo_", "f_", "pwm_")) or c.sampled or c.hold == "average":
         return np.inf, 0.0

@@ -49,7 +49,7 @@ def time_blocks(
 ) -> TimeBlocks:
     """Cut each record into blocks of consecutive rows, for cross-validation.
 
-    A record gets five to eight blocks of equal duration. Blocks of a long record are a minute or longer.
+    A record gets five to eight blocks of equal duration; a longer record gets more.
 
     Parameters
     ----------
