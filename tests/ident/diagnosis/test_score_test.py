@@ -53,7 +53,9 @@ Linearised = tuple[TrajectoryLinearisation, FilterResult, list[np.ndarray]]
 
 
 def rate_bounds(p: float, n: int = N_SETS) -> tuple[float, float]:
-    """Return the interval that holds the observed rate of n trials with probability 99.9 % if each has probability p."""
+    """Return the interval that holds the observed rate of n trials with probability 99.9 %. Each trial has probability
+    p.
+    """
     low, high = stats.binom.interval(0.999, n, p)
     return low / n, high / n
 
