@@ -1,4 +1,4 @@
-"""Calibration to look at: overconfident, underconfident and too few errors, from seeded numbers."""
+"""Example of a calibration for pages: overconfident, underconfident and insufficient data, from seeded numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from seatrial.ident.validation.calibration import calibration_test
 
 
 def calibration(seed: int = 6) -> dict[str, Any]:
-    """The key ``calibration`` of a result."""
+    """Return the key ``calibration`` of a result."""
     rng = np.random.default_rng(seed)
     sizes = {"psi": 1.0, "r": 1.4, "x": 0.8, "y": 1.05}
     found: dict[str, Any] = {}
