@@ -80,7 +80,7 @@ def test_effect_that_leaves_no_unexplained_score_is_identified() -> None:
 
 
 def test_larger_form_of_an_effect_competes_only_if_it_explains_more() -> None:
-    """A nesting effect always explains at least as much. It counts only if its further parameters pay for their number."""
+    """A nesting effect explains at least as much. It counts only if its further parameters pay for their number."""
     chosen = refit("steady-pull", 1500.0)
     (near,) = of(one_round(chosen, refit("mooring", 1490.0, nests=("steady-pull",))))
     (stranger,) = of(one_round(chosen, refit("mooring", 1490.0)))
@@ -110,7 +110,7 @@ def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -
     ("n_left", "attribution"), [(MAX_REMAINING_TESTS, "identified"), (MAX_REMAINING_TESTS + 1, "ambiguous")]
 )
 def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attribution: str) -> None:
-    """If a lag is fitted in place of a delay, many tests find a small remaining effect and no test finds a large one."""
+    """If a lag is fitted in place of a delay, many tests find a small remaining effect. No test finds a large one."""
     left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
     (found,) = of(one_round(refit("lag", 4000.0)), left=left)
     assert found.attribution == attribution

@@ -177,6 +177,6 @@ def verdict_of(scale: float, n: int) -> str:
     return found.verdict
 
 
-def test_errors_of_scale_up_to_ten_percent_are_accepted() -> None:
+def test_scale_within_ten_percent_is_accepted() -> None:
     found = [verdict_of(s, 5000) for s in (0.8, 0.95, 1.05, 1.3)]
     assert found == ["underconfident", "right", "right", "overconfident"]
