@@ -30,7 +30,7 @@ Form = Callable[[tables.Lines], str]
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run what is not yet there, then print the tables."""
+    """Run the missing cases, then print the tables."""
     given = _parser().parse_args(words)
     cases = cases_of(given.kinds, given.seed, given.seeds, given.effects)
     try:
@@ -43,7 +43,7 @@ def main(words: Sequence[str] | None = None) -> int:
         return 130
     print(report(rows, tables.as_text))
     if given.docs:
-        # what the study of other rigs has written stays
+        # The text of the study of other rigs is kept.
         _, heading, rigs = DOCS.read_text(encoding="utf-8").partition(f"\n{tables.RIGS_HEADING}\n")
         DOCS.write_text(document(rows, given) + heading + rigs, encoding="utf-8")
         print(f"written: {DOCS.name}")
@@ -51,7 +51,7 @@ def main(words: Sequence[str] | None = None) -> int:
 
 
 def cases_of(kinds: Sequence[str], seed: int, seeds: int | None, effects: Sequence[str]) -> list[Case]:
-    """Seed by seed, so that a study cut short has some of everything."""
+    """Return the cases ordered by seed, so that a stopped study covers all kinds."""
     numbers = {kind: seeds if seeds is not None else KINDS[kind].seeds for kind in kinds}
     return [
         Case(truth, s, kind)
@@ -64,7 +64,7 @@ def cases_of(kinds: Sequence[str], seed: int, seeds: int | None, effects: Sequen
 
 
 def line(row: Row) -> str:
-    """A case in a few words."""
+    """Return a short description of a case."""
     if "error" in row:
         return f"{row['key']}: failed: {row['error']}"
     if first_right(row):
@@ -75,7 +75,7 @@ def line(row: Row) -> str:
 
 
 def report(rows: Sequence[Row], form: Form) -> str:
-    """All tables."""
+    """Return all tables."""
     some = {kind: [r for r in rows if r["kind"] == kind] for kind in KINDS}
     parts = [
         ("What is asked for", targets.targets(rows)),
@@ -98,7 +98,7 @@ def report(rows: Sequence[Row], form: Form) -> str:
 
 
 def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
-    """docs/recovery.md."""
+    """Return the text of docs/recovery.md."""
     seeds = f" --seeds {given.seeds}" if given.seeds is not None else ""
     chosen = "" if set(given.kinds) == set(KINDS) else f" --kinds {','.join(given.kinds)}"
     kept = "" if given.out == OUT else f" --out {given.out}"
