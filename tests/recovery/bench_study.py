@@ -1,11 +1,11 @@
-"""The recovery study of the bench: is the hidden effect of a thruster identified?
+"""Recovery study of the bench: is the hidden effect of a thruster identified?
 
     python -m tests.recovery.bench_study [--seed S] [--seeds N] [--jobs 2] [--effects a,b] [--scales 1,0.5]
                                          [--out FILE] [--report] [--docs]
 
-Every effect of ``seatrial.mocks.plant.bench``, and none, on benches of N seeds and at full and half size: one run of
-the plan `all` to fit the thruster and to diagnose it, another to validate. Each case is a line in the out file as soon
-as it is done; a study that was interrupted goes on where it was. Nothing is run again with --report.
+The cases are every effect of ``seatrial.mocks.plant.bench``, and no effect, on benches of N seeds, at full and half
+size. One run of the plan `all` is for the fit of the thruster and its diagnosis, and another for validation. Each
+finished case is written as a line to the out file. An interrupted study is resumed. --report runs no case.
 """
 
 from __future__ import annotations

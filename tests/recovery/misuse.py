@@ -1,4 +1,4 @@
-"""Logs with one mistake each, of mock boats: every one is refused before a fit, by the line that names the mistake.
+"""Logs of simulated boats with one mistake each. Each log is rejected before a fit by a line that names the mistake.
 
 python -m tests.recovery.misuse --boats 5 --seed 1 [--docs]
 """

@@ -54,20 +54,32 @@ TEN_HERTZ = replace(BOAT, ahrs={"ahrs": 10.0}, gnss={"gnss": 10.0})
 
 @dataclass(frozen=True)
 class Rig:
-    """What a boat carries, what is logged of it, and what its owner tells the commands.
+    """Devices of a boat, signals in its logs, and the options that its owner gives to the commands.
 
-    Attributes:
-        says: what it is, a phrase.
-        log: how the readings of a mission become a log.
-        gear: the devices on board.
-        estimation, validation: length of each mission [s].
-        declared: declared standard deviations of the sensors over those of the data sheets; None: estimated.
-        scale_known: the owner knows the thrust coefficients, and gives them.
-        payload: on board in each mission [kg], those to validate last; nothing by default.
-        blind: effects that nothing in these logs can show.
-        there: effects of the catalogue that every log of it has.
-        brings: those that come with another: what a rig makes of it.
-        called: names of the catalogue for what another effect is on it.
+    Attributes
+    ----------
+    says
+        Description of the rig as a phrase.
+    log
+        Function that writes the readings of a mission as a log.
+    gear
+        Devices on board.
+    estimation, validation
+        Duration of each mission [s].
+    declared
+        Given standard deviations of the sensors, divided by those of the data sheets. None if they are estimated.
+    scale_known
+        Whether the owner knows the thrust coefficients and gives them.
+    payload
+        Payload in each mission [kg], validation last. Empty for no payload.
+    blind
+        Effects that these logs cannot show.
+    there
+        Effects of the catalogue that every log of this rig has.
+    brings
+        Effects that the rig adds to another effect.
+    called
+        Names of the catalogue for another effect on this rig.
     """
 
     name: str
@@ -345,13 +357,18 @@ RIGS: dict[str, Rig] = {
 
 @dataclass(frozen=True)
 class Plant:
-    """Runs that another program simulated, in the folder that SEATRIAL_DATA says.
+    """Runs of an independent simulator, in the folder of the environment variable SEATRIAL_DATA.
 
-    Attributes:
-        folder: where they are.
-        effect: what was switched on, by the catalogue's name.
-        there: effects of the catalogue that the simulator's equations have in any case.
-        diagnosed: whether its model is one that can be diagnosed.
+    Attributes
+    ----------
+    folder
+        Folder of the runs.
+    effect
+        Effect that was switched on, by its name in the catalogue.
+    there
+        Effects of the catalogue that the simulator always has.
+    diagnosed
+        Whether the model can be diagnosed.
     """
 
     name: str

@@ -1,15 +1,16 @@
-"""The study on other rigs than the mocks' own, and on plants of other authorship.
+"""Recovery study on other rigs than the default rig of the mocks, and on independent plants.
 
     python -m tests.recovery.rigs [--rigs vesc,ekf] [--effects none,wind] [--seeds N] [--seed S] [--jobs 2]
                                   [--out FILE] [--report] [--docs] [--again N]
 
-Each case is a boat of its own with one effect or none, logged as the rig logs it (`rig_logs`), and the two commands of
-a user: `seatrial ident vehicle` and `seatrial ident diagnose`. Nothing but their result files is judged. A case is a
-line in the out file as soon as it is done; a study that was interrupted goes on where it was. That of all effects takes
-many hours: its cases are kept in `docs/data/rigs-effects.jsonl`, those of clean boats in `rigs-clean.jsonl` and
-those of plants in `rigs-plants.jsonl` beside it, from which --out goes on. --docs writes the sections of which there
-are cases and leaves the others. Not all cases that are kept are of this state of the code: --again N draws N of those
-in the out file, runs them anew into a file beside it (`rigs-effects-again.jsonl`) and says which verdicts changed.
+Each case is another boat with one effect or none, logged by the rig (`rig_logs`). Two user commands analyse it:
+`seatrial ident vehicle` and `seatrial ident diagnose`. Only their result files are evaluated. Each finished case is
+written as a line to the out file. An interrupted study is resumed.
+
+The study of all effects takes many hours. Its cases are kept in `docs/data/rigs-effects.jsonl`, those of clean boats in
+`rigs-clean.jsonl` and those of plants in `rigs-plants.jsonl` in the same folder. --out resumes from such a file. --docs
+writes the sections that have cases and keeps the others. Some kept cases are of an older code state: --again N draws N
+cases of the out file, repeats them into a file beside it (`rigs-effects-again.jsonl`), and reports changed verdicts.
 """
 
 from __future__ import annotations

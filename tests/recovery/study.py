@@ -1,11 +1,11 @@
-"""The recovery study: known truth in, same truth out?
+"""Recovery study: does the diagnosis find the known truth of simulated boats?
 
     python -m tests.recovery.study [--kinds single,mixture] [--seeds N] [--seed S] [--jobs 2] [--effects a,b]
                                    [--out FILE] [--docs]
 
-Boats with one, two or all effects of the mocks, with effects that no catalogue lists, with noise that is not what was
-assumed, and with nothing: each kind on boats of its own number of seeds, or of N. Each case is a line in the out file
-as soon as it is done; a study that was interrupted goes on where it was. Nothing is run again with --report.
+The boats have one, two or all effects of the mocks, effects outside the catalogue, misspecified noise, or no effect.
+Each kind has its own number of seeds, or N. Each finished case is written as a line to the out file. An interrupted
+study is resumed. --report runs no case.
 """
 
 from __future__ import annotations

@@ -47,12 +47,12 @@ def exactly(row: Row) -> bool:
 
 
 def leads(row: Row) -> bool:
-    """Return whether the true effect is first, identified or as a competing model."""
+    """Return whether a true effect is first, whatever its attribution."""
     return bool(row["found"]) and row["found"][0] in truths(row)
 
 
 def all_right(row: Row) -> bool:
-    """Return whether every true effect was named, likened or drawn, or no effect was found on a clean boat."""
+    """Return whether all right answers were found, or no effect was found on a clean boat."""
     if not truths(row):
         return not row["found"]
     return set(answers(row)) <= set(row["found"])
@@ -76,7 +76,10 @@ def extra(row: Row) -> int:
 
 
 def drawn_right(row: Row) -> bool:
-    """Of an effect outside the catalogue: the right force is drawn over the right variable, and no name is given as
-    sure; it may be said to resemble one."""
+    """Return whether the right forces are drawn over the right variables and the first effect is not wrongly
+    identified.
+
+    This is for effects outside the catalogue.
+    """
     right = [a.removeprefix("unknown ") for a in answers(row) if a.startswith("unknown ")]
     return set(right) <= set(row.get("nonparametric_effects", [])) and not wrong_as_sure(row)

@@ -47,6 +47,6 @@ def test_sign_is_that_of_the_shaft_and_not_of_the_command(delay: float, pole: fl
     assert not follows_command(truth, told)
 
 
-def test_signs_need_no_command_if_all_are_equal() -> None:
+def test_shaft_speed_without_reversals_does_not_follow_the_command() -> None:
     assert not follows_command(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
     assert not follows_command(np.zeros(3), np.array([0.1, -0.2, 0.3]))
