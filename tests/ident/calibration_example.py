@@ -19,7 +19,7 @@ def calibration(seed: int = 6) -> dict[str, Any]:
         for kind, n in (("one_step", 2000), ("horizon", 150), ("simulation", 12)):
             found[role][kind] = {}
             for channel, size in sizes.items():
-                one = calibration_test([size * rng.normal(size=n)], effective=5.0 if kind == "simulation" else None)
-                assert one is not None
-                found[role][kind][channel] = vars(one) | {"pit": one.pit.tolist(), "verdict": one.verdict}
+                tested = calibration_test([size * rng.normal(size=n)], effective=5.0 if kind == "simulation" else None)
+                assert tested is not None
+                found[role][kind][channel] = vars(tested) | {"pit": tested.pit.tolist(), "verdict": tested.verdict}
     return found

@@ -60,8 +60,8 @@ def check() -> CheckReport:
 def checked_log() -> CheckEvidence:
     """Return curves as `seatrial.ident.checks.log_checks.log_evidence` gives them."""
     rng, t = np.random.default_rng(8), np.arange(0.0, 48.0, 0.1)
-    told = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
-    r = 0.2 * np.convolve(told, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]
+    command = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
+    r = 0.2 * np.convolve(command, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]
     noisy = r + 0.004 * rng.normal(size=t.size)
     heading = np.mod(np.cumsum(r) * 0.1 + 3.0, 2 * np.pi) - np.pi
     late = 0.02 + 0.002 * rng.exponential(size=t.size - 1)
@@ -69,7 +69,7 @@ def checked_log() -> CheckEvidence:
         "actuator-test", 48.0, "boat",
         intervals=(SampleIntervals("ahrs", t[1:], late, 0.02),
                    SampleIntervals("tide", t[1::50], np.full(10, 5.0), None)),
-        shafts=(ShaftResponse("left", t, np.roll(told, 3), t[::60], told[::60], 48.0),),
+        shafts=(ShaftResponse("left", t, np.roll(command, 3), t[::60], command[::60], 48.0),),
         thrust_response=(ThrustResponseCurve("yaw rate", "rad/s", t, noisy, -r),),
         sensors=(SensorPair("yaw rate", "rad/s", ("of the heading, over 1 s", "of the gyro"), t, r, noisy),),
         signals=(SignalCurve("psi", "rad", t, heading, True),

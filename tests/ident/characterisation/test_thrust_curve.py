@@ -154,20 +154,22 @@ def test_commands_of_one_sign_give_one_coefficient(commands: tuple[float, ...]) 
     assert found.df == len(set(commands)) - 1 - (0 in commands)
     assert abs(found.c1 - 40.0) < 4 * np.sqrt(found.covariance[0, 0])
     assert adequate(found)
-    said = curve_answer(levels, ThrustCurve(fit_curve(levels), 1), found)
+    answer = curve_answer(levels, ThrustCurve(fit_curve(levels), 1), found)
     lost, there = ("in reverse", "forward") if max(commands) > 0 else ("forward", "in reverse")
-    assert f"{lost}: not measured" in said
-    assert f"N {there} at the largest commands" in said
-    assert "c1 n|n| describes them" in said
+    assert f"{lost}: not measured" in answer
+    assert f"N {there} at the largest commands" in answer
+    assert "c1 n|n| describes them" in answer
 
 
-@pytest.mark.parametrize(("factor", "said"), [(1.0, "the largest is -3.8 N at"), (0.01, "the largest is -0.038 N at")])
-def test_misfit_of_a_small_thruster_is_not_rounded_to_zero(factor: float, said: str) -> None:
+@pytest.mark.parametrize(
+    ("factor", "phrase"), [(1.0, "the largest is -3.8 N at"), (0.01, "the largest is -0.038 N at")]
+)
+def test_misfit_of_a_small_thruster_is_not_rounded_to_zero(factor: float, phrase: str) -> None:
     n = np.linspace(-1.0, 1.0, 11)
     force = factor * (40.0 * n * np.abs(n) + 4.0 * np.sin(9.0 * n))
     levels = Levels(n, force, np.full(11, 0.01 * factor), np.full(11, 50.0), np.ones(11), 5.0, 0.01 * factor)
     answer = curve_answer(levels, ThrustCurve(fit_curve(levels), 1), fit_quadratic(levels))
-    assert said in answer
+    assert phrase in answer
     assert " 0.0 N" not in answer
 
 
@@ -202,10 +204,10 @@ def test_too_short_hold_is_reported_with_a_suitable_settling_time() -> None:
     assert "more than 3.5 s (seatrial bench steps --hold)" in hold_advice(Channel(t, n), Channel(t[::2], n[::2]), 1.5)
 
 
-@pytest.mark.parametrize(("scale", "error", "told"), [(-40.0, 0.1, True), (40.0, 0.1, False), (-0.05, 0.1, False)])
-def test_falling_force_is_found_beyond_its_errors(scale: float, error: float, *, told: bool) -> None:
+@pytest.mark.parametrize(("scale", "error", "falling"), [(-40.0, 0.1, True), (40.0, 0.1, False), (-0.05, 0.1, False)])
+def test_falling_force_is_found_beyond_its_errors(scale: float, error: float, *, falling: bool) -> None:
     n = np.linspace(-1, 1, 9)
-    assert falls(n, scale * n * np.abs(n), error) is told
+    assert falls(n, scale * n * np.abs(n), error) is falling
     assert not falls(n, np.ones(9))
 
 
@@ -287,9 +289,9 @@ def test_thrust_from_commands(tmp_path: Path) -> None:
     inward = Channel(left.t, left.value - 1e-6 * np.sign(left.value))
     wider = thrust_channels({"n_left": inward, "n_right": right}, curve)
     step = found["X"].value - wider["X"].value
-    one = thrust_channels({"n_left": left, "n_right": Channel(right.t, np.zeros(2))}, curve)
+    left_only = thrust_channels({"n_left": left, "n_right": Channel(right.t, np.zeros(2))}, curve)
     zero = thrust_channels({"n_left": Channel(left.t, np.zeros(2)), "n_right": Channel(right.t, np.zeros(2))}, curve)
-    np.testing.assert_allclose(step, 1e-6 * (one["X_n"].value - zero["X_n"].value), rtol=1e-3)
+    np.testing.assert_allclose(step, 1e-6 * (left_only["X_n"].value - zero["X_n"].value), rtol=1e-3)
     command = thrust_channels({"n_left": right, "n_cmd_left": left, "n_right": right}, curve)
     # A command has priority over a shaft speed.
     np.testing.assert_allclose(command["f_left"].value, curve.of_one(left.value))
@@ -305,8 +307,8 @@ def run(*words: str, status: int = 0) -> None:
 
 def write_bench(folder: Path, both: bool = True, sign: float = 1.0) -> str:
     command, force = bench(lambda n: sign * saturating(n))
-    other = command.value if both else 0.5 * command.value
-    np.savetxt(folder / "bench.csv", np.column_stack([command.value, other, force.value]), "%.6f", ",",
+    right = command.value if both else 0.5 * command.value
+    np.savetxt(folder / "bench.csv", np.column_stack([command.value, right, force.value]), "%.6f", ",",
                header="n,m,force", comments="")  # fmt: skip
     (folder / "map.toml").write_text(MAP)
     run("import", str(folder / "map.toml"), str(folder / "bench.csv"), "-o", str(folder / "bench.mcap"))

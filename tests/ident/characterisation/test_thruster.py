@@ -95,15 +95,15 @@ def test_direction_that_was_not_measured_has_no_thrust(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shaft", "force", "said"),
+    ("shaft", "force", "message"),
     [(1.0, -1.0, "the force falls as the command rises"), (-1.0, 1.0, "left: the shaft turns against its command")],
 )
 def test_wrong_sign_gives_a_one_line_error(
-    shaft: float, force: float, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    shaft: float, force: float, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run("ident", "thruster", write_bench(tmp_path, BOTH, shaft, force), "--out", str(tmp_path / "t"), status=1)
     err = capsys.readouterr().err
-    assert f"bench.mcap: {said}" in err
+    assert f"bench.mcap: {message}" in err
     assert err.count("\n") == 1
     assert not (tmp_path / "t/model.toml").exists()
 
@@ -118,10 +118,10 @@ def test_each_direction_has_its_own_error_by_the_covariance() -> None:
     force, error = steady_thrust(estimates(-0.8), np.array([1.0, -1.0, 0.0]))
     np.testing.assert_allclose(force, [41.0, -39.0, 0.0])
     np.testing.assert_allclose(error, np.sqrt([0.25 - 2 * 0.096, 0.25 + 2 * 0.096, 0.0]))
-    said = thruster_answer(estimates(-0.8), has_force=True)
-    assert "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (statistical only)" in said
-    said = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
-    assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in said
+    answer = thruster_answer(estimates(-0.8), has_force=True)
+    assert "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (statistical only)" in answer
+    answer = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
+    assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in answer
     assert "The logs do not determine the thrust" in thruster_answer(estimates(np.nan), has_force=True)
 
 

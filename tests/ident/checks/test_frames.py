@@ -31,9 +31,9 @@ def signs(*mirrored: str, known: tuple[Relation, ...] = ALL) -> Mapping[Relation
     return {pair: 1 - 2 * (len(set(pair) & set(mirrored)) % 2) for pair in known}
 
 
-@pytest.mark.parametrize("one", ["heading", "gyro", "position", "velocity", "thrusters"])
-def test_one_mirrored_signal_is_named(one: str) -> None:
-    assert mirrored_signals(signs(one)) == (one,)
+@pytest.mark.parametrize("signal", ["heading", "gyro", "position", "velocity", "thrusters"])
+def test_one_mirrored_signal_is_named(signal: str) -> None:
+    assert mirrored_signals(signs(signal)) == (signal,)
 
 
 def test_two_mirrored_signals_of_one_device_are_named() -> None:
@@ -70,11 +70,11 @@ def test_smoothed_signal_is_reported_and_its_noise_has_a_lower_bound(run: dict[s
     assert smoothed(ekf) == ("r",)
     assert [f.code for f in check_signals(ekf, SIDES) if f.level == "warning"] == ["channel-smoothed"]
     log = LoadedLog(LogSegment("run", ekf), {}, {}, None)
-    model, said = with_noise_floors(horizontal_model(), [log])
+    model, notes = with_noise_floors(horizontal_model(), [log])
     assert model.parameter("e_r").bounds[0] == 0.005
     assert model.parameter("e_r").value > 0.005
     assert model.parameter("e_psi") == horizontal_model().parameter("e_psi")
-    assert len(said) == 1
+    assert len(notes) == 1
     assert with_noise_floors(horizontal_model(), [])[1] == []
 
 
@@ -83,12 +83,12 @@ def test_position_of_an_estimator_gets_correlated_errors(run: dict[str, Channel]
     smooth = run | {n: filtered(run[n], 5) for n in ("x", "y", "psi")}
     assert estimated(smooth)
     log = LoadedLog(LogSegment("run", smooth), {}, {}, None)
-    model, said = with_estimator_errors(horizontal_model(), [log])
-    assert len(said) == 1
+    model, notes = with_estimator_errors(horizontal_model(), [log])
+    assert len(notes) == 1
     assert {f"{p}_{of}" for p in ("A", "tau") for of in ("r", "psi", "axy", "vxy", "xy")} <= set(model.free)
     assert "A_psi" in with_estimator_errors(nomoto_model(), [log])[0].free
-    again, told = with_noise_floors(model, [log])  # The white noise may become nearly zero, but not zero.
-    assert told == []
+    again, floor_notes = with_noise_floors(model, [log])  # The white noise may become nearly zero, but not zero.
+    assert floor_notes == []
     assert again.parameter("e_psi").bounds[0] == pytest.approx(0.02 * model.parameter("e_psi").value)
     assert again.parameter("e_xy").value == model.parameter("e_xy").value
     assert again.parameter("e_vxy").bounds[0] == 0.02 * model.parameter("e_vxy").value
@@ -184,8 +184,8 @@ def test_stuck_noisy_accelerometer_is_frozen_in_steady_motion() -> None:
 
 def test_part_of_a_log_is_found_as_a_copy(run: dict[str, Channel]) -> None:
     later = {n: Channel(c.t[c.t > 60.0] - 60.0, c.value[c.t > 60.0]) for n, c in run.items()}
-    other = channels_of(sail(boat_with(None, 3), 120.0, 5, run=2)[0])
-    assert [f.where for f in check_copies([("a", run), ("b", other), ("c", later)])] == ["c"]
+    second_run = channels_of(sail(boat_with(None, 3), 120.0, 5, run=2)[0])
+    assert [f.where for f in check_copies([("a", run), ("b", second_run), ("c", later)])] == ["c"]
 
 
 def test_value_with_an_infinite_square_does_not_block_the_search() -> None:

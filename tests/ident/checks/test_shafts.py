@@ -39,8 +39,8 @@ def test_constant_command_shows_no_delay(step_at: float, first: float) -> None:
     ("delay", "level", "code"), [(0.15, "ok", "shaft-on-time"), (1.0, "fault", "shaft-late")], ids=["on time", "late"]
 )
 def test_one_step_shows_the_delay(delay: float, level: str, code: str) -> None:
-    ((said, named, text),) = found(told_and_turned(8.0, 60.0, delay))
-    assert (said, named) == (level, code)
+    ((found_level, named, text),) = found(told_and_turned(8.0, 60.0, delay))
+    assert (found_level, named) == (level, code)
     assert text == f"the shaft follows {delay + 0.05:.2f} s after its command"  # Rounded to the step of the grid.
 
 
@@ -65,8 +65,8 @@ def last_seconds(seconds: float, turns: bool, from_start: bool) -> dict[str, Cha
 @pytest.mark.parametrize("from_start", [False, True], ids=["none before", "zeros before"])
 @pytest.mark.parametrize("seconds", [4.5, 1.5])
 def test_shaft_that_never_turns_is_found_after_one_second_of_command(seconds: float, from_start: bool) -> None:
-    said = found(last_seconds(seconds, False, from_start))
-    assert [(level, code) for level, code, _ in said] == [("fault", "shaft-does-not-turn")]
+    findings = found(last_seconds(seconds, False, from_start))
+    assert [(level, code) for level, code, _ in findings] == [("fault", "shaft-does-not-turn")]
     turns = {code for _, code, _ in found(last_seconds(seconds, True, from_start))}
     assert "shaft-does-not-turn" not in turns
 
@@ -91,14 +91,14 @@ def told_astern_before(*losses: float) -> dict[str, Channel]:
     is lost for half a second at each time in ``losses``.
     """
     t = np.arange(0.0, 60.0, 1.0 / RATE)
-    told = np.array([0.5, 0.8, 0.3, 0.6])[(t // 15.0).astype(int)]
-    told[(t >= 10.0) & (t < 10.25)] = -0.5
+    command = np.array([0.5, 0.8, 0.3, 0.6])[(t // 15.0).astype(int)]
+    command[(t >= 10.0) & (t < 10.25)] = -0.5
     n = np.zeros(t.size)
     for k in range(1, t.size):
-        n[k] = n[k - 1] + (np.interp(t[k] - 0.3, t, told) - n[k - 1]) * -np.expm1(-1.0 / RATE / 0.14)
+        n[k] = n[k - 1] + (np.interp(t[k] - 0.3, t, command) - n[k - 1]) * -np.expm1(-1.0 / RATE / 0.14)
     n[np.abs(n) < 0.07] = 0.0  # The controller cannot measure slow rotation.
     lost = np.any([(t >= at) & (t < at + 0.5) for at in losses], axis=0) if losses else np.zeros(t.size, bool)
-    return {"n_cmd_left": Channel(t, told), "n_left": Channel(t + 1e-3, np.where(lost, 0.0, n))}
+    return {"n_cmd_left": Channel(t, command), "n_left": Channel(t + 1e-3, np.where(lost, 0.0, n))}
 
 
 def test_shaft_that_reverses_has_no_lost_speed() -> None:

@@ -66,14 +66,14 @@ def straight() -> list[Channels]:
 
 def test_correct_boat_is_never_reported(fleet: list[Channels], straight: list[Channels]) -> None:
     for seed, channels in enumerate([*fleet, *straight]):
-        for given in (channels, without_gyro(channels), *([as_force(channels)] if seed % 5 == 0 else [])):
-            assert not {"thruster-sides-swapped", "thruster-sign-reversed"} & set(faults(given)), seed
-            assert -1 not in turning(given, SIDES).values(), seed
+        for signals in (channels, without_gyro(channels), *([as_force(channels)] if seed % 5 == 0 else [])):
+            assert not {"thruster-sides-swapped", "thruster-sign-reversed"} & set(faults(signals)), seed
+            assert -1 not in turning(signals, SIDES).values(), seed
 
 
 def test_swapped_thrusters_are_found(fleet: list[Channels]) -> None:
-    for given, hidden in ((fleet, 1), ([without_gyro(c) for c in fleet], 2)):
-        found = [faults(swapped(c)) == ["thruster-sides-swapped"] for c in given]
+    for boats, hidden in ((fleet, 1), ([without_gyro(c) for c in fleet], 2)):
+        found = [faults(swapped(c)) == ["thruster-sides-swapped"] for c in boats]
         assert sum(found[::2]) == 3  # These boats have no hidden effect.
         assert sum(found[1::2]) >= 3 - hidden  # Within two minutes, a hidden effect may mask the swap.
     assert faults(as_force(swapped(fleet[0]))) == ["thruster-sides-swapped"]
@@ -95,6 +95,6 @@ def test_missing_or_equal_signals_give_no_answer(fleet: list[Channels]) -> None:
 
 
 def test_log_without_turning_information_gives_no_finding(fleet: list[Channels]) -> None:
-    one = {n: c for n, c in fleet[0].items() if n in ("x", "n_left", "n_right")}
-    assert faults(one) == []
-    assert list(check_motion(one, SIDES)) == []
+    north_only = {n: c for n, c in fleet[0].items() if n in ("x", "n_left", "n_right")}
+    assert faults(north_only) == []
+    assert list(check_motion(north_only, SIDES)) == []

@@ -23,9 +23,11 @@ def every_second(value: float) -> Array:
     return np.where(np.arange(T.size) % 2 == 0, value, 0.0)
 
 
-@pytest.mark.parametrize("what", [{"offset": every_second(2.0)}, {"late": every_second(0.5)}], ids=["place", "time"])
-def test_two_receivers_in_one_signal_are_a_fault(what: dict[str, Array]) -> None:
-    (found,) = check_alternating(track(**what))
+@pytest.mark.parametrize(
+    "difference", [{"offset": every_second(2.0)}, {"late": every_second(0.5)}], ids=["place", "time"]
+)
+def test_two_receivers_in_one_signal_are_a_fault(difference: dict[str, Array]) -> None:
+    (found,) = check_alternating(track(**difference))
     assert (found.code, found.level) == ("two-sensors", "fault")
 
 

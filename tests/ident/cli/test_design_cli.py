@@ -26,8 +26,8 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     """Return exit status, stdout and stderr of `seatrial mission` with these words."""
     with pytest.raises(SystemExit) as left:
         command_line.main(["mission", *words])
-    said = capsys.readouterr()
-    return int(left.value.code or 0), said.out, said.err
+    captured = capsys.readouterr()
+    return int(left.value.code or 0), captured.out, captured.err
 
 
 @pytest.fixture
@@ -42,12 +42,12 @@ def fitted(tmp_path: Path) -> Path:
 def test_designed_mission_is_read_by_the_bench_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "mission.toml"
     words = ("design", "horizontal:shaft:no-current", *QUICK, "--slew", "2", "--n-max", "0.8", "--seed", "3")
-    status, said, _ = run(capsys, *words, "--out", str(out))
+    status, output, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
-    assert "m_u ±" in said
-    assert "The design assumes a built-in time constant of the shafts of 358 ms" in " ".join(said.split())
-    assert "kg m²" in said
-    assert "kg m2" not in said
+    assert "m_u ±" in output
+    assert "The design assumes a built-in time constant of the shafts of 358 ms" in " ".join(output.split())
+    assert "kg m²" in output
+    assert "kg m2" not in output
     mission = load_mission(out)
     assert parse_mission(dump_mission(mission), "again") == mission
     assert mission.thrusters == ("left", "right")
@@ -117,17 +117,17 @@ def test_sensor_rates_are_those_of_the_fitted_data(fitted: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rate", "said"), [("1", False), pytest.param("10", False, marks=pytest.mark.study), ("100", True)]
+    ("rate", "warned"), [("1", False), pytest.param("10", False, marks=pytest.mark.study), ("100", True)]
 )
 def test_rate_above_the_row_rate_gives_a_warning(
-    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rate: str, said: bool
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rate: str, warned: bool
 ) -> None:
     out = tmp_path / "next.toml"
     words = ("--parameters", "m_u", "--rate", f"attitude={rate}", "--rate", "gyro=10", "--out", str(out))
     assert run(capsys, "design", str(fitted), *QUICK, *words)[0] == 0
     made = json.loads(out.with_suffix(".json").read_text())
     assert made["rates"] == {"attitude": float(rate), "gyro": 10.0, "position": 5.0}
-    assert said == any(
+    assert warned == any(
         "attitude 10 Hz), and the model has the noise of these rows" in w["text"] for w in made["warnings"]
     )
     assert f"attitude {rate} Hz, gyro 10 Hz" in out.with_suffix(".html").read_text(encoding="utf-8")
@@ -147,8 +147,8 @@ def test_fitted_model_gives_its_covariance_to_the_design(
     assert belief.names == ("m_u",)
     assert belief.covariance == pytest.approx(np.array([[0.19**2]]))
     out = tmp_path / "next.toml"
-    status, said, _ = run(capsys, "design", str(fitted), *QUICK, "--parameters", "m_u", "--out", str(out))
-    assert status == 0, said
+    status, output, _ = run(capsys, "design", str(fitted), *QUICK, "--parameters", "m_u", "--out", str(out))
+    assert status == 0, output
     mission = load_mission(out)
     assert mission.prediction is not None
     thrust = 40.05 + 1.11  # The thrust is unknown, so the errors are divided by it.
@@ -159,13 +159,13 @@ def test_fitted_model_gives_its_covariance_to_the_design(
 
 def test_one_input_is_realised_by_two_thrusters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "turn.toml"
-    status, said, _ = run(capsys, "design", "yaw", *QUICK, "--out", str(out), "--thrusters", "port,star")
+    status, output, _ = run(capsys, "design", "yaw", *QUICK, "--out", str(out), "--thrusters", "port,star")
     assert status == 0
-    assert said.index("built-in thrust of 41 N") < said.index("After this mission")
+    assert output.index("built-in thrust of 41 N") < output.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
     assert codes == ["thrust-scale-unknown", "shaft-lag-built-in", "rates-assumed"]
     assert "assumes 10 Hz for sensors whose rate neither --rate nor the model.toml gives: gyro." in " ".join(
-        said.split()
+        output.split()
     )
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
@@ -178,9 +178,9 @@ def test_discrimination_between_two_effects(tmp_path: Path, capsys: pytest.Captu
     out = tmp_path / "apart.toml"
     short = ("--evaluations", "500", "--duration", "20", "--steps", "6")
     words = ("design", "horizontal:shaft:no-current", *short, "--discriminate", "delay,lag")
-    status, said, _ = run(capsys, *words, "--out", str(out))
+    status, output, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
-    assert "delay against lag differ by at least T" in said
+    assert "delay against lag differ by at least T" in output
     apart = json.loads(out.with_suffix(".json").read_text())["apart"]
     assert min(apart["if_first"], apart["if_second"]) > np.median(apart["random"])
     model = with_effect(horizontal_model(), "delay")
@@ -248,7 +248,7 @@ def test_invalid_request_gives_a_one_line_error(
 
 
 def test_help_has_an_example_and_the_group_lists_it(capsys: pytest.CaptureFixture[str]) -> None:
-    status, said, _ = run(capsys, "design", "--help")
+    status, output, _ = run(capsys, "design", "--help")
     assert status == 0
-    assert "Example: seatrial mission design" in said
+    assert "Example: seatrial mission design" in output
     assert "design" in run(capsys, "--help")[1]

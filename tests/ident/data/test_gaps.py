@@ -77,8 +77,8 @@ def test_short_gap_does_not_cut_and_short_part_is_left_out(tmp_path: Path) -> No
     with pytest.warns(
         SeatrialWarning, match="its parts are used as separate runs; 1 part shorter than 10 s is left out"
     ):
-        (one,) = load_runs([path], "judged")
-    assert one.about["name"] == "run[0:30]"
+        (part,) = load_runs([path], "judged")
+    assert part.about["name"] == "run[0:30]"
     with pytest.warns(SeatrialWarning):
         (late,) = load_runs([log_with_gap(tmp_path / "b.mcap", DAY)], "judged", TimeWindow(40.0))
     assert late.about["name"] == "b[86430:86460]"

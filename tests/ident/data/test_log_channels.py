@@ -47,9 +47,11 @@ def test_log_of_a_boat_has_every_channel_of_the_model(tmp_path: Path, boat: Reco
     units = {"psi": "rad", "r": "rad/s", "ax": "m/s2", "x": "m", "vx": "m/s", "voltage_left": "V", "n_left": ""}
     assert {n: found[n].unit for n in units} == units
     assert found["psi"].source == "ahrs"
-    told = [(r.t, r.sample.n_cmd) for r in boat.readings if type(r.sample).__name__ == "Command" and r.sample.node == 2]
-    np.testing.assert_allclose(found["n_cmd_right"].value, [n for _, n in told], atol=1e-6)
-    np.testing.assert_allclose(found["n_cmd_right"].t - T0, [t for t, _ in told], atol=NANOSECOND)
+    commands = [
+        (r.t, r.sample.n_cmd) for r in boat.readings if type(r.sample).__name__ == "Command" and r.sample.node == 2
+    ]
+    np.testing.assert_allclose(found["n_cmd_right"].value, [n for _, n in commands], atol=1e-6)
+    np.testing.assert_allclose(found["n_cmd_right"].t - T0, [t for t, _ in commands], atol=NANOSECOND)
     truth = boat.truth
     x = np.interp(found["x"].t - T0, truth["t"], truth["x"])
     assert (found["x"].value - x + x[0]).std() < 0.25  # The position is in metres from the first fix.
@@ -97,13 +99,13 @@ def test_saturated_readings_and_lost_fixes_are_left_out(tmp_path: Path, boat: Re
 def test_unsigned_telemetry_gets_the_sign_of_the_shaft_and_not_of_the_output(tmp_path: Path) -> None:
     """An autopilot logs outputs, and rev/min with the sign of the output at that moment."""
     run = sail(boat_with(None, 4), 120.0, 3)[0]
-    told, readings = {1: 0.0, 2: 0.0}, []
+    commands, readings = {1: 0.0, 2: 0.0}, []
     for r in run.readings:
         if isinstance(r.sample, Command):
-            told[r.sample.node] = r.sample.n_cmd
+            commands[r.sample.node] = r.sample.n_cmd
             readings.append(r._replace(sample=Servo(r.sample.node, 1500.0, r.sample.n_cmd)))
         elif isinstance(r.sample, Esc):
-            n = told[r.sample.node]
+            n = commands[r.sample.node]
             rpm = math.copysign(r.sample.rpm, n) if n else abs(r.sample.rpm)
             r = r._replace(sample=replace(r.sample, rpm=rpm, duty=n))
         readings.append(r)
@@ -120,9 +122,9 @@ def test_unsigned_telemetry_gets_the_sign_of_the_shaft_and_not_of_the_output(tmp
 def test_sampled_output_changes_midway_between_its_samples_on_average(tmp_path: Path) -> None:
     boat = sail(boat_with(None, 4), 20.0, 3)[0]
     readings = [r for r in boat.readings if not isinstance(r.sample, Command | Esc)]
-    told = next(r for r in boat.readings if isinstance(r.sample, Command) and r.sample.node == 1)
+    first_command = next(r for r in boat.readings if isinstance(r.sample, Command) and r.sample.node == 1)
     begin = min(r.t for r in readings)
-    outputs = [told._replace(t=begin + 0.1 * k, sample=Servo(1, 1500.0, 0.5 * (k >= 100))) for k in range(200)]
+    outputs = [first_command._replace(t=begin + 0.1 * k, sample=Servo(1, 1500.0, 0.5 * (k >= 100))) for k in range(200)]
     readings = sorted(readings + outputs, key=lambda r: r.t)
     with open_log(write_log(tmp_path / "o.mcap", "boat", readings)) as log:
         found = channels(log)["n_cmd_left"]
@@ -200,7 +202,7 @@ def test_time_window_gives_the_same_rows_and_the_rest_is_not_read(
     assert part.about["duration"] == pytest.approx(30.0)
     assert (part.about["path"], part.about["sha256"]) == ("a.mcap[60:90]", "")
     rows, wanted = (
-        make_record(horizontal_model(), replace(one.run, t_from=60.0, t_to=90.0), 10.0) for one in (part, whole)
+        make_record(horizontal_model(), replace(loaded.run, t_from=60.0, t_to=90.0), 10.0) for loaded in (part, whole)
     )
     assert rows.t.tolist() == wanted.t.tolist()
     np.testing.assert_allclose(rows.u, wanted.u, atol=1e-11)  # Cumulative sums start later in the shorter log.
@@ -217,6 +219,6 @@ def test_shaft_speeds_relayed_by_an_autopilot_have_an_age(tmp_path: Path, signed
     boat = boat_with(None, 4)
     t, n = make_mission("mixed", 60.0, 3).setpoints()
     run = simulate(boat, t, n, 60.0, 1, gear=AUTOPILOT)
-    one = load_run(autopilot_log(tmp_path / "a.mcap", run.readings, signed=signed), "estimation")
-    assert one.propulsion is PropulsionInput.TELEMETRY
-    assert one.holds["n_left"] == ("" if signed else "average")
+    loaded = load_run(autopilot_log(tmp_path / "a.mcap", run.readings, signed=signed), "estimation")
+    assert loaded.propulsion is PropulsionInput.TELEMETRY
+    assert loaded.holds["n_left"] == ("" if signed else "average")

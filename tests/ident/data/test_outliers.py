@@ -16,10 +16,10 @@ RNG = np.random.default_rng(5)
 
 def craft() -> dict[str, Channel]:
     """Return a craft on a circle whose shafts reverse every 7 s with a lag of 0.25 s."""
-    told = np.where(T % 14.0 < 7.0, 0.6, -0.6)
+    command = np.where(T % 14.0 < 7.0, 0.6, -0.6)
     shaft = np.zeros(T.size)
     for k in range(1, T.size):
-        shaft[k] = shaft[k - 1] + (1.0 - np.exp(-1.0 / RATE / 0.25)) * (told[k] - shaft[k - 1])
+        shaft[k] = shaft[k - 1] + (1.0 - np.exp(-1.0 / RATE / 0.25)) * (command[k] - shaft[k - 1])
     r = 0.1 + 0.005 * RNG.standard_normal(T.size)
     return {
         "x": Channel(T, 10.0 * np.sin(0.1 * T) + 0.15 * RNG.standard_normal(T.size), "m", "gnss"),

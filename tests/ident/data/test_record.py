@@ -120,23 +120,23 @@ def test_block_mean_of_an_angle_ignores_the_wrap() -> None:
 @pytest.mark.parametrize("averaged", [True, False])
 def test_gap_of_ten_years_is_rejected_at_once(averaged: bool) -> None:
     """The times are checked first, because blocks and rows over the gap would need gigabytes."""
-    given = {
+    signals = {
         name: Channel(np.concatenate([c.t, c.t + 3.2e8]), np.tile(c.value, 2)) for name, c in channels(50.0).items()
     }
     boat = model()
     sensors = tuple(replace(sensor, averaged=averaged) for sensor in boat.sensors)
     with pytest.raises(ValueError, match=r"no sample from .* too long to bridge; choose a part"):
-        build_record(replace(boat, sensors=sensors), given)
+        build_record(replace(boat, sensors=sensors), signals)
 
 
 def test_short_gap_does_not_change_the_blocks() -> None:
     """Block edges without a sample nearby are left out, and no mean changes."""
     times = np.sort(np.random.default_rng(1).uniform(3.0, 60.0, 900))
     times = times[(times < 20.0) | (times > 45.0)]
-    one = Channel(times, np.sin(times))
+    signal = Channel(times, np.sin(times))
     all_edges, some = np.arange(3.0, 60.0 + 0.05, 0.1), _block_edges(times, 3.0, 60.0, 10.0)
     assert 300 < some.size < all_edges.size - 200
-    for expected, found in zip(block_mean(one, all_edges), block_mean(one, some), strict=True):
+    for expected, found in zip(block_mean(signal, all_edges), block_mean(signal, some), strict=True):
         assert np.array_equal(expected[np.isfinite(expected)], found[np.isfinite(found)])
 
 
@@ -187,8 +187,8 @@ def test_integral_of_a_linear_input_is_preserved() -> None:
     rng = np.random.default_rng(3)
     for psi in (5.0, 50.0):  # Without averaging, and with averaging.
         value = np.pad(rng.normal(size=401), 50)
-        given = channels() | {"w": Channel(np.arange(0.0, 10.001, 0.02), value), "psi": channel(psi)}
-        assert impulse(build_record(model("linear", "psi"), given)) == pytest.approx(0.02 * value.sum(), abs=1e-6)
+        signals = channels() | {"w": Channel(np.arange(0.0, 10.001, 0.02), value), "psi": channel(psi)}
+        assert impulse(build_record(model("linear", "psi"), signals)) == pytest.approx(0.02 * value.sum(), abs=1e-6)
 
 
 @pytest.mark.parametrize("hold", ["linear", "average", "zero"])
@@ -198,16 +198,16 @@ def test_input_is_averaged_like_the_fast_sensors(hold: str) -> None:
     t = np.arange(0.0, 10.001, 0.002)
     # The force has steps every 0.07 s, and a sensor at 500 Hz measures it.
     force = np.repeat(rng.uniform(-1.0, 1.0, 150), 35)[: t.size]
-    given = channels() | {"psi": Channel(t, force), "w": Channel(t[::35], force[::35])}
+    signals = channels() | {"psi": Channel(t, force), "w": Channel(t[::35], force[::35])}
     if hold == "linear":
-        given["w"] = Channel(t, force)
-    record = build_record(model(hold, "psi"), given)
+        signals["w"] = Channel(t, force)
+    record = build_record(model(hold, "psi"), signals)
     seen = np.isfinite(record.y[:, 0]) & (record.t > 0.1) & (record.t < 9.9)
     np.testing.assert_allclose(record.u[seen, 0], record.y[seen, 0], atol=0.04)
     raw = replace(model(hold, "psi"), inputs=(Input("w", "N", hold, prefilter=False),))  # type: ignore[arg-type]
     # The input is not averaged if the output that contains it is not averaged, or if no output contains it.
-    for other in (raw, model(hold, "a"), model(hold)):
-        sharp = build_record(other, given)
+    for unaveraged in (raw, model(hold, "a"), model(hold)):
+        sharp = build_record(unaveraged, signals)
         seen = np.isfinite(sharp.y[:, 0])
         assert np.abs(sharp.u[seen, 0] - sharp.y[seen, 0]).max() > 0.5
 
@@ -219,14 +219,14 @@ def test_input_before_the_part_has_no_influence() -> None:
         value = known["w"].value.copy()
         value[3] = np.nan
         unknown = known | {"w": Channel(known["w"].t, value)}
-        rows = [build_record(model(hold, "psi"), given, t_from=2.0) for given in (known, unknown)]
+        rows = [build_record(model(hold, "psi"), signals, t_from=2.0) for signals in (known, unknown)]
         np.testing.assert_array_equal(rows[0].u, rows[1].u)
 
 
 def test_delayed_input_in_the_data_is_used() -> None:
     copies = replace(with_taps(0, 2), name="copies")
-    given = channels() | {"g~2": channel(50.0, f=lambda t: np.full(t.size, 7.0)), "g": channel(50.0)}
-    record = build_record(copies, given)
+    signals = channels() | {"g~2": channel(50.0, f=lambda t: np.full(t.size, 7.0)), "g": channel(50.0)}
+    record = build_record(copies, signals)
     assert (record.u[:, list(record.inputs).index("g~2")] == 7.0).all()
 
 
@@ -235,7 +235,7 @@ def test_repeated_command_creates_no_row() -> None:
     repeated = channels() | {"w": Channel(t, np.where(t < 2.04, 1.0, np.where(t < 5.0, -2.0, 3.0)))}
     for psi in (5.0, 50.0):  # Without averaging, and with averaging.
         slow = {"psi": channel(psi)}
-        record, sparse = (build_record(model(feels="psi"), given | slow) for given in (repeated, channels()))
+        record, sparse = (build_record(model(feels="psi"), signals | slow) for signals in (repeated, channels()))
         assert record.n_rows <= sparse.n_rows + 1
         assert sparse.n_rows < 0.4 * t.size
         same = slice(0, sparse.n_rows - 3)
@@ -273,9 +273,9 @@ def test_delayed_input_is_held_like_its_signal() -> None:
 
 def test_switch_just_after_a_sample_is_at_the_same_row() -> None:
     """Equal times may differ by rounding, because seconds since 1970 have steps of 0.24 us. They form one row."""
-    given = channels() | {"w": Channel(np.array([0.0, 2.0 + 5e-8, 10.0]), np.array([1.0, -2.0, 3.0]))}
-    given |= {"a": channel(10.0), "b": channel(10.0), "psi": channel(5.0)}
-    record = build_record(model(), given)
+    signals = channels() | {"w": Channel(np.array([0.0, 2.0 + 5e-8, 10.0]), np.array([1.0, -2.0, 3.0]))}
+    signals |= {"a": channel(10.0), "b": channel(10.0), "psi": channel(5.0)}
+    record = build_record(model(), signals)
     row = int(np.argmin(np.abs(record.t - 2.0)))
     assert record.t[row] == pytest.approx(2.0, abs=1e-6)
     assert record.u[row, 0] == -2.0
@@ -314,8 +314,8 @@ def test_command_recorded_on_change_is_held_to_the_end(at: Sequence[float], end:
     if end < 10.0:
         name, lost = record.meta["cut"]
         assert (name, lost) == ("w", pytest.approx(10.0 - end))
-        (said,) = cut_records([record])
-        assert (said.code, "w ends" in said.text) == ("record-cut", True)
+        (warning,) = cut_records([record])
+        assert (warning.code, "w ends" in warning.text) == ("record-cut", True)
     else:
         assert "cut" not in record.meta
 
@@ -325,11 +325,11 @@ def test_delayed_input_is_the_input_some_steps_ago() -> None:
     ramp = channels() | {"g": channel(50.0, f=lambda t: 2.0 * t)}
     record = build_record(wide, ramp)
     names = list(record.inputs)
-    now, one, seven = (record.u[:, names.index(n)] for n in ("g", "g~1", "g~7"))
+    now, one_step, seven_steps = (record.u[:, names.index(n)] for n in ("g", "g~1", "g~7"))
     later = record.t > 7 * HISTORY_STEP
-    np.testing.assert_allclose(now[later] - one[later], 2.0 * HISTORY_STEP, atol=1e-9)
-    np.testing.assert_allclose(now[later] - seven[later], 14.0 * HISTORY_STEP, atol=1e-9)
-    assert seven[0] == now[0]  # Before the first sample, the first value is used.
+    np.testing.assert_allclose(now[later] - one_step[later], 2.0 * HISTORY_STEP, atol=1e-9)
+    np.testing.assert_allclose(now[later] - seven_steps[later], 14.0 * HISTORY_STEP, atol=1e-9)
+    assert seven_steps[0] == now[0]  # Before the first sample, the first value is used.
     assert record.duration == pytest.approx(10.0)  # The delayed inputs do not shorten the record.
 
 
@@ -366,9 +366,9 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
     ],
 )
 def test_impossible_record_gives_a_one_line_error(drop: tuple[str, ...], change: dict[str, Channel], says: str) -> None:
-    given = {n: c for n, c in channels().items() if n not in drop} | change
+    signals = {n: c for n, c in channels().items() if n not in drop} | change
     with pytest.raises(ValueError, match="run 7") as problem:
-        build_record(model(), given, name="run 7")
+        build_record(model(), signals, name="run 7")
     assert str(problem.value) == says
 
 

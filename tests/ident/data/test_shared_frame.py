@@ -45,7 +45,7 @@ def written(path: Path, segment: LogSegment, at: tuple[float, float] = (0.0, 0.0
         x, y, vx, vy = (float(c[n].value[k]) for n in ("x", "y", "vx", "vy"))
         lat, lon = geodetic(x + at[0], y + at[1])
         readings.append(Reading("gnss", Gnss(t, lat, lon, vel_n=vx, vel_e=vy, fix=3), t))
-    return write_log(path, "boat", sorted(readings, key=lambda one: one.t))
+    return write_log(path, "boat", sorted(readings, key=lambda reading: reading.t))
 
 
 def two_logs(folder: Path, force: Callable[[float, float], Force], seconds: float) -> list[LoadedLog]:
@@ -60,7 +60,7 @@ def two_logs(folder: Path, force: Callable[[float, float], Force], seconds: floa
 
 def fitted(logs: list[LoadedLog], effect: str) -> FittedModel:
     model = with_effects(model_of(IndependentBoat()), [effect])
-    return fit_nominal_model(model, [one.run for one in logs], [])
+    return fit_nominal_model(model, [log.run for log in logs], [])
 
 
 @cache
@@ -94,16 +94,16 @@ def test_logs_of_one_command_use_the_first_fix_of_the_first_log(tmp_path: Path) 
     paths = placed(tmp_path, (0.0, 0.0), APART, (5000.0, -3000.0))
     alone = [load_run(p, "estimation") for p in paths]
     estimation, validation = load_all(paths[:1], paths[1:])
-    assert all(one.origin == estimation[0].origin for one in validation)
+    assert all(shared.origin == estimation[0].origin for shared in validation)
     assert np.array_equal(estimation[0].run.channels["x"].value, alone[0].run.channels["x"].value)
-    for one, own, at in zip(validation, alone[1:], (APART, (5000.0, -3000.0)), strict=True):
-        moved = [float(one.run.channels[n].value[0] - own.run.channels[n].value[0]) for n in ("x", "y")]
+    for shared, own, at in zip(validation, alone[1:], (APART, (5000.0, -3000.0)), strict=True):
+        moved = [float(shared.run.channels[n].value[0] - own.run.channels[n].value[0]) for n in ("x", "y")]
         assert moved == pytest.approx(at, abs=0.1 if at is APART else 2.0)  # The simulator has a flat earth.
         for n in ("x", "y"):  # The track has the same length.
-            there, here = one.run.channels[n].value, own.run.channels[n].value
+            there, here = shared.run.channels[n].value, own.run.channels[n].value
             assert there - there[0] == pytest.approx(here - here[0], abs=1e-9)
-            assert one.own_channels[n].value == pytest.approx(here, abs=1e-9)
-        assert one.about["origin"] == asdict(estimation[0].origin)
+            assert shared.own_channels[n].value == pytest.approx(here, abs=1e-9)
+        assert shared.about["origin"] == asdict(estimation[0].origin)
     origin = estimation[0].origin
     assert origin is not None
     assert origin.log == "log0"
@@ -113,12 +113,13 @@ def test_logs_of_one_command_use_the_first_fix_of_the_first_log(tmp_path: Path) 
 def test_origin_at_another_place_does_not_change_a_fit(tmp_path: Path) -> None:
     """The state starts at the first position. Only a fixed point depends on the origin."""
     model, (path,) = nominal_model(horizontal_model()), placed(tmp_path, (0.0, 0.0))
-    one = load_run(path, "estimation")
-    assert one.origin is not None
-    far = FrameOrigin(one.origin.latitude + 0.05, one.origin.longitude - 0.05, "another")
+    loaded = load_run(path, "estimation")
+    assert loaded.origin is not None
+    far = FrameOrigin(loaded.origin.latitude + 0.05, loaded.origin.longitude - 0.05, "another")
     values = np.array([p.value for p in model.parameters])
     here, there = (
-        Likelihood(model).value_by_row(make_record(model, x.run, 10.0), values) for x in (one, *share_frame([one], far))
+        Likelihood(model).value_by_row(make_record(model, x.run, 10.0), values)
+        for x in (loaded, *share_frame([loaded], far))
     )
     assert there.sum() == pytest.approx(here.sum(), rel=1e-9)
     assert there == pytest.approx(here, abs=1e-6)
@@ -151,9 +152,9 @@ def test_positions_without_latitude_and_longitude_are_assumed_in_one_frame_with_
     boat, alone = with_effects(model_of(IndependentBoat()), ["mooring"]), unknown.run
     assert frames_assumed(fit_nominal_model(boat, [alone], [])) == []  # A single log has one frame.
     assert frames_assumed(fit_nominal_model(boat, [known.run], [replace(known.run, name="later")])) == []
-    (said,) = frames_assumed(fit_nominal_model(boat, [known.run], [alone]))
-    assert said.code == "frame-assumed"
-    assert "imported gives x and y without latitude and longitude" in said.text
+    (warning,) = frames_assumed(fit_nominal_model(boat, [known.run], [alone]))
+    assert warning.code == "frame-assumed"
+    assert "imported gives x and y without latitude and longitude" in warning.text
     assert not share_frame([unknown])[0].origin
 
 
@@ -168,8 +169,8 @@ def test_saved_model_keeps_the_origin_of_its_fixed_point(tmp_path: Path) -> None
     (later,) = share_frame([load_run(tmp_path / "log1.mcap", "navigated")], saved.origin)
     assert later.run.channels["x"].value[0] == pytest.approx(40.0, abs=0.2)
     assert saved_frame_warnings(saved.model, [later], saved.origin) == []
-    (said,) = saved_frame_warnings(saved.model, [later], None)
-    assert (said.code, "does not contain the origin" in said.text) == ("frame-assumed", True)
+    (warning,) = saved_frame_warnings(saved.model, [later], None)
+    assert (warning.code, "does not contain the origin" in warning.text) == ("frame-assumed", True)
     with pytest.raises(SeatrialError, match=r"log2\.mcap: it begins more than 10 km"):
         saved_frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin)
     plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit

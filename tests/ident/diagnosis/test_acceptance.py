@@ -40,10 +40,10 @@ def fitted(**by_run: np.ndarray) -> Any:
 
 def test_validation_gain_is_summed_over_runs_with_an_error_from_ten_second_blocks() -> None:
     rng = np.random.default_rng(1)
-    one, two = rng.normal(0.3, 1.0, (2, 200))
-    gain, t = validation_gain(fitted(one=np.zeros(200), two=np.zeros(200)), fitted(one=one, two=two))
-    blocks = np.concatenate([one.reshape(20, 10).sum(1), two.reshape(20, 10).sum(1)])
-    assert gain == pytest.approx(one.sum() + two.sum())
+    first, second = rng.normal(0.3, 1.0, (2, 200))
+    gain, t = validation_gain(fitted(one=np.zeros(200), two=np.zeros(200)), fitted(one=first, two=second))
+    blocks = np.concatenate([first.reshape(20, 10).sum(1), second.reshape(20, 10).sum(1)])
+    assert gain == pytest.approx(first.sum() + second.sum())
     student = blocks.mean() / (blocks.std(ddof=1) / 40**0.5)
     assert t == pytest.approx(stats.norm.isf(stats.t.sf(student, 39)), rel=1e-3)
 
@@ -95,7 +95,7 @@ def refit(
 
 
 @pytest.mark.parametrize(
-    ("given", "accepted"),
+    ("values", "accepted"),
     [
         ({}, True),
         ({"criterion": -1.0}, False),
@@ -127,8 +127,8 @@ def refit(
         ({"prediction": NEARLY}, True),
     ],
 )
-def test_refit_is_accepted_only_if_every_condition_holds(given: dict[str, Any], accepted: bool) -> None:
-    assert refit(**given).accepted is accepted
+def test_refit_is_accepted_only_if_every_condition_holds(values: dict[str, Any], accepted: bool) -> None:
+    assert refit(**values).accepted is accepted
 
 
 @pytest.mark.parametrize(
@@ -165,9 +165,9 @@ def test_explanation_of_a_round_without_an_effect_names_the_best_outcome(outcome
     from dataclasses import replace
 
     refits = tuple(replace(refit(), outcome=o) for o in outcomes)
-    one = Round((), (), refits, None)
-    assert one.outcome is of_round
-    assert ("wind" in one.explanation) is (
+    search_round = Round((), (), refits, None)
+    assert search_round.outcome is of_round
+    assert ("wind" in search_round.explanation) is (
         of_round in (Outcome.WORSE_PREDICTION, Outcome.SMALL)
     )  # Only these outcomes name the effect.
-    assert ("small compared with the effects found" in one.explanation) is (of_round is Outcome.SMALL)
+    assert ("small compared with the effects found" in search_round.explanation) is (of_round is Outcome.SMALL)

@@ -258,12 +258,12 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
         assert limit.reasons == ("it may only correct the formula of speed curve",)
-    (_, other) = of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
-    assert other.attribution == "identified"
+    (_, unrelated) = of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
+    assert unrelated.attribution == "identified"
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "description"),
     [
         ("N(u, r)", "that N depends on u and r"),
         ("X(past of n_sum)", "that X follows n_sum"),
@@ -274,9 +274,9 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
         ("lag", "lag"),
     ],
 )
-def test_remaining_score_is_described_in_words(name: str, said: str) -> None:
+def test_remaining_score_is_described_in_words(name: str, description: str) -> None:
     (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
-    assert found.reasons[0].startswith(f"with it the score tests still find {said} (")
+    assert found.reasons[0].startswith(f"with it the score tests still find {description} (")
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:
@@ -365,9 +365,9 @@ def test_size_of_a_per_record_parameter_is_tested_like_a_common_parameter() -> N
     records = SimpleNamespace(records=("a", "b"))
     for values, attribution in (((0.5, -9.0), "identified"), ((0.5, 0.1), "ambiguous")):
         fit = a_fit(("V_dx@0", "V_dx@1"), values, np.eye(2))
-        one = refit("current-drift", 800.0, fit=fit, parameters=drift)
+        drifting = refit("current-drift", 800.0, fit=fit, parameters=drift)
         stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
-        (found,) = of(one_round(replace(one, fitted=stage)))
+        (found,) = of(one_round(replace(drifting, fitted=stage)))
         assert found.attribution == attribution
     assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2",)
 
@@ -378,9 +378,9 @@ def test_attribution_uses_the_estimates_of_the_final_model() -> None:
     def stage(value: float) -> Any:
         return SimpleNamespace(fit=a_fit(("F",), [value], np.eye(1)))
 
-    one = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
-    (alone,) = assess_alternatives([one_round(one)], (), N)
-    (beside,) = assess_alternatives([one_round(one)], (), N, after=stage(1.5))
+    wind = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
+    (alone,) = assess_alternatives([one_round(wind)], (), N)
+    (beside,) = assess_alternatives([one_round(wind)], (), N, after=stage(1.5))
     assert (alone.attribution, beside.attribution) == ("identified", "ambiguous")
 
 

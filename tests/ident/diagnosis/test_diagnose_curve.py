@@ -56,11 +56,13 @@ def test_error_without_the_curve_names_the_thruster_option(folder: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("curve", "message"),
     [("left", "--thruster left: no such file"), ("vehicle/model.toml", "vehicle/model.toml: contains no static curve")],
 )
-def test_file_without_a_curve_is_rejected(folder: Path, monkeypatch: pytest.MonkeyPatch, given: str, says: str) -> None:
+def test_file_without_a_curve_is_rejected(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, curve: str, message: str
+) -> None:
     monkeypatch.chdir(folder)
-    done = run("diagnose", "vehicle/model.toml", "one.mcap", "--thruster", given, "--out", "found")
+    done = run("diagnose", "vehicle/model.toml", "one.mcap", "--thruster", curve, "--out", "found")
     assert isinstance(done.exception, SeatrialError)
-    assert says in str(done.exception)
+    assert message in str(done.exception)

@@ -25,7 +25,7 @@ MOMENT = chosen("heading-moment", nonparametric_of=ForceCurve("N", "psi"))
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "order"),
     [
         # The search added the delay first, but the prediction degrades more without the yaw bias.
         ([(chosen("delay"), 1.02), (chosen("yaw-bias"), 1.4)], ["yaw-bias", "delay"]),
@@ -45,10 +45,10 @@ MOMENT = chosen("heading-moment", nonparametric_of=ForceCurve("N", "psi"))
     ],
 )
 def test_effects_are_ordered_by_importance_with_nonparametric_effects_mostly_last(
-    found: list[tuple[Refit, float]], told: list[str]
+    found: list[tuple[Refit, float]], order: list[str]
 ) -> None:
     weights = [EffectImportance(c.effect.name, 10.0, error) for c, error in found]
-    assert [w.effect for w in by_importance(weights, [c for c, _ in found])] == told
+    assert [w.effect for w in by_importance(weights, [c for c, _ in found])] == order
 
 
 def test_effect_has_no_importance_if_the_model_without_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:

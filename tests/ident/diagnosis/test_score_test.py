@@ -122,13 +122,15 @@ def test_score_of_a_fitted_parameter_is_zero() -> None:
     push = whole(path, next(path.effect(PUSH)))
     mixed = push + 3.0 * own[0][:, :, None] - 0.7 * own[1][:, :, None]
     same = SensitivityColumns("damping", own[1][:, :, None])
-    one, two = scores_of_columns(path, run, own, [SensitivityColumns("push", push), SensitivityColumns("mixed", mixed)])
+    pushed, combined = scores_of_columns(
+        path, run, own, [SensitivityColumns("push", push), SensitivityColumns("mixed", mixed)]
+    )
     (none,) = scores_of_columns(path, run, own, [same])
     assert (none.lm, none.df, none.lm_block, none.step, none.p, none.p_block) == (0.0, 1, 0.0, {}, 1.0, 1.0)
     assert none.tolerance < 1e-8
     assert scores_of_columns(path, run, own, [replace(same, delta=0.0 * same.delta)]) == []  # No column acts.
-    assert two.lm == pytest.approx(one.lm, rel=1e-6)
-    assert two.lm_block == pytest.approx(one.lm_block, rel=1e-6)
+    assert combined.lm == pytest.approx(pushed.lm, rel=1e-6)
+    assert combined.lm_block == pytest.approx(pushed.lm_block, rel=1e-6)
 
 
 def test_tolerance_is_the_residual_of_a_regression_on_the_fitted_parameters() -> None:
@@ -326,7 +328,7 @@ def test_per_record_effect_may_have_opposite_signs() -> None:
     """Two records are pushed in opposite directions. A common push is not found; a push per record is found."""
     rng = np.random.default_rng(3)
     g = [rng.normal(size=(300, 2)) for _ in range(2)]
-    e = [rng.normal(size=300) - sign * 0.5 * one[:, 1] for sign, one in zip((1, -1), g, strict=True)]
+    e = [rng.normal(size=300) - sign * 0.5 * common[:, 1] for sign, common in zip((1, -1), g, strict=True)]
     shared = SensitivityColumns("shared", np.zeros((1, 1, 1)), ("k",))
     own = SensitivityColumns("own", np.zeros((1, 1, 1)), ("k",), per_record=True)
     places, total = place([shared, own], 1, 2)
@@ -335,9 +337,9 @@ def test_per_record_effect_may_have_opposite_signs() -> None:
     for i in range(2):
         at = [0] + [k for p in places for k in p.of_record(i)]
         normal.add(at, np.column_stack([g[i], g[i][:, 1]]), e[i], block_index(np.arange(300) * 0.1))
-    one, two = score_tests(normal, no_priors(1), places)
-    assert (one.df, two.df) == (1, 2)
-    assert one.p > 0.01
-    assert two.p < 1e-20
-    assert two.step["k@0"] == pytest.approx(0.5, abs=0.2)
-    assert two.step["k@1"] == pytest.approx(-0.5, abs=0.2)
+    common, separate = score_tests(normal, no_priors(1), places)
+    assert (common.df, separate.df) == (1, 2)
+    assert common.p > 0.01
+    assert separate.p < 1e-20
+    assert separate.step["k@0"] == pytest.approx(0.5, abs=0.2)
+    assert separate.step["k@1"] == pytest.approx(-0.5, abs=0.2)

@@ -71,8 +71,8 @@ def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
         found = by_name.get(rough.effect.name, FELL)
         if isinstance(found, Exception):
             raise found
-        one = replace(rough, prediction=found)
-        return replace(one, outcome=search._outcome(one, []))
+        exact_refit = replace(rough, prediction=found)
+        return replace(exact_refit, outcome=search._outcome(exact_refit, []))
 
     return exact
 
@@ -190,10 +190,10 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
 def test_round_without_a_significant_score_lists_the_tested_candidates() -> None:
     scores = tuple(Score(f"effect{k}", 3.0, 1, 2.0, {}, {}, threshold=12.0) for k in range(40))
     short = ShortData(60.0, 105.0, 3, 40)
-    one = _quiet_round(Diagnosis(blank(), blank(), (), (), (), scores=scores, short_data=short))
-    assert (one.tested, one.passed, one.chosen) == (40, 0, None)
-    assert len(one.candidates) > 10
-    assert one.why == "no candidate passes the score tests; 60 s of data are too short to test 3 of 40"
+    quiet_round = _quiet_round(Diagnosis(blank(), blank(), (), (), (), scores=scores, short_data=short))
+    assert (quiet_round.tested, quiet_round.passed, quiet_round.chosen) == (40, 0, None)
+    assert len(quiet_round.candidates) > 10
+    assert quiet_round.why == "no candidate passes the score tests; 60 s of data are too short to test 3 of 40"
 
 
 def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -205,11 +205,11 @@ def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch:
     chosen = refit("hump", 900.0)
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
-    said = "The search ended with 1 effect, the limit set by --max-effects; not tried: wind."
-    assert diagnosis_caveat(found) == said  # The caveat is also shown on the screen.
-    assert said not in _notes(found)
+    caveat = "The search ended with 1 effect, the limit set by --max-effects; not tried: wind."
+    assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
+    assert caveat not in _notes(found)
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    assert diagnosis_caveat(doubted) == f"The name is uncertain: a lag resembles it. {said}"
+    assert diagnosis_caveat(doubted) == f"The name is uncertain: a lag resembles it. {caveat}"
 
 
 def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
@@ -230,7 +230,7 @@ def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
 
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", compared)
-    monkeypatch.setattr(search, "fit_without", lambda *given: blank(name=f"without {given[3].name}"))
+    monkeypatch.setattr(search, "fit_without", lambda *arguments: blank(name=f"without {arguments[3].name}"))
     current, weights, removed = mine.backward_elimination(blank(), blank(name="all"))
     assert left == ["without hump", "without lift"]
     assert [r.effect.name for r in removed] == ["hump", "lift"]
@@ -353,7 +353,7 @@ def test_effects_that_do_not_pay_are_removed(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
-    monkeypatch.setattr(search, "fit_without", lambda *given: fits[f"without {given[3].name}"])
+    monkeypatch.setattr(search, "fit_without", lambda *arguments: fits[f"without {arguments[3].name}"])
     current, weights, removed = mine.backward_elimination(blank(), fits["all"])
     assert current is fits["without hump"]
     assert [w.effect for w in weights] == ["cubic", "lift"]
@@ -414,8 +414,8 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
     sail = Effect("sail", "a sail", {}, requires=("sail_area",))
     twice = Effect("twice", "a mass", {}, (Parameter("m_u", 1.0),))
     fine = Effect("fine", "a fine one", {}, (Parameter("own", 0.0),))
-    given = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
-    refused = search._refused(model, given, runs)
+    candidates = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
+    refused = search._refused(model, candidates, runs)
     assert [(u.effect.name, u.reason) for u in refused] == [
         ("tide", "tue/run lacks its input tide"),
         ("sail", f"it needs the signal 'sail_area', which model {model.name} does not have"),
@@ -448,8 +448,8 @@ def test_payload_has_no_kilograms_if_the_thrust_is_unknown() -> None:
     shift = ParameterShift("m_payload", "kg", 0.0, 0.0, 0.2 * thrust, 0.01 * thrust, 90.0)
     after = blank(fit=blank(model=model), cross_validated=False)
     found = Diagnosis(blank(), after, (), (), (), mismatches=(ValidationMismatch("tue/run", "r", 2.0, shift),))
-    said = diagnosis_answer(found, None, 10.0)
-    assert "The best explanation is m_payload/T = 0.2 ± 0.01 kg/N in that run, instead of 0." in said
+    answer = diagnosis_answer(found, None, 10.0)
+    assert "The best explanation is m_payload/T = 0.2 ± 0.01 kg/N in that run, instead of 0." in answer
     (row,) = map(_mismatch, reported_mismatches(found))
     assert (row.parameter, row.unit) == ("m_payload/T", "kg/N")
     assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
@@ -501,9 +501,9 @@ def test_payload_in_one_run_is_identified() -> None:
     # The payload of the validation run is estimated from its other blocks, for the answer and for the acceptance.
     evaluation = evaluate_diagnosis(found)
     assert [e.name for e in evaluation.in_blocks] == [f"{BETWEEN}payload"]
-    for one in (evaluation.before, evaluation.after):
-        assert one.validation is not None
-        assert len(one.validation.records) == len(validated_in_blocks(found.after).validation) > 4
+    for evaluated in (evaluation.before, evaluation.after):
+        assert evaluated.validation is not None
+        assert len(evaluated.validation.records) == len(validated_in_blocks(found.after).validation) > 4
     assert "has separate parameters for each run" in _blocks_note(evaluation)[0]
 
 
@@ -560,10 +560,10 @@ def test_many_short_runs_give_the_result_of_two_long_runs(n: int) -> None:
 @pytest.mark.slow
 @pytest.mark.study
 def test_unusable_validation_log_is_listed_and_the_search_continues() -> None:
-    good, other = segments(boat_with("mismatch", 1), boat_with("mismatch", 1))
-    lacking = LogSegment("odd", {n: c for n, c in other.channels.items() if n != "n_left"})
-    away = {n: Channel(c.t + 1e4, c.value) if n == "n_left" else c for n, c in other.channels.items()}
-    found = diagnose(horizontal_model(), [good], [lacking, LogSegment("apart", away), other], effects=FEW)
+    good, usable = segments(boat_with("mismatch", 1), boat_with("mismatch", 1))
+    lacking = LogSegment("odd", {n: c for n, c in usable.channels.items() if n != "n_left"})
+    away = {n: Channel(c.t + 1e4, c.value) if n == "n_left" else c for n, c in usable.channels.items()}
+    found = diagnose(horizontal_model(), [good], [lacking, LogSegment("apart", away), usable], effects=FEW)
     assert [f.record for f in found.failed_runs] == ["odd", "apart"]
     assert "n_left" in found.failed_runs[0].reason
     assert "overlap" in found.failed_runs[1].reason

@@ -116,11 +116,11 @@ def test_variables_of_a_row_use_the_parameters_of_the_model() -> None:
 @pytest.mark.parametrize(("delay", "pole"), [(0.345, 7.2), (2.6, 1.1)])
 def test_initial_delay_and_pole_are_near_the_truth(delay: float, pole: float) -> None:
     t = np.arange(0.0, 60.0, 0.02)
-    told = np.where((t % 12.0) < 6.0, 0.2 + 0.1 * np.floor(t / 12.0), -0.3)
+    command = np.where((t % 12.0) < 6.0, 0.2 + 0.1 * np.floor(t / 12.0), -0.3)
     n = np.zeros(t.size)
     for k in range(1, t.size):
-        n[k] = n[k - 1] + 0.02 * pole * (np.interp(t[k] - delay, t, told, left=0.0) - n[k - 1])
-    channels = delayed_channels(Channel(t, told)) | {"n": Channel(t, n)}
+        n[k] = n[k - 1] + 0.02 * pole * (np.interp(t[k] - delay, t, command, left=0.0) - n[k - 1])
+    channels = delayed_channels(Channel(t, command)) | {"n": Channel(t, n)}
     tau, a = shaft_guess([build_record(thruster_model(force=False), channels, rate=50.0)])
     assert tau == pytest.approx(delay, abs=0.11)
     assert a == pytest.approx(pole, rel=0.5)
@@ -156,16 +156,16 @@ def loaded(**channels: Channel) -> LoadedLog:
 def test_log_gives_the_thruster_name_and_errors_name_missing_signals() -> None:
     t = np.arange(0.0, 5.0, 0.1)
     moved, still = Channel(t, np.sin(t)), Channel(t, 0.0 * t)
-    one = loaded(n_cmd_port=moved, n_port=moved, n_cmd_stern=still, n_stern=still)
-    assert thruster.thruster_name(one) == "port"
+    log = loaded(n_cmd_port=moved, n_port=moved, n_cmd_stern=still, n_stern=still)
+    assert thruster.thruster_name(log) == "port"
     with pytest.raises(SeatrialError, match=r"bench.mcap: thrusters with commands and shaft speed: none; name one"):
         thruster.thruster_name(loaded(n_cmd_port=still, n_port=still))
     with pytest.raises(SeatrialError, match=r"bench.mcap: the log has no load cell, but the model has a force"):
-        thruster.thruster_runs([one], thruster_model(), None)
-    runs = thruster.thruster_runs([one, replace(one)], thruster_model(force=False), None)
+        thruster.thruster_runs([log], thruster_model(), None)
+    runs = thruster.thruster_runs([log, replace(log)], thruster_model(force=False), None)
     assert {"n", "n_cmd_0", "n_cmd_48"} <= set(runs[1].channels)
     with pytest.raises(SeatrialError, match=r"bench.mcap: no signal 'n_cmd_bow'; it has n_cmd_port"):
-        thruster.thruster_runs([one], thruster_model(force=False), "bow")
+        thruster.thruster_runs([log], thruster_model(force=False), "bow")
 
 
 @pytest.mark.study

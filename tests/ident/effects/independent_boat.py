@@ -63,7 +63,10 @@ class IndependentBoat:
     force: Force | None = None
     loss: Loss | None = None
     slosh: Slosh | None = None
-    told: tuple[float, float] = (1.0, 0.0)  # Factor of the velocity of the receiver, and offset of its course in rad.
+    receiver_error: tuple[float, float] = (
+        1.0,
+        0.0,
+    )  # Factor of the velocity of the receiver, and offset of its course in rad.
     current: tuple[float, float] = (0.12, -0.08)
 
     @property
@@ -112,7 +115,7 @@ def sail(boat: IndependentBoat, seconds: float = 300.0, seed: int = 1, gyro: boo
         state = [x + STEP * (d1 + d2) / 2 for x, d1, d2 in zip(state, rate, again, strict=True)]
         n = later
     found = np.array(rows)
-    factor, offset = boat.told
+    factor, offset = boat.receiver_error
     over_ground = (found[:, 9] + 1j * found[:, 10]) * factor * np.exp(1j * offset)
     found[:, 9], found[:, 10] = over_ground.real, over_ground.imag
     return _measured(found, rng, gyro, seed)
@@ -123,17 +126,17 @@ def _rate(
 ) -> tuple[list[float], tuple[float, ...]]:
     """Return the rate of the state (north, east, psi, u, v, r and the slosh), and psi, r, ax, ay, x, y, vx, vy."""
     north, east, psi, u, v, r, z, z_rate = state
-    w, one, slosh = boat.weight, boat.scale, boat.slosh
+    w, length, slosh = boat.weight, boat.scale, boat.slosh
     c, s = math.cos(psi), math.sin(psi)
     vn, ve = c * u - s * v + boat.current[0], s * u + c * v + boat.current[1]
     now = Moment(t, north, east, psi, u, v, r, vn, ve, n)
     f = {side: boat.full_thrust * z * abs(z) * (boat.loss(side, now) if boat.loss else 1.0) for side, z in n.items()}
-    X = f["left"] + f["right"] - (2.0 + 24.0 * abs(u)) * u * one**2 + calm[0]
-    Y = -(45.0 + 60.0 * abs(v)) * v * one**2 + calm[1]
-    N = boat.arm * (f["left"] - f["right"]) - (5.0 + 7.0 * abs(r)) * r * w * one + calm[2]
+    X = f["left"] + f["right"] - (2.0 + 24.0 * abs(u)) * u * length**2 + calm[0]
+    Y = -(45.0 + 60.0 * abs(v)) * v * length**2 + calm[1]
+    N = boat.arm * (f["left"] - f["right"]) - (5.0 + 7.0 * abs(r)) * r * w * length + calm[2]
     if boat.force is not None:
         X, Y, N = (a + b for a, b in zip((X, Y, N), boat.force(now), strict=True))
-    m_u, m_v, m_r, pull = 42.0 * w, 58.0 * w, 8.0 * w * one**2, 0.0
+    m_u, m_v, m_r, pull = 42.0 * w, 58.0 * w, 8.0 * w * length**2, 0.0
     along_u, along_v = m_u, m_v
     if slosh is not None:  # The mass acts on the hull only through its spring.
         omega = 2 * math.pi * slosh.frequency

@@ -28,8 +28,8 @@ def blank(model: Model, seed: int, seconds: float = 200.0) -> Record:
     rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 0.1)
     steps = int(np.ceil(t.size / 80))
     n = [np.repeat(rng.uniform(-0.3, 0.9, steps), 80)[: t.size] for _ in range(2)]
-    given = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
-    return build_record(model, given | {o.name: Channel(t, np.zeros(t.size)) for o in model.outputs})
+    inputs = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
+    return build_record(model, inputs | {o.name: Channel(t, np.zeros(t.size)) for o in model.outputs})
 
 
 def predicted(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:

@@ -66,12 +66,12 @@ def sailed(truth: Model, seed: int) -> Record:
     """Return two minutes of steps with white noise."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, 120.0, 0.1)
     n = [np.repeat(rng.uniform(-0.4, 0.9, 15), 80) for _ in range(2)]
-    given = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
+    inputs = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
     blank = {o.name: Channel(t, np.zeros(t.size)) for o in truth.outputs}
-    y = simulate(truth, build_record(truth, given | blank), x0=np.zeros(len(truth.states))).y
+    y = simulate(truth, build_record(truth, inputs | blank), x0=np.zeros(len(truth.states))).y
     noise = {"psi": 0.02, "r": 0.01, "u": 0.03, "v": 0.03}
     seen = {o.name: Channel(t, y[:, j] + noise[o.name] * rng.normal(size=t.size)) for j, o in enumerate(truth.outputs)}
-    return build_record(truth, given | seen)
+    return build_record(truth, inputs | seen)
 
 
 def test_both_effects_are_identified() -> None:

@@ -65,9 +65,9 @@ def at_random(model: Model) -> dict[str, np.ndarray]:
 
 def differences(base: Model, effects: Sequence[Effect]) -> list[str]:
     """Return the rates and outputs that differ if the effects are added in reverse order."""
-    one, other = (at_random(reduce(add, order, base)) for order in (effects, effects[::-1]))
-    assert all(np.isfinite(v).all() for v in one.values())
-    return [n for n in one if not np.allclose(one[n], other[n], rtol=1e-12, atol=1e-12)]
+    forward, reversed_order = (at_random(reduce(add, order, base)) for order in (effects, effects[::-1]))
+    assert all(np.isfinite(v).all() for v in forward.values())
+    return [n for n in forward if not np.allclose(forward[n], reversed_order[n], rtol=1e-12, atol=1e-12)]
 
 
 @pytest.mark.parametrize(
@@ -108,9 +108,9 @@ def test_all_effects_together_give_the_same_model_in_any_order(source: str) -> N
 @pytest.mark.parametrize("source", ["horizontal:shaft", "horizontal:command", "nomoto"])
 def test_removed_effect_leaves_the_model_as_before(source: str) -> None:
     """An effect that was added later stays, with the inputs that both effects use."""
-    base, other = make_model(source, tuple(SENSORS)), catalogue()["gnss-latency"]
+    base, latency = make_model(source, tuple(SENSORS)), catalogue()["gnss-latency"]
     for effect in all_effects(base):
         assert (base + effect).without(effect.name) == base
-        if effect.name != other.name and (base + effect).accepts(other):
-            assert set((base + effect + other).without(effect.name).inputs) == set((base + other).inputs)
+        if effect.name != latency.name and (base + effect).accepts(latency):
+            assert set((base + effect + latency).without(effect.name).inputs) == set((base + latency).inputs)
     assert base.without("mooring") == base

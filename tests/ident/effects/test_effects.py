@@ -103,8 +103,8 @@ def test_effect_changes_the_model_and_is_described(name: str) -> None:
     for p in effect.parameters:
         assert p.prior is not None
         assert p.meaning
-    for other in effect.alternatives:
-        assert other in catalogue(), f"{name} names an alternative that is not there: {other}"
+    for alternative in effect.alternatives:
+        assert alternative in catalogue(), f"{name} names an alternative that is not there: {alternative}"
 
 
 @pytest.mark.parametrize("name", [name for name, effect in catalogue().items() if effect.one_sided])
@@ -155,8 +155,8 @@ def test_delay_dead_band_and_lag_give_the_same_model_in_any_order(hold: str) -> 
         driven(names, values, lambda t: np.where((t > 1.0) & (t < 9.0), 0.8, 0.2), hold)[1]
         for names in permutations(("delay", "lag", "dead-band"))
     ]
-    for other in found[1:]:
-        np.testing.assert_allclose(other, found[0], rtol=1e-12)
+    for permuted in found[1:]:
+        np.testing.assert_allclose(permuted, found[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("hold", ["zero", "linear"])
@@ -212,6 +212,6 @@ def test_effect_that_the_model_cannot_carry_is_rejected() -> None:
 
 def test_effect_whose_states_the_model_has_is_rejected() -> None:
     lag = catalogue()["lag"]
-    other = replace(lag, name="other", parameters=(replace(lag.parameters[0], name="T_other"),))
+    duplicate = replace(lag, name="other", parameters=(replace(lag.parameters[0], name="T_other"),))
     model = horizontal_model() + lag
-    assert model.refusal(other) == "model horizontal has late_left already"
+    assert model.refusal(duplicate) == "model horizontal has late_left already"

@@ -25,12 +25,18 @@ SECONDS = (300.0, 150.0)  # Durations of the estimation run and of the validatio
 
 def model_of(boat: IndependentBoat, gyro: bool = True) -> Model:
     """Return the horizontal model with the thrust of this boat and suitable initial values."""
-    w, one = boat.weight, boat.scale
+    w, length = boat.weight, boat.scale
     sensors = ("attitude", "gyro", "accelerometer", "position", "ground_velocity")
     model = horizontal_model(sensors=sensors if gyro else ("attitude", "position", "ground_velocity"))
-    start = {"m_u": 37.0 * w, "m_v": 47.0 * w, "m_r": 9.7 * w * one**2, "d_v": 50 * one**2, "d_uu": 25 * one**2}
+    start = {
+        "m_u": 37.0 * w,
+        "m_v": 47.0 * w,
+        "m_r": 9.7 * w * length**2,
+        "d_v": 50 * length**2,
+        "d_uu": 25 * length**2,
+    }
     thrust = {"c1": boat.full_thrust, "c2": 0.0, "y_left": -boat.arm, "y_right": boat.arm}
-    return model.with_values(start | thrust | {"d_r": 4.1 * w * one, "d_rr": 6.2 * w * one})
+    return model.with_values(start | thrust | {"d_r": 4.1 * w * length, "d_rr": 6.2 * w * length})
 
 
 def found_on(boat: IndependentBoat, gyro: bool = True) -> Diagnosis:
@@ -134,8 +140,8 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "wind": (IndependentBoat(SMALL, wind(3.0, -2.5, 0.1, -0.15)), False, "wind", {"w_x": 0.9, "w_n": -0.15}),
     "linear": (IndependentBoat(loss=partly_linear(0.6)), True, "thrust-linearity", {"lambda_n": 0.6}),
     "power": (IndependentBoat(loss=powered(1.6)), True, "thrust-power", {"p_n": -0.4}),
-    "speed": (IndependentBoat(told=(1.05, 0.0)), True, "velocity-scale", {"k_V": 0.05}),
-    "course": (IndependentBoat(told=(1.0, 0.07)), True, "velocity-course", {"chi_0": 0.07}),
+    "speed": (IndependentBoat(receiver_error=(1.05, 0.0)), True, "velocity-scale", {"k_V": 0.05}),
+    "course": (IndependentBoat(receiver_error=(1.0, 0.07)), True, "velocity-course", {"chi_0": 0.07}),
     "rudder": (IndependentBoat(force=rudder(12.0)), True, "steering", {"N_delta": 12.0}),
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),

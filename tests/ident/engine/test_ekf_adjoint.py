@@ -99,7 +99,7 @@ def test_adjoints_of_the_stages_are_independent_of_the_vector_width(
     rng = np.random.default_rng(width)
     root = rng.normal(size=(g.n, g.n))
     s = np.append(rng.normal(size=g.n), np.array(pack(ca.SX(root @ root.T)).elements(), float))
-    given = {
+    values = {
         "s": s,
         "h": 0.1,
         "p": list(g.model.values.values()),
@@ -113,14 +113,14 @@ def test_adjoints_of_the_stages_are_independent_of_the_vector_width(
     ]
     for ours, effect in pairs:
         plain = ekf_adjoint.of_stage(g, effect, "tape", bar)
-        np.testing.assert_allclose(_run(ours, g, bar, given), _run(plain, g, bar, given), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(_run(ours, g, bar, values), _run(plain, g, bar, values), rtol=1e-9, atol=1e-9)
     assert pairs[1][0].before  # This stage has matrix products.
 
 
-def _run(found: ekf_adjoint.Adjoint, g: EkfGraphs, bar: ca.SX, given: dict[str, object]) -> np.ndarray:
+def _run(found: ekf_adjoint.Adjoint, g: EkfGraphs, bar: ca.SX, values: dict[str, object]) -> np.ndarray:
     """Return the slopes, computed from the intermediate results that the stage keeps."""
     kept = ca.Function("ahead", list(g.inputs.values()), list(found.keeps.values()))
-    known = dict(zip(found.keeps, kept.call([given[n] for n in g.inputs]), strict=True)) | given
+    known = dict(zip(found.keeps, kept.call([values[n] for n in g.inputs]), strict=True)) | values
     for product in found.before:
         left = [[float(known[f.array][f.place]) * (1 + f.twice) for f in line] for line in product.left]
         right = np.array(ca.DM(known[product.right])).reshape(-1, product.stride)
@@ -144,9 +144,9 @@ def test_compiled_products_equal_interpreted_products(width: int) -> None:
         frozenset({"a", "kept"}),
     )
     rng = np.random.default_rng(1)
-    given = {"a": rng.normal(size=(7, 3)), "kept": rng.normal(size=(7, 2 * width))}
+    arrays = {"a": rng.normal(size=(7, 3)), "kept": rng.normal(size=(7, 2 * width))}
     mask = np.array([3, 1, 2, 3, 0, 2, 1], np.uint32)
-    fast, slow = (Kernel(plan, compiled=way)(7, mask, given) for way in (True, False))
+    fast, slow = (Kernel(plan, compiled=way)(7, mask, arrays) for way in (True, False))
     assert abs(slow["sum"][0]) > 1e-3
     for name in ("sum", "b", "made"):
         np.testing.assert_allclose(fast[name], slow[name], rtol=1e-12, err_msg=name)

@@ -26,16 +26,16 @@ WIDTH = 4
 
 def operations() -> dict[str, ca.SX]:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    one = "sin cos tan tanh sinh cosh arctan arcsinh exp floor ceil abs sign square negative expm1 rint sinc"
+    unary = "sin cos tan tanh sinh cosh arctan arcsinh exp floor ceil abs sign square negative expm1 rint sinc"
     inside = "arcsin arccos arctanh"
     positive = "sqrt log log10 log1p arccosh cbrt"
-    two = (
+    binary = (
         "hypot arctan2 minimum maximum fmod copysign add multiply divide less less_equal equal not_equal logaddexp mod"
     )
-    found = {n: getattr(np, n)(x) for n in one.split()}
+    found = {n: getattr(np, n)(x) for n in unary.split()}
     found |= {n: getattr(np, n)(0.9 * ca.sin(x)) for n in inside.split()}
     found |= {n: getattr(np, n)(1 + x * x) for n in positive.split()}
-    found |= {n: getattr(np, n)(x, y) for n in two.split()}
+    found |= {n: getattr(np, n)(x, y) for n in binary.split()}
     return {"x": x, "y": y, **found} | {
         "power": (1 + x * x) ** y,
         "constpow": (1 + x * x) ** 2.5,
@@ -81,8 +81,8 @@ def test_every_operation_equals_casadi(where: str) -> None:
     if where == "scalars":
         got = Kernel(plan)(X.size, None, {"x": X.ravel().copy(), "y": Y.ravel().copy()})["v"]
     else:
-        given = {"x": X, "y": Y if "y" in rows else Y[0, :1].copy()}
-        got = Kernel(plan)(len(X), None, given)["v"][:, 0].swapaxes(1, 2).reshape(X.size, -1)
+        arrays = {"x": X, "y": Y if "y" in rows else Y[0, :1].copy()}
+        got = Kernel(plan)(len(X), None, arrays)["v"][:, 0].swapaxes(1, 2).reshape(X.size, -1)
     for j, name in enumerate(table):
         close = np.isclose(got[:, j], wanted[:, j], rtol=3e-13, atol=3e-16, equal_nan=True)
         assert close.all(), (name, X.ravel()[~close], got[~close, j], wanted[~close, j])
@@ -102,15 +102,15 @@ def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
     chosen = [0, 1, 2, 4, 5, 6, 7, 8, 3]
     results = []
     for kernel in (fast, slow):
-        n, mask, given = data_of(kernel)
+        n, mask, arrays = data_of(kernel)
         s = np.array([3.0, 0.1, 0.01, 0.0, 0.09])[: fast.plan.sizes["s"]]
         groups = kernel.groups(len(chosen)) if name == "tangent" else 1
-        given |= {"p": values_of(turning()), "s": s}
+        arrays |= {"p": values_of(turning()), "s": s}
         if name == "tangent":
-            given["dp"] = kernel.seeds(9, chosen)
-        rows = {r: np.zeros((n, kernel.plan.sizes[r])) for r in kernel.plan.rows & set(kernel.plan.sizes) - set(given)}
+            arrays["dp"] = kernel.seeds(9, chosen)
+        rows = {r: np.zeros((n, kernel.plan.sizes[r])) for r in kernel.plan.rows & set(kernel.plan.sizes) - set(arrays)}
         per_row = frozenset({"ll"} & set(kernel.plan.summed))
-        results.append(kernel(n, mask, {**given, **rows}, groups=groups, per_row=per_row))
+        results.append(kernel(n, mask, {**arrays, **rows}, groups=groups, per_row=per_row))
     for key in results[0]:
         np.testing.assert_allclose(results[0][key], results[1][key], rtol=1e-9, atol=1e-11, err_msg=key)
 
@@ -137,9 +137,9 @@ def test_kernel_accepts_any_number_of_groups_and_sums_or_keeps_rows() -> None:
     x_rows = np.arange(5.0)
     for groups in (1, 3):
         a_lanes = np.arange(2.0 * groups).reshape(groups, 1, 2)
-        given = {"x": x_rows, "a": a_lanes}
-        np.testing.assert_allclose(kernel(5, None, given, groups=groups)["total"], 10.0 * a_lanes)
-        kept = kernel(5, None, given, groups=groups, per_row={"total"})["total"]
+        arrays = {"x": x_rows, "a": a_lanes}
+        np.testing.assert_allclose(kernel(5, None, arrays, groups=groups)["total"], 10.0 * a_lanes)
+        kept = kernel(5, None, arrays, groups=groups, per_row={"total"})["total"]
         np.testing.assert_allclose(kept, x_rows[:, None, None, None] * a_lanes)
 
 
@@ -252,18 +252,18 @@ def test_segments_equal_separate_calls(compiled: bool) -> None:
     plan = Plan((stage({"x": x, "u": u, "p": p, "none": none}, {"z": ca.vertcat(x, u * p), "x": 0.5 * x + u * p}),),
                 frozenset({"u", "z", "none"}))  # fmt: skip
     kernel, rng = Kernel(plan, compiled), np.random.default_rng(0)
-    given = {"u": rng.normal(size=(20, 1)), "p": np.array([3.0]), "none": np.zeros((20, 0))}
+    arrays = {"u": rng.normal(size=(20, 1)), "p": np.array([3.0]), "none": np.zeros((20, 0))}
     start, stop, begin = [0, 7, 7, 19], [1, 12, 20, 20], rng.normal(size=(4, 2))
     kept = begin.copy()
-    ends = kernel.segments(start, stop, given, begin, ("z",))["z"]
+    ends = kernel.segments(start, stop, arrays, begin, ("z",))["z"]
     for k, (first, last) in enumerate(zip(start, stop, strict=True)):
-        rows = {name: given[name][first:last] for name in ("u", "none")}
-        alone = kernel(last - first, None, given | rows | {"x": begin[k].copy()})
+        rows = {name: arrays[name][first:last] for name in ("u", "none")}
+        alone = kernel(last - first, None, arrays | rows | {"x": begin[k].copy()})
         np.testing.assert_array_equal(ends[k], alone["z"][-1])
     np.testing.assert_array_equal(begin, kept)
-    assert kernel.segments([], [], given, np.zeros((0, 2)), ("z",))["z"].shape == (0, 3)
+    assert kernel.segments([], [], arrays, np.zeros((0, 2)), ("z",))["z"].shape == (0, 3)
     with pytest.raises(ValueError, match="u: expected contiguous doubles"):
-        kernel.segments([0], [1], given | {"u": np.ones(3, np.float32)}, begin[:1], ("z",))
+        kernel.segments([0], [1], arrays | {"u": np.ones(3, np.float32)}, begin[:1], ("z",))
     for first, last in ((0, 21), (5, 5), (-1, 3)):
         with pytest.raises(ValueError, match=r"segments: each needs a start value and .* 20 given rows"):
-            kernel.segments([first], [last], given, begin[:1], ("z",))
+            kernel.segments([first], [last], arrays, begin[:1], ("z",))

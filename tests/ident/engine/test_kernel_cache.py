@@ -43,13 +43,13 @@ print("casadi" in sys.modules, value.hex(), *(float(g).hex() for g in [*gradient
 
 
 def one(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
-    given: dict[str, Any] = {
+    parts: dict[str, Any] = {
         "states": (State("a", noise="q", x0=0.1),),
         "inputs": (Input("w"),),
         "sensors": (Sensor("s", (Output("y", noise="e"),)),),
         "parameters": (Parameter("k", 2.0), Parameter("q", 0.1), Parameter("e", 0.2)),
     }
-    return plain_model("one", f=lambda x, u, p: {"a": rate(x, u, p)}, h=lambda x, u, p: {"y": x.a}, **given | more)
+    return plain_model("one", f=lambda x, u, p: {"a": rate(x, u, p)}, h=lambda x, u, p: {"y": x.a}, **parts | more)
 
 
 def key(model: Model) -> str | None:
@@ -245,12 +245,12 @@ def test_cache_files_are_counted_once_and_then_by_the_written_size(
     assert counted == [tmp_path, tmp_path]
 
 
-@pytest.mark.parametrize("what", ["folder", "file"])
-def test_cache_writable_by_others_is_not_used(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("writable", ["folder", "file"])
+def test_cache_writable_by_others_is_not_used(writable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / "kernels"))
     jit.write_cache("a.o", b"code")
     assert jit.read_cache("a.o") == b"code"
-    place = tmp_path / "kernels" / ("a.o" if what == "file" else "")
+    place = tmp_path / "kernels" / ("a.o" if writable == "file" else "")
     for mode in (0o002, 0o020):
         before = place.stat().st_mode
         place.chmod(before | mode)

@@ -61,13 +61,13 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
         found[f"f_{side}"] = Channel(n.t, 0.05 * (40.05 * n.value * abs(n.value) + 1.11 * n.value**2))
     asked: list[float] = []
 
-    def once_lost(model: Model, *given: Any) -> fitted_model.FittedModel:
+    def once_lost(model: Model, *arguments: Any) -> fitted_model.FittedModel:
         asked.append(model.values["m_u"])
         if len(asked) == 1 or (len(asked) == 3 and lost != "never converges"):
-            return fit_and_evaluate(model, *given)
+            return fit_and_evaluate(model, *arguments)
         if lost == "fails":
             raise ValueError("the likelihood cannot be evaluated at the initial values")
-        return fit_and_evaluate(model, *given, SearchSettings(max_iterations=1))
+        return fit_and_evaluate(model, *arguments, SearchSettings(max_iterations=1))
 
     monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)
     stage = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])

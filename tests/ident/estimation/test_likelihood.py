@@ -290,11 +290,11 @@ def test_likelihood_is_independent_of_units() -> None:
         for name in ("gyro", "second"):
             s.y[name] = 1000.0 * s.y[name]  # type: ignore[attr-defined]
 
-    other = replace(model, stages=(*model.stages, ("units", in_milli)))
+    scaled = replace(model, stages=(*model.stages, ("units", in_milli)))
     y = record.y * [1.0, 1000.0, 1000.0]
     w = v.copy()
     w[FREE.index("e_r")] *= 1000.0
-    a, b = Likelihood(model), Likelihood(other)
+    a, b = Likelihood(model), Likelihood(scaled)
     n = int(np.isfinite(record.y[:, 1:]).sum())
     moved = replace(record, y=y)
     assert b.value(moved, w) == pytest.approx(a.value(record, v) - n * math.log(1000.0), rel=1e-12)

@@ -87,8 +87,8 @@ def test_invalid_records_are_named_in_errors() -> None:
 
 def test_outputs_are_found_by_name_in_any_order() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
-    other = replace(record, y=record.y[:, [2, 0, 1]], outputs=("second", "psi", "gyro"))
-    assert likelihood.value(other, v) == likelihood.value(record, v)
+    permuted = replace(record, y=record.y[:, [2, 0, 1]], outputs=("second", "psi", "gyro"))
+    assert likelihood.value(permuted, v) == likelihood.value(record, v)
 
 
 @pytest.mark.parametrize("process_noise", [True, False])

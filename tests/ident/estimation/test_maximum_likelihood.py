@@ -80,8 +80,8 @@ def test_estimate_is_a_maximum(found: Fit) -> None:
 def test_standard_errors_cover_the_truth() -> None:
     z = []
     for seed in range(24):
-        one = fit(turning().with_free(FREE), [turning_record(100 + seed, 400)])
-        z.append([(one.estimate(n)[0] - turning().values[n]) / one.estimate(n)[1] for n in FREE])
+        fitted = fit(turning().with_free(FREE), [turning_record(100 + seed, 400)])
+        z.append([(fitted.estimate(n)[0] - turning().values[n]) / fitted.estimate(n)[1] for n in FREE])
     assert 0.75 < np.std(z) < 1.25
     assert (np.abs(np.mean(z, axis=0)) < 4 / math.sqrt(24)).all()
 
@@ -111,8 +111,8 @@ def test_considered_parameter_changes_only_the_standard_errors() -> None:
 
 def test_considered_parameter_can_be_given_and_freed() -> None:
     p = Parameter("k", 0.0, prior=(0.0, 1e-3), free=False, considered=True)
-    given = p.known(0.0, 0.01, ParameterOrigin.PRIOR)
-    assert (given.considered, given.free, given.prior) == (True, False, (0.0, 0.01))
+    widened = p.known(0.0, 0.01, ParameterOrigin.PRIOR)
+    assert (widened.considered, widened.free, widened.prior) == (True, False, (0.0, 0.01))
     assert not p.known(0.002, 0.0, ParameterOrigin.GIVEN).considered
     model = replace(turning(), parameters=(*turning().parameters, p))
     assert model.considered == ("k",)
@@ -177,10 +177,10 @@ def test_unidentified_parameters_and_combinations_are_flagged() -> None:
     record = replace(record, y=record.y[:, 1:2], outputs=("y",))
     result = fit(redundant(), [record])
     assert result.converged
-    said = dict(result.flags)
-    assert "do not depend" in said["nothing"]
+    flags = dict(result.flags)
+    assert "do not depend" in flags["nothing"]
     combination = "not identified: the data do not depend on the joint change +1 ln m +1 ln d +1 ln gain"
-    assert said["m"] == said["d"] == said["gain"] == combination
+    assert flags["m"] == flags["d"] == flags["gain"] == combination
     for name in ("m", "d", "gain", "nothing"):
         assert math.isnan(result.estimate(name)[1])
     assert result.estimate("q")[1] > 0

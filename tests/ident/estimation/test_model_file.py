@@ -111,9 +111,9 @@ def test_nonparametric_effects_are_restored_with_their_span(tmp_path: Path, foun
     assert (back.effects[0].kind, back.effects[0].curve) == (effect.kind, effect.curve)
 
 
-@pytest.mark.parametrize("what", ["payload", "thrust", "d_uu"])
-def test_differences_between_runs_are_restored(tmp_path: Path, found: Fit, what: str) -> None:
-    effect = between_runs_effect(found.model, what)
+@pytest.mark.parametrize("difference", ["payload", "thrust", "d_uu"])
+def test_differences_between_runs_are_restored(tmp_path: Path, found: Fit, difference: str) -> None:
+    effect = between_runs_effect(found.model, difference)
     name = effect.parameters[0].name
     model = (found.model + effect).with_values({name: 0.2})
     path = saved(tmp_path / "model.toml", with_model(found, model))
@@ -191,8 +191,11 @@ def test_priors_are_restored(tmp_path: Path, found: Fit) -> None:
     """
     size = VesselScale(20.0, 3.0)
     model = with_disturbances(horizontal_model()) + scale_priors(catalogue()["yaw-bias"], size)
-    given = replace(model.parameter("m_r"), prior=(600.0, 50.0)), replace(model.parameter("d_u"), prior=(0.5, 2.0))
-    model = rescale(model.replace_parameters(*given), size)
+    given_priors = (
+        replace(model.parameter("m_r"), prior=(600.0, 50.0)),
+        replace(model.parameter("d_u"), prior=(0.5, 2.0)),
+    )
+    model = rescale(model.replace_parameters(*given_priors), size)
     path = saved(tmp_path / "model.toml", with_model(found, model))
     back = load_model(path).model
     unexplained = {"q_X", "q_Y", "q_N", "tau_b"}

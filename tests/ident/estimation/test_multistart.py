@@ -26,12 +26,12 @@ def polled(seed: int) -> Record:
     t = np.sort(np.concatenate([np.cumsum(rng.uniform(2.0, 3.0, 190)), t_cmd + rng.uniform(0.9, 1.6, 60)]))
     n, shaft, last = np.zeros(t.size), 0.0, 0.0
     switches = np.concatenate([t_cmd + TAU, [1e9]])
-    k, told = 0, 0.0
+    k, commanded = 0, 0.0
     for i, now in enumerate(t):
         while switches[k] < now:
-            shaft = told + (shaft - told) * np.exp(-POLE * (switches[k] - last))
-            last, told, k = switches[k], level[k], k + 1
-        shaft = told + (shaft - told) * np.exp(-POLE * (now - last))
+            shaft = commanded + (shaft - commanded) * np.exp(-POLE * (switches[k] - last))
+            last, commanded, k = switches[k], level[k], k + 1
+        shaft = commanded + (shaft - commanded) * np.exp(-POLE * (now - last))
         last, n[i] = now, shaft
     model = thruster_model("slow", force=False)
     channels = delayed_channels(Channel(np.append(0.0, t_cmd), np.append(0.0, level)), delay_step(model))

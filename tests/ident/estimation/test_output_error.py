@@ -133,13 +133,13 @@ def test_initial_state_is_estimated_and_not_taken_from_a_noisy_first_sample() ->
         clean = simulate(model, record, x0=np.array([3.0, rng.normal(0.0, 0.3)])).y
         noisy = np.where(seen, clean + noise * rng.normal(size=clean.shape), np.nan)
         found = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, start={"d": 6.0, "dd": 3.0})
-        given = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, SearchSettings(initial_state="given"))
+        fixed_start = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, SearchSettings(initial_state="given"))
         assert "x0_psi@0" in found.names
-        assert "x0_psi@0" not in given.names
+        assert "x0_psi@0" not in fixed_start.names
         z.append(
             [
                 [(f.estimate(n)[0] - model.values[n]) / f.estimate(n)[1] for n in ("d", "dd", "e_r")]
-                for f in (found, given)
+                for f in (found, fixed_start)
             ]
         )
     spread = np.sqrt(np.mean(np.square(z), axis=0))
@@ -168,11 +168,11 @@ def test_initial_state_of_each_record_starts_at_its_first_samples() -> None:
     records = [turning_record(k, name=f"run {k}") for k in range(2)]
     shifted = replace(records[1], y=records[1].y - [1.5, 0.0, 0.0])
     found = fit(model, [records[0], shifted], OUTPUT_ERROR)
-    one, two = found.estimate("x0_psi", 0)[0], found.estimate("x0_psi", 1)[0]
+    first, second = found.estimate("x0_psi", 0)[0], found.estimate("x0_psi", 1)[0]
     assert found.converged
-    assert abs((one - np.nanmean(records[0].y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
-    assert abs((two - np.nanmean(shifted.y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
-    again = fit(model, [records[0], shifted], OUTPUT_ERROR, start={"x0_psi@0": one, "x0_psi@1": two})
+    assert abs((first - np.nanmean(records[0].y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    assert abs((second - np.nanmean(shifted.y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    again = fit(model, [records[0], shifted], OUTPUT_ERROR, start={"x0_psi@0": first, "x0_psi@1": second})
     assert again.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-4)
 
 

@@ -48,9 +48,9 @@ def pushed(seconds: float, seed: int) -> dict[str, Channel]:
     """
     rng, rows = np.random.default_rng(seed), round(seconds / STEP)
     starts = STEP * np.round(np.cumsum(rng.uniform(1.0, 6.0, rows)) / STEP)
-    told = rng.uniform(-20.0, 30.0, (rows, 2))
+    levels = rng.uniform(-20.0, 30.0, (rows, 2))
     t = np.arange(rows) * STEP
-    force = told[np.searchsorted(starts, t + STEP / 2)]
+    force = levels[np.searchsorted(starts, t + STEP / 2)]
 
     def rate(x: np.ndarray, f: np.ndarray) -> np.ndarray:
         p, (psi, u, v, r) = TRUTH, x[2:]
@@ -76,7 +76,7 @@ def pushed(seconds: float, seed: int) -> dict[str, Channel]:
     found = {n: Channel(t[every[n]], value[every[n]]) for n, value in true.items()}
     found = {n: Channel(c.t, c.value + 0.1 * noise[n] * rng.normal(size=c.t.size)) for n, c in found.items()}
     begins = np.append(0.0, starts[starts < seconds])
-    return found | {f"f_{side}": Channel(begins, told[: begins.size, k]) for k, side in enumerate(("left", "right"))}
+    return found | {f"f_{side}": Channel(begins, levels[: begins.size, k]) for k, side in enumerate(("left", "right"))}
 
 
 @pytest.mark.study

@@ -84,16 +84,16 @@ def test_profile_of_a_small_normal_sample_equals_the_closed_form(method: str) ->
 def test_every_point_of_a_profile_is_a_refit() -> None:
     records = [turning_record(seed, 400) for seed in range(2)]
     found = fit(turning().with_free(FREE), records)
-    one = profile(found, records, "dd")
-    assert one.drop.max() > DROP_95
-    assert one.drop.min() == 0.0
-    assert (np.diff(one.grid) > 0).all()
-    assert one.grid.size <= 13
-    for value, drop in list(zip(one.grid, one.drop, strict=True))[::3]:
+    curve_dd = profile(found, records, "dd")
+    assert curve_dd.drop.max() > DROP_95
+    assert curve_dd.drop.min() == 0.0
+    assert (np.diff(curve_dd.grid) > 0).all()
+    assert curve_dd.grid.size <= 13
+    for value, drop in list(zip(curve_dd.grid, curve_dd.drop, strict=True))[::3]:
         fixed = replace(found.model.parameter("dd"), value=float(value), free=False)
         again = fit(found.model.replace_parameters(fixed), records)
         assert found.log_posterior - again.log_posterior == pytest.approx(drop, abs=5e-3)
-    assert one.low == pytest.approx(one.wald_low, abs=0.2 * found.estimate("dd")[1])
+    assert curve_dd.low == pytest.approx(curve_dd.wald_low, abs=0.2 * found.estimate("dd")[1])
     own = profile(found, records, "bias@1")
     assert own.low < found.estimate("bias", 1)[0] < own.high
 
@@ -102,17 +102,17 @@ def test_profile_of_a_parameter_at_its_bound_has_one_side() -> None:
     record = turning_record(0, 400)
     d = replace(turning().parameter("d"), bounds=(0.0, 1.5), value=1.0)
     found = fit(turning().with_free(FREE).replace_parameters(d), [record])
-    one = profile(found, [record], "d")
-    assert one.grid[-1] == one.high == one.value == 1.5
-    assert 0 < one.low < 1.5
-    assert math.isnan(one.wald_low)
-    assert one.notes == ("upper side: at its bound",)
+    profiled = profile(found, [record], "d")
+    assert profiled.grid[-1] == profiled.high == profiled.value == 1.5
+    assert 0 < profiled.low < 1.5
+    assert math.isnan(profiled.wald_low)
+    assert profiled.notes == ("upper side: at its bound",)
     near = replace(d, bounds=(3.0, 50.0), value=4.0)  # The bound is within a standard error of the estimate.
     found = fit(turning().with_free(FREE).replace_parameters(near), [record])
-    one = profile(found, [record], "d")
-    assert one.low == one.grid[0] == 3.0
-    assert 0 < one.drop[0] < DROP_95 < one.drop[-1]
-    assert one.notes == ("lower side: reaches its bound",)
+    profiled = profile(found, [record], "d")
+    assert profiled.low == profiled.grid[0] == 3.0
+    assert 0 < profiled.drop[0] < DROP_95 < profiled.drop[-1]
+    assert profiled.notes == ("lower side: reaches its bound",)
 
 
 def test_profile_is_open_if_the_data_set_no_limit() -> None:
@@ -123,12 +123,12 @@ def test_profile_is_open_if_the_data_set_no_limit() -> None:
         states=(State("a", noise="q", x0="mean", sd0=0.0),),
         parameters=(*scatter().parameters, Parameter("q", 0.3, transform="log")),
     )
-    one = profile(fit(walk, [record]), [record], "q")
-    assert math.isnan(one.low)
-    assert one.high > one.value
-    (note,) = one.notes
+    profiled = profile(fit(walk, [record]), [record], "q")
+    assert math.isnan(profiled.low)
+    assert profiled.high > profiled.value
+    (note,) = profiled.notes
     assert note.startswith("lower side: the data set no limit; the search ended at ")
-    assert float(note.rpartition(" ")[2]) == pytest.approx(one.grid[0], rel=1e-3)
+    assert float(note.rpartition(" ")[2]) == pytest.approx(profiled.grid[0], rel=1e-3)
 
 
 def curve(mean: Callable[[Any], Any], *parameters: Parameter) -> Model:
@@ -159,31 +159,31 @@ def test_parameter_without_slope_at_its_estimate_has_an_interval(power: int, sta
     """The output is an even power with its optimum at zero, where gradient and information are zero."""
     record, half = scattered(0.0, 1.0)
     found = fit(curve(lambda p: p.b**power, Parameter("b", start)), [record])
-    one = profile(found, [record], "b")
+    profiled = profile(found, [record], "b")
     end = half ** (1 / power)
-    assert (one.low, one.high) == (pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
-    assert one.notes == ()
-    assert one.grid.size <= 33
+    assert (profiled.low, profiled.high) == (pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
+    assert profiled.notes == ()
+    assert profiled.grid.size <= 33
 
 
 def test_interval_of_one_term_of_an_identified_sum_is_limited_by_the_bounds_of_the_other() -> None:
     record, half = scattered(0.7, 0.02)
     model = curve(lambda p: p.b1 + p.b2, Parameter("b1", 0.5), Parameter("b2", 0.3, bounds=(0.0, 5.0)))
     found = fit(model, [record])
-    one = profile(found, [record], "b1")
-    assert (one.low, one.high) == (pytest.approx(-4.3 - half, rel=1e-3), pytest.approx(0.7 + half, abs=0.004))
-    assert one.drop.max() < 4 * DROP_95  # Points that only closed a bracket are not drawn.
-    other = profile(found, [record], "b2")
-    assert (other.low, other.high) == (0.0, 5.0)
-    assert other.notes == ("lower side: reaches its bound", "upper side: reaches its bound")
+    first = profile(found, [record], "b1")
+    assert (first.low, first.high) == (pytest.approx(-4.3 - half, rel=1e-3), pytest.approx(0.7 + half, abs=0.004))
+    assert first.drop.max() < 4 * DROP_95  # Points that only closed a bracket are not drawn.
+    second = profile(found, [record], "b2")
+    assert (second.low, second.high) == (0.0, 5.0)
+    assert second.notes == ("lower side: reaches its bound", "upper side: reaches its bound")
 
 
 def test_profile_reports_where_the_likelihood_is_not_a_number() -> None:
     record, half = scattered(0.2, 1.0)
-    one = profile(fit(curve(lambda p: np.sqrt(p.b), Parameter("b", 0.5)), [record]), [record], "b")
-    assert math.isnan(one.low)
-    assert one.high == pytest.approx((0.2 + half) ** 2, rel=0.01)
-    (note,) = one.notes
+    profiled = profile(fit(curve(lambda p: np.sqrt(p.b), Parameter("b", 0.5)), [record]), [record], "b")
+    assert math.isnan(profiled.low)
+    assert profiled.high == pytest.approx((0.2 + half) ** 2, rel=0.01)
+    (note,) = profiled.notes
     assert note.startswith("lower side: the likelihood cannot be evaluated beyond ")
     assert float(note.rpartition(" ")[2]) == pytest.approx(0.0, abs=0.02)
 
@@ -203,16 +203,16 @@ def test_better_optimum_found_by_the_profile_replaces_the_estimate(y: float, z: 
     )
     few, _ = scattered(y, s)
     record = replace(few, y=np.hstack([few.y, few.y[::-1] - y + z]), outputs=("y", "z"))
-    found, other = (fit(model, [record], start={"b": b}) for b in (0.9, -0.9))
+    found, global_fit = (fit(model, [record], start={"b": b}) for b in (0.9, -0.9))
     assert found.converged
-    assert other.converged
-    assert found.estimate("b")[0] > 0.6 > -0.7 > other.estimate("b")[0]
-    one, same = (profile(f, [record], "b") for f in (found, other))
-    assert one.value == pytest.approx(same.value, abs=1e-3)
-    assert (one.low, one.high) == pytest.approx((same.low, same.high), rel=0.02)
-    assert one.drop.min() == 0.0
-    gain = other.log_likelihood - found.log_likelihood
-    assert one.notes == (
+    assert global_fit.converged
+    assert found.estimate("b")[0] > 0.6 > -0.7 > global_fit.estimate("b")[0]
+    profiled, same = (profile(f, [record], "b") for f in (found, global_fit))
+    assert profiled.value == pytest.approx(same.value, abs=1e-3)
+    assert (profiled.low, profiled.high) == pytest.approx((same.low, same.high), rel=0.02)
+    assert profiled.drop.min() == 0.0
+    gain = global_fit.log_likelihood - found.log_likelihood
+    assert profiled.notes == (
         f"a better fit was found during the search, by {gain:.2g} in log-likelihood; the profile is of that fit: "
         "fit again from there",
     )
@@ -225,10 +225,10 @@ def test_profiles_beside_and_along_a_flat_interval(name: str) -> None:
     on it.
     """
     found, record = steps(0.07), stepped_record(0.07)
-    one = profile(found, [record], name)
+    profiled = profile(found, [record], name)
     value, error = found.estimate(name)
-    assert one.low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
-    assert one.high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
+    assert profiled.low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
+    assert profiled.high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
 
 
 def test_parameter_that_was_not_estimated_is_rejected(few: tuple[Fit, Record]) -> None:
@@ -250,11 +250,11 @@ def test_parameter_that_was_not_estimated_is_rejected(few: tuple[Fit, Record]) -
 def test_profile_of_the_only_parameter(few: tuple[Fit, Record]) -> None:
     record = few[1]
     model = scatter().with_values({"e": 1.0}).with_free(("mean",))
-    one = profile(fit(model, [record]), [record], "mean")
+    profiled = profile(fit(model, [record]), [record], "mean")
     # The noise is known, so the likelihood is quadratic.
-    assert (one.low, one.high) == pytest.approx((one.wald_low, one.wald_high), rel=1e-4)
-    assert output_error(model).value(record, np.array([one.high, 1.0])) == pytest.approx(
-        output_error(model).value(record, np.array([one.value, 1.0])) - DROP_95, abs=1e-4
+    assert (profiled.low, profiled.high) == pytest.approx((profiled.wald_low, profiled.wald_high), rel=1e-4)
+    assert output_error(model).value(record, np.array([profiled.high, 1.0])) == pytest.approx(
+        output_error(model).value(record, np.array([profiled.value, 1.0])) - DROP_95, abs=1e-4
     )
 
 

@@ -92,7 +92,7 @@ def test_process_noise_of_short_missions_is_unbiased() -> None:
     truth = np.array(list(case.model.values.values()))
     rngs = [np.random.default_rng([5, k]) for k in range(n)]
     _, y = simulate_stochastic(case.model, case.inputs, np.tile(truth, (n, 1)), rngs)
-    records = [make_record(case, one, f"run {k}") for k, one in enumerate(y)]
+    records = [make_record(case, outputs, f"run {k}") for k, outputs in enumerate(y)]
     bias = {}
     for restricted in (False, True):
         fits = [fit(case.model, [r], EstimationOptions(reml=restricted), SearchSettings(threads=1)) for r in records]

@@ -127,8 +127,8 @@ def test_six_thousand_rows_of_fifteen_states_take_less_than_a_second() -> None:
     P_pred[1:] = Phi[:-1] @ P_filt[:-1] @ Phi[:-1].swapaxes(1, 2) + 0.1 * np.eye(n)
     x = rng.normal(size=(n_rows, n))
     y = np.empty((n_rows, 1))
-    given = of_rows(Covariances(P_pred, P_filt, Phi))
-    run = FilterResult(np.arange(n_rows) * 0.1, x, x, given, y, y[0], y, y, y[:, 0])
+    covariances = of_rows(Covariances(P_pred, P_filt, Phi))
+    run = FilterResult(np.arange(n_rows) * 0.1, x, x, covariances, y, y[0], y, y, y[:, 0])
     assert cpu_seconds(lambda: smooth(run), 1.0) < 1.0
 
 

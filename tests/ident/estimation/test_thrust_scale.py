@@ -99,8 +99,8 @@ def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     parameters = tuple(usual if k == i else p for k, p in enumerate(fitted.parameters))
     # A built-in prior is not reported. Only a prior of the user is.
     assert contradicted_priors(replace(fitted, parameters=parameters)) == []
-    told = replace(usual, origin=ParameterOrigin.PRIOR)
-    parameters = tuple(told if k == i else p for k, p in enumerate(fitted.parameters))
+    user_prior = replace(usual, origin=ParameterOrigin.PRIOR)
+    parameters = tuple(user_prior if k == i else p for k, p in enumerate(fitted.parameters))
     ((p, _, widths),) = contradicted_priors(replace(fitted, parameters=parameters))
     assert (p.name, widths) == ("m_u", pytest.approx(np.log(1 / 0.7) * 0.7 / 0.06, rel=0.2))
 

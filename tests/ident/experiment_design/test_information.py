@@ -194,9 +194,9 @@ def test_record_shorter_than_a_segment_is_one_segment(seconds: float) -> None:
     model = surge_model("shaft", "speed")
     t = np.arange(0.0, 20.05, 0.1)
     record = planned_record(model, t, np.sign(np.sin(t))[:, None])
-    (one,) = segment_information(model, [record], ("m_u", "d_uu"), seconds=seconds)
-    assert (one.t_from, one.t_to) == (0.0, pytest.approx(20.0))
-    assert np.isfinite(one.whole).all()
+    (segment,) = segment_information(model, [record], ("m_u", "d_uu"), seconds=seconds)
+    assert (segment.t_from, segment.t_to) == (0.0, pytest.approx(20.0))
+    assert np.isfinite(segment.whole).all()
 
 
 def test_prior_information_and_errors_of_unidentified_parameters() -> None:

@@ -70,19 +70,19 @@ def test_optimum_for_a_straight_line_is_half_at_each_extreme() -> None:
 
 
 def test_design_is_reproducible_and_better_than_random_inputs() -> None:
-    one, two = (design(boat_task(seed=4), evaluations=600) for _ in range(2))
-    np.testing.assert_array_equal(one.levels, two.levels)
-    np.testing.assert_array_equal(one.durations, two.durations)
-    task = one.task
+    first, second = (design(boat_task(seed=4), evaluations=600) for _ in range(2))
+    np.testing.assert_array_equal(first.levels, second.levels)
+    np.testing.assert_array_equal(first.durations, second.durations)
+    task = first.task
     value, _ = task.judge(task.commands(task.steps.random(64, np.random.default_rng(9))))
-    assert one.value > value.max() + 0.5
-    assert set(one.predicted) == set(task.observed_parameters)
+    assert first.value > value.max() + 0.5
+    assert set(first.predicted) == set(task.observed_parameters)
     for (
         name
         # All sensors run at 10 Hz, and the noise is unknown. The prediction may differ slightly from the bound in the
         # search.
     ) in task.observed_parameters:
-        assert one.predicted[name] == pytest.approx(one.errors[name], rel=0.05)
+        assert first.predicted[name] == pytest.approx(first.errors[name], rel=0.05)
 
 
 LIMITS = DesignLimits(area=(40.0, 30.0), speed=1.1, energy=0.5)
@@ -222,8 +222,8 @@ def test_levels_are_rounded_within_the_limit_of_the_mission() -> None:
     within = replace(made, task=replace(task, validity={"n_cmd": (-0.6, 0.6), "other": (0.0, 1.0)}))
     beyond = replace(made, task=replace(task, validity={"n_cmd": (-0.1, 0.4)}))
     assert beyond_validity(within) == []
-    (told,) = beyond_validity(beyond)
-    assert re.fullmatch(r"n_cmd -0.6\d* to 0.6\d* \(fitted on -0.1 to 0.4\)", told)
+    (warning,) = beyond_validity(beyond)
+    assert re.fullmatch(r"n_cmd -0.6\d* to 0.6\d* \(fitted on -0.1 to 0.4\)", warning)
 
 
 def test_robust_criterion_of_designs_and_baselines_is_a_mean_of_finite_values() -> None:
@@ -234,12 +234,12 @@ def test_robust_criterion_of_designs_and_baselines_is_a_mean_of_finite_values() 
     command = task.commands(task.steps.random(3, np.random.default_rng(1)))
     task.__dict__["_robust_samples"] = np.array([[0.5, 0.1], [2.0, 0.1]])
     u = task.actuation.inputs(command)
-    alone = [task.values(u, np.tile(one, (3, 1))) for one in task._robust_samples]
+    alone = [task.values(u, np.tile(baseline, (3, 1))) for baseline in task._robust_samples]
     value, violation = task.judge(command)
     np.testing.assert_allclose(value, np.mean(alone, axis=0))
     assert not violation.any()
-    for one in baseline_signals(task, n=2).values():
-        assert one.value == pytest.approx(float(task.judge(one.command[:, :, None])[0][0]))
+    for baseline in baseline_signals(task, n=2).values():
+        assert baseline.value == pytest.approx(float(task.judge(baseline.command[:, :, None])[0][0]))
     task.__dict__["_robust_samples"] = np.array([[0.5, 0.1], [0.01, 0.1]])  # The rows are twenty time constants apart.
     value, violation = task.judge(command)
     np.testing.assert_allclose(value, alone[0])
@@ -361,15 +361,15 @@ def small_design() -> Design:
 @pytest.mark.study
 def test_repeats_have_the_predicted_errors() -> None:
     found = repeat_design(small_design(), 24, seed=3)
-    assert [one.name for one in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
-    for one in found:
-        assert one.n >= 22
-        assert one.outliers <= 2
+    assert [repeated.name for repeated in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
+    for repeated in found:
+        assert repeated.n >= 22
+        assert repeated.outliers <= 2
         # Nine intervals are tested. Each misses once in a thousand.
-        df = one.n - one.outliers - 1
-        assert 0.0005 < stats.chi2.cdf(df * one.ratio**2, df) < 0.9995, one
-    assert 0.88 < np.mean([one.coverage for one in found]) < 0.99
-    assert np.mean([one.ratio for one in found]) == pytest.approx(1.0, abs=0.15)
+        df = repeated.n - repeated.outliers - 1
+        assert 0.0005 < stats.chi2.cdf(df * repeated.ratio**2, df) < 0.9995, repeated
+    assert 0.88 < np.mean([repeated.coverage for repeated in found]) < 0.99
+    assert np.mean([repeated.ratio for repeated in found]) == pytest.approx(1.0, abs=0.15)
 
 
 def late(model: Model, name: str) -> Model:

@@ -43,9 +43,9 @@ def test_diverging_design_is_an_error() -> None:
     """The rows were twenty time constants apart. The criterion was -1e9, and an infinite T counted as a clear
     separation.
     """
-    one, two = follower(0.01), follower(0.01, 2)
+    first_order, second_order = follower(0.01), follower(0.01, 2)
     with pytest.raises(SeatrialError, match=r"informs all of T.*diverges on rows of 0\.2 s"):
-        design(task_of(one, 0.2), evaluations=500)
+        design(task_of(first_order, 0.2), evaluations=500)
     command = np.where(np.arange(51)[:, None] % 10 < 5, 1.0, -1.0)
     with pytest.raises(SeatrialError, match=r"follower1 and follower2 cannot be compared: .* rows of 0\.2 s"):
-        separation(one, two, task_of(one, 0.2), command)
+        separation(first_order, second_order, task_of(first_order, 0.2), command)

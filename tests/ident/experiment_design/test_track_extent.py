@@ -96,15 +96,15 @@ def test_process_noise_spreads_the_boats_like_another_integrator() -> None:
 def test_seed_determines_the_noise_and_the_first_boat_has_none() -> None:
     task, u = circles()
     boats = np.tile(values_of(task.model), (4, 1))
-    one, two, other = (TrackExtent(task.model, task.t, boats, [seed]) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.noise, two.noise)
-    assert not one.noise[:, :, 0].any()
-    assert np.abs(one.noise - other.noise)[:, :, 1:].min() > 0.0
+    first, same_seed, another_seed = (TrackExtent(task.model, task.t, boats, [seed]) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.noise, same_seed.noise)
+    assert not first.noise[:, :, 0].any()
+    assert np.abs(first.noise - another_seed.noise)[:, :, 1:].min() > 0.0
     model, names = with_noise_inputs(task.model)
     assert names == ["u", "v", "r"]
     assert [i.name for i in model.inputs] == ["n_left", "n_right", "w_u", "w_v", "w_r"]
     many = np.concatenate([u] * 40, axis=2)  # This is more than one batch of boats.
-    low, _ = one(many)
+    low, _ = first(many)
     np.testing.assert_array_equal(low, np.repeat(low[:1], 40, axis=0))
 
 

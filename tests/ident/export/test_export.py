@@ -242,11 +242,11 @@ def test_unknown_thrust_is_stated_in_the_header(target: str) -> None:
     assert "The thrust was not given: masses, damping and forces are right as ratios to c1 + c2 only" in text
     assert "The arms were not given" in text
     assert "[N] built-in, thrust" in text
-    given = (
+    known = (
         model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN)
         for n, v in (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2))
     )
-    text = export(saved(model.replace_parameters(*given)), target)
+    text = export(saved(model.replace_parameters(*known)), target)
     assert "Nobody" not in text
     assert "[N] given, thrust" in text
 

@@ -149,8 +149,8 @@ def test_gradient_and_tangents_are_exact(process_noise: bool) -> None:
 
 def test_both_covariance_updates_give_the_same_value() -> None:
     model, record = outlier_density.with_outlier_model(turning()), spoiled(turning_record(), 2, 0.05)
-    one, other = (Likelihood(model, joseph=j).value(record, values_of(model)) for j in (False, True))
-    assert one == pytest.approx(other, rel=1e-11)
+    short, joseph = (Likelihood(model, joseph=j).value(record, values_of(model)) for j in (False, True))
+    assert short == pytest.approx(joseph, rel=1e-11)
 
 
 @pytest.fixture(scope="module")

@@ -41,8 +41,8 @@ def test_antenna_component_equals_the_lever_arm_effect() -> None:
 def test_antenna_position_of_the_rig_file_is_known_and_its_error_is_a_candidate() -> None:
     device = SimpleNamespace(lever_arm_m=(0.4, 0.0, -0.5))
     rig = SimpleNamespace(vehicle={}, thrusters=(), devices=(SimpleNamespace(lever_arm_m=(0.0, 0.0, 0.0)), device))
-    model, said = apply_rig_geometry(make_model("horizontal:shaft"), rig)
-    assert not said
+    model, notes = apply_rig_geometry(make_model("horizontal:shaft"), rig)
+    assert not notes
     assert model.values["antenna_x"] == 0.4
     assert "antenna_x" not in model.free
     assert model.accepts(catalogue()["lever-arm"])

@@ -157,12 +157,12 @@ def test_vehicle_command_fits_the_kinematic_model_and_its_file_is_read(
     assert [e.name for e in saved.model.effects] == ["disturbance", "sensor-bias"]
     for name in ("m_u", "m_v", "m_r"):
         assert abs(saved.model.parameter(name).value - truth[name]) < 4 * saved.errors[name], name
-    status, said = run(capsys, "ident", "diagnose", tmp_path / "model.toml", log, "--out", tmp_path / "d")
+    status, error = run(capsys, "ident", "diagnose", tmp_path / "model.toml", log, "--out", tmp_path / "d")
     assert status == 1
-    assert said.startswith("seatrial: model kinematic cannot be diagnosed")
-    status, said = run(capsys, "ident", "vehicle", log, "--model", "kinematic:shaft:pitch", "--out", tmp_path / "p")
-    assert (status, said.count("\n")) == (1, 1)
-    assert "kinematic:shaft|force" in said
+    assert error.startswith("seatrial: model kinematic cannot be diagnosed")
+    status, error = run(capsys, "ident", "vehicle", log, "--model", "kinematic:shaft:pitch", "--out", tmp_path / "p")
+    assert (status, error.count("\n")) == (1, 1)
+    assert "kinematic:shaft|force" in error
 
 
 def test_model_without_a_hull_cannot_be_diagnosed() -> None:

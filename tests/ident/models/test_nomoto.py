@@ -69,10 +69,12 @@ def tracked_vehicle(
         v[k] = v[k - 1] * kept - slide * (1.0 - kept) * u[k - 1] * r[k - 1]
     psi = integral(r)
     velocity = {"vx": u * np.cos(psi) - v * np.sin(psi), "vy": u * np.sin(psi) + v * np.cos(psi)}
-    told, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (every, 0.04, 0.2))
-    clock = np.arange(told[0], told[-1], 0.01)
+    output_times, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (every, 0.04, 0.2))
+    clock = np.arange(output_times[0], output_times[-1], 0.01)
     found = {
-        f"n_{side}": Channel(clock, np.interp(clock + 0.005, told, np.interp(told, t, n[:, i])), hold="average")
+        f"n_{side}": Channel(
+            clock, np.interp(clock + 0.005, output_times, np.interp(output_times, t, n[:, i])), hold="average"
+        )
         for i, side in enumerate(("left", "right"))
     }
     ahead, back, _ = cont2discrete(butter(2, GYRO, analog=True), DT, method="zoh")
@@ -90,8 +92,8 @@ def tracked_vehicle(
 @pytest.mark.study
 def test_tracked_vehicle_is_identified_with_its_sensor_delays() -> None:
     model = nomoto_model(current=False, hold="average")
-    given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
-    fit = fit_nominal_model(model.replace_parameters(*given), [tracked_vehicle(90.0)], []).fit
+    fixed = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
+    fit = fit_nominal_model(model.replace_parameters(*fixed), [tracked_vehicle(90.0)], []).fit
     assert fit.converged
     for name, truth in TRUTH.items():
         value, se = fit.estimate(name)
@@ -112,8 +114,8 @@ def test_outputs_sampled_at_10_hz_have_uncertain_times() -> None:
     """
     log = tracked_vehicle(90.0, every=0.1, slew=1.0, hold=0.04, quiet=0.1)
     model = nomoto_model(current=False, sampled=True, hold="average")
-    given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
-    fit = fit_nominal_model(model.replace_parameters(*given), [log], []).fit
+    fixed = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
+    fit = fit_nominal_model(model.replace_parameters(*fixed), [log], []).fit
     assert fit.converged
     for name in ("m_u", "d_u", "lambda_n", "K", "K_u", "T_r", "tau_gnss", "sigma_gnss"):
         value, se = fit.estimate(name)
@@ -141,20 +143,20 @@ def test_effects_that_the_model_contains_are_not_accepted() -> None:
 def test_sampled_inputs_are_chosen_by_the_output_rate(every: float, source: str) -> None:
     t = np.arange(0.0, 60.0, 0.01)
     channels = {f"n_{side}": Channel(t, np.sin(t), hold="average", sampled=every) for side in ("left", "right")}
-    chosen, said = with_sampled_inputs("nomoto:no-current", [LoadedLog(LogSegment("a", channels), {}, {}, None)])
+    chosen, notes = with_sampled_inputs("nomoto:no-current", [LoadedLog(LogSegment("a", channels), {}, {}, None)])
     assert chosen == source
-    assert len(said) == (source != "nomoto:no-current")
+    assert len(notes) == (source != "nomoto:no-current")
     assert make_model(chosen).source == source
-    assert ("sigma_n" in make_model(chosen).values) == bool(said)
+    assert ("sigma_n" in make_model(chosen).values) == bool(notes)
     assert with_sampled_inputs("horizontal:shaft", [LoadedLog(LogSegment("a", channels), {}, {}, None)])[1] == []
 
 
 def test_considered_sensor_errors_are_reported_and_can_be_given() -> None:
     model = nomoto_model()
-    (said,) = considered_notes(model)
-    assert "error of the gyro's scale k_r ± 0.001 (built in), " in said
-    (said,) = considered_notes(set_priors(model, {"k_r": (0.0, 0.01)}))
-    assert "k_r ± 0.01, error of the inputs' time stamps dt_n ± 0.0003 s (built in), " in said
+    (note,) = considered_notes(model)
+    assert "error of the gyro's scale k_r ± 0.001 (built in), " in note
+    (note,) = considered_notes(set_priors(model, {"k_r": (0.0, 0.01)}))
+    assert "k_r ± 0.01, error of the inputs' time stamps dt_n ± 0.0003 s (built in), " in note
     exact, _ = fix_parameters(model, None, dict.fromkeys(model.considered, 0.0))
     assert considered_notes(exact) == considered_notes(make_model("horizontal:shaft")) == []
 
@@ -272,9 +274,9 @@ def test_sideslip_is_identified_only_if_it_exists() -> None:
 
     The effect has no lag. If sway takes 0.15 s and the yaw rate has steps, it estimates 0.12 s.
     """
-    given = {"c1": 70.0, "c2": 0.0}
+    fixed = {"c1": 70.0, "c2": 0.0}
     model = nomoto_model(current=False, hold="average")
-    model = model.replace_parameters(*(model.parameter(n).at(value).fixed() for n, value in given.items()))
+    model = model.replace_parameters(*(model.parameter(n).at(value).fixed() for n, value in fixed.items()))
     for slide in (0.05, 0.0):
         log = tracked_vehicle(90.0, slide=slide)
         fit = fit_nominal_model(model + catalogue()["sideslip"], [log], []).fit
@@ -296,7 +298,7 @@ def test_gyro_filter_is_a_butterworth_filter(T_r: float) -> None:
     states = np.column_stack([rates(r_gyro=1.0), rates(r_gyro_rate=1.0)])
     driven = np.array(rates(n_left=1.0, n_right=-1.0))[:, None]
     w = np.array([0.5, 5.0, 25.0, 100.0])
-    mine = [np.linalg.solve(1j * one * np.eye(2) - states, driven)[0, 0] for one in w]
+    mine = [np.linalg.solve(1j * frequency * np.eye(2) - states, driven)[0, 0] for frequency in w]
     _, wanted = freqs_zpk(*butter(2, np.sqrt(2.0) / T_r, analog=True, output="zpk"), w)
     np.testing.assert_allclose(mine, wanted, rtol=1e-9)
     gyro = signals(nomoto_model(), {"n_left": 0.6, "n_right": -0.2, "r_gyro": 0.7}, T_r=T_r)

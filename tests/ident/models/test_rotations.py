@@ -55,8 +55,8 @@ def test_lever_arm_of_the_rig_file_explains_the_data() -> None:
     """The height of the antenna matters, because the boat rolls."""
     boat, fits = Fitted(ARM), {}
     for name, arm in (("whole", ARM), ("no height", (*ARM[:2], 0.0)), ("none", (0.0, 0.0, 0.0))):
-        model, said = apply_rig_geometry(kinematic_model(yaw=True), rig_with(arm))
-        assert not said
+        model, notes = apply_rig_geometry(kinematic_model(yaw=True), rig_with(arm))
+        assert not notes
         fits[name] = fitted(model, boat, 60.0, 2).fit
     assert fits["whole"].log_likelihood > fits["no height"].log_likelihood + 1000.0
     assert fits["no height"].log_likelihood > fits["none"].log_likelihood + 1000.0
@@ -89,9 +89,9 @@ def test_wandering_current_is_estimated() -> None:
 
 def test_lever_arm_and_mounting_of_a_level_boat_equal_those_of_the_horizontal_model() -> None:
     rng = np.random.default_rng(1)
-    given = {"l_x": 0.4, "l_y": -0.2, "psi_mount": 0.3}
+    values_of_both = {"l_x": 0.4, "l_y": -0.2, "psi_mount": 0.3}
     both = (kinematic_model(yaw=True), horizontal_model())
-    six, three = (with_effects(m, ["lever-arm", "mount"]).with_values(given) for m in both)
+    six, three = (with_effects(m, ["lever-arm", "mount"]).with_values(values_of_both) for m in both)
     six = six.with_values({"l_z": -0.7, "phi_mount": 0.0, "theta_mount": 0.0})
     for _ in range(5):
         x = dict(zip(("x", "y", "psi", "u", "v", "r"), rng.normal(size=6), strict=True))
@@ -113,7 +113,7 @@ def rig_with(arm: tuple[float, float, float]) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("source", "parts", "said"),
+    ("source", "parts", "message"),
     [
         ("kinematic:shaft", ["antenna_x", "antenna_y", "antenna_z"], ""),
         ("horizontal:shaft", ["antenna_x", "antenna_y"], ""),
@@ -126,11 +126,11 @@ def rig_with(arm: tuple[float, float, float]) -> SimpleNamespace:
         ("yaw:both", [], ""),  # The yaw model has no GNSS outputs.
     ],
 )
-def test_antenna_of_the_rig_is_included_or_reported(source: str, parts: list[str], said: str) -> None:
+def test_antenna_of_the_rig_is_included_or_reported(source: str, parts: list[str], message: str) -> None:
     model, lines = apply_rig_geometry(make_model(source), rig_with(ARM))
     assert [n for n in model.values if n.startswith("antenna")] == parts
     assert [model.values[n] for n in parts] == list(ARM[: len(parts)])
-    assert lines == ([said] if said else [])
+    assert lines == ([message] if message else [])
 
 
 def test_choice_between_two_antennas_is_reported() -> None:
@@ -145,7 +145,7 @@ def test_choice_between_two_antennas_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "name", "said"),
+    ("source", "name", "message"),
     [
         (
             "kinematic:shaft",
@@ -166,10 +166,10 @@ def test_choice_between_two_antennas_is_reported() -> None:
         ("kinematic:shaft", "mount mount", "--effect mount: model kinematic has it already"),
     ],
 )
-def test_impossible_effect_gives_a_one_line_error(source: str, name: str, said: str) -> None:
+def test_impossible_effect_gives_a_one_line_error(source: str, name: str, message: str) -> None:
     with pytest.raises(SeatrialError) as caught:
         with_effects(make_model(source), name.split())
-    assert str(caught.value).startswith(said)
+    assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 
 

@@ -91,10 +91,10 @@ def test_scaled_effect_has_the_factor_of_its_dimension(name: str) -> None:
         assert q.bounds == pytest.approx(tuple(factor * z for z in p.bounds)), p.name
         tried = effect.scan.get(p.name, ())
         assert large.scan.get(p.name, ()) == pytest.approx(tuple(factor * z for z in tried)), p.name
-    for one, other in zip(effect.states, large.states, strict=True):
-        for before, after in ((one.sd0, other.sd0), (one.noise, other.noise), (one.x0, other.x0)):
-            factor = 1.0 if isinstance(before, str) else froude(one.unit)
-            assert after == (before if isinstance(before, str) else pytest.approx(factor * before)), one.name
+    for original, scaled in zip(effect.states, large.states, strict=True):
+        for before, after in ((original.sd0, scaled.sd0), (original.noise, scaled.noise), (original.x0, scaled.x0)):
+            factor = 1.0 if isinstance(before, str) else froude(original.unit)
+            assert after == (before if isinstance(before, str) else pytest.approx(factor * before)), original.name
 
 
 @pytest.mark.parametrize("name", catalogue())
@@ -149,8 +149,8 @@ def test_product_curves_have_the_unit_of_their_coefficient() -> None:
         ("N", "u", "r"): "kg m",
         ("N", "v", "r"): "kg m",
     }
-    for (force, one, other), unit in wanted.items():
-        effect = nonparametric_effect(model, ForceCurve(force, one, other), (-1.0, 1.0))
+    for (force, first, second), unit in wanted.items():
+        effect = nonparametric_effect(model, ForceCurve(force, first, second), (-1.0, 1.0))
         assert {p.unit for p in effect.parameters} == {unit}
         assert dimension(unit) == DIMENSIONS[unit]
     reading = nonparametric_effect(model, ForceCurve("r", "r"), (-1.0, 1.0))

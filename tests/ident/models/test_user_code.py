@@ -36,7 +36,7 @@ def test_effects_of_a_file_are_found_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("EFFECT = 3\n", "neither EFFECT nor EFFECTS"),
         ("x = 1\n", "neither EFFECT"),
@@ -44,10 +44,10 @@ def test_effects_of_a_file_are_found_by_name(tmp_path: Path) -> None:
         ("a = 1\nb = (\n", r"own\.py:2: cannot be loaded: '\(' was never closed"),
     ],
 )
-def test_invalid_python_file_gives_a_one_line_error(tmp_path: Path, text: str, said: str) -> None:
+def test_invalid_python_file_gives_a_one_line_error(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "own.py"
     file.write_text(text)
-    with pytest.raises(SeatrialError, match=said) as caught:
+    with pytest.raises(SeatrialError, match=message) as caught:
         load_effects(file)
     assert "\n" not in str(caught.value)
 
@@ -80,13 +80,13 @@ def refusal(folder: Path, text: str) -> str:
     file.write_text(text)
     with pytest.raises(SeatrialError) as caught:
         make_model(f"{file}:tank")
-    said = str(caught.value)
-    assert "\n" not in said
-    return said.removeprefix(f"{folder}/")
+    message = str(caught.value)
+    assert "\n" not in message
+    return message.removeprefix(f"{folder}/")
 
 
 @pytest.mark.parametrize(
-    ("rate", "said"),
+    ("rate", "message"),
     [
         ('return {"level": p.k * u.pump - p.cc * x.level}', "tank.py:6: no parameter 'cc'; there is k, c, q, e"),
         ('return {"level": p.k * u.pmp}', "tank.py:6: no input 'pmp'; there is pump"),
@@ -106,13 +106,13 @@ def refusal(folder: Path, text: str) -> str:
         ('return {"level": {}["a"]}', "tank.py:6: KeyError: 'a'"),
     ],
 )
-def test_error_in_a_user_function_is_reported_with_its_line(tmp_path: Path, rate: str, said: str) -> None:
+def test_error_in_a_user_function_is_reported_with_its_line(tmp_path: Path, rate: str, message: str) -> None:
     found = refusal(tmp_path, TANK.replace("RATE", rate).replace("STATE", STATE))
-    assert found.startswith(said)
+    assert found.startswith(message)
 
 
 @pytest.mark.parametrize(
-    ("state", "said"),
+    ("state", "message"),
     [
         ('"", "q", x0="lv0"', "x0 of the state level names no parameter: 'lv0'"),
         ('"", "q", sd0="sv0"', "sd0 of the state level names no parameter: 'sv0'"),
@@ -120,9 +120,9 @@ def test_error_in_a_user_function_is_reported_with_its_line(tmp_path: Path, rate
         ('"", "q", from_output="gage"', "from_output of the state level names no output: 'gage'; there is gauge"),
     ],
 )
-def test_misspelt_name_in_a_state_is_reported(tmp_path: Path, state: str, said: str) -> None:
+def test_misspelt_name_in_a_state_is_reported(tmp_path: Path, state: str, message: str) -> None:
     found = refusal(tmp_path, TANK.replace("RATE", RATE).replace("STATE", state))
-    assert found == f"tank.py:11: cannot be loaded: model tank: {said}"
+    assert found == f"tank.py:11: cannot be loaded: model tank: {message}"
 
 
 def test_recommended_numpy_functions_work(tmp_path: Path) -> None:

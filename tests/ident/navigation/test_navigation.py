@@ -183,11 +183,11 @@ def test_effect_of_parameter_errors_equals_a_monte_carlo_result() -> None:
     stage = fitted(1)
     rows = mission(1, 2)[0].part(0.0, 90.0)
     gap = [(40.0, 70.0)]
-    model, given = stage.fit.model, known(stage)
-    assert given.covariance is not None
-    i, names = given.names.index("m_u"), ("m_u", "d_v")
+    model, covariance = stage.fit.model, known(stage)
+    assert covariance.covariance is not None
+    i, names = covariance.names.index("m_u"), ("m_u", "d_v")
     # The errors are enlarged so that they matter.
-    sd = 10.0 * np.sqrt(np.diag(given.covariance))[[i, given.names.index("d_v")]]
+    sd = 10.0 * np.sqrt(np.diag(covariance.covariance))[[i, covariance.names.index("d_v")]]
     wide = ParameterCovariance(names, np.diag(sd**2))
     exact, sure = navigate(model, rows, without_gnss=gap), navigate(model, rows, without_gnss=gap, known=wide)
     rng = np.random.default_rng(5)
@@ -282,8 +282,15 @@ def test_navigate_command_writes_a_table_a_result_and_a_report(logs: Path) -> No
     ],
 )
 def test_invalid_time_interval_gives_a_one_line_error(logs: Path, words: tuple[str, ...], message: str) -> None:
-    given = ["navigate", str(logs / "vehicle/model.toml"), str(logs / "log.mcap"), "--out", str(logs / "no"), *words]
-    done = CliRunner().invoke(ident, given)
+    arguments = [
+        "navigate",
+        str(logs / "vehicle/model.toml"),
+        str(logs / "log.mcap"),
+        "--out",
+        str(logs / "no"),
+        *words,
+    ]
+    done = CliRunner().invoke(ident, arguments)
     assert done.exit_code != 0
     assert message in f"{done.output} {done.exception}"
     assert not (logs / "no").exists()

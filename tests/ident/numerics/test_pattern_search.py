@@ -44,18 +44,18 @@ def test_skipping_candidates_that_cannot_be_better_does_not_change_the_search() 
         return value, np.where(value > least, violation, 0.0)
 
     start, bounds = np.array([[2.0, -1.5]]), (-2.0 * np.ones(2), 2.0 * np.ones(2))
-    one = PatternSearch(limited, *bounds, seed=3).run(start, 4000)
-    two = PatternSearch(limited, *bounds, seed=3, above=above).run(start, 4000)
-    np.testing.assert_array_equal(one.z, two.z)
-    assert one.history == two.history
-    assert violates_constraint(one.history[0][1])
-    assert not violates_constraint(one.history[-1][1])
+    complete = PatternSearch(limited, *bounds, seed=3).run(start, 4000)
+    skipping = PatternSearch(limited, *bounds, seed=3, above=above).run(start, 4000)
+    np.testing.assert_array_equal(complete.z, skipping.z)
+    assert complete.history == skipping.history
+    assert violates_constraint(complete.history[0][1])
+    assert not violates_constraint(complete.history[-1][1])
 
 
 def test_search_is_reproducible() -> None:
     start = np.array([[0.9, 0.1, 0.8, 0.0]])
-    one, two = (PatternSearch(bowl, np.zeros(4), np.ones(4), seed=4).run(start, 1000) for _ in range(2))
-    np.testing.assert_array_equal(one.z, two.z)
+    first, second = (PatternSearch(bowl, np.zeros(4), np.ones(4), seed=4).run(start, 1000) for _ in range(2))
+    np.testing.assert_array_equal(first.z, second.z)
 
 
 def test_criteria_equal_their_definitions() -> None:

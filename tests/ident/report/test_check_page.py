@@ -79,9 +79,9 @@ def test_check_page_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     out = tmp_path / "reports" / "check.html"
     with pytest.raises(SystemExit) as left:
         command_line.main(["check", str(log), "--report", str(out)])
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     assert left.value.code == 1
-    assert f"report: {out}" in told.out
+    assert f"report: {out}" in captured.out
     found = Page(out.read_text(encoding="utf-8"))
     assert found.headings() == EVIDENCE
     assert "run.mcap cannot be trusted yet: " in found.words
@@ -98,9 +98,9 @@ def test_each_log_has_a_tab(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     with pytest.raises(SystemExit) as left:
         command_line.main(["check", *logs, "--report", str(tmp_path / "check.html"), "--json"])
     assert left.value.code == 0
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     # The line about the report is not part of the JSON output.
-    assert json.loads(told.out)["format"] == "seatrial-check 1"
+    assert json.loads(captured.out)["format"] == "seatrial-check 1"
     found = Page((tmp_path / "check.html").read_text(encoding="utf-8"))
     assert "is in order" in found.words
     assert len(found.figures()) == 10

@@ -273,14 +273,14 @@ def test_terminal_shows_the_units_of_outages() -> None:
 
 
 def test_important_warnings_come_before_the_answer() -> None:
-    told = {
+    changes = {
         "answer": "Done.",
         "warnings": [
             {"code": "arm-unknown", "text": "Nobody gave the arms."},
             {"code": "stuck-sensor", "text": "gauge: a stuck sensor?"},
         ],
     }
-    words = printed(KINDS["thruster"]() | told)
+    words = printed(KINDS["thruster"]() | changes)
     assert words.index("⚠ Nobody gave the arms.") < words.index("⚠ gauge: a stuck sensor?")
     assert words.index("⚠ gauge") < words.index("Done.")
 

@@ -55,11 +55,11 @@ def seen(kind: str) -> tuple[Path, Drawn, str]:
     frame.write_text(f'{FRAME}<iframe src="{page.name}" width="{WIDTH}" height="{HEIGHT}"></iframe>', encoding="utf-8")
     for _ in range(TRIES):
         run = chromium(folder, "--window-size=500,1600", "--dump-dom", frame.as_uri())
-        told = re.search(r'<pre title="(\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
-        if told:
+        match = re.search(r'<pre title="(\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
+        if match:
             break
-    assert told, run.stderr
-    wide, needed, plot, text = told.groups()
+    assert match, run.stderr
+    wide, needed, plot, text = match.groups()
     return page, Drawn(int(wide), int(needed), int(plot), unescape(text)), run.stderr
 
 
@@ -68,8 +68,8 @@ KINDS = [kind if kind in ("diagnosis", "check") else pytest.param(kind, marks=py
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_browser_draws_every_figure_without_errors(kind: str) -> None:
-    _, drawing, said = seen(kind)
-    assert "CONSOLE" not in said, said
+    _, drawing, messages = seen(kind)
+    assert "CONSOLE" not in messages, messages
     text = drawing.text
     page = Page(text)
     drawn = [attrs for _, attrs in page.tags if "js-plotly-plot" in str(attrs.get("class"))]

@@ -49,9 +49,9 @@ def test_invalid_key_is_an_error_with_its_path(
     content = json.loads(to_json(report_example_bench.noise()))
     change(content["noise"][1])
     (tmp_path / "result.json").write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(SeatrialError, match=path) as said:
+    with pytest.raises(SeatrialError, match=path) as error:
         read_result(tmp_path / "result.json")
-    assert "noise" in str(said.value)
+    assert "noise" in str(error.value)
 
 
 def test_result_cannot_be_changed() -> None:

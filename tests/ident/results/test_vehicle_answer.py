@@ -67,28 +67,28 @@ def test_dead_zone_is_stated_down_to_the_smallest_tested_command() -> None:
 
 
 def test_finding_of_many_logs_is_reported_once() -> None:
-    one = LogFinding(level="warning", code="channel-smoothed", check="noise", where="psi", text="it is smooth")
+    finding = LogFinding(level="warning", code="channel-smoothed", check="noise", where="psi", text="it is smooth")
     logs = [
-        LogSummary(path=f"{k}.mcap", sha256="", role="estimation", name=str(k), duration=1.0, findings=(one,))
+        LogSummary(path=f"{k}.mcap", sha256="", role="estimation", name=str(k), duration=1.0, findings=(finding,))
         for k in range(11)
     ]
-    (said,) = check_warnings(Provenance(created="", seatrial="", command="", logs=tuple(logs)))
-    assert said.code == "log-check"
-    assert said.text.startswith("0.mcap, 1.mcap, 2.mcap")
-    assert "more: psi: it is smooth [channel-smoothed]" in said.text
+    (warning,) = check_warnings(Provenance(created="", seatrial="", command="", logs=tuple(logs)))
+    assert warning.code == "log-check"
+    assert warning.text.startswith("0.mcap, 1.mcap, 2.mcap")
+    assert "more: psi: it is smooth [channel-smoothed]" in warning.text
 
 
 @pytest.mark.parametrize(
     ("level", "code", "n"), [("fault", "sensor-late", 1), ("warning", "sensor-late", 0), ("fault", "two-sensors", 0)]
 )
 def test_late_sensor_warning_names_the_biased_parameters(level: str, code: str, n: int) -> None:
-    one = LogFinding(level=level, code=code, check="late", where="vx", text="velocity comes 0.88 s after heading")
-    log = LogSummary(path="a.mcap", sha256="", role="estimation", name="a", duration=1.0, findings=(one,))
+    finding = LogFinding(level=level, code=code, check="late", where="vx", text="velocity comes 0.88 s after heading")
+    log = LogSummary(path="a.mcap", sha256="", role="estimation", name="a", duration=1.0, findings=(finding,))
     made = Provenance(created="", seatrial="", command="", logs=(log,))
     model = horizontal_model("shaft")
-    said = late_sensor_warnings(made, model.replace_parameters(model.parameter("d_u").fixed()))
-    assert len(said) == n
-    for warning in said:
+    warnings = late_sensor_warnings(made, model.replace_parameters(model.parameter("d_u").fixed()))
+    assert len(warnings) == n
+    for warning in warnings:
         assert warning.code == "late-sensor-bias"
         assert "m_u, m_v, m_r" in warning.text
         assert "d_u," not in warning.text
@@ -199,7 +199,7 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "text"),
     [
         (99.4, "99"),
         (99.6, "100"),
@@ -210,8 +210,8 @@ def test_change_is_reported_with_its_interval_and_channels() -> None:
         (0.0312, "0.031"),
     ],
 )
-def test_number_in_a_sentence_has_two_digits_and_no_exponent_below_a_hundred(value: float, said: str) -> None:
-    assert format_number(value) == said
+def test_number_in_a_sentence_has_two_digits_and_no_exponent_below_a_hundred(value: float, text: str) -> None:
+    assert format_number(value) == text
 
 
 @pytest.mark.parametrize(("horizon", "words"), [(10.0, "10 s"), (1.0, "1 s"), (2.5, "2.5 s")])
@@ -335,8 +335,8 @@ def test_fit_that_did_not_converge_has_no_other_answer() -> None:
     short = replace(
         found, converged=False, message="stopped after 60 iterations; its log-posterior can still rise by 667"
     )
-    said = not_converged(short)
-    assert said is not None
-    assert said.startswith(
+    answer = not_converged(short)
+    assert answer is not None
+    assert answer.startswith(
         "The fit did not converge: it stopped after 60 iterations; its log-posterior can still rise by 667. Do not"
     )

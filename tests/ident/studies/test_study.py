@@ -156,9 +156,9 @@ def test_output_error_covers_without_process_noise(tmp_path: Path) -> None:
     """If the first sample was taken as the exact start, three of four intervals missed the truth."""
     request = study.StudyRequest(["surge"], 60, 1, tmp_path, "output-error", truth={"s_u": 1e-9, "d_u": 8.4}, jobs=1)
     result = study.run_studies(request, "test", QUIET)
-    (one,) = result.studies
-    assert [p.name for p in one.parameters] == ["m_u", "d_u", "d_uu", "e_x"]
-    for p in one.parameters:
+    (part,) = result.studies
+    assert [p.name for p in part.parameters] == ["m_u", "d_u", "d_uu", "e_x"]
+    for p in part.parameters:
         assert p.n == 60
         assert p.coverage_high > 0.95, p.name
         assert p.ratio_low < 1.1, p.name
@@ -192,9 +192,9 @@ def test_failed_and_unconverged_fits_are_in_the_verdict() -> None:
         (0, 1, "surge, 500 replicates, of which 1 did not converge: 2 of 2 parameters meet the aims"),
         (50, 300, "of which 50 failed and 300 did not converge: too many for a verdict."),
     ):
-        one = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
-        assert says in study.study_answer(one)
-        text = study_as_text(msgspec.structs.replace(result, studies=(one,)))
+        part = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
+        assert says in study.study_answer(part)
+        text = study_as_text(msgspec.structs.replace(result, studies=(part,)))
         assert ("left out of the table: " in text) == bool(failed + unconverged)
     assert study.study_answer(none) == "none: no replicate can be judged: 1 did not converge."
 
@@ -295,9 +295,9 @@ def test_killed_study_keeps_finished_replicates(tmp_path: Path) -> None:
     found = study.read_replicates(out)
     assert 1 <= len(found) < 20
     assert [r["k"] for r in found] == list(range(len(found)))
-    told = Kept()
-    study.run_study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=told)
-    assert told.lines == [f"yaw: {len(found)} replicates exist already"]
+    reporter = Kept()
+    study.run_study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=reporter)
+    assert reporter.lines == [f"yaw: {len(found)} replicates exist already"]
 
 
 def test_tasks_are_sized_by_their_duration() -> None:
@@ -411,8 +411,8 @@ def test_study_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Cap
     assert drawn == (tmp_path / "pictures/study-surge.svg").read_text()
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["kind"], result["seed"]) == ("study", 1)
-    (one,) = result["studies"]
-    assert [p["name"] for p in one["parameters"]] == ["m_u", "d_u", "d_uu", "s_u", "e_x"]
+    (part,) = result["studies"]
+    assert [p["name"] for p in part["parameters"]] == ["m_u", "d_u", "d_uu", "s_u", "e_x"]
     assert len((tmp_path / "surge.jsonl").read_text().splitlines()) == 6
 
 
@@ -485,6 +485,6 @@ def test_make_study_and_its_page_cover_every_model() -> None:
         assert f"; {replicates} replicates, 0 failed, " in section
         assert f"](pictures/study-{name}.svg)" in section
         drawn = (page.parent / f"pictures/study-{name}.svg").read_text(encoding="utf-8")
-        told = re.findall(r"^\| (\w+) \| \d", section, re.MULTILINE)
-        assert set(told) == set(make_case(name, seconds=20.0).model.free)
-        assert all(f">{parameter}</text>" in drawn for parameter in told)
+        listed = re.findall(r"^\| (\w+) \| \d", section, re.MULTILINE)
+        assert set(listed) == set(make_case(name, seconds=20.0).model.free)
+        assert all(f">{parameter}</text>" in drawn for parameter in listed)

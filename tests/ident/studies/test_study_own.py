@@ -106,9 +106,9 @@ def test_changed_file_is_another_study(tmp_path: Path) -> None:
     file, out = tmp_path / "mine.py", tmp_path / "out"
     for text, resumed in ((OWN, False), (OWN, True), (OWN + "# changed\n", False)):
         file.write_text(text, encoding="utf-8")
-        told = Kept()
-        result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", told)
-        assert any("exist already" in line for line in told.lines) is resumed
+        reporter = Kept()
+        result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", reporter)
+        assert any("exist already" in line for line in reporter.lines) is resumed
     (part,) = result.studies
     assert part.model == "mine"
     assert {p.name: p.truth for p in part.parameters}["d_u"] == 6.0

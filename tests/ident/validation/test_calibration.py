@@ -40,15 +40,15 @@ def stage() -> FittedModel:
     return fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
 
 
-def with_values(one: FittedModel, factors: dict[str, float]) -> FittedModel:
+def with_values(fitted: FittedModel, factors: dict[str, float]) -> FittedModel:
     """Return the fitted model with some parameters multiplied."""
-    names = [p.name for p in one.model.parameters]
+    names = [p.name for p in fitted.model.parameters]
 
     def view(old: RecordEvaluation) -> RecordEvaluation:
         values = old.values * [factors.get(n, 1.0) for n in names]
         return replace(old, values=values)
 
-    return replace(one, validation=tuple(view(v) for v in one.validation))
+    return replace(fitted, validation=tuple(view(v) for v in fitted.validation))
 
 
 def validated(judged: PredictionEvaluation) -> ByHorizon[Mapping[str, Calibration]]:
@@ -138,7 +138,7 @@ def test_single_experiment_has_insufficient_data() -> None:
 
 def test_diverged_prediction_is_overconfident() -> None:
     z = np.random.default_rng(0).normal(size=300)
-    diverged, unmeasured = (np.append(z, np.full(300, what)) for what in (np.inf, np.nan))
+    diverged, unmeasured = (np.append(z, np.full(300, filling)) for filling in (np.inf, np.nan))
     for parts in ([{"x": diverged}], [{"x": z}, {"x": np.full(9, np.inf)}]):
         for together in (False, True):
             found = pooled_calibration(parts, together=together)["x"]

@@ -57,10 +57,10 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.mark.study
 def test_thruster_is_validated_one_second_ahead_and_calibrated(bench: list[Path], tmp_path: Path) -> None:
-    said = done("thruster", *bench, "--out", tmp_path).output
+    output = done("thruster", *bench, "--out", tmp_path).output
     result = result_of(tmp_path)
     assert result["horizon_seconds"] == thruster_model().horizon == 1.0
-    assert re.search(r"1 s ahead +one step ahead +simulation", said)
+    assert re.search(r"1 s ahead +one step ahead +simulation", output)
     errors, calibrated = result["errors"]["estimation"], result["calibration"]["estimation"]
     assert list(errors) == list(calibrated) == KINDS
     for kind in KINDS:
@@ -95,12 +95,12 @@ def test_errors_on_the_bench_cover_all_logs(bench: list[Path], tmp_path: Path) -
 def test_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> None:
     errors = {}
     for words, horizon in (([], 10.0), (["--horizon", 4], 4.0)):
-        said = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path, "--force").output
+        output = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path, "--force").output
         result = result_of(tmp_path)
         assert result["horizon_seconds"] == horizon
         assert result["answer"].startswith(f"{horizon:g} s ahead on validation data, all channels: fit ")
         assert 0.0 < result["prediction"]["low"] < result["prediction"]["fit"] < result["prediction"]["high"] < 1.0
-        assert f"{horizon:g} s ahead" in said
+        assert f"{horizon:g} s ahead" in output
         page = (tmp_path / "report.html").read_text(encoding="utf-8")
         assert f"{horizon:g} s ahead" in page
         assert f"{14 - horizon:g} s ahead" not in page
@@ -193,6 +193,6 @@ def test_longer_horizon_uses_longer_blocks() -> None:
         LogSegment(name, channels_of(sail(boat_with(None, 2), 150.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
     ]
     stage = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
-    far, near = (prediction_changes(one, one) for one in (evaluate(stage, 60.0), evaluate(stage)))
+    far, near = (prediction_changes(evaluated, evaluated) for evaluated in (evaluate(stage, 60.0), evaluate(stage)))
     assert near["validation"].channels["psi"].low == pytest.approx(1.0)
     assert np.isnan(far["validation"].channels["psi"].low)  # Errors over 90 s do not fill four blocks of 120 s.

@@ -78,9 +78,9 @@ def test_simulation_uses_only_its_first_seconds_of_measurements() -> None:
     record = slide(2, 400)
     free = simulation_run(MODEL, record, VALUES)
     blind = record.t > WARM_UP
-    other = record.y.copy()
-    other[blind] += 5.0
-    np.testing.assert_array_equal(simulation_run(MODEL, replace(record, y=other), VALUES).y, free.y)
+    changed = record.y.copy()
+    changed[blind] += 5.0
+    np.testing.assert_array_equal(simulation_run(MODEL, replace(record, y=changed), VALUES).y, free.y)
     assert free.errors["speed"].t[0] > WARM_UP
     last = int(np.flatnonzero(~blind)[-1])
     run = Likelihood(MODEL).filter(replace(record, y=np.where(blind[:, None], np.nan, record.y)), VALUES)
@@ -199,8 +199,12 @@ def test_records_are_compared_only_with_themselves() -> None:
     hard, easy = errors(1, 10.0), errors(2, 1.0)
     late = PredictionErrors(t + 2.0, easy["x"].e)
     for after in ({"hard": hard, "easy": easy}, {"easy": easy}, {"hard": {**hard, "late": late}, "easy": easy}):
-        for one, other in ((after, {"easy": easy}), ({"easy": easy}, after), (after, {"hard": hard, "easy": easy})):
-            found = prediction_change_by_record(one, other, 1.0)
+        for before_errors, after_errors in (
+            (after, {"easy": easy}),
+            ({"easy": easy}, after),
+            (after, {"hard": hard, "easy": easy}),
+        ):
+            found = prediction_change_by_record(before_errors, after_errors, 1.0)
             assert (found.ratio, found.verdict, set(found.channels)) == (1.0, "unchanged", {"x"})
     assert prediction_change_by_record({"a": easy, "b": hard}, {"b": errors(1, 5.0)}, 1.0).ratio == pytest.approx(0.5)
     assert np.isnan(prediction_change_by_record({"a": easy}, {"b": easy}, 1.0).ratio)

@@ -100,8 +100,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as left:
         command_line.main(["ident", "information", *map(str, words)])
-    said = capsys.readouterr()
-    return int(left.value.code or 0), said.out, said.err
+    captured = capsys.readouterr()
+    return int(left.value.code or 0), captured.out, captured.err
 
 
 def test_results_are_replaced_only_with_force(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -125,14 +125,16 @@ def test_time_window_limits_the_segments(folder: Path, tmp_path: Path, capsys: p
     rows = [(row["what"], round(row["t_from"]), round(row["t_to"])) for row in result["information"]["segments"]]
     assert rows == [("straight ahead", 30, 60)]
     for words in ((30, 30), (30, 20), ("nan", 40)):
-        given = ("--from", words[0], "--to", words[1])
-        assert run(capsys, folder / "model.toml", folder / "one.mcap", *given, "--out", tmp_path / "no")[0] == 2
+        window_options = ("--from", words[0], "--to", words[1])
+        assert (
+            run(capsys, folder / "model.toml", folder / "one.mcap", *window_options, "--out", tmp_path / "no")[0] == 2
+        )
 
 
 def test_segments_inform_the_parameters_that_they_excite(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    status, said, err = run(capsys, folder / "model.toml", folder / "one.mcap", "--out", tmp_path / "out")
+    status, output, err = run(capsys, folder / "model.toml", folder / "one.mcap", "--out", tmp_path / "out")
     assert status == 0, err
     result: dict[str, Any] = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
     part = result["information"]
@@ -153,8 +155,8 @@ def test_segments_inform_the_parameters_that_they_excite(
         assert row["se"] > 0
         assert row["what"] in ("turns", "straight ahead")
     assert "turns" in result["answer"] or "Only" in result["answer"]
-    assert re.search(r"one, 60 to 90 s \(turns\)", said)
-    assert "Information of these logs" in said
+    assert re.search(r"one, 60 to 90 s \(turns\)", output)
+    assert "Information of these logs" in output
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     titles = ("Information in logs", "Information of these logs", "Segment by segment")
     for words in (*titles, "heatmap", "depends most on"):
@@ -226,8 +228,8 @@ def test_parameter_estimated_at_zero_is_known_if_its_error_is_small() -> None:
     for prior, size in ((p.prior or (0.0, 0.3), (p.prior or (0.0, 0.3))[1]), (None, 5.0 * p.step)):
         of_it = model.replace_parameters(dataclasses.replace(p, prior=prior))
         for share, known in ((0.4, True), (0.6, False)):
-            told = InformationSegment("a", 0.0, 30.0, np.eye(1), np.ones(1), np.ones(1), np.array([share * size]))
-            assert _parameter(of_it, p.name, 0, [told], [row]).known == known
+            segment = InformationSegment("a", 0.0, 30.0, np.eye(1), np.ones(1), np.ones(1), np.array([share * size]))
+            assert _parameter(of_it, p.name, 0, [segment], [row]).known == known
 
 
 def test_design_is_recommended_only_for_models_that_it_supports() -> None:

@@ -59,7 +59,7 @@ def read(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
 
 def test_known_noise_is_estimated(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("ident", "noise", still, "--out", tmp_path / "noise")
-    said = " ".join(capsys.readouterr().out.split())
+    output = " ".join(capsys.readouterr().out.split())
     result, channels = read(tmp_path / "noise")
     assert set(channels) == {"r", "psi", "smooth"}
     for name, white, walk in (("r", 0.01, 0.002), ("psi", 0.05, 0.0)):
@@ -70,9 +70,9 @@ def test_known_noise_is_estimated(still: Path, tmp_path: Path, capsys: pytest.Ca
         assert "reason" not in c
     assert not channels["smooth"]["accepted"]
     assert channels["smooth"]["reason"].startswith("its innovations are correlated by +0.")
-    assert "2 of 3 channels are white noise plus a random walk. These are not: smooth. Such numbers" in said
+    assert "2 of 3 channels are white noise plus a random walk. These are not: smooth. Such numbers" in output
     assert channels["smooth"]["predictable"] > 0.3
-    assert "do not put them into a filter" in said
+    assert "do not put them into a filter" in output
     assert any(line.startswith("smooth: not white") and line.endswith("at a lower rate.") for line in result["notes"])
     assert any("dead: all samples are the same" in line for line in result["notes"])
     assert {r["channel"]: r["accepted"] for r in result["noise"]} == {"r": True, "psi": True, "smooth": False}

@@ -29,8 +29,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     sensors = ", ".join(f'"{sensor.name}"' for sensor in model.sensors)
     lines = ['format = "seatrial-model 1"', 'name = "horizontal"', 'source = "horizontal:command"']
     lines += [f"sensors = [{sensors}]", "effects = []", "[validity]", "u = [-1.0, 1.0]"]
-    for one in model.parameters:
-        lines += ["[[parameter]]", f'name = "{one.name}"', f"value = {float(one.value)!r}", "free = false"]
+    for parameter in model.parameters:
+        lines += ["[[parameter]]", f'name = "{parameter.name}"', f"value = {float(parameter.value)!r}", "free = false"]
     (tmp_path / "vehicle").mkdir()
     (tmp_path / "vehicle/model.toml").write_text("\n".join(lines), encoding="utf-8")
     rows = [f"{t:.1f},{0.3 * np.sin(t):.4f},{0.3 * np.cos(t):.4f},0.1,{0.1 * t:.3f},{0.05 * t:.3f}" for t in T]

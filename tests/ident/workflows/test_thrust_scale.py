@@ -42,8 +42,8 @@ def sailed(seconds: float, seed: int) -> np.ndarray:
     rows = []
     for k, (du, dv, dr) in enumerate(gusts):
         if k % round(4.0 / h) == 0:
-            told = rng.uniform(-0.4, 1.0) + rng.uniform(-0.5, 0.5) * np.array([1.0, -1.0])
-            told_left, told_right = np.clip(told, -1.0, 1.0).tolist()
+            commanded = rng.uniform(-0.4, 1.0) + rng.uniform(-0.5, 0.5) * np.array([1.0, -1.0])
+            told_left, told_right = np.clip(commanded, -1.0, 1.0).tolist()
         left, right = left + h / 0.25 * (told_left - left), right + h / 0.25 * (told_right - right)
         cos, sin = math.cos(psi), math.sin(psi)
         if k % round(0.1 / h) == 0:
@@ -79,8 +79,8 @@ def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: flo
 def fitted(log: Path, *words: str) -> tuple[dict[str, Any], str, Path]:
     """Return the result of `seatrial ident vehicle`, the screen output, and the folder."""
     out = log.parent / f"vehicle-{log.stem}-{len(words)}"
-    given = ["vehicle", str(log), *words, "--out", str(out), "--force"]
-    done = CliRunner().invoke(ident, given, catch_exceptions=False)
+    arguments = ["vehicle", str(log), *words, "--out", str(out), "--force"]
+    done = CliRunner().invoke(ident, arguments, catch_exceptions=False)
     return json.loads((out / "result.json").read_text(encoding="utf-8")), done.output, out
 
 
@@ -98,14 +98,14 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str,
 
 
 def test_without_thrust_and_arms_no_estimate_is_in_kilograms(bare: tuple[dict[str, Any], str, Path]) -> None:
-    result, said, out = bare
+    result, output, out = bare
     assert codes(result)[:2] == ["thrust-scale-unknown", "arm-unknown"]
     scale = result["fit"]["scale"]
     assert (scale["thrust"], scale["relative"]) == ("built-in", True)
     assert (scale["arm"], scale["relative_yaw"]) == ("estimated", True)
     free_of_force = {row["unit"] for row in rows_of(result).values() if "kg" in row["unit"] or "N" in row["unit"]}
     assert all("/N" in unit or "N)" in unit or "N m)" in unit for unit in free_of_force), free_of_force
-    assert said.index("The thrust was not given") < said.index(result["answer"][:30])
+    assert output.index("The thrust was not given") < output.index(result["answer"][:30])
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.index("The thrust was not given") < page.index("<h1>")
     text = (out / "model.toml").read_text(encoding="utf-8")
@@ -126,14 +126,14 @@ def test_ratios_to_the_thrust_are_right(bare: tuple[dict[str, Any], str, Path]) 
 
 
 def test_unused_signal_is_listed_with_its_reason(bare: tuple[dict[str, Any], str, Path]) -> None:
-    result, said, _ = bare
+    result, output, _ = bare
     unused = {s["signal"]: s for s in result["unused_signals"]}
     assert {name: s["code"] for name, s in unused.items()} == {
         "u": "incomplete-sensor",
         "lat": "other-name",
         "mystery": "unknown-name",
     }
-    assert "not used: u: the model takes it together with v" in said
+    assert "not used: u: the model takes it together with v" in output
 
 
 TABLES = "[scale]\nc1 = 12.0\nc2 = 0.0\n[geometry]\ny_left = -0.2\ny_right = 0.2\nlength = 1.2\n"

@@ -38,10 +38,10 @@ def stand(
     n = np.repeat(levels, len(t) // len(levels))
     force = sign * (FULL_N * n * np.abs(n) + rng.normal(0.0, 0.02, n.size)) / NEWTONS[unit]
     lines = [HEADER.replace("kgf", unit)]
-    for k, one in enumerate(n):
-        rpm = f"{abs(one) * FULL_RPM:.0f}" if one else ""  # The stand writes no speed while the shaft is at rest.
+    for k, level in enumerate(n):
+        rpm = f"{abs(level) * FULL_RPM:.0f}" if level else ""  # The stand writes no speed while the shaft is at rest.
         lines.append(
-            f"{t[k] + 3.2:.4f},{rest + span * one:.0f},,0.01,0.02,-1.0,0.01,{force[k]:.6f},14.8,3.2,{rpm},,40,55,4,0,"
+            f"{t[k] + 3.2:.4f},{rest + span * level:.0f},,0.01,0.02,-1.0,0.01,{force[k]:.6f},14.8,3.2,{rpm},,40,55,4,0,"
         )
     return "\n".join(lines) + "\n"
 

@@ -67,11 +67,11 @@ def test_calibration_error_of_the_load_cell_is_in_the_standard_errors(
     5.
     """
     recording, mission = push(draw_bench(4), kind="steps")
-    told = rig_of("bench").text.replace(
+    calibrated_text = rig_of("bench").text.replace(
         "newton_per_count = 0.001", "newton_per_count = 0.001\nnewton_per_count_sd = 0.000003\nlever_ratio_sd = 0.004"
     )
     rows, found = {}, {}
-    for name, text in (("plain", rig_of("bench").text), ("calibrated", told)):
+    for name, text in (("plain", rig_of("bench").text), ("calibrated", calibrated_text)):
         rig = parse_rig(text, Path("bench.toml"))
         monkeypatch.setattr(missions, "rig_of", lambda kind, rig=rig: rig)
         log = write_log(tmp_path / f"{name}.mcap", "bench", recording.readings, mission)

@@ -102,8 +102,8 @@ def test_shaft_speeds_with_a_zero_hold_are_reported(source: str, hold: str, hint
         for n, c in log.run.channels.items()
     }
     log = replace(log, run=replace(log.run, channels=found), holds={**log.holds, "n_left": hold, "n_right": hold})
-    said = thrust_from(make_model("nomoto"), [with_derived_signals(log, "nomoto", None)])
-    assert ('hold = "linear" of the map' in said) == hinted
+    note = thrust_from(make_model("nomoto"), [with_derived_signals(log, "nomoto", None)])
+    assert ('hold = "linear" of the map' in note) == hinted
 
 
 def test_inputs_that_only_some_logs_have_are_not_used() -> None:

@@ -178,8 +178,8 @@ def test_calibration_error_of_a_curve_is_in_the_standard_errors(logs: Path, tmp_
     run(*words, tmp_path / "curve.toml", "--out", tmp_path / "known")
     exact, known = (result(tmp_path / name) for name in ("exact", "known"))
     for name in ("m_u", "d_uu"):
-        (value, alone), (other, error) = estimate(exact, name), estimate(known, name)
-        assert other == pytest.approx(value, rel=0.02)
+        (value, alone), (known_value, error) = estimate(exact, name), estimate(known, name)
+        assert known_value == pytest.approx(value, rel=0.02)
         assert error == pytest.approx(np.hypot(alone, 0.08 * value), rel=0.1)
     assert (exact["fit"]["scale"]["statistical_only"], known["fit"]["scale"]["statistical_only"]) == (True, False)
     assert load_model(tmp_path / "known/model.toml").model.parameter("k_thrust").prior == (1.0, 0.08)

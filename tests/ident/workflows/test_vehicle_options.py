@@ -39,15 +39,15 @@ def test_vehicle_command_draws_profiles_and_counts_outliers(out: Path) -> None:
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert [p["name"] for p in result["profiles"]] == ["V_x@0"]
     for row in result["profiles"]:
-        (one,) = [p for p in result["fit"]["parameters"] if p["name"] == row["name"].partition("@")[0]]
-        assert row["low"] < one["value"] < row["high"]
+        (parameter,) = [p for p in result["fit"]["parameters"] if p["name"] == row["name"].partition("@")[0]]
+        assert row["low"] < parameter["value"] < row["high"]
         # The profile uses the maximum likelihood, without the restricted noise.
-        assert abs(row["value"] - one["value"]) < 0.1 * one["se"]
+        assert abs(row["value"] - parameter["value"]) < 0.1 * parameter["se"]
         assert not any("better fit" in note for note in row["notes"])
-        assert row["low"] == pytest.approx(row["wald_low"], abs=one["se"])
+        assert row["low"] == pytest.approx(row["wald_low"], abs=parameter["se"])
         assert len(row["grid"]) == len(row["drop"]) >= 7
-    said = [line for line in result["notes"] if "treated as outliers" in line]
-    assert {line.partition(":")[0] for line in said} == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
+    counts = [line for line in result["notes"] if "treated as outliers" in line]
+    assert {line.partition(":")[0] for line in counts} == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert '<section id="profiles"' in page
     assert "samples were treated as outliers" in page
@@ -97,8 +97,8 @@ def test_restricted_noise_keeps_the_dynamics_and_increases_their_errors(logs: tu
         fits.append(fitted["parameters"])
     plain, reml = ({p["name"]: (p["value"], p["se"]) for p in parameters} for parameters in fits)
     for name in ("m_u", "m_v", "m_r", "d_v", "d_r"):
-        (value, error), (other, larger) = plain[name], reml[name]
-        assert other == pytest.approx(value, abs=0.5 * error)
+        (value, error), (restricted_value, larger) = plain[name], reml[name]
+        assert restricted_value == pytest.approx(value, abs=0.5 * error)
         assert 1.005 < larger / error < 1.1
 
 
