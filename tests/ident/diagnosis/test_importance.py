@@ -61,13 +61,13 @@ def test_effect_has_no_importance_if_the_model_without_it_cannot_be_fitted(monke
     def fails(*_: Any) -> Any:
         raise ValueError("x0")
 
-    one, before = chosen("wind"), stage(0.0)
-    one = replace(one, fitted=stage(900.0, one))
-    other = replace(chosen("lift"), fitted=stage(930.0, one, chosen("lift")), prediction=cast(Any, "fell"))
+    wind_refit, before = chosen("wind"), stage(0.0)
+    wind_refit = replace(wind_refit, fitted=stage(900.0, wind_refit))
+    lift_refit = replace(chosen("lift"), fitted=stage(930.0, wind_refit, chosen("lift")), prediction=cast(Any, "fell"))
     monkeypatch.setattr(importance, "_with", fails)
     monkeypatch.setattr(importance, "comparison", lambda *_: SimpleNamespace(error_ratio=1.2))
-    rounds = [Round((), (), (c,), c) for c in (one, other)]
-    lift, wind = effect_importance(before, other.fitted, [one, other], rounds, [], [])
+    rounds = [Round((), (), (c,), c) for c in (wind_refit, lift_refit)]
+    lift, wind = effect_importance(before, lift_refit.fitted, [wind_refit, lift_refit], rounds, [], [])
     assert (lift.effect, lift.gain, lift.untested) == ("lift", 60.0, None)
     assert (wind.effect, wind.untested, wind.supported) == ("wind", "x0", False)
     assert np.isnan([wind.gain, wind.error_ratio, wind.t]).all()

@@ -83,7 +83,7 @@ def test_intervals_cover_for_any_position_of_the_truth(correlation: float, true_
 
 @pytest.mark.parametrize("size", [np.ones(6), np.array([1.0, 2.0, 0.5, 3.0, 1.0, 0.01])])
 @pytest.mark.parametrize(
-    ("unseen", "said"),
+    ("unseen", "flagged_with"),
     [
         (
             [[1, -1, 0, 0, 0, 0], [0, 0, 1, 2, 0, 0]],
@@ -93,7 +93,7 @@ def test_intervals_cover_for_any_position_of_the_truth(correlation: float, true_
     ],
 )
 def test_each_unidentified_combination_is_named_separately(
-    unseen: list[list[int]], said: dict[str, set[str]], size: np.ndarray
+    unseen: list[list[int]], flagged_with: dict[str, set[str]], size: np.ndarray
 ) -> None:
     """Eigenvectors of a null space with several dimensions are arbitrary mixtures. The flags must not depend on
     them.
@@ -118,10 +118,10 @@ def test_each_unidentified_combination_is_named_separately(
         for name, text in found.flags
         if text.startswith("not identified")
     }
-    assert combinations == said
+    assert combinations == flagged_with
     lost = {name for name, _ in found.flags}
     assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]
-    if "d" in said:
+    if "d" in flagged_with:
         assert dict(found.flags)["d"].endswith("the joint change +0.5 c +1 d")
 
 

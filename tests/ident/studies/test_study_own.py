@@ -85,14 +85,14 @@ def test_fitted_model_is_studied_with_its_own_estimator(saved: Path) -> None:
     case = make_case(str(saved), seconds=60.0)
     assert not case.reml
     assert case.model.second_order
-    told = make_case(str(saved), seconds=60.0, reml=True, mean_order=1)
-    assert told.reml
-    assert not told.model.second_order
+    overridden = make_case(str(saved), seconds=60.0, reml=True, mean_order=1)
+    assert overridden.reml
+    assert not overridden.model.second_order
     text = saved.read_text(encoding="utf-8")
     saved.write_text(text.replace("second_order = true", "reml = true"), encoding="utf-8")
-    other = make_case(str(saved), seconds=60.0)
-    assert other.reml
-    assert not other.model.second_order
+    restricted = make_case(str(saved), seconds=60.0)
+    assert restricted.reml
+    assert not restricted.model.second_order
 
 
 def test_user_case_is_studied_with_the_estimator_of_the_commands(tmp_path: Path) -> None:
