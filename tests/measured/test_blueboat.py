@@ -53,12 +53,17 @@ def results(folder: Path) -> dict[str, dict[str, Any]]:
     logs = [str(folder / f"fixed_00000{n}.mcap") for n in FITTED]
     for n in UNUSED:
         logs += ["--validate", str(folder / f"fixed_00000{n}.mcap")]
-    given = ["--model", "horizontal:force"]
-    given += [word for option, values in BOAT.items() for v in values for word in (option, v)]
-    given += [word for v in NOISE for word in ("--fix", v)]
-    run("ident", "vehicle", *logs, *given, "--out", str(folder / "vehicle"))
-    one = ("--max-effects", "1", "--out", str(folder / "diagnosis"))  # The first effect explains most of the error.
-    run("ident", "diagnose", str(folder / "vehicle/model.toml"), *logs, *one)
+    options = ["--model", "horizontal:force"]
+    options += [word for option, values in BOAT.items() for v in values for word in (option, v)]
+    options += [word for v in NOISE for word in ("--fix", v)]
+    run("ident", "vehicle", *logs, *options, "--out", str(folder / "vehicle"))
+    search_options = (
+        "--max-effects",
+        "1",
+        "--out",
+        str(folder / "diagnosis"),
+    )  # The first effect explains most of the error.
+    run("ident", "diagnose", str(folder / "vehicle/model.toml"), *logs, *search_options)
     return {k: json.loads((folder / k / "result.json").read_text()) for k in ("vehicle", "diagnosis")}
 
 

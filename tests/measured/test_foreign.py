@@ -70,9 +70,9 @@ def estimates(path: Path, out: Path, *options: str) -> dict[str, float]:
     return fitted(path, out, *options)[0]
 
 
-def same(one: Path, other: Path, names: str, atol: float = 1e-9) -> None:
+def same(expected_log: Path, found_log: Path, names: str, atol: float = 1e-9) -> None:
     """Check that these signals are equal in both logs, in times and values, within the rounding of the format."""
-    a, b = signals(one), signals(other)
+    a, b = signals(expected_log), signals(found_log)
     for name in names.split():
         np.testing.assert_allclose(b[name][0], a[name][0], rtol=0, atol=1e-6, err_msg=name)
         turns = 2 * np.pi * np.round((b[name][1] - a[name][1])[0] / (2 * np.pi)) if name == "psi" else 0.0

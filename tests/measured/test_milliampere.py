@@ -47,8 +47,8 @@ def test_time_stamps_are_repaired_and_only_new_samples_are_kept(folder: Path, k:
 @pytest.mark.parametrize("k", [3, 4])
 def test_speed_equals_the_command_up_to_its_limit(folder: Path, k: int) -> None:
     found = load_run(folder / f"thruster{k}.mcap", "estimation").run.channels
-    told, n = found["n_cmd_pod"], found["n_pod"]
-    now, before = sample_and_hold(told, n.t), sample_and_hold(told, n.t - 10.0)
+    command, n = found["n_cmd_pod"], found["n_pod"]
+    now, before = sample_and_hold(command, n.t), sample_and_hold(command, n.t - 10.0)
     settled = (now == before) & (n.value != 0) & (np.abs(now) > 0.05)
     below = settled & (np.abs(now) < 0.75)
     assert np.abs(np.median(n.value[below] / now[below]) - 1) < 0.01

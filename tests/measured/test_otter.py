@@ -37,9 +37,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
     return {name: json.loads((folder / name / "result.json").read_text()) for name in kinds}
 
 
-def ratio(results: dict[str, dict[str, Any]], one: str, other: str) -> float:
+def ratio(results: dict[str, dict[str, Any]], numerator: str, denominator: str) -> float:
     """Return the ratio of the RMS errors 10 s ahead on the unused run, as a geometric mean over channels."""
-    errors = [results[k]["errors"]["validation"]["horizon"] for k in (one, other)]
+    errors = [results[k]["errors"]["validation"]["horizon"] for k in (numerator, denominator)]
     assert errors[0].keys() == errors[1].keys() == {"psi", "r", "x", "y"}
     return float(np.exp(np.mean([np.log(errors[0][n]["after"] / errors[1][n]["after"]) for n in errors[0]])))
 

@@ -127,7 +127,7 @@ def verdict(row: Row) -> str:
 def false_name(row: Row) -> bool:
     """Return whether an effect was called identified that does not exist."""
     found = zip(row["found"], row["attribution"], strict=True)
-    return any(one == "identified" and name != row["effect"] for name, one in found)
+    return any(attribution == "identified" and name != row["effect"] for name, attribution in found)
 
 
 VERDICTS = ("exact", "first", "likened", "unknown", "missed", "wrong")
@@ -162,12 +162,12 @@ def summary(rows: Sequence[Row]) -> list[list[str]]:
         some = [r for r in good if r["scale"] == scale and r["effect"] != "none"]
         if not some:
             continue
-        for what, kinds in (
+        for description, kinds in (
             ("named first", ("exact", "first")),
             ("that and nothing else", ("exact",)),
             ("another name first, as sure", ("wrong",)),
         ):
-            lines.append([f"{what}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
+            lines.append([f"{description}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
         lines.append([f"another name anywhere, as sure, size {scale:g}", f"{sum(map(false_name, some))}/{len(some)}"])
     clean = [r for r in good if r["effect"] == "none"]
     if clean:
@@ -207,24 +207,30 @@ def document(rows: Sequence[Row], command: str) -> str:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the missing cases, then print the tables."""
-    given = _parser().parse_args(words)
-    seeds = range(given.seed, given.seed + given.seeds)
+    arguments = _parser().parse_args(words)
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
     # One clean bench for each seed and scale. All clean benches differ.
     cases = [
         BenchCase(e, s + (1000 * k if e == "none" else 0), scale)
         for s in seeds
-        for k, scale in enumerate(given.scales)
-        for e in given.effects
+        for k, scale in enumerate(arguments.scales)
+        for e in arguments.effects
     ]
     try:
-        rows = list(read(given.out).values()) if given.report else resume(cases, run_case, line, given.jobs, given.out)
+        rows = (
+            list(read(arguments.out).values())
+            if arguments.report
+            else resume(cases, run_case, line, arguments.jobs, arguments.out)
+        )
     except KeyboardInterrupt:
-        print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
+        print(f"interrupted; run the same again to go on ({arguments.out})", file=sys.stderr)
         return 130
     print(report(rows, study_as_text))
-    if given.docs:
-        scales = ",".join(f"{s:g}" for s in given.scales)
-        command = f"python -m tests.recovery.bench_study --seed {given.seed} --seeds {given.seeds} --scales {scales}"
+    if arguments.docs:
+        scales = ",".join(f"{s:g}" for s in arguments.scales)
+        command = (
+            f"python -m tests.recovery.bench_study --seed {arguments.seed} --seeds {arguments.seeds} --scales {scales}"
+        )
         DOCS.write_text(document(rows, f"{command} --docs"), encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0

@@ -111,7 +111,7 @@ def result_of(found: Diagnosis) -> DiagnosisResult:
 def told(result: DiagnosisResult) -> Row:
     """Return the contents of the diagnosis that the study records."""
     effects = result.effects
-    t = {q.name: q.t for one in result.rounds for q in one.refits if q.name == one.chosen}
+    t = {q.name: q.t for search_round in result.rounds for q in search_round.refits if q.name == search_round.chosen}
     return {
         "found": [e.name for e in effects],
         "attribution": [e.attribution for e in effects],

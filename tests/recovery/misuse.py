@@ -222,8 +222,8 @@ def outcomes(seeds: Sequence[int], kinds: Sequence[str], rigs: Sequence[str], fo
     """Yield the outcome of each kind on each boat and rig that can show it. Kind "" is the boat without a mistake."""
     for seed in seeds:
         for rig in rigs:
-            whole, other = (logged(seed, rig, s, run) for s, run in ((SECONDS, 1), (VALIDATION_SECONDS, 2)))
-            validation = written(folder / "validation.mcap", other)
+            whole, second_run = (logged(seed, rig, s, run) for s, run in ((SECONDS, 1), (VALIDATION_SECONDS, 2)))
+            validation = written(folder / "validation.mcap", second_run)
             for kind in ("", *(k for k in kinds if rig in KINDS[k].rigs)):
                 path = written(folder / "run.mcap", KINDS[kind].of(whole) if kind else whole)
                 judge = written(folder / "copy.mcap", whole) if kind == COPY else validation
@@ -238,9 +238,9 @@ def table(rows: Sequence[Outcome]) -> str:
     for kind in dict.fromkeys(r.kind for r in rows if r.kind):
         its = [r for r in rows if r.kind == kind]
         rigs = ", ".join(dict.fromkeys(r.rig for r in its))
-        said = ", ".join(f"`{code}`" for code in KINDS[kind].codes)
+        codes = ", ".join(f"`{code}`" for code in KINDS[kind].codes)
         refused = sum(r.line is not None for r in its)
-        lines.append(f"| {kind} | {rigs} | {sum(r.named for r in its)} of {len(its)} | {refused} | {said} |")
+        lines.append(f"| {kind} | {rigs} | {sum(r.named for r in its)} of {len(its)} | {refused} | {codes} |")
     return "\n".join(lines)
 
 
@@ -262,15 +262,15 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--boats", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1, help="the first boat's")
     parser.add_argument("--docs", action="store_true", help="write docs/misuse.md")
-    given = parser.parse_args(words)
+    arguments = parser.parse_args(words)
     with TemporaryDirectory(prefix="seatrial-misuse-") as folder:
-        seeds = range(given.seed, given.seed + given.boats)
+        seeds = range(arguments.seed, arguments.seed + arguments.boats)
         rows = list(outcomes(seeds, list(KINDS), list(SENSORS), Path(folder)))
     for r in rows:
         if bool(r.kind) != r.named:
             print(f"{r.kind or 'no mistake'}, {r.rig}, boat {r.seed}: {r.line or 'not refused'}")
     print(summary(rows), table(rows), sep="\n\n")
-    if given.docs:
+    if arguments.docs:
         text = (
             "# Logs with a mistake\n\n"
             "Each log is a mission of a mock boat, imported with one mistake, and passed to `seatrial ident vehicle`. "
@@ -278,7 +278,7 @@ def main(words: Sequence[str] | None = None) -> int:
             "meaningless. One line states the finding, its place, and the entry to correct. The rigs are: all sensors "
             "of a mock boat (full); heading, yaw rate and positions (position); heading and positions (compass); "
             "heading, yaw rate, positions and velocities of the body (body).\n\n"
-            f"    python -m tests.recovery.misuse --boats {given.boats} --seed {given.seed} --docs\n\n"
+            f"    python -m tests.recovery.misuse --boats {arguments.boats} --seed {arguments.seed} --docs\n\n"
             f"{summary(rows)}\n\n{table(rows)}\n\n"
             "The scale of a signal is only checked against a second sensor. Time that runs twice as fast, with heading "
             "and positions only, is therefore not found.\n"

@@ -247,8 +247,8 @@ def commands_only(readings: Sequence[Reading], *, rate: float) -> Columns:
     at = np.arange(0.0, found["psi"][0][-1], 1.0 / rate)
     sent = {}
     for node, name in zip((1, 2), SHAFTS, strict=True):
-        told = table[f"esc/{node}/command"]
-        held = np.append(0.0, told["n_cmd"])[np.searchsorted(told["t"], at, side="right")]
+        command = table[f"esc/{node}/command"]
+        held = np.append(0.0, command["n_cmd"])[np.searchsorted(command["t"], at, side="right")]
         sent[name] = (at, held)
     return sent | {name: column for name, column in found.items() if name not in SHAFTS}
 

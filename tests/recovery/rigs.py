@@ -343,8 +343,10 @@ def plants(rows: Sequence[Row]) -> tables.Lines:
     for r in (r for r in rows if "error" not in r):
         beyond = ", ".join(f"{n} {z:+.1f}" for n, z in r["z"].items() if abs(z) > 3)
         plant = PLANTS[r["rig"]]
-        said = [", ".join(r["found"]) or NONE, ", ".join(r["attribution"]), verdict(r)] if plant.diagnosed else [""] * 3
-        lines.append([plant.name, r["effect"], ", ".join(sorted(plant.there)), *said, beyond])
+        findings = (
+            [", ".join(r["found"]) or NONE, ", ".join(r["attribution"]), verdict(r)] if plant.diagnosed else [""] * 3
+        )
+        lines.append([plant.name, r["effect"], ", ".join(sorted(plant.there)), *findings, beyond])
     return lines
 
 
@@ -385,8 +387,8 @@ def latest(rows: Sequence[Row]) -> str:
         return ""
     clean = rows[-1]["effect"] == NONE
     says = {"nothing found": (RIGHT,)} if clean else {"named or likened": (NAMED, LIKENED), "wrong as sure": (WRONG,)}
-    counts = {what: sum(w in own for w in words) for what, own in says.items()}
-    shares = ", ".join(f"{what} {k} ({tables.interval(k, len(words))} %)" for what, k in counts.items())
+    counts = {description: sum(w in own for w in words) for description, own in says.items()}
+    shares = ", ".join(f"{description} {k} ({tables.interval(k, len(words))} %)" for description, k in counts.items())
     return f"Of the last state alone ({rows[-1]['code']}), {len(words)} cases: {shares}."
 
 
@@ -419,23 +421,33 @@ def line(row: Row) -> str:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the missing cases, then print the tables."""
-    given = _parser().parse_args(words)
-    wanted = cases_of(given.rigs, given.effects, given.seed, given.seeds)
+    arguments = _parser().parse_args(words)
+    wanted = cases_of(arguments.rigs, arguments.effects, arguments.seed, arguments.seeds)
     try:
-        if given.again:
-            resume(drawn([*read(given.out).values()], given.again), run_case, line, given.jobs, again(given.out))
-        only_shown = given.report or given.again
-        rows = list(read(given.out).values()) if only_shown else resume(wanted, run_case, line, given.jobs, given.out)
+        if arguments.again:
+            resume(
+                drawn([*read(arguments.out).values()], arguments.again),
+                run_case,
+                line,
+                arguments.jobs,
+                again(arguments.out),
+            )
+        only_shown = arguments.report or arguments.again
+        rows = (
+            list(read(arguments.out).values())
+            if only_shown
+            else resume(wanted, run_case, line, arguments.jobs, arguments.out)
+        )
     except KeyboardInterrupt:
-        print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
+        print(f"interrupted; run the same again to go on ({arguments.out})", file=sys.stderr)
         return 130
-    anew = list(read(again(given.out)).values())
+    anew = list(read(again(arguments.out)).values())
     for title, own in sections(rows).items():
         print(f"{title}\n\n{report(own, tables.as_text)}\n\n{latest(own)}\n{held(own, anew)}\n")
-    if given.docs:
+    if arguments.docs:
         page = DOCS.read_text(encoding="utf-8")
         for title, own in sections(rows).items():
-            page = with_section(page, title, section(own, given.seeds, anew))
+            page = with_section(page, title, section(own, arguments.seeds, anew))
         DOCS.write_text(page, encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0
