@@ -92,12 +92,12 @@ def run_case(case: Case) -> Row:
             began = time.process_time()
             runs = runs_of(case)
             result = result_of(diagnose_case(case, runs))
-            return row | {"cpu": round(time.process_time() - began, 2)} | told(result) | judged(case, runs, result)
+            return row | {"cpu": round(time.process_time() - began, 2)} | recorded(result) | judged(case, runs, result)
         with TemporaryDirectory() as folder:
             runs = write_logs(Path(folder), recordings_of(case))
             read, cpu = diagnosed(Path(folder))
             assert isinstance(read, DiagnosisResult)
-            return row | {"cpu": round(cpu, 2)} | told(read) | judged(case, runs, read)
+            return row | {"cpu": round(cpu, 2)} | recorded(read) | judged(case, runs, read)
     except Exception as problem:  # The study continues and counts the failure.
         return row | {"error": f"{type(problem).__name__}: {problem}"}
 
@@ -108,7 +108,7 @@ def result_of(found: Diagnosis) -> DiagnosisResult:
     return diagnosis_result(found, evaluate_diagnosis(found), made, warnings=(), notes=(), model_path="MODEL")
 
 
-def told(result: DiagnosisResult) -> Row:
+def recorded(result: DiagnosisResult) -> Row:
     """Return the contents of the diagnosis that the study records."""
     effects = result.effects
     t = {q.name: q.t for search_round in result.rounds for q in search_round.refits if q.name == search_round.chosen}

@@ -11,7 +11,7 @@ from seatrial.ident.data.record import Channel
 RATE = 20.0  # Unit: Hz
 
 
-def told_and_turned(step_at: float, seconds: float, delay: float = 0.15, first: float = 0.0) -> dict[str, Channel]:
+def step_response(step_at: float, seconds: float, delay: float = 0.15, first: float = 0.0) -> dict[str, Channel]:
     """Return one step of the command to 0.4, logged from ``first`` on, and a shaft that follows with a lag of 0.14
     s.
     """
@@ -32,32 +32,32 @@ def found(c: dict[str, Channel]) -> list[tuple[str, str, str]]:
     ids=["early", "at 5", "at 12", "constant"],
 )
 def test_constant_command_shows_no_delay(step_at: float, first: float) -> None:
-    assert "delay" not in {f.check for f in check_shafts(told_and_turned(step_at, 60.0 + first, first=first))}
+    assert "delay" not in {f.check for f in check_shafts(step_response(step_at, 60.0 + first, first=first))}
 
 
 @pytest.mark.parametrize(
     ("delay", "level", "code"), [(0.15, "ok", "shaft-on-time"), (1.0, "fault", "shaft-late")], ids=["on time", "late"]
 )
 def test_one_step_shows_the_delay(delay: float, level: str, code: str) -> None:
-    ((found_level, named, text),) = found(told_and_turned(8.0, 60.0, delay))
+    ((found_level, named, text),) = found(step_response(8.0, 60.0, delay))
     assert (found_level, named) == (level, code)
     assert text == f"the shaft follows {delay + 0.05:.2f} s after its command"  # Rounded to the step of the grid.
 
 
 @pytest.mark.parametrize("seconds", [2.0, 4.0])
 def test_short_log_is_not_called_a_dead_shaft(seconds: float) -> None:
-    assert [code for _, code, _ in found(told_and_turned(0.5, seconds))] == ["shaft-too-short"]
+    assert [code for _, code, _ in found(step_response(0.5, seconds))] == ["shaft-too-short"]
 
 
 def test_shaft_at_rest_does_not_turn() -> None:
-    c = told_and_turned(5.0, 20.0)
+    c = step_response(5.0, 20.0)
     still = Channel(c["n_left"].t, np.zeros(c["n_left"].t.size))
     assert [code for _, code, _ in found(c | {"n_left": still})] == ["shaft-does-not-turn"]
 
 
 def last_seconds(seconds: float, turns: bool, from_start: bool) -> dict[str, Channel]:
     """Return a log of 600 s with a command only at its end. Before that, no command or zeros were sent."""
-    c = told_and_turned(600.0 - seconds, 600.0, first=0.0 if from_start else 600.0 - seconds)
+    c = step_response(600.0 - seconds, 600.0, first=0.0 if from_start else 600.0 - seconds)
     shaft = c["n_left"]
     return c if turns else c | {"n_left": Channel(shaft.t, np.zeros(shaft.t.size))}
 
@@ -78,13 +78,13 @@ def test_command_of_half_a_second_is_too_short() -> None:
 
 
 def test_shaft_that_fails_in_the_first_seconds_is_found() -> None:
-    c = told_and_turned(0.5, 60.0)
+    c = step_response(0.5, 60.0)
     shaft = c["n_left"]
     dead = Channel(shaft.t, np.where(shaft.t < 2.0, shaft.value, 0.0))
     assert [code for _, code, _ in found(c | {"n_left": dead})] == ["shaft-does-not-turn"]
 
 
-def told_astern_before(*losses: float) -> dict[str, Channel]:
+def brief_reversal(*losses: float) -> dict[str, Channel]:
     """Return four forward speeds and a reverse command of a quarter of a second.
 
     The shaft is 0.3 s late with a lag of 0.14 s, so it still turns forward when the command is forward again. The speed
@@ -102,10 +102,10 @@ def told_astern_before(*losses: float) -> dict[str, Channel]:
 
 
 def test_shaft_that_reverses_has_no_lost_speed() -> None:
-    assert "shaft-speed-drops-out" not in {code for _, code, _ in found(told_astern_before())}
+    assert "shaft-speed-drops-out" not in {code for _, code, _ in found(brief_reversal())}
 
 
 @pytest.mark.parametrize(("losses", "often"), [((35.0,), "once"), ((35.0, 40.0), "2 times")])
 def test_lost_speeds_are_counted(losses: tuple[float, ...], often: str) -> None:
-    (text,) = [text for _, code, text in found(told_astern_before(*losses)) if code == "shaft-speed-drops-out"]
+    (text,) = [text for _, code, text in found(brief_reversal(*losses)) if code == "shaft-speed-drops-out"]
     assert text == f"its speed falls to zero {often} while it is commanded to turn"

@@ -70,21 +70,23 @@ def score(name: str, criterion: float) -> Score:
     return Score(name, criterion + 8.294, 1, 20.0, {}, {}, **kind_of(name))
 
 
-def of(*rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()) -> tuple[EffectAttribution, ...]:
+def attributions_of(
+    *rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()
+) -> tuple[EffectAttribution, ...]:
     return assess_alternatives(rounds, left, N, untested)
 
 
 def test_effect_that_leaves_no_unexplained_score_is_identified() -> None:
-    (found,) = of(one_round(refit("wind", 800.0), refit("heading-moment", 300.0)))
+    (found,) = attributions_of(one_round(refit("wind", 800.0), refit("heading-moment", 300.0)))
     assert found == EffectAttribution("wind", "identified")
 
 
 def test_larger_form_of_an_effect_competes_only_if_it_explains_more() -> None:
     """A nesting effect explains at least as much. It counts only if its further parameters pay for their number."""
     chosen = refit("steady-pull", 1500.0)
-    (near,) = of(one_round(chosen, refit("mooring", 1490.0, nests=("steady-pull",))))
-    (stranger,) = of(one_round(chosen, refit("mooring", 1490.0)))
-    (better,) = of(one_round(chosen, refit("mooring", 1510.0, nests=("steady-pull",))))
+    (near,) = attributions_of(one_round(chosen, refit("mooring", 1490.0, nests=("steady-pull",))))
+    (stranger,) = attributions_of(one_round(chosen, refit("mooring", 1490.0)))
+    (better,) = attributions_of(one_round(chosen, refit("mooring", 1510.0, nests=("steady-pull",))))
     assert near == EffectAttribution("steady-pull", "identified")
     assert stranger.not_excluded == better.not_excluded == ("mooring",)
 
@@ -93,7 +95,7 @@ def test_larger_form_of_an_effect_competes_only_if_it_explains_more() -> None:
     ("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")]
 )
 def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: float, attribution: str) -> None:
-    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
+    (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
     assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == ("with it the score tests still find that N depends on u and r (21 more in 2 ln L)",)
@@ -101,8 +103,8 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
 
 def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -> None:
     """A strong effect with an approximate formula may leave a larger remaining score than a weak effect."""
-    (strong,) = of(one_round(refit("lever-arm", 5000.0)), left=(score("accelerometer-tilt", 100.0),))
-    (weak,) = of(one_round(refit("lever-arm", 600.0)), left=(score("accelerometer-tilt", 100.0),))
+    (strong,) = attributions_of(one_round(refit("lever-arm", 5000.0)), left=(score("accelerometer-tilt", 100.0),))
+    (weak,) = attributions_of(one_round(refit("lever-arm", 600.0)), left=(score("accelerometer-tilt", 100.0),))
     assert (strong.attribution, weak.attribution) == ("identified", "ambiguous")
 
 
@@ -112,24 +114,26 @@ def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -
 def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attribution: str) -> None:
     """If a lag is fitted in place of a delay, many tests find a small remaining effect. No test finds a large one."""
     left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
-    (found,) = of(one_round(refit("lag", 4000.0)), left=left)
+    (found,) = attributions_of(one_round(refit("lag", 4000.0)), left=left)
     assert found.attribution == attribution
 
 
 def test_nonparametric_effect_added_beside_an_effect_makes_it_ambiguous() -> None:
-    wind, table = of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
+    wind, table = attributions_of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
     assert (wind.attribution, table.attribution) == ("ambiguous", "nonparametric")
     assert "unknown Y(psi) had to be added beside it" in wind.reasons
 
 
 def test_validated_nonparametric_effect_that_explains_more_makes_an_effect_ambiguous() -> None:
-    (doubted,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0)))
-    (kept,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0, t=1.0)))
+    (doubted,) = attributions_of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0)))
+    (kept,) = attributions_of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0, t=1.0)))
     assert (doubted.attribution, kept.attribution) == ("ambiguous", "identified")
 
 
 def test_competing_models_with_a_close_criterion_are_listed() -> None:
-    (found,) = of(one_round(refit("delay", 400.0), refit("lag", 385.0), refit("filter-lag", 395.0), refit("lift", 9.0)))
+    (found,) = attributions_of(
+        one_round(refit("delay", 400.0), refit("lag", 385.0), refit("filter-lag", 395.0), refit("lift", 9.0))
+    )
     assert found.attribution == "ambiguous"
     assert found.not_excluded == ("filter-lag", "lag")
     assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
@@ -137,14 +141,14 @@ def test_competing_models_with_a_close_criterion_are_listed() -> None:
 
 def test_competing_model_that_fits_better_but_fails_validation_is_reported() -> None:
     for t, better in ((1.0, "better"), (5.0, "significantly better")):
-        (found,) = of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
+        (found,) = attributions_of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
         gain = "compass explains the estimation data better (by 39 in 2 ln L)"
         assert found.reasons == (f"{gain}, but not the validation data {better}",)
 
 
 def test_untested_alternative_is_not_excluded() -> None:
     sag = refit("current-drift", 200.0, alternatives=("wind", "battery-sag"))
-    (found,) = of(one_round(sag), untested=("battery-sag",))
+    (found,) = attributions_of(one_round(sag), untested=("battery-sag",))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("battery-sag",))
 
 
@@ -167,7 +171,7 @@ def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> Non
 def test_alternative_whose_refit_failed_is_not_excluded() -> None:
     """Otherwise the second best effect would be called identified."""
     lost = UntestedCandidate(refit("mismatch", 0.0).effect, "tau_b is outside its bounds")
-    (found,) = of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
+    (found,) = attributions_of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
     assert found.attribution == "ambiguous"
     assert found.reasons == ("mismatch passes the test too and could not be fitted: tau_b is outside its bounds",)
 
@@ -183,7 +187,7 @@ def test_tether_with_an_uncertain_anchor_position_is_ambiguous(errors: tuple[flo
     line = refit("tether", 800.0, fit=fit, parameters=parameters, scan=dict.fromkeys(ends, (0.0, 12.0)))
     track = SimpleNamespace(outputs=("psi", "x", "y"), y=np.array([[0.1, -1.4, -5.1], [0.2, 10.3, 8.4], [np.nan] * 3]))
     stage = cast(Any, SimpleNamespace(fit=fit, records=[track]))
-    (found,) = of(one_round(replace(line, fitted=stage)))
+    (found,) = attributions_of(one_round(replace(line, fitted=stage)))
     assert found.attribution == attribution
 
 
@@ -194,7 +198,7 @@ def test_scanned_parameters_other_than_the_anchor_are_not_treated_as_a_position(
     n = len(effect.parameters)
     fit = a_fit(tuple(p.name for p in effect.parameters), np.ones(n), 0.01 * np.eye(n))
     stage = cast(Any, SimpleNamespace(fit=fit, records=[]))
-    (found,) = of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=stage)))
+    (found,) = attributions_of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=stage)))
     assert found.attribution == "identified"
 
 
@@ -224,9 +228,11 @@ def test_reservation_about_the_data_makes_every_effect_ambiguous() -> None:
 
 def test_effect_that_only_names_a_dependence_stays_identified_beside_a_curve_of_it() -> None:
     moment = refit("heading-moment", 700.0, nonparametric_of=ForceCurve("N", "psi"))
-    name, _ = of(one_round(moment), one_round(refit("unknown N(psi)", 200.0)), left=(score("N(psi)", 1.0),))
+    name, _ = attributions_of(
+        one_round(moment), one_round(refit("unknown N(psi)", 200.0)), left=(score("N(psi)", 1.0),)
+    )
     assert name == EffectAttribution("heading-moment", "identified")
-    doubted, _ = of(one_round(moment), one_round(refit("unknown Y(psi)", 200.0)))
+    doubted, _ = attributions_of(one_round(moment), one_round(refit("unknown Y(psi)", 200.0)))
     assert doubted.attribution == "ambiguous"
 
 
@@ -238,9 +244,9 @@ def test_effect_that_could_replace_several_effects_is_not_excluded() -> None:
         one_round(refit("sway-yaw", 670.0, alternatives=("cg-offset", "cross-flow"))),
         one_round(refit("turning-resistance", 80.0, alternatives=("cg-offset",))),
     )
-    coupled, turning = of(*pair, left=(score("cross-flow", -1.0),))
+    coupled, turning = attributions_of(*pair, left=(score("cross-flow", -1.0),))
     assert (coupled.attribution, turning.attribution) == ("ambiguous", "identified")
-    (alone,) = of(pair[0], left=(score("cross-flow", -1.0),))
+    (alone,) = attributions_of(pair[0], left=(score("cross-flow", -1.0),))
     assert alone.attribution == "identified"
 
 
@@ -251,14 +257,14 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
     """The true shaft speed follows a different power of the command. Near full command, the difference resembles a
     speed limit.
     """
-    curve, limit = of(
+    curve, limit = attributions_of(
         one_round(refit("speed-curve", 4357.0)),
         one_round(refit("speed-limit", criterion, alternatives=("speed-curve",))),
     )
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
         assert limit.reasons == ("it may only correct the formula of speed curve",)
-    (_, unrelated) = of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
+    (_, unrelated) = attributions_of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
     assert unrelated.attribution == "identified"
 
 
@@ -275,12 +281,15 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
     ],
 )
 def test_remaining_score_is_described_in_words(name: str, description: str) -> None:
-    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
+    (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
     assert found.reasons[0].startswith(f"with it the score tests still find {description} (")
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:
-    assert [j.attribution for j in of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))] == [
+    assert [
+        j.attribution
+        for j in attributions_of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))
+    ] == [
         "identified",
         "identified",
     ]
@@ -321,7 +330,7 @@ def test_effect_whose_parameters_are_at_bounds_or_undetermined_is_ambiguous(
 ) -> None:
     """A hump that imitates another resistance has a width at its bound or an undetermined height."""
     fit = a_fit(("d_u", "A", "w"), [9.0, height, width], np.diag([0.01, 1.0, 0.0025]), flags=flags)
-    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
+    (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
     assert found.attribution == ("ambiguous" if reason else "identified")
     assert found.reasons == ((reason,) if reason else ())
 
@@ -332,10 +341,10 @@ def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:
     free = Parameter("A", 0.0, "N", "height of the hump")
     fit = a_fit(["A"], [0.1 * thrust], np.array([[(0.05 * thrust) ** 2]]), model)
     fit.parameters = (SimpleNamespace(name="A", unit="N", segment=None),)
-    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
+    (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
     assert found.reasons == ("the data do not determine its size: A/T = 0.1 ± 0.05",)
     fit.flags = (("A", AT_BOUND),)
-    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
+    (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
     assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1",)
 
 
@@ -356,7 +365,7 @@ def test_sizes_of_an_effect_are_tested_jointly(
     covariance = np.outer(both, both) * np.array([[1.0, correlation], [correlation, 1.0]])
     fit = a_fit(("F_x", "F_y"), sizes, covariance)
     across = (Parameter("F_x", 0.0, "N"), Parameter("F_y", 0.0, "N"))
-    (found,) = of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
+    (found,) = attributions_of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
     assert found.attribution == attribution
 
 
@@ -367,7 +376,7 @@ def test_size_of_a_per_record_parameter_is_tested_like_a_common_parameter() -> N
         fit = a_fit(("V_dx@0", "V_dx@1"), values, np.eye(2))
         drifting = refit("current-drift", 800.0, fit=fit, parameters=drift)
         stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
-        (found,) = of(one_round(replace(drifting, fitted=stage)))
+        (found,) = attributions_of(one_round(replace(drifting, fitted=stage)))
         assert found.attribution == attribution
     assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2",)
 
@@ -386,5 +395,5 @@ def test_attribution_uses_the_estimates_of_the_final_model() -> None:
 
 def test_effect_is_ambiguous_if_a_remaining_score_exceeds_its_criterion() -> None:
     large, small = one_round(refit("wind", 30000.0)), one_round(refit("lift", 650.0))
-    both = of(large, small, left=(score("mooring", 700.0),))
+    both = attributions_of(large, small, left=(score("mooring", 700.0),))
     assert [found.attribution for found in both] == ["identified", "ambiguous"]

@@ -42,7 +42,7 @@ print("casadi" in sys.modules, value.hex(), *(float(g).hex() for g in [*gradient
 """
 
 
-def one(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
+def scalar_model(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
     parts: dict[str, Any] = {
         "states": (State("a", noise="q", x0=0.1),),
         "inputs": (Input("w"),),
@@ -153,17 +153,17 @@ def test_every_process_generates_the_same_code() -> None:
 
 
 def test_two_models_share_a_key_only_if_they_are_equivalent() -> None:
-    base = one(lambda x, u, p: p.k * x.a + 3.0 * np.sin(u.w))
+    base = scalar_model(lambda x, u, p: p.k * x.a + 3.0 * np.sin(u.w))
     assert key(base) is not None
-    assert key(base) == key(one(lambda x, u, p: p.k * x.a + (2.0 + 1.0) * np.sin(u.w)))
+    assert key(base) == key(scalar_model(lambda x, u, p: p.k * x.a + (2.0 + 1.0) * np.sin(u.w)))
     assert key(base) == key(base.with_values({"k": 7.0}))
     others = [
-        one(lambda x, u, p: p.k * x.a + 3.0000001 * np.sin(u.w)),
-        one(lambda x, u, p: p.k * x.a - 3.0 * np.sin(u.w)),
-        one(lambda x, u, p: p.k * x.a + 3.0 * np.cos(u.w)),
-        one(lambda x, u, p: p.e * x.a + 3.0 * np.sin(u.w)),
+        scalar_model(lambda x, u, p: p.k * x.a + 3.0000001 * np.sin(u.w)),
+        scalar_model(lambda x, u, p: p.k * x.a - 3.0 * np.sin(u.w)),
+        scalar_model(lambda x, u, p: p.k * x.a + 3.0 * np.cos(u.w)),
+        scalar_model(lambda x, u, p: p.e * x.a + 3.0 * np.sin(u.w)),
         # The same sum in another order is compiled again, which is only slower.
-        one(lambda x, u, p: 3.0 * np.sin(u.w) + p.k * x.a),
+        scalar_model(lambda x, u, p: 3.0 * np.sin(u.w) + p.k * x.a),
         replace(base, states=(State("a", noise=0.3, x0=0.1),)),
         replace(base, sensors=(Sensor("s", (Output("y", noise="e", angle=True),)),)),
         with_outlier_model(base),
@@ -183,7 +183,7 @@ def test_two_models_share_a_key_only_if_they_are_equivalent() -> None:
     ],
 )
 def test_model_that_cannot_be_serialised_has_no_key(rate: Callable[[Any, Any, Any], Any]) -> None:
-    assert key(one(rate)) is None
+    assert key(scalar_model(rate)) is None
 
 
 def test_all_models_and_effects_have_a_key() -> None:
