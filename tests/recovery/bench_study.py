@@ -31,7 +31,7 @@ from seatrial.mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_ef
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
 from tests.recovery.resumable import read, resume
-from tests.recovery.tables import as_markdown, study_as_text
+from tests.recovery.tables import as_markdown, as_text
 
 OUT = Path("build/bench_recovery.jsonl")
 DOCS = Path(__file__).parents[2] / "docs" / "recovery-bench.md"
@@ -225,7 +225,7 @@ def main(words: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"interrupted; run the same again to go on ({arguments.out})", file=sys.stderr)
         return 130
-    print(report(rows, study_as_text))
+    print(report(rows, as_text))
     if arguments.docs:
         scales = ",".join(f"{s:g}" for s in arguments.scales)
         command = (
