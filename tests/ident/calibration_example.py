@@ -1,4 +1,4 @@
-"""Calibration to look at: overconfident, underconfident and too few errors, from seeded numbers."""
+"""Example of a calibration for pages: overconfident, underconfident and insufficient data, from seeded numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from seatrial.ident.validation.calibration import calibration_test
 
 
 def calibration(seed: int = 6) -> dict[str, Any]:
-    """The key ``calibration`` of a result."""
+    """Return the key ``calibration`` of a result."""
     rng = np.random.default_rng(seed)
     sizes = {"psi": 1.0, "r": 1.4, "x": 0.8, "y": 1.05}
     found: dict[str, Any] = {}
@@ -19,7 +19,7 @@ def calibration(seed: int = 6) -> dict[str, Any]:
         for kind, n in (("one_step", 2000), ("horizon", 150), ("simulation", 12)):
             found[role][kind] = {}
             for channel, size in sizes.items():
-                one = calibration_test([size * rng.normal(size=n)], effective=5.0 if kind == "simulation" else None)
-                assert one is not None
-                found[role][kind][channel] = vars(one) | {"pit": one.pit.tolist(), "verdict": one.verdict}
+                tested = calibration_test([size * rng.normal(size=n)], effective=5.0 if kind == "simulation" else None)
+                assert tested is not None
+                found[role][kind][channel] = vars(tested) | {"pit": tested.pit.tolist(), "verdict": tested.verdict}
     return found

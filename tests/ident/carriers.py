@@ -1,4 +1,4 @@
-"""A model that can carry an effect, whatever the effect needs."""
+"""Models that can carry a given effect."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from seatrial.ident.models.thruster import thruster_model
 
 
 def vehicle_for(effect: Effect) -> Model:
-    """The horizontal model with the inputs and sensors that the effect wants, or the one with measured attitude, or
-    without sway."""
+    """Return a vehicle model with the inputs and sensors that the effect needs.
+
+    It is the horizontal model, the kinematic model with measured attitude, or the Nomoto model.
+    """
     if "attitude" in effect.requires:
         return kinematic_model(yaw=True)
     if "nomoto" in effect.requires:
-        return nomoto_model().with_values({"T": 0.5})  # without a lag its r is a copy of r_ref
+        return nomoto_model().with_values({"T": 0.5})  # Without a lag, the yaw rate r would equal r_ref.
     sensors = tuple(SENSORS)[: len(SENSORS) if "body_velocity" in effect.requires else -1]
     if "n_state" in effect.requires:
         return horizontal_model("command", sensors)
@@ -24,5 +26,5 @@ def vehicle_for(effect: Effect) -> Model:
 
 
 def carrier(effect: Effect) -> Model:
-    """The same with disturbance forces; a bench for what is found on one."""
+    """Return this model with disturbance forces, or a thruster model for an effect on the bench."""
     return with_disturbances(thruster_model(n_delays=9) if "bench" in effect.requires else vehicle_for(effect))

@@ -1,4 +1,4 @@
-"""Models to export, and what runs an exported model: Python, CasADi, and a C compiler."""
+"""Models to export, and functions that run an exported model in Python, CasADi and C."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Functions = tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]
 
 
 def moved(model: Model, seed: int) -> Model:
-    """Random values of the parameters, none where its effect would do nothing."""
+    """Return the model with random parameter values. No value is one at which its effect is neutral."""
     rng = np.random.default_rng(seed)
     values = {}
     for p in model.parameters:
@@ -44,7 +44,7 @@ def moved(model: Model, seed: int) -> Model:
 
 
 def with_effects(propulsion: Any) -> Model:
-    """The horizontal model with every effect of the catalogue that it takes, and a table of each kind."""
+    """Return the horizontal model with every effect that it accepts, and a nonparametric curve of each kind."""
     model = horizontal_model(propulsion)
     for effect in catalogue().values():
         if model.accepts(effect):
@@ -55,7 +55,7 @@ def with_effects(propulsion: Any) -> Model:
 
 
 def odd() -> Model:
-    """Names that are no identifiers, or are taken, and every kind of operation."""
+    """Return a model with invalid or reserved names and every kind of operation."""
 
     def f(x: Any, u: Any, p: Any) -> dict[str, Any]:
         a, lam = x.a, getattr(p, "lambda")
@@ -114,7 +114,9 @@ def points(model: Model, n: int = 12) -> tuple[np.ndarray, np.ndarray]:
 
 
 def compare(model: Model, functions: Functions, values: list[float], nuisance: bool) -> None:
-    """Exported functions against CasADi's evaluation of the model, Runge-Kutta written once more."""
+    """Compare exported functions with the evaluation of the model by CasADi and with an independent Runge-Kutta
+    step.
+    """
     f, h, step = functions
     kept = model if nuisance else without_nuisance(model)[0]
     p = np.array(list(kept.values.values()))
@@ -153,7 +155,7 @@ def run_python(text: str, folder: Path) -> tuple[Functions, dict[str, Any]]:
 
 
 def run_casadi(text: str, folder: Path) -> tuple[Functions, dict[str, Any]]:
-    """As saved and loaded by CasADi itself."""
+    """Run the functions after CasADi has saved and loaded them."""
     space: dict[str, Any] = {"__name__": "boat"}
     exec(compile(text, "boat.py", "exec"), space)
     space["save"](str(folder))

@@ -1,4 +1,4 @@
-"""A navigation result to look at: a boat that never was, on a round trip with two outages, from seeded numbers."""
+"""Example of a navigation result for pages: an imaginary boat on a round trip with two outages, from seeded numbers."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ STATES = (
 
 
 def arrays(_kind: Any, value: Any) -> Any:
-    """What msgspec does not know: a curve."""
+    """Convert a curve, which msgspec cannot convert."""
     return np.asarray(value, dtype=np.float64)
 
 
 def navigation(seed: int = 4) -> NavigationResult:
-    """Everything that ``seatrial.ident.workflows.navigate`` writes."""
+    """Return a result with every key that ``seatrial.ident.workflows.navigate`` writes."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 240.0, 0.1)
     angle = t / 20.0

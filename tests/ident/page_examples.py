@@ -1,4 +1,4 @@
-"""Content for the pages of a check, a design and a study: a boat that never was, from seeded numbers."""
+"""Examples for the pages of a check, a design and a study: an imaginary boat, from seeded numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ MADE = {"created": "2025-05-06T07:08:09Z", "seatrial": "0.1.0"}
 
 
 def check() -> CheckReport:
-    """A rig whose sides are swapped, and a mission that is run dry: everything that the page may be given."""
+    """Return the check of a rig with swapped sides and a mission that is simulated in advance. It fills every part of
+    the page.
+    """
     findings = (
         Finding(
             "fault",
@@ -56,10 +58,10 @@ def check() -> CheckReport:
 
 
 def checked_log() -> CheckEvidence:
-    """Curves as `seatrial.ident.checks.log_checks.log_evidence` gives them."""
+    """Return curves as `seatrial.ident.checks.log_checks.log_evidence` gives them."""
     rng, t = np.random.default_rng(8), np.arange(0.0, 48.0, 0.1)
-    told = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
-    r = 0.2 * np.convolve(told, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]
+    command = np.where(np.mod(t, 12.0) < 6.0, 0.3, -0.3)
+    r = 0.2 * np.convolve(command, np.exp(-np.arange(0, 6, 0.1)), "full")[: t.size]
     noisy = r + 0.004 * rng.normal(size=t.size)
     heading = np.mod(np.cumsum(r) * 0.1 + 3.0, 2 * np.pi) - np.pi
     late = 0.02 + 0.002 * rng.exponential(size=t.size - 1)
@@ -67,7 +69,7 @@ def checked_log() -> CheckEvidence:
         "actuator-test", 48.0, "boat",
         intervals=(SampleIntervals("ahrs", t[1:], late, 0.02),
                    SampleIntervals("tide", t[1::50], np.full(10, 5.0), None)),
-        shafts=(ShaftResponse("left", t, np.roll(told, 3), t[::60], told[::60], 48.0),),
+        shafts=(ShaftResponse("left", t, np.roll(command, 3), t[::60], command[::60], 48.0),),
         thrust_response=(ThrustResponseCurve("yaw rate", "rad/s", t, noisy, -r),),
         sensors=(SensorPair("yaw rate", "rad/s", ("of the heading, over 1 s", "of the gyro"), t, r, noisy),),
         signals=(SignalCurve("psi", "rad", t, heading, True),
@@ -76,7 +78,9 @@ def checked_log() -> CheckEvidence:
 
 
 def design() -> DesignResult:
-    """A designed mission: every key that `seatrial.ident.workflows.design` writes, with fewer samples."""
+    """Return a designed mission with every key that `seatrial.ident.workflows.design` writes, and with fewer
+    samples.
+    """
     rng = np.random.default_rng(9)
     t = np.arange(0.0, 120.0, 0.5)
     levels = [np.repeat(rng.uniform(-1, 1, 12), 20) for _ in range(2)]
@@ -135,7 +139,7 @@ def design() -> DesignResult:
 
 
 def study() -> StudyResult:
-    """Two studies; of the second one parameter surely misses and one may do so by chance."""
+    """Return two studies. In the second, one parameter certainly misses its aims and another may miss by chance."""
     fine = [_parameter("m_u", "kg", -0.04, 1.05, 0.942, ()), _parameter("d_u", "kg/s", 0.01, 0.98, 0.95, ())]
     poor = [
         _parameter("d_v", "kg/s", 0.04, 0.93, 0.89, ("coverage",)),

@@ -1,4 +1,4 @@
-"""Reports for tests: a page of every kind, what a browser would make of one, and a browser."""
+"""Report pages for tests: a page of every kind, a parser of pages, and a browser."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.ident import navigation_example, page_examples, report_example, repor
 
 
 def content_of(make: Callable[[], Result]) -> Callable[[], dict[str, Any]]:
-    """What the file of a result holds; it is made once, and each caller has a copy."""
+    """Return a function that gives a copy of the file content of a result. The result is made once."""
     made = cache(lambda: to_json(make()))
     return lambda: dict(json.loads(made()))
 
@@ -44,7 +44,7 @@ HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>\"'&"
 
 
 class Page(HTMLParser):
-    """What a browser would make of a page: elements, their text, and everything it would load."""
+    """Parser of a page: elements, their text, and everything that a browser would load."""
 
     def __init__(self, page: str) -> None:
         super().__init__()
@@ -79,7 +79,7 @@ class Page(HTMLParser):
 
 
 def shortened(value: Any) -> Any:
-    """The same result with short lists, matrices as they are."""
+    """Return the result with short lists and complete matrices."""
     if isinstance(value, dict) and "matrix" in value:
         return value
     if isinstance(value, dict):
@@ -91,18 +91,18 @@ def shortened(value: Any) -> Any:
 
 
 def loaded(content: dict[str, Any]) -> Any:
-    """A result from the content of its file."""
+    """Return a result from the content of its file."""
     return from_json(json.dumps(content).encode())
 
 
 def written(content: dict[str, Any], folder: Path) -> str:
-    """The text of a result's page."""
+    """Return the text of the page of a result."""
     write_report(loaded(content), folder / "report.html")
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
 def printed(content: dict[str, Any]) -> str:
-    """What a terminal of 80 columns gets."""
+    """Return the output in a terminal of 80 columns."""
     console = Console(file=io.StringIO(), width=80, color_system=None)
     print_result(loaded(content), console)
     assert isinstance(console.file, io.StringIO)
@@ -110,27 +110,27 @@ def printed(content: dict[str, Any]) -> str:
 
 
 def numbers(packed: Any) -> Any:
-    """The values of a figure's array."""
+    """Return the values of an array in a figure."""
     return np.frombuffer(base64.b64decode(packed["bdata"]), "<f4") if isinstance(packed, dict) else packed
 
 
 def check(path: Path) -> None:
-    """A preflight with swapped sides and a mission that is run dry."""
+    """Write the page of a preflight with swapped sides and a mission that is simulated in advance."""
     write_check_page(page_examples.check(), [page_examples.checked_log()], "seatrial check boat.toml --report x", path)
 
 
 def design(path: Path) -> None:
-    """A designed mission."""
+    """Write the page of a designed mission."""
     write_design_page(page_examples.design(), path)
 
 
 def study(path: Path) -> None:
-    """Two studies, of which one has parameters that miss."""
+    """Write the page of two studies. One has parameters that miss their aims."""
     write_study_page(page_examples.study(), page_examples.AIMS, path)
 
 
 def figures(path: Path) -> None:
-    """Curves by groups, as the page of the paper's figures has them."""
+    """Write a page of curves in groups, like the page of figures of the paper."""
     x = np.linspace(1.0, 10.0, 200)
     charts = [
         Chart("linear [N]", [Curve("measured", x, x, "measured"), Curve("95 %", x, x - 1, "band", x + 1)]),
@@ -144,7 +144,7 @@ def _of(make: Callable[[], dict[str, Any]]) -> Callable[[Path], None]:
     return lambda path: write_report(loaded(make()), path)
 
 
-# Every kind of page, as what writes it at a path.
+# Every kind of page, with the function that writes it to a path.
 PAGES: dict[str, Callable[[Path], None]] = {kind: _of(make) for kind, make in KINDS.items()}
 PAGES |= {"check": check, "design": design, "study": study, "figures": figures}
 
@@ -153,7 +153,7 @@ browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH")
 
 
 def chromium(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """Headless Chromium, without a network; its profile is in ``folder``."""
+    """Run headless Chromium without a network. Its profile is in ``folder``."""
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]
     options += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=30000"]
     options += ["--allow-file-access-from-files", "--enable-logging=stderr"]

@@ -1,4 +1,4 @@
-"""Results to look at: a diagnosis, a thruster and a noise result of a boat that never was, from seeded numbers."""
+"""Example of a diagnosis for pages: an imaginary boat, from seeded numbers. It also has the parts of other examples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.ident.calibration_example import calibration
 
-STEP = 0.1  # s
+STEP = 0.1  # Unit: s
 SHAFTS = ("n_left", "n_right")
 CHANNELS = (
     ("psi", "rad", 0.012, True),
@@ -37,13 +37,13 @@ CANDIDATES = (
 
 
 def commands(t: Any, rng: Any) -> tuple[Any, Any]:
-    """Steps of random size, eight seconds each, left and right."""
+    """Return steps of random size of left and right, each for eight seconds."""
     hold = (t // 8).astype(int)
     return tuple(rng.uniform(-0.3, 0.9, hold.max() + 1)[hold] for _ in range(2))  # type: ignore[return-value]
 
 
 def boat(n: tuple[Any, Any], k_J: float) -> dict[str, Any]:
-    """A small boat with two thrusters; every channel over time."""
+    """Simulate a small boat with two thrusters. Return every channel over time."""
     left, right = n
     u, v, r, psi, x, y = 0.0, 0.0, 0.0, 0.4, 0.0, 0.0
     rows = []
@@ -65,7 +65,7 @@ def listed(a: Any) -> list[float | None]:
 
 
 def record(rng: Any, name: str, role: str, duration: float) -> dict[str, Any]:
-    """One record's traces, track, inputs, residuals, cross-correlations and residual forces."""
+    """Return traces, track, inputs, residuals, cross-correlations and residual forces of one record."""
     t = np.arange(0, duration, STEP)
     n = commands(t, rng)
     truth, before = boat(n, 6.1), boat(n, 0.0)
@@ -103,7 +103,7 @@ def record(rng: Any, name: str, role: str, duration: float) -> dict[str, Any]:
 
 
 def whiteness(rng: Any, t: Any, memory: float) -> dict[str, Any]:
-    """Innovations of a first-order process with its tests."""
+    """Return the innovations of a first-order process with their tests."""
     e = rng.standard_normal(t.size)
     for k in range(1, e.size):
         e[k] = memory * e[k - 1] + np.sqrt(1 - memory**2) * e[k]
@@ -234,7 +234,7 @@ def effect() -> dict[str, Any]:
 
 
 def diagnosis() -> dict[str, Any]:
-    """A full diagnosis: every key of the format that this kind may have."""
+    """Return a complete diagnosis with every key that this kind of result may have."""
     rng = np.random.default_rng(11)
     answer = (
         "The thrusters lose thrust with forward speed: k_J = 6.08 ± 0.27 kg/s removes 72 % of the error on new data."

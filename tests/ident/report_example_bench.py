@@ -1,4 +1,4 @@
-"""Results to look at: a thruster and a noise result from seeded numbers."""
+"""Examples of a thruster and a noise result for pages, from seeded numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.ident.report_example import base, commands, fit, listed, log, paramet
 
 
 def thruster() -> dict[str, Any]:
-    """A thruster on the bench: steady points and a step sequence."""
+    """Return a thruster result of a bench: steady points and a step sequence."""
     rng = np.random.default_rng(5)
     table = [
         parameter("a", 2.794, 0.021, "1/s", "inverse time constant of the shaft"),
@@ -44,7 +44,7 @@ def thruster() -> dict[str, Any]:
 
 
 def noise() -> NoiseResult:
-    """Three channels at rest, of which one is not white plus random walk."""
+    """Return a noise result of three channels at rest. One is not white noise plus a random walk."""
     rng = np.random.default_rng(3)
     content = base("noise", "White noise plus a random walk describes gyro and heading; the position needs more.")
     frequency = np.geomspace(1e-3, 25, 4000)

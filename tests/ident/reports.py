@@ -1,10 +1,10 @@
-"""A reporter that keeps what it was told."""
+"""A reporter for tests that keeps its messages."""
 
 from __future__ import annotations
 
 
 class Kept:
-    """Lines of progress and warnings, in order."""
+    """Reporter that keeps the lines of progress and the warnings in order."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []

@@ -1,7 +1,7 @@
-"""A boat that rolls and pitches, in plain numpy: nothing of ident's models is in it.
+"""Simulator in plain NumPy of a boat that rolls and pitches. It is independent of the models of ident.
 
-The attitude is a rotation matrix; accelerations, velocities of the antenna and body rates are finite differences of
-positions and of that matrix. So a lever arm, a turned AHRS and a current that wanders are right by construction.
+The attitude is a rotation matrix. Accelerations, velocities of the antenna and body rates are finite differences of
+positions and of this matrix, so lever arm, mounting and wandering current are right by construction.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from seatrial.ident.data.record import Channel
 
 Array = NDArray[np.float64]
-STEP, OUT, FIX = 0.005, 10, 4  # s; steps between AHRS samples; AHRS samples to a fix
+STEP, OUT, FIX = 0.005, 10, 4  # Step [s]; steps between AHRS samples; AHRS samples per fix.
 M_U, M_V, M_R, D_U, D_UU, D_V, D_R, D_RR, C1, ARM = 37.0, 47.0, 9.69, 4.0, 25.0, 50.0, 4.14, 6.23, 40.05, 0.15
 TRUTH = {"m_u": M_U, "m_v": M_V, "m_r": M_R, "d_u": D_U, "d_uu": D_UU, "d_v": D_V, "d_r": D_R, "d_rr": D_RR}
 NOISE = {
@@ -31,14 +31,17 @@ NOISE = {
     "vx": 0.02,
     "vy": 0.02,
 }
-# amplitude [rad] and frequency [rad/s] of rolling and pitching
+# Amplitude [rad] and frequency [rad/s] of roll and pitch.
 ROLL, PITCH = ((0.12, 2.1), (0.08, 3.3)), ((0.08, 1.7), (0.05, 2.9))
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """What is fitted to the boat. arm: of the antenna [m, ahead, to starboard, down]; mount: roll, pitch and yaw of the
-    AHRS [rad]; wander: diffusion of the current [m/s/sqrt(s)]."""
+    """Equipment of the boat.
+
+    ``arm`` is the position of the antenna [m, ahead, to starboard, down]. ``mount`` is roll, pitch and yaw of the AHRS
+    [rad]. ``wander`` is the diffusion of the current [m/s/sqrt(s)].
+    """
 
     arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -46,7 +49,7 @@ class Fitted:
 
 
 def turn(axis: int, a: float | Array) -> Array:
-    """Rotation about an axis, (..., 3, 3)."""
+    """Return the rotation about an axis, (..., 3, 3)."""
     a = np.asarray(a, dtype=float)
     i, j = [(1, 2), (2, 0), (0, 1)][axis]
     R = np.zeros((*a.shape, 3, 3))
@@ -57,17 +60,19 @@ def turn(axis: int, a: float | Array) -> Array:
 
 
 def rotation(phi: float | Array, theta: float | Array, psi: float | Array) -> Array:
-    """Body to NED."""
+    """Return the rotation from body to NED."""
     return np.asarray(turn(2, psi) @ turn(1, theta) @ turn(0, phi))
 
 
 def waving(t: float | Array, parts: tuple[tuple[float, float], ...]) -> tuple[float | Array, float | Array]:
-    """Angle and its rate."""
+    """Return a sum of sines and its rate."""
     return (sum(a * np.sin(w * t) for a, w in parts), sum(a * w * np.cos(w * t) for a, w in parts))
 
 
 def sail(boat: Fitted, seconds: float, seed: int) -> tuple[dict[str, Channel], Array]:
-    """Channels of a mission of random levels of both shafts, under ident's names; and the current at fixes, (n, 2)."""
+    """Simulate a mission with random levels of both shafts. Return its channels by the names of ident, and the current
+    (n, 2) at the fixes.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds / STEP) + 1) * STEP
     levels = rng.uniform(-0.4, 1.0, (2, round(seconds / 5.0) + 2))
@@ -81,8 +86,8 @@ def sail(boat: Fitted, seconds: float, seed: int) -> tuple[dict[str, Channel], A
     place = np.zeros((t.size, 3))
     place[1:, :2] = np.cumsum(STEP * ((water[1:] + water[:-1])[:, :2] + current[1:] + current[:-1]) / 2, axis=0)
     antenna = place + R @ np.array(boat.arm)
-    felt = np.gradient(water, STEP, axis=0) - [0.0, 0.0, 9.81]  # of a body that the current carries along
-    M = rotation(*boat.mount)  # from the axes of the AHRS to those of the boat
+    felt = np.gradient(water, STEP, axis=0) - [0.0, 0.0, 9.81]  # Specific force of a body that moves with the current.
+    M = rotation(*boat.mount)  # Rotation from the axes of the AHRS to those of the boat.
     S = R @ M
     spin = np.swapaxes(S, 1, 2) @ np.gradient(S, STEP, axis=0)
     seen = {
@@ -112,7 +117,7 @@ def sail(boat: Fitted, seconds: float, seed: int) -> tuple[dict[str, Channel], A
 
 
 def _moved(t: Array, n: Array) -> tuple[Array, Array, Array]:
-    """psi, u, v by Heun's method; roll and pitch are as ``waving`` has them."""
+    """Return psi, u, v by Heun's method. Roll and pitch are given by ``waving``."""
     f = C1 * n * np.abs(n) + 1.11 * n * n
     X, N = f[0] + f[1], ARM * (f[0] - f[1])
 

@@ -1,4 +1,4 @@
-"""A mass that slides: a linear model small enough for Monte Carlo, with records of it and candidates it may lack."""
+"""A sliding mass: a linear model small enough for Monte Carlo tests, with records and candidate effects."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from seatrial.ident.estimation.maximum_likelihood import Fit, SearchSettings, fi
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Effect, Input, Model, Output, Sensor, Signals, State, plain_model
 
-H = 0.1  # s
+H = 0.1  # Unit: s
 M, D, Q, E_V, E_S = 2.0, 1.0, 0.05, 0.05, 0.1
 
 
 def slider() -> Model:
-    """Position s and speed v of a mass m with damping d under a force w; both are measured."""
+    """Return the model of position s and speed v of a mass m with damping d under a force w. Both states are
+    measured.
+    """
     return plain_model(
         "slider",
         f=lambda x, u, p: {"s": x.v, "v": (u.w - p.d * x.v) / p.m},
@@ -64,9 +66,9 @@ PUSH, DRAG, CUBE, TAPE = _rate("push", "push"), _rate("drag", "drag"), _rate("cu
 
 
 def slide(seed: int, n_rows: int = 300, push: float = 0.0, drag: float = 0.0) -> Record:
-    """The slider at 10 Hz, its speed always and its place every fifth row measured.
+    """Simulate the slider at 10 Hz. The speed is measured in every row and the position in every fifth row.
 
-    push, drag: sizes of these effects, the latter by 50 substeps a row.
+    ``push`` and ``drag`` are the sizes of these effects. Drag is integrated in 50 substeps per row.
     """
     rng = np.random.default_rng(seed)
     A = np.array([[0.0, 1.0], [0.0, -D / M]])
@@ -75,7 +77,7 @@ def slide(seed: int, n_rows: int = 300, push: float = 0.0, drag: float = 0.0) ->
     Phi = expm(A * h)
     gain = expm(np.block([[A, np.eye(2)], [np.zeros((2, 4))]]) * h)[:2, 2:]
     L = np.diag([0.0, Q * Q])
-    # the covariance of what the process noise adds in one step (Van Loan 1978)
+    # Covariance of the process noise in one step (Van Loan 1978).
     block = expm(np.block([[-A, L], [np.zeros((2, 2)), A.T]]) * h)
     root = np.linalg.cholesky(block[2:, 2:].T @ block[:2, 2:] + 1e-18 * np.eye(2))
     w = np.repeat(rng.uniform(-2, 2, n_rows // 10 + 1), 10)[:n_rows]
@@ -109,7 +111,9 @@ def scores_at(fitted: Fit, record: Record, effects: list[Effect]) -> list[Score]
 def scores_of_columns(
     path: TrajectoryLinearisation, run: object, fitted: list[np.ndarray], columns: list[SensitivityColumns]
 ) -> list[Score]:
-    """Scores of given columns with the fitted parameters' columns (n_rows, n_states + n_outputs) projected out."""
+    """Return the scores of given columns. The columns of the fitted parameters (n_rows, n_states + n_outputs) are
+    projected out.
+    """
     own = np.stack(fitted, 2)
     carrier = SensitivityFilter(run, path.own, path.jacobian)  # type: ignore[arg-type]
     g, e, t = carrier([SensitivityColumns("fitted", own), *columns]), carrier.e, carrier.t
@@ -120,12 +124,14 @@ def scores_of_columns(
 
 
 def no_priors(n_fitted: int) -> PriorTerms:
-    """Of fitted parameters of which nothing is known beforehand."""
+    """Return zero prior information for the fitted parameters."""
     return PriorTerms(np.zeros(n_fitted), np.zeros(n_fitted))
 
 
 def whole(path: TrajectoryLinearisation, columns: SensitivityColumns) -> np.ndarray:
-    """All rates and outputs (n_rows, n_states + n_outputs, n_parameters), what a candidate leaves alone too."""
+    """Return all rates and outputs (n_rows, n_states + n_outputs, n_parameters), also those that a candidate does not
+    change.
+    """
     assert columns.touched is not None
     n, m = len(path.model.states), len(path.model.outputs)
     found = np.zeros((len(columns.delta), n + m, columns.delta.shape[2]))

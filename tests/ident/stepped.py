@@ -1,4 +1,4 @@
-"""A thruster whose set-points leave the end of its dead zone undecided."""
+"""A thruster whose set-points do not determine the end of its dead zone."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from seatrial.ident.data.record import Channel, Record, build_record
 from seatrial.ident.estimation.maximum_likelihood import Fit, fit
 from seatrial.ident.models.thruster import delayed_channels, thruster_model
 
-LEVELS = np.array([0.0, 0.3, 0.06, -0.5, 0.12, 0.4, -0.06, -0.12, 0.8, 0.06])  # nothing between 0.06 and 0.12
+LEVELS = np.array([0.0, 0.3, 0.06, -0.5, 0.12, 0.4, -0.06, -0.12, 0.8, 0.06])  # No level lies between 0.06 and 0.12.
 
 
 def stepped_record(dead_zone: float, seed: int = 1) -> Record:
-    """Set-points of a few levels, held for two seconds each."""
+    """Return a record of a few levels of the set-point, held for two seconds each."""
     rng = np.random.default_rng(seed)
     t_cmd, n, rows = np.arange(0.0, 60.0, 2.0), 0.0, []
     held = np.tile(LEVELS, 3)
@@ -30,7 +30,7 @@ def stepped_record(dead_zone: float, seed: int = 1) -> Record:
 
 
 def steps(dead_zone: float) -> Fit:
-    """A fit to them with the end of the dead zone free."""
+    """Fit this record with the end of the dead zone free."""
     model = thruster_model()
     return fit(
         model.with_free([*model.free, "d"]),

@@ -19,7 +19,9 @@ from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, 
 
 
 def turning() -> Model:
-    """Heading and yaw rate with quadratic damping: two sensors at rates of their own, one of them an angle."""
+    """Return a model of heading and yaw rate with quadratic damping. Its two sensors have different rates, and one is
+    an angle.
+    """
     return plain_model(
         "turning",
         f=lambda x, u, p: {"psi": x.r, "r": (u.N - p.d * x.r - p.dd * abs(x.r) * x.r) / p.m},
@@ -52,7 +54,7 @@ def values_of(model: Model) -> np.ndarray:
 
 
 def turning_record(seed: int = 0, n_rows: int = 120, name: str = "run") -> Record:
-    """Irregular rows, samples of both sensors missing here and there, a heading that passes pi."""
+    """Return a record with irregular rows, missing samples of both sensors, and a heading that passes pi."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.uniform(0.02, 0.15, n_rows))
     u = 4.0 * np.sin(0.9 * t + seed)[:, None] + 2.0
@@ -74,21 +76,21 @@ def turning_record(seed: int = 0, n_rows: int = 120, name: str = "run") -> Recor
 
 
 def reference_filter() -> ModuleType:
-    """Return the filter in plain numpy that the documentation shows (docs/examples/reference_ekf.py)."""
+    """Return the filter in plain NumPy that the documentation shows (docs/examples/reference_ekf.py)."""
     path = Path(__file__).resolve().parents[2] / "docs/examples/reference_ekf.py"
     spec = importlib.util.spec_from_file_location("reference_ekf", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its named tuple looks for its module
+    sys.modules[spec.name] = module  # The named tuple of the module looks up its module.
     spec.loader.exec_module(module)
     return module
 
 
 def best_start(model: Model, records: Sequence[Record], grid: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """The point of a grid with the largest likelihood, everything else at the model's values.
+    """Return the grid point with the largest likelihood. All other parameters keep the values of the model.
 
-    A likelihood costs milliseconds; the product of the grid's axes should stay below some hundred points.
+    A likelihood takes milliseconds. The product of the grid axes should stay below some hundred points.
     """
     likelihood = Likelihood(model)
     base = np.array([p.value for p in model.parameters])
@@ -105,7 +107,7 @@ def best_start(model: Model, records: Sequence[Record], grid: Mapping[str, Seque
 
 
 def follower(time_constant: float, order: int = 1) -> Model:
-    """A meter behind a first-order lag, once or twice."""
+    """Return a model of a sensor behind one or two first-order lags."""
     names = ("z", "w")[:order]
     return plain_model(
         f"follower{order}",

@@ -1,4 +1,4 @@
-"""Effects that no catalogue lists, by their display names."""
+"""Kinds of effects outside the catalogue, by their display names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ KINDS = {"": EffectKind.NONPARAMETRIC, "past of ": EffectKind.LAGGED, "swing aft
 
 
 def kind_of(name: str) -> dict[str, Any]:
-    """Kind and curve of ``X(u)``, ``unknown N(u, r)`` or ``X(past of n_sum)``; none of a name in a catalogue."""
+    """Return kind and curve of ``X(u)``, ``unknown N(u, r)`` or ``X(past of n_sum)``. The result is empty for a name in
+    the catalogue.
+    """
     found = re.fullmatch(r"(?:unknown )?(\w+)\((past of |swing after |)(\w+)(?:, (\w+))?\)", name)
     if found is None:
         return {}

@@ -1,4 +1,4 @@
-"""Where measured data are, for every test that wants some; and the commands that are run on them."""
+"""Location of measured data for tests, and a function that runs commands."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from seatrial import command_line
 
 
 def measured(name: str = "") -> Path:
-    """A file or folder of the measured data sets; skips the test where there is none."""
+    """Return a file or folder of the measured data sets. Skip the test if it is absent."""
     folder = os.environ.get("SEATRIAL_DATA")
     if not folder:
         pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
@@ -22,7 +22,7 @@ def measured(name: str = "") -> Path:
 
 
 def run(*words: str) -> None:
-    """A command that ends well."""
+    """Run a command and check that its status is zero."""
     with pytest.raises(SystemExit) as left:
         command_line.main(words)
     assert left.value.code == 0, words

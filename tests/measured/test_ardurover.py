@@ -1,4 +1,4 @@
-"""A tlog of ArduPilot Rover's own simulator by public commands, against the truth of that simulator."""
+"""Tests of a tlog of the simulator of ArduPilot Rover, by public commands, against the true values of the simulator."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_every_message_is_decoded_and_each_fix_once(log: Path) -> None:
+def test_every_message_is_decoded_and_each_fix_is_kept_once(log: Path) -> None:
     with open_log(log) as opened:
-        # Counted with pymavlink's own reader: 7249 ATTITUDE, 1449 GPS_RAW_INT with every fix sent about twice.
+        # Counts by pymavlink's own reader: 7249 ATTITUDE, and 1449 GPS_RAW_INT with every fix sent about twice.
         assert np.isfinite(opened.table(Ahrs, "autopilot")["yaw"]).sum() == 7249
         fixes = opened.table(Gnss, "autopilot")
         assert np.isfinite(fixes["lat"]).sum() == 687
-        assert len(fixes) == 689  # it says twice that it has none yet: no receiver, then three satellites
+        assert len(fixes) == 689  # Two messages report no fix: no receiver, then three satellites.
         assert np.all(np.diff(fixes["t_device"][2:]) > 0)
         assert "0 bytes not understood" in opened.events()[0][2]
         texts = [text for _, kind, text in opened.events() if kind == "statustext"]
@@ -58,7 +58,7 @@ def test_outputs_follow_the_commands_by_a_few_milliseconds(log: Path) -> None:
     assert max(delays) < 0.03
 
 
-def test_surge_and_yaw_are_those_of_the_simulator(log: Path, tmp_path: Path) -> None:
+def test_surge_and_yaw_parameters_are_those_of_the_simulator(log: Path, tmp_path: Path) -> None:
     model = f"{HERE / 'steered_boat.py'}:boat"
     run("ident", "vehicle", str(log), "--model", model, "--rate", "25", "--out", str(tmp_path))
     fit = json.loads((tmp_path / "result.json").read_text())["fit"]
@@ -69,5 +69,5 @@ def test_surge_and_yaw_are_those_of_the_simulator(log: Path, tmp_path: Path) -> 
     d_uu, se = found["d_uu"]
     assert d_uu == pytest.approx(0.5, rel=0.015)
     assert se < 0.005
-    assert found["T"][0] < 0.1  # no inertia in yaw
+    assert found["T"][0] < 0.1  # The simulator has no inertia in yaw.
     assert found["tau"][0] == pytest.approx(0.07, abs=0.03)

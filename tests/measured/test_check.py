@@ -1,4 +1,4 @@
-"""`seatrial check LOG` on measured data: the faults that are in them, and none that is not."""
+"""Tests of `seatrial check LOG` on measured data: real faults are found, and there are no false alarms."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ pytestmark = [pytest.mark.measured]
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
 
 
-def test_the_swapped_sides_of_the_blueboat(tmp_path: Path) -> None:
+def test_swapped_sides_of_the_blueboat_are_found(tmp_path: Path) -> None:
     files = sorted(measured("blueboat").glob("fixed_*.csv"))
     run("import", str(EXAMPLES / "blueboat/blueboat.toml"), *map(str, files), "--out-dir", str(tmp_path))
     swapped = {}
     for path in sorted(tmp_path.glob("*.mcap")):
         of_sides = [f for f in findings(path) if f.check == "sides"]
         swapped[path.stem] = [f.level for f in of_sides]
-    # Not every run turns enough to say; those that do agree.
+    # Some runs turn too little for a decision. All others agree.
     assert sum(levels == ["fault"] for levels in swapped.values()) >= 6, swapped
     assert not [name for name, levels in swapped.items() if levels == ["ok"]], swapped
 
 
 def ferry(tmp_path: Path, thruster: int, **changes: str) -> list[Finding]:
-    """The findings of a thruster's log, imported by the example's map with some of its lines changed."""
+    """Return the findings of a thruster's log. It is imported by the map of the example with some changed lines."""
     folder = measured("milliampere") / "thruster_data_test"
     text = (EXAMPLES / f"milliampere/thruster{thruster}.toml").read_text(encoding="utf-8")
     lines = text.splitlines()
@@ -40,12 +40,13 @@ def ferry(tmp_path: Path, thruster: int, **changes: str) -> list[Finding]:
     files = [str(folder / f"{name}_{thruster}.csv") for name in ("actuator_ref", "motor_state")]
     with pytest.raises(SystemExit) as left:
         command_line.main(["import", str(path), *files, "-o", str(tmp_path / "log.mcap")])
-    assert left.value.code == (1 if 'csv = { time_order = "drop" }' in lines else 0)  # of many rows the time runs back
+    # In many rows, the time decreases.
+    assert left.value.code == (1 if 'csv = { time_order = "drop" }' in lines else 0)
     return findings(tmp_path / "log.mcap")
 
 
 @pytest.mark.parametrize("thruster", [3, 4])
-def test_the_ferrys_delay_limit_and_drop_outs(tmp_path: Path, thruster: int) -> None:
+def test_delay_limit_and_drop_outs_of_the_ferry_are_found(tmp_path: Path, thruster: int) -> None:
     found = {(f.code, f.where): f for f in reversed(ferry(tmp_path, thruster, csv="", missing=""))}
     delay = found["shaft-step-late", "pod"]
     assert delay.level == "fault"
@@ -53,14 +54,14 @@ def test_the_ferrys_delay_limit_and_drop_outs(tmp_path: Path, thruster: int) -> 
     assert "beyond 0.75" in found["shaft-speed-limited", "pod"].text
     assert found["shaft-speed-drops-out", "pod"].level == "warning"
     assert ("lost-zeros-restored", "log.mcap") in found
-    # The smallest command that was tried, 0.1, is followed: there is nothing to find (docs/examples/milliampere).
+    # The shaft follows the smallest tested command, 0.1, so there is no finding (docs/examples/milliampere).
     assert not {("dead-band-wide", "pod"), ("dead-band-narrow", "pod")} & set(found)
 
 
 @pytest.mark.filterwarnings("ignore:.*rows left out, where time repeats")
 @pytest.mark.parametrize("thruster", [3, 4])
-def test_the_ferrys_broken_time_stamps(tmp_path: Path, thruster: int) -> None:
-    # As somebody maps them who has not noticed: a decimal fraction, and what runs back left out.
+def test_broken_time_stamps_of_the_ferry_are_found(tmp_path: Path, thruster: int) -> None:
+    # This map ignores the problem: it reads a decimal fraction and drops rows with decreasing time.
     time = 'time = { column = "time", format = "%Y/%m/%d %H:%M:%S", fraction = "decimal" }'
     found = ferry(tmp_path, thruster, time=time, csv='csv = { time_order = "drop" }', missing="")
     (stamps,) = [f for f in found if f.check == "time" and f.where == "n_pod"]
@@ -68,4 +69,4 @@ def test_the_ferrys_broken_time_stamps(tmp_path: Path, thruster: int) -> None:
     assert stamps.code == "lost-zeros"
     assert "unpadded-ns" in stamps.advice
     (rows,) = [f for f in found if f.check == "time" and f.where.startswith("motor_state")]
-    assert int(rows.text.split()[0]) > 500  # those that lost their zeros, and hardly a good one
+    assert int(rows.text.split()[0]) > 500  # These are the rows that lost their zeros, and almost no good row.

@@ -1,5 +1,7 @@
-"""Logs of other people, and measured runs rewritten as they would have them: by --guess and few edited lines to a fit
-that equals that of the CSV, or one clear line why not."""
+"""Tests of foreign logs, and of measured runs rewritten in foreign formats.
+
+With --guess and a few edited lines, they give the fit of the CSV, or a one-line reason.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,15 @@ pytestmark = [pytest.mark.measured, pytest.mark.slow]
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
-SURGE = ("--model", "surge:force:speed")  # a fit of seconds
-ENGINES = ((0, "right"), (1, "left"))  # as PX4 counts them
+SURGE = ("--model", "surge:force:speed")  # A fit that takes seconds.
+ENGINES = ((0, "right"), (1, "left"))  # Numbers of the engines in PX4.
 Edit = tuple[str, str]
 
 
 def by_guess(source: Path, folder: Path, edits: tuple[Edit, ...] = (), keep: bool = False) -> Path:
-    """The log by the guessed map, in which at most five lines are edited; ``keep``: with the repeats of slow receivers,
-    as the maps of the examples have them."""
+    """Import the log by the guessed map with at most five edited lines. ``keep`` keeps repeated samples of slow
+    receivers, like the maps of the examples.
+    """
     assert len(edits) <= 5
     text = guess_map(source).text
     if keep:
@@ -54,7 +57,7 @@ def signals(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 
 def fitted(path: Path, out: Path, *options: str) -> tuple[dict[str, float], dict[str, float]]:
-    """Estimates and standard errors of the fit by the command."""
+    """Return estimates and standard errors of a fit by the command."""
     run("ident", "vehicle", str(path), *options, "--despite-faults", "--out", str(out))
     result = json.loads((out / "result.json").read_text())
     assert result["fit"]["converged"], result["fit"]
@@ -63,13 +66,13 @@ def fitted(path: Path, out: Path, *options: str) -> tuple[dict[str, float], dict
 
 
 def estimates(path: Path, out: Path, *options: str) -> dict[str, float]:
-    """The estimates alone."""
+    """Return the estimates of a fit by the command."""
     return fitted(path, out, *options)[0]
 
 
-def same(one: Path, other: Path, names: str, atol: float = 1e-9) -> None:
-    """These signals are the same in both logs, times and values, within the rounding of the format."""
-    a, b = signals(one), signals(other)
+def same(expected_log: Path, found_log: Path, names: str, atol: float = 1e-9) -> None:
+    """Check that these signals are equal in both logs, in times and values, within the rounding of the format."""
+    a, b = signals(expected_log), signals(found_log)
     for name in names.split():
         np.testing.assert_allclose(b[name][0], a[name][0], rtol=0, atol=1e-6, err_msg=name)
         turns = 2 * np.pi * np.round((b[name][1] - a[name][1])[0] / (2 * np.pi)) if name == "psi" else 0.0
@@ -87,7 +90,7 @@ def columns(file: Path) -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def blueboat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, np.ndarray]]:
-    """The log of a run by the map of the example, and the columns of the run."""
+    """Return the log of a run by the map of the example, and the columns of the run."""
     file = measured("blueboat/fixed_00000232.csv")
     folder = tmp_path_factory.mktemp("csv")
     (log,) = import_files(EXAMPLES / "blueboat/blueboat.toml", [file], out_dir=folder)
@@ -96,7 +99,7 @@ def blueboat(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, 
 
 @pytest.fixture(scope="module")
 def surge(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
-    """Estimates of the fit of that log."""
+    """Return the estimates of the fit to this log."""
     return estimates(blueboat[0], tmp_path_factory.mktemp("surge") / "fit", *SURGE, "--fix", "e_u=0.05")
 
 
@@ -110,7 +113,7 @@ def header(t: float, frame: str) -> object:
 
 
 def write_bag(path: Path, topics: dict[str, tuple[str, np.ndarray, Callable[[int], object]]]) -> None:
-    """Topics with their type, times and messages, in the order of time."""
+    """Write topics with their type, times and messages, in the order of time."""
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         rows = []
         for topic, (kind, t, make) in topics.items():
@@ -120,10 +123,10 @@ def write_bag(path: Path, topics: dict[str, tuple[str, np.ndarray, Callable[[int
             writer.write(connection, round(when * 1e9), STORE.serialize_cdr(make(k), kind))
 
 
-def test_blueboat_as_a_bag_of_ros_2(
+def test_blueboat_as_a_ros_2_bag(
     blueboat: tuple[Path, dict[str, np.ndarray]], surge: dict[str, float], tmp_path: Path
 ) -> None:
-    """Topics of VRX's WAM-V, axes of REP-103; the IMU has no accelerometer."""
+    """The topics are those of VRX's WAM-V, and the axes those of REP-103. The IMU has no accelerometer."""
     log, c = blueboat
     t, yaw = c["original_timestamp"] * 1e-3, np.pi / 2 - np.radians(c["yaw"])
     vector, unknown = T["geometry_msgs/msg/Vector3"], np.array([-1.0] + [0.0] * 8)
@@ -161,7 +164,7 @@ def test_blueboat_as_a_bag_of_ros_2(
 
 
 def px4(fields: str, t: np.ndarray, *columns: np.ndarray) -> Topic:
-    """A topic of floats."""
+    """Return a topic of floats."""
     return Topic(fields, f"{len(columns)}f", t, np.stack(columns, 1))
 
 
@@ -177,18 +180,20 @@ def blueboat_px4(path: Path, log: Path, c: dict[str, np.ndarray]) -> None:
     })  # fmt: skip
 
 
-def test_blueboat_as_a_log_of_px4(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
+def test_blueboat_as_a_px4_log(blueboat: tuple[Path, dict[str, np.ndarray]], tmp_path: Path) -> None:
     log, c = blueboat
     blueboat_px4(tmp_path / "run.ulg", log, c)
     again = by_guess(tmp_path / "run.ulg", tmp_path, keep=True)
     assert sorted(signals(again)) == ["n_left", "n_right", "psi", "r", "x", "y"]
-    same(log, again, "x y psi r n_left n_right", atol=5e-6)  # float32
+    same(log, again, "x y psi r n_left n_right", atol=5e-6)  # The format has float32 values.
 
 
-def test_a_fit_of_blueboat_as_a_log_of_px4(
+def test_fit_of_blueboat_as_a_px4_log(
     blueboat: tuple[Path, dict[str, np.ndarray]], surge: dict[str, float], tmp_path: Path
 ) -> None:
-    """Its estimator's odometry, with velocities of the body; shares of the thrust become newtons by two lines."""
+    """The log has the odometry of an estimator with body velocities. Two edited lines convert shares of the thrust to
+    newtons.
+    """
     log, c = blueboat
     t, half, full = c["original_timestamp"] * 1e-3, np.radians(c["yaw"]) / 2, 80.0
     zero, body = np.zeros(len(t)), np.full(len(t), 3.0)
@@ -204,12 +209,12 @@ def test_a_fit_of_blueboat_as_a_log_of_px4(
     force = f'topic = "actuator_motors", field = "control[{{}}]", unit = "N", scale = {full}, role = "input"'
     edits = [(f'name = "n_{s}", {usual.format(k)}', f'name = "f_{s}", {force.format(k)}') for k, s in ENGINES]
     again = by_guess(tmp_path / "run.ulg", tmp_path, tuple(edits), keep=True)
-    same(log, again, "x y u v psi f_left f_right", atol=1e-5)  # float32
+    same(log, again, "x y u v psi f_left f_right", atol=1e-5)  # The format has float32 values.
     assert estimates(again, tmp_path / "fit", *SURGE, "--fix", "e_u=0.05") == pytest.approx(surge, rel=1e-4)
 
 
 @pytest.mark.parametrize("form", ["mat", "parquet"])
-def test_blueboat_as_columns(
+def test_blueboat_as_columns_of_mat_and_parquet(
     blueboat: tuple[Path, dict[str, np.ndarray]], surge: dict[str, float], tmp_path: Path, form: str
 ) -> None:
     log, c = blueboat
@@ -226,28 +231,28 @@ def test_blueboat_as_columns(
     assert estimates(again, tmp_path / "fit", *SURGE, "--fix", "e_u=0.05") == pytest.approx(surge, rel=1e-6)
 
 
-def test_a_slow_receiver_in_the_rows_of_a_fast_table(tmp_path: Path) -> None:
-    """The positions of the BlueBoat are of 5 Hz, in rows of 10 Hz."""
+def test_slow_receiver_in_the_rows_of_a_fast_table(tmp_path: Path) -> None:
+    """The positions of the BlueBoat have 5 Hz, in rows of 10 Hz."""
     with pytest.warns(SeatrialWarning, match="x, y: held between measurements 0.2"):
         log = signals(by_guess(measured("blueboat/fixed_00000232.csv"), tmp_path))
     assert len(log["x"][0]) == pytest.approx(0.5 * len(log["psi"][0]), rel=0.02)
     assert np.median(np.diff(log["x"][0])) == pytest.approx(0.2, abs=0.01)
 
 
-# The Kingfisher: two clocks, commands of -1..1
+# The Kingfisher: two clocks, and commands from -1 to 1.
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("form", ["bag", "ulg", "mat"])
-def test_kingfisher(tmp_path: Path, form: str) -> None:
+def test_kingfisher_in_other_formats(tmp_path: Path, form: str) -> None:
     files = sorted(measured("kingfisher").glob("surge_*.csv"))
     reference = (EXAMPLES / "kingfisher/surge.toml").read_text()
     line, unit = 'column = "cmd_left"\nunit = ', ('"1"', '"N"\nscale = 40')
     force = f'name = "n_left"\n{line}{unit[0]}', f'name = "X"\n{line}{unit[1]}'
-    (tmp_path / "surge.toml").write_text(reference.replace(*force))  # both thrusters had the same command
+    (tmp_path / "surge.toml").write_text(reference.replace(*force))  # Both thrusters had the same command.
     (log,) = import_files(tmp_path / "surge.toml", files, out_dir=tmp_path)
     cmd, vel = (columns(file) for file in files)
-    t_cmd, t_vel = cmd["t_s"] + 1.0, vel["t_s"] + 1.0  # stamps of zero are no stamps
+    t_cmd, t_vel = cmd["t_s"] + 1.0, vel["t_s"] + 1.0  # Time stamps of zero count as missing.
     if form == "bag":
 
         def velocity(k: int) -> object:
@@ -278,7 +283,7 @@ def test_kingfisher(tmp_path: Path, form: str) -> None:
                          "vel_x": vel["vel_x"], "vel_y": vel["vel_y"]})  # fmt: skip
         edit = 'name = "n_left", column = "cmd_left", unit = "1"'
     force = edit.replace("n_left", "X").replace('"1"', '"N", scale = 40.0').replace('"sampled"', '"zero"')
-    rounding = 2e-6 if form == "ulg" else 1e-12  # float32
+    rounding = 2e-6 if form == "ulg" else 1e-12  # The format ulg has float32 values.
     again = by_guess(source, tmp_path, ((edit, force),), keep=True)
     a, b = signals(log), signals(again)
     np.testing.assert_allclose(b["X"][1], a["X"][1], rtol=0, atol=rounding)
@@ -289,7 +294,7 @@ def test_kingfisher(tmp_path: Path, form: str) -> None:
     assert fits[1] == pytest.approx(fits[0], rel=1e-5)
 
 
-# Logs of other people
+# Foreign logs
 
 NO_FIT = {
     "px4_sample_small.ulg": "not a boat (MAV_TYPE 22)",
@@ -302,16 +307,16 @@ NO_FIT = {
 
 @pytest.mark.filterwarnings("ignore:.*rows? left out, where time repeats")
 @pytest.mark.parametrize("name", NO_FIT)
-def test_what_cannot_be_fitted_says_why_in_one_line(name: str, tmp_path: Path) -> None:
+def test_log_that_cannot_be_fitted_gives_a_one_line_reason(name: str, tmp_path: Path) -> None:
     source = measured(f"foreign/{name}")
     guess = guess_map(source)
     assert NO_FIT[name] in guess.problem
     assert "\n" not in guess.problem
-    log = by_guess(source, tmp_path)  # what is there is read all the same
+    log = by_guess(source, tmp_path)  # The available signals are still imported.
     assert signals(log)
 
 
-def test_a_simulators_scalars_go_to_a_fit_by_two_lines(tmp_path: Path) -> None:
+def test_scalars_of_a_simulator_are_fitted_after_two_edited_lines(tmp_path: Path) -> None:
     source = measured("foreign/usv_simulator_trial.bag")
     force = '  { name = "X", topic = "u_speed", field = "data", unit = "N", role = "input" },'
     speed = '  { name = "u", topic = "y_speed", field = "data", unit = "m/s" },'
@@ -320,7 +325,7 @@ def test_a_simulators_scalars_go_to_a_fit_by_two_lines(tmp_path: Path) -> None:
     assert found["m_u"] == pytest.approx(31.9, abs=0.5)
 
 
-def test_an_imu_with_unknown_covariances_keeps_what_it_measured(tmp_path: Path) -> None:
+def test_imu_with_unknown_covariances_keeps_its_measurements(tmp_path: Path) -> None:
     found = signals(by_guess(measured("foreign/roboboat_gps_and_imu_inputs.bag"), tmp_path))
     assert set(found) == {"x", "y", "vx", "vy", "psi", "r", "ax", "ay"}
     assert len(found["psi"][0]) == len(found["r"][0]) == 5266
@@ -328,7 +333,7 @@ def test_an_imu_with_unknown_covariances_keeps_what_it_measured(tmp_path: Path) 
 
 
 @pytest.mark.study
-def test_an_autopilots_log_goes_to_its_signals(tmp_path: Path) -> None:
+def test_autopilot_log_is_imported_by_its_guessed_map(tmp_path: Path) -> None:
     source = measured("ardurover/steps_boat.tlog")
     assert guess_map(source).problem == ""
     found = signals(by_guess(source, tmp_path))

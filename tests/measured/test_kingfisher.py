@@ -1,4 +1,4 @@
-"""The measured Kingfisher by public commands, as docs/examples/kingfisher/README.md goes: the numbers it states."""
+"""Tests of the measured Kingfisher by public commands: the numbers in docs/examples/kingfisher/README.md."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MODELS = ("immediate", "delayed", "both", "shifted")
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What run.sh writes, of the models that the README draws its conclusions from."""
+    """Return a folder with the results of run.sh for the models that the README discusses."""
     data = measured("kingfisher")
     out = tmp_path_factory.mktemp("kingfisher")
     surge = [str(path) for path in sorted(data.glob("surge_*.csv"))]
@@ -52,7 +52,7 @@ def simulation(result: dict[str, Any]) -> float:
     return float(result["errors"]["validation"]["simulation"]["speed"]["after"])
 
 
-def test_the_quadratic_does_not_describe_the_bench(folder: Path) -> None:
+def test_quadratic_does_not_describe_the_bench(folder: Path) -> None:
     table = tomllib.loads((folder / "thruster/model.toml").read_text())
     assert table["thrusters"] == 2
     assert len(table["measured"]["n"]) == 20
@@ -64,7 +64,7 @@ def test_the_quadratic_does_not_describe_the_bench(folder: Path) -> None:
     assert all(0.05 < s < 0.7 for n, s in zip(table["curve"]["n"], table["curve"]["se"], strict=True) if n >= 0.3)
 
 
-def test_one_mass_and_its_interval(results: dict[str, dict[str, Any]]) -> None:
+def test_common_mass_and_its_interval(results: dict[str, dict[str, Any]]) -> None:
     row = agreement(results["both"])
     assert row["value"] == pytest.approx(47.1, abs=0.5)
     assert row["se"] == pytest.approx(2.8, abs=0.2)
@@ -73,7 +73,7 @@ def test_one_mass_and_its_interval(results: dict[str, dict[str, Any]]) -> None:
     assert (row["low"], row["high"]) == pytest.approx((35.8, 54.4), abs=1.0)
 
 
-def test_the_steps_do_not_agree_to_within_their_errors(results: dict[str, dict[str, Any]]) -> None:
+def test_steps_differ_beyond_their_errors(results: dict[str, dict[str, Any]]) -> None:
     row = agreement(results["both"])
     assert not row["agree"]
     assert row["lr"] == pytest.approx(14.7, abs=1.5)
@@ -81,7 +81,9 @@ def test_the_steps_do_not_agree_to_within_their_errors(results: dict[str, dict[s
     assert agreement(results["delayed"])["lr"] == pytest.approx(39.5, abs=2.0)
 
 
-def test_the_delay_is_certain_and_without_it_they_agree_on_a_wrong_mass(results: dict[str, dict[str, Any]]) -> None:
+def test_delay_is_significant_and_without_it_the_steps_agree_on_a_wrong_mass(
+    results: dict[str, dict[str, Any]],
+) -> None:
     likelihood = {name: r["fit"]["log_likelihood"] for name, r in results.items()}
     assert likelihood["delayed"] - likelihood["immediate"] > 100
     assert agreement(results["immediate"])["agree"]
@@ -90,10 +92,10 @@ def test_the_delay_is_certain_and_without_it_they_agree_on_a_wrong_mass(results:
     assert tau["value"] == pytest.approx(0.63, abs=0.02)
 
 
-def test_unseen_runs_tell_the_models_apart(results: dict[str, dict[str, Any]]) -> None:
+def test_validation_runs_discriminate_the_models(results: dict[str, dict[str, Any]]) -> None:
     assert simulation(results["both"]) == pytest.approx(0.045, abs=0.003)
     assert simulation(results["delayed"]) == pytest.approx(0.103, abs=0.005)
     assert simulation(results["shifted"]) == pytest.approx(0.047, abs=0.004)
-    # Although it makes the steps agree, and fits them better.
+    # This model is rejected although it makes the steps agree and fits them better.
     assert agreement(results["shifted"])["agree"]
     assert results["shifted"]["fit"]["log_likelihood"] > results["both"]["fit"]["log_likelihood"] + 4

@@ -1,11 +1,11 @@
-"""The recovery study of the bench: is the hidden effect of a thruster identified?
+"""Recovery study of the bench: is the hidden effect of a thruster identified?
 
     python -m tests.recovery.bench_study [--seed S] [--seeds N] [--jobs 2] [--effects a,b] [--scales 1,0.5]
                                          [--out FILE] [--report] [--docs]
 
-Every effect of ``seatrial.mocks.plant.bench``, and none, on benches of N seeds and at full and half size: one run of
-the plan `all` to fit the thruster and to diagnose it, another to validate. Each case is a line in the out file as soon
-as it is done; a study that was interrupted goes on where it was. Nothing is run again with --report.
+The cases are every effect of ``seatrial.mocks.plant.bench``, and no effect, on benches of N seeds, at full and half
+size. One run of the plan `all` is for the fit of the thruster and its diagnosis, and another for validation. Each
+finished case is written as a line to the out file. An interrupted study is resumed. --report runs no case.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from seatrial.mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_ef
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
 from tests.recovery.resumable import read, resume
-from tests.recovery.tables import as_markdown, study_as_text
+from tests.recovery.tables import as_markdown, as_text
 
 OUT = Path("build/bench_recovery.jsonl")
 DOCS = Path(__file__).parents[2] / "docs" / "recovery-bench.md"
@@ -41,7 +41,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class BenchCase:
-    """An effect (or ``none``) of a size, on the bench of a seed."""
+    """An effect (or ``none``) of a given size, on the bench of a seed."""
 
     effect: str
     seed: int
@@ -49,25 +49,25 @@ class BenchCase:
 
     @property
     def key(self) -> str:
-        """By which a case is found again among the results."""
+        """Return the key of the case in the results."""
         return f"{self.effect}/{self.seed}/{self.scale:g}"
 
 
 def bench_of(case: BenchCase) -> Bench:
-    """The bench with its effect."""
+    """Return the bench with its effect."""
     none = case.effect == "none"
     return draw_bench(case.seed, NONE if none else make_effect(case.effect, case.seed, case.scale))
 
 
 def bench_run(found: Mapping[str, Channel], run: int, model: Model) -> LogSegment:
-    """Channels as `seatrial ident diagnose` makes them from a log."""
+    """Return the channels as `seatrial ident diagnose` makes them from a log."""
     own = {"n": found["n_thruster"], "force": found["force"]}
     return LogSegment(f"run {run}", delayed_channels(found["n_cmd_thruster"], delay_step(model)) | own)
 
 
 def diagnose_bench(case: BenchCase) -> Diagnosis:
-    """The thruster fitted to one run, and the diagnosis of that model."""
-    found = [bench_channels_of(push(bench_of(case), run)[0]) for run in (1, 2)]  # the plan `all`, twice
+    """Fit the thruster to one run, and return the diagnosis of this model."""
+    found = [bench_channels_of(push(bench_of(case), run)[0]) for run in (1, 2)]  # The plan `all`, twice.
 
     def records(model: Model) -> list[Record]:
         return [build_record(model, bench_run(found[0], 1, model).channels, name="run 1", rate=THRUSTER_RATE)]
@@ -77,12 +77,12 @@ def diagnose_bench(case: BenchCase) -> Diagnosis:
 
 
 def run_case(case: BenchCase) -> Row:
-    """One line of the study; a case that fails is a line too."""
+    """Run a case and return its line of the study. A failed case also gives a line."""
     began = time.process_time()
     row: Row = asdict(case) | {"key": case.key, "code": code_state()}
     try:
         found = diagnose_bench(case)
-    except Exception as problem:  # the study goes on, and counts it
+    except Exception as problem:  # The study continues and counts the failure.
         return row | {"error": f"{type(problem).__name__}: {problem}"}
     return row | {
         "cpu": round(time.process_time() - began, 2),
@@ -95,21 +95,25 @@ def run_case(case: BenchCase) -> Row:
 
 
 def free_errors(stage: FittedModel) -> dict[str, float]:
-    """Root mean square errors in simulation on the validation data, by channel."""
+    """Return root mean square errors in simulation on the validation data, by channel."""
     parts = pooled_errors([dict(simulation_run(stage.model, v.record, v.values).errors) for v in stage.validation])
     return {name: float(f"{e.rms:.4g}") for name, e in parts.items()}
 
 
 def line(row: Row) -> str:
-    """A case in a few words."""
+    """Return a short description of a case."""
     if "error" in row:
         return f"{row['key']}: failed: {row['error']}"
     return f"{row['key']}: {', '.join(row['found']) or 'none'} ({verdict(row)}, {row['cpu']:.0f} s)"
 
 
 def verdict(row: Row) -> str:
-    """exact: this and nothing else; first: named first, with more; missed: nothing; unknown: a table first; likened:
-    another name, said not to be sure; wrong: another name, given as sure."""
+    """Return the verdict of a case.
+
+    exact: only the true effect was named. first: the true effect was named first, with others. missed: no effect was
+    found. unknown: a nonparametric effect was first. likened: another effect, not as identified. wrong: another effect,
+    as identified.
+    """
     truth, found = row["effect"], row["found"]
     if truth == "none" or not found:
         return "exact" if (truth == "none") == (not found) else "missed" if not found else "wrong"
@@ -121,16 +125,16 @@ def verdict(row: Row) -> str:
 
 
 def false_name(row: Row) -> bool:
-    """Was anything given as sure that is not there?"""
+    """Return whether an effect was called identified that does not exist."""
     found = zip(row["found"], row["attribution"], strict=True)
-    return any(one == "identified" and name != row["effect"] for name, one in found)
+    return any(attribution == "identified" and name != row["effect"] for name, attribution in found)
 
 
 VERDICTS = ("exact", "first", "likened", "unknown", "missed", "wrong")
 
 
 def rates(rows: Sequence[Row]) -> list[list[str]]:
-    """One line an effect."""
+    """Return a table with one line per effect."""
     lines = [["truth", "cases", *VERDICTS, "force error before -> after, N", "shaft error before -> after", "CPU s"]]
     for name in [n for n in NAMES if any(r["effect"] == n and "error" not in r for r in rows)]:
         cases = [r for r in rows if r["effect"] == name and "error" not in r]
@@ -145,25 +149,25 @@ def rates(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def middle(values: Sequence[float]) -> float:
-    """Median."""
+    """Return the median."""
     kept = sorted(values)
     return (kept[(len(kept) - 1) // 2] + kept[len(kept) // 2]) / 2
 
 
 def summary(rows: Sequence[Row]) -> list[list[str]]:
-    """The few numbers that matter most."""
+    """Return the table of the most important numbers."""
     good = [r for r in rows if "error" not in r]
     lines = [["", ""]]
     for scale in sorted({r["scale"] for r in good}, reverse=True):
         some = [r for r in good if r["scale"] == scale and r["effect"] != "none"]
         if not some:
             continue
-        for what, kinds in (
+        for description, kinds in (
             ("named first", ("exact", "first")),
             ("that and nothing else", ("exact",)),
             ("another name first, as sure", ("wrong",)),
         ):
-            lines.append([f"{what}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
+            lines.append([f"{description}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
         lines.append([f"another name anywhere, as sure, size {scale:g}", f"{sum(map(false_name, some))}/{len(some)}"])
     clean = [r for r in good if r["effect"] == "none"]
     if clean:
@@ -172,7 +176,7 @@ def summary(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def report(rows: Sequence[Row], form: Any) -> str:
-    """All tables."""
+    """Return all tables."""
     head = "## " if form is as_markdown else ""
     parts = [("Together", summary(rows))]
     for scale in sorted({r["scale"] for r in rows}, reverse=True):
@@ -191,7 +195,7 @@ def report(rows: Sequence[Row], form: Any) -> str:
 
 
 def document(rows: Sequence[Row], command: str) -> str:
-    """docs/recovery-bench.md."""
+    """Return the text of docs/recovery-bench.md."""
     return (
         "# Recovery study of the bench\n\n"
         "Mock benches with one hidden effect each (`mocks/plant/bench.py`, in other "
@@ -202,25 +206,31 @@ def document(rows: Sequence[Row], command: str) -> str:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run what is not yet there, then print the tables."""
-    given = _parser().parse_args(words)
-    seeds = range(given.seed, given.seed + given.seeds)
-    # one clean bench a seed and scale, all of them different ones
+    """Run the missing cases, then print the tables."""
+    arguments = _parser().parse_args(words)
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
+    # One clean bench for each seed and scale. All clean benches differ.
     cases = [
         BenchCase(e, s + (1000 * k if e == "none" else 0), scale)
         for s in seeds
-        for k, scale in enumerate(given.scales)
-        for e in given.effects
+        for k, scale in enumerate(arguments.scales)
+        for e in arguments.effects
     ]
     try:
-        rows = list(read(given.out).values()) if given.report else resume(cases, run_case, line, given.jobs, given.out)
+        rows = (
+            list(read(arguments.out).values())
+            if arguments.report
+            else resume(cases, run_case, line, arguments.jobs, arguments.out)
+        )
     except KeyboardInterrupt:
-        print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
+        print(f"interrupted; run the same again to go on ({arguments.out})", file=sys.stderr)
         return 130
-    print(report(rows, study_as_text))
-    if given.docs:
-        scales = ",".join(f"{s:g}" for s in given.scales)
-        command = f"python -m tests.recovery.bench_study --seed {given.seed} --seeds {given.seeds} --scales {scales}"
+    print(report(rows, as_text))
+    if arguments.docs:
+        scales = ",".join(f"{s:g}" for s in arguments.scales)
+        command = (
+            f"python -m tests.recovery.bench_study --seed {arguments.seed} --seeds {arguments.seeds} --scales {scales}"
+        )
         DOCS.write_text(document(rows, f"{command} --docs"), encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0

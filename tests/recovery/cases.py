@@ -1,4 +1,4 @@
-"""One case of the recovery study: a boat with a known truth, two missions, the diagnosis, and what came of it."""
+"""Cases of the recovery study: a boat with known truth, two missions, the diagnosis, and its evaluation."""
 
 from __future__ import annotations
 
@@ -42,12 +42,14 @@ AllErrors = dict[str, dict[str, PredictionErrors]]
 
 
 def truth_of(case: Case) -> dict[str, float]:
-    """The true parameters under ident's names."""
+    """Return the true parameters by the names of ident."""
     return named_truth(boat_with(None, case.seed).truth())
 
 
 def named_truth(true: Mapping[str, float]) -> dict[str, float]:
-    """A mock boat's truth under ident's names, and as ratios to its full-ahead thrust and arm."""
+    """Return the true parameters of a simulated boat by the names of ident, and as ratios to its full forward thrust
+    and arm.
+    """
     hull = {n: v for n, v in true.items() if n[:2] in ("m_", "d_")}
     thrust = true["c1"] + true["c2"]
     ratios = {f"{n}/T": v / thrust for n, v in hull.items()}
@@ -56,7 +58,7 @@ def named_truth(true: Mapping[str, float]) -> dict[str, float]:
 
 
 def recordings_of(case: Case, seconds: tuple[float, float] | None = None) -> list[Recording]:
-    """The estimation mission and the validation mission, sailed, as long as its kind says or `seconds`."""
+    """Simulate the estimation mission and the validation mission. Their duration is that of the kind, or `seconds`."""
     boat, how = boat_of(case), case.how
     found = []
     for lasts, mission_seed, run in zip(seconds or how.seconds, (100, 200), (1, 2), strict=True):
@@ -66,7 +68,7 @@ def recordings_of(case: Case, seconds: tuple[float, float] | None = None) -> lis
 
 
 def runs_of(case: Case, seconds: tuple[float, float] | None = None) -> list[LogSegment]:
-    """Both missions in memory."""
+    """Return both missions as log segments in memory."""
     runs = []
     recordings = recordings_of(case, seconds)
     for name, run, recording in zip(("estimation", "validation"), (1, 2), recordings, strict=True):
@@ -76,40 +78,40 @@ def runs_of(case: Case, seconds: tuple[float, float] | None = None) -> list[LogS
 
 
 def diagnose_case(case: Case, runs: Sequence[LogSegment] | None = None) -> Diagnosis:
-    """The diagnosis of the nominal model on both missions."""
+    """Return the diagnosis of the nominal model on both missions."""
     runs = runs_of(case) if runs is None else runs
     effects = {n: e for n, e in catalogue().items() if n != case.effect} if case.how.left_out else None
     return diagnose(model_of(case), runs[:1], runs[1:], effects=effects)
 
 
 def run_case(case: Case) -> Row:
-    """One line of the study; a case that fails is a line too."""
+    """Run a case and return its line of the study. A failed case also gives a line."""
     row: Row = asdict(case) | {"key": case.key, "code": code_state()}
     try:
         if not case.how.logged:
             began = time.process_time()
             runs = runs_of(case)
             result = result_of(diagnose_case(case, runs))
-            return row | {"cpu": round(time.process_time() - began, 2)} | told(result) | judged(case, runs, result)
+            return row | {"cpu": round(time.process_time() - began, 2)} | recorded(result) | judged(case, runs, result)
         with TemporaryDirectory() as folder:
             runs = write_logs(Path(folder), recordings_of(case))
             read, cpu = diagnosed(Path(folder))
             assert isinstance(read, DiagnosisResult)
-            return row | {"cpu": round(cpu, 2)} | told(read) | judged(case, runs, read)
-    except Exception as problem:  # the study goes on, and counts it
+            return row | {"cpu": round(cpu, 2)} | recorded(read) | judged(case, runs, read)
+    except Exception as problem:  # The study continues and counts the failure.
         return row | {"error": f"{type(problem).__name__}: {problem}"}
 
 
 def result_of(found: Diagnosis) -> DiagnosisResult:
-    """As `seatrial ident diagnose` reports it."""
+    """Return the result as `seatrial ident diagnose` reports it."""
     made = provenance([], "")
     return diagnosis_result(found, evaluate_diagnosis(found), made, warnings=(), notes=(), model_path="MODEL")
 
 
-def told(result: DiagnosisResult) -> Row:
-    """What the diagnosis says."""
+def recorded(result: DiagnosisResult) -> Row:
+    """Return the contents of the diagnosis that the study records."""
     effects = result.effects
-    t = {q.name: q.t for one in result.rounds for q in one.refits if q.name == one.chosen}
+    t = {q.name: q.t for search_round in result.rounds for q in search_round.refits if q.name == search_round.chosen}
     return {
         "found": [e.name for e in effects],
         "attribution": [e.attribution for e in effects],
@@ -124,7 +126,9 @@ def told(result: DiagnosisResult) -> Row:
 
 
 def judged(case: Case, runs: Sequence[LogSegment], result: DiagnosisResult) -> Row:
-    """How good that is: errors on validation data against those of the true structure, estimates, shapes."""
+    """Return the quality of a diagnosis: errors on validation data against those of the true structure, estimates, and
+    curves.
+    """
     table = result.errors.validation
     assert table is not None
     both = {"horizon": table.horizon, "simulation": table.simulation}
@@ -134,7 +138,7 @@ def judged(case: Case, runs: Sequence[LogSegment], result: DiagnosisResult) -> R
         "after": rms(both, lambda cell: cell.after),
     }
     if {e.name for e in result.effects} == set(case.truths):
-        best = row["after"]  # with the true structure found, the answer is the oracle
+        best = row["after"]  # If the true structure was found, the result equals the oracle.
     else:
         true = oracle(case, runs)
         best = None if true is None else rms(errors(true), lambda e: e.rms)
@@ -145,7 +149,7 @@ def judged(case: Case, runs: Sequence[LogSegment], result: DiagnosisResult) -> R
 
 
 def z_scores(parameters: Sequence[ParameterRow], truth: Mapping[str, float]) -> dict[str, float]:
-    """(estimate - truth) / standard error, of the parameters that have one; those of the estimation log."""
+    """Return (estimate - truth) / standard error of the parameters of the estimation log that have an error."""
     found: dict[str, float] = {}
     for p in parameters:
         if p.name in truth and p.se is not None:
@@ -154,7 +158,7 @@ def z_scores(parameters: Sequence[ParameterRow], truth: Mapping[str, float]) -> 
 
 
 def errors(stage: FittedModel) -> AllErrors:
-    """Prediction errors on the validation data by horizon and channel."""
+    """Return prediction errors on the validation data by horizon and channel."""
     model, views = stage.model, stage.validation
     return {
         "one_step": pooled_errors([one_step_errors(model, v.record, v.run) for v in views]),
@@ -166,8 +170,9 @@ def errors(stage: FittedModel) -> AllErrors:
 
 
 def rms(table: Mapping[str, Mapping[str, Any]], of: Callable[[Any], float]) -> dict[str, dict[str, float]]:
-    """Root mean squares of the channels that are compared, ten seconds ahead and in simulation; ``of``: where a cell of
-    the table has it."""
+    """Return root mean squares of the compared channels, over the horizon and in simulation. ``of`` selects the value
+    of a table cell.
+    """
     return {
         kind: {n: float(f"{of(cell):.4g}") for n, cell in table[kind].items() if n in CHANNELS}
         for kind in ("horizon", "simulation")
@@ -175,7 +180,7 @@ def rms(table: Mapping[str, Mapping[str, Any]], of: Callable[[Any], float]) -> d
 
 
 def ratio(after: Mapping[str, Mapping[str, float]], best: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """By horizon, the geometric mean over channels of the error over the oracle's."""
+    """Return, by horizon, the geometric mean over channels of the error divided by that of the oracle."""
     return {
         kind: round(float(np.exp(np.mean([np.log(after[kind][n] / e) for n, e in rows.items()]))), 4)
         for kind, rows in best.items()
@@ -184,7 +189,7 @@ def ratio(after: Mapping[str, Mapping[str, float]], best: Mapping[str, Mapping[s
 
 @cache
 def code_state() -> str:
-    """A hash of everything that a result depends on: results of another state are not comparable."""
+    """Return a hash of all code that a result depends on. Results with different hashes are not comparable."""
     root = Path(__file__).parents[2]
     digest = hashlib.sha256()
     for folder in ("ident", "mocks", "bench", "tests/recovery"):

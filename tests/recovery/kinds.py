@@ -1,4 +1,4 @@
-"""The kinds of cases of the recovery study: what the boat has, how it is sailed and what is logged of it."""
+"""Kinds of cases of the recovery study: effects of the boat, missions, and logged signals."""
 
 from __future__ import annotations
 
@@ -14,32 +14,36 @@ from seatrial.mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, SMA
 from seatrial.mocks.plant.boat import Boat, draw_boat
 
 NONE = "none"
-SECONDS, VALIDATION_SECONDS = 400.0, 250.0  # as in the demo
-# The noise of the mocks' sensors as their data sheets have it, for ten rows a second (seatrial.mocks.sensors)
+SECONDS, VALIDATION_SECONDS = 400.0, 250.0  # Durations as in the demo.
+# Noise of the simulated sensors by their data sheets, for ten rows per second (seatrial.mocks.sensors).
 DECLARED = {"e_psi": np.radians(0.5) / 5**0.5, "e_r": 0.01 / 5**0.5, "e_a": 0.1 / 5**0.5, "e_xy": 0.15, "e_vxy": 0.05}
 
 
 def all_effects(seed: int) -> list[str]:
-    """What a catalogue can be expected to list."""
+    """Return the effects that the catalogue should contain."""
     return list(EFFECTS)
 
 
 def all_pairs(seed: int) -> list[str]:
-    """Two at a time, each effect once: other pairs with each seed."""
+    """Return pairs of effects. Each effect is used once, and each seed has other pairs."""
     names = np.random.default_rng([seed, 77]).permutation(list(EFFECTS)).tolist()
     return [f"{a}+{b}" for a, b in zip(names[::2], names[1::2], strict=False)]
 
 
 def all_beside(seed: int) -> list[str]:
-    """Each that no catalogue lists beside one that ours does: others with each seed."""
+    """Return pairs of an effect outside the catalogue and one of the catalogue. Each seed has other pairs."""
     names = np.random.default_rng([seed, 79]).permutation(list(EFFECTS)).tolist()
     return [f"{a}+{b}" for a, b in zip(OUTSIDE, names, strict=False)]
 
 
 @dataclass(frozen=True)
 class Kind:
-    """``truths``: what is tried at a seed; ``seeds``: how many seeds by default; ``gain``: on the commands;
-    ``others``: size of every other effect; ``noise``: one of seatrial.mocks.hidden_effects.catalogue.NOISE."""
+    """Kind of cases.
+
+    ``truths`` gives the effects for a seed. ``seeds`` is the default number of seeds. ``gain`` is a factor of the
+    commands. ``others`` is the size of every other effect. ``noise`` is one of
+    seatrial.mocks.hidden_effects.catalogue.NOISE.
+    """
 
     says: str
     truths: Callable[[int], list[str]]
@@ -50,8 +54,8 @@ class Kind:
     gaps: bool = False
     others: float = 0.0
     noise: str = ""
-    left_out: bool = False  # the truth is not in the catalogue
-    logged: bool = False  # through logs and the commands a user types; else in memory, by the Python call
+    left_out: bool = False  # The true effect is removed from the catalogue.
+    logged: bool = False  # If true, the case uses logs and user commands. Otherwise it uses the Python API in memory.
 
 
 def _none(seed: int) -> list[str]:
@@ -86,7 +90,7 @@ KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True)
 class Case:
-    """An effect (``none``, or two as ``a+b``) on the boat of a seed, in one of KINDS."""
+    """An effect (``none``, or two effects as ``a+b``) on the boat of a seed, in one of KINDS."""
 
     effect: str
     seed: int
@@ -94,7 +98,7 @@ class Case:
 
     @property
     def key(self) -> str:
-        """By which a case is found again among the results."""
+        """Return the key of the case in the results."""
         return f"{self.kind}/{self.effect}/{self.seed}"
 
     @property
@@ -103,12 +107,12 @@ class Case:
 
     @property
     def truths(self) -> tuple[str, ...]:
-        """The names of the effects that an analysis should find."""
+        """Return the names of the effects that an analysis should find."""
         return () if self.effect == NONE else tuple(self.effect.split("+"))
 
 
 def boat_of(case: Case) -> Boat:
-    """With all it has: the effects, the rest of a mixture, and noise that is not what was assumed."""
+    """Return the boat with all its effects, the small effects of a mixture, and misspecified noise."""
     how = case.how
     effects = [make_effect(name, case.seed, how.scale) for name in case.truths]
     if how.others:
@@ -119,7 +123,9 @@ def boat_of(case: Case) -> Boat:
 
 
 def model_of(case: Case) -> Model:
-    """The nominal model; its measurement noise is fixed at the data sheets' where those are what is wrong."""
+    """Return the nominal model. If the true noise differs from the data sheets, the noise of the data sheets is
+    fixed.
+    """
     model = horizontal_model()
     if case.kind != "noise-small-r":
         return model
@@ -127,7 +133,9 @@ def model_of(case: Case) -> Model:
 
 
 def with_gaps(channels: dict[str, Channel], seed: int) -> dict[str, Channel]:
-    """The GNSS silent for up to 20 s and the AHRS for up to 3 s, about once a minute; one sample in twenty lost."""
+    """Return channels with gaps about once a minute: GNSS up to 20 s and AHRS up to 3 s. One sample in twenty is
+    lost.
+    """
     rng = np.random.default_rng([seed, 78])
     found = dict(channels)
     for names, longest in (

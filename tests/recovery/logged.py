@@ -1,4 +1,6 @@
-"""The user's way: both missions as logs of daq's recorder, then the commands of the tutorial, each a process."""
+"""Cases through user commands: both missions as recorded logs, and the commands of the tutorial in separate
+processes.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,14 @@ from seatrial.ident.results.result_file import AnyResult, read_result
 from seatrial.mocks.offline_simulation import Recording
 from tests.missions import write_log
 
-THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")  # of these simulated boats
+THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")  # Thrust of these simulated boats.
 ESTIMATION, VALIDATION = "estimation.mcap", "validation.mcap"
 
 
 def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment]:
-    """``estimation.mcap`` and ``validation.mcap`` in the folder, and what ident reads from them."""
+    """Write ``estimation.mcap`` and ``validation.mcap`` to the folder. Return the segments that ident reads from
+    them.
+    """
     paths = [folder / name for name in (ESTIMATION, VALIDATION)]
     for path, recording in zip(paths, recordings, strict=True):
         write_log(path, "boat", recording.readings)
@@ -27,8 +31,11 @@ def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment
 
 
 def diagnosed(folder: Path) -> tuple[AnyResult, float]:
-    """The result of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU seconds of the
-    diagnosis. Raises RuntimeError with the command's own line where it fails."""
+    """Return the result of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU time [s]
+    of the diagnosis.
+
+    RuntimeError contains the error line of a failed command.
+    """
     seatrial(folder, "ident", "vehicle", ESTIMATION, *THRUST, "--validate", VALIDATION, "--out", "vehicle")
     before = spent()
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
@@ -36,7 +43,7 @@ def diagnosed(folder: Path) -> tuple[AnyResult, float]:
 
 
 def seatrial(folder: Path, *words: str) -> None:
-    """A command, in a process of its own. Raises RuntimeError with its last line where it fails."""
+    """Run a command in its own process. If it fails, raise RuntimeError with its last line."""
     done = subprocess.run(
         [sys.executable, "-m", "seatrial", *words], cwd=folder, capture_output=True, text=True, check=False
     )
@@ -45,6 +52,6 @@ def seatrial(folder: Path, *words: str) -> None:
 
 
 def spent() -> float:
-    """CPU seconds of the processes that have ended."""
+    """Return the CPU time [s] of the processes that have ended."""
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     return spent.ru_utime + spent.ru_stime

@@ -1,4 +1,4 @@
-"""Logs with one mistake each, of mock boats: every one is refused before a fit, by the line that names the mistake.
+"""Logs of simulated boats with one mistake each. Each log is rejected before a fit by a line that names the mistake.
 
 python -m tests.recovery.misuse --boats 5 --seed 1 [--docs]
 """
@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[2]
 Channels = dict[str, Channel]
 SHAFTS = ("n_left", "n_right")
 UNITS = {"psi": "rad", "r": "rad/s", "ax": "m/s2", "ay": "m/s2", "x": "m", "y": "m"}
-# What is logged: all; no velocity and accelerometer; no gyro either; positions, attitude and velocities of the body.
+# Logged signals: all; no velocity and accelerometer; no gyro either; positions, attitude and body velocities.
 SENSORS = {
     "full": ("psi", "r", "ax", "ay", "x", "y", "vx", "vy"),
     "position": ("psi", "r", "x", "y"),
@@ -41,7 +41,7 @@ SENSORS = {
 
 
 class Kind(NamedTuple):
-    """A mistake: what it makes of channels, the codes of the findings that name it, and which rigs can show it."""
+    """A mistake: the function that applies it to channels, the codes of its findings, and the rigs that can show it."""
 
     of: Callable[[Channels], Channels]
     codes: tuple[str, ...]
@@ -49,22 +49,22 @@ class Kind(NamedTuple):
 
 
 def each(of: Callable[[np.ndarray], np.ndarray], *names: str) -> Callable[[Channels], Channels]:
-    """The same done to the values of some signals, where they are logged."""
+    """Return a function that changes the values of some signals, if they are logged."""
     return lambda c: c | {n: Channel(c[n].t, of(c[n].value), c[n].unit) for n in names if n in c}
 
 
 def swapped(*pairs: tuple[str, str]) -> Callable[[Channels], Channels]:
-    """Two signals under each other's names, for each pair that is logged."""
+    """Return a function that exchanges two signals, for each pair that is logged."""
     return lambda c: c | {n: c[m] for a, b in pairs if a in c for n, m in ((a, b), (b, a))}
 
 
 def timed(factor: float) -> Callable[[Channels], Channels]:
-    """Time counted in another unit."""
+    """Return a function that changes the unit of time."""
     return lambda c: {n: Channel(factor * s.t, s.value, s.unit) for n, s in c.items()}
 
 
 def frozen(*names: str) -> Callable[[Channels], Channels]:
-    """The value at 40 s for 30 s more."""
+    """Return a function that holds the value at 40 s for 30 s."""
 
     def of(c: Channels) -> Channels:
         found = {}
@@ -78,7 +78,7 @@ def frozen(*names: str) -> Callable[[Channels], Channels]:
 
 
 def then(*steps: Callable[[Channels], Channels]) -> Callable[[Channels], Channels]:
-    """One after the other."""
+    """Return a function that applies the steps in order."""
 
     def of(c: Channels) -> Channels:
         for step in steps:
@@ -89,19 +89,21 @@ def then(*steps: Callable[[Channels], Channels]) -> Callable[[Channels], Channel
 
 
 def wrapped(angle: np.ndarray) -> np.ndarray:
-    """Within -pi and pi."""
+    """Wrap an angle to -pi to pi."""
     return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
 def earth_fixed(c: Channels) -> Channels:
-    """North and east under the names u and v."""
+    """Return channels with velocities north and east under the names u and v."""
     psi = np.interp(c["u"].t, c["psi"].t, np.unwrap(c["psi"].value))
     w = (c["u"].value + 1j * c["v"].value) * np.exp(1j * psi)
     return c | {"u": Channel(c["u"].t, w.real, "m/s"), "v": Channel(c["v"].t, w.imag, "m/s")}
 
 
 def mounted(quarters: int) -> Callable[[Channels], Channels]:
-    """The AHRS screwed on turned clockwise by so many quarters: its heading, and what it takes for ahead."""
+    """Return a function that turns the AHRS clockwise by quarter turns. This changes its heading and its forward
+    axis.
+    """
     turn = quarters * np.pi / 2
 
     def of(c: Channels) -> Channels:
@@ -174,7 +176,7 @@ COPY = "a copy to validate"
 
 
 def logged(seed: int, rig: str, seconds: float, run: int) -> Channels:
-    """A mission of the boat of a seed, as a rig's channels."""
+    """Return a mission of the boat of a seed, as channels of a rig."""
     c = channels_of(sail(boat_with(None, seed), seconds, 100 * run + seed, run)[0])
     psi = np.interp(c["vx"].t, c["psi"].t, np.unwrap(c["psi"].value))
     w = (c["vx"].value + 1j * c["vy"].value) * np.exp(-1j * psi)
@@ -183,7 +185,7 @@ def logged(seed: int, rig: str, seconds: float, run: int) -> Channels:
 
 
 def written(path: Path, channels: Channels) -> Path:
-    """The log that `seatrial import` would make of them."""
+    """Write the log that `seatrial import` would make of these channels."""
     signals = []
     for name, c in channels.items():
         role, hold = ("input", "zero") if name in SHAFTS else ("output", "linear")
@@ -194,7 +196,7 @@ def written(path: Path, channels: Channels) -> Path:
 
 
 def refusal(path: Path, validation: Path) -> str | None:
-    """The line with which `seatrial ident vehicle` refuses; None where it would go on."""
+    """Return the line with which `seatrial ident vehicle` rejects the log. Return None if it accepts the log."""
     request = VehicleRequest([path], [validation], path.parent / "out")
     try:
         loaded, unseen = load_all(request.logs, request.validation, device_faults=device_faults)
@@ -205,7 +207,9 @@ def refusal(path: Path, validation: Path) -> str | None:
 
 
 class Outcome(NamedTuple):
-    """``line``: with which it was refused, if it was; ``named``: by one of its codes."""
+    """Outcome of a mistake. ``line`` is the rejection, if any. ``named`` is whether it contains a code of the
+    mistake.
+    """
 
     kind: str
     rig: str
@@ -215,11 +219,11 @@ class Outcome(NamedTuple):
 
 
 def outcomes(seeds: Sequence[int], kinds: Sequence[str], rigs: Sequence[str], folder: Path) -> Iterator[Outcome]:
-    """Each kind on each boat and rig that can show it; kind "" is the boat without a mistake."""
+    """Yield the outcome of each kind on each boat and rig that can show it. Kind "" is the boat without a mistake."""
     for seed in seeds:
         for rig in rigs:
-            whole, other = (logged(seed, rig, s, run) for s, run in ((SECONDS, 1), (VALIDATION_SECONDS, 2)))
-            validation = written(folder / "validation.mcap", other)
+            whole, second_run = (logged(seed, rig, s, run) for s, run in ((SECONDS, 1), (VALIDATION_SECONDS, 2)))
+            validation = written(folder / "validation.mcap", second_run)
             for kind in ("", *(k for k in kinds if rig in KINDS[k].rigs)):
                 path = written(folder / "run.mcap", KINDS[kind].of(whole) if kind else whole)
                 judge = written(folder / "copy.mcap", whole) if kind == COPY else validation
@@ -229,19 +233,19 @@ def outcomes(seeds: Sequence[int], kinds: Sequence[str], rigs: Sequence[str], fo
 
 
 def table(rows: Sequence[Outcome]) -> str:
-    """Markdown: a line a kind."""
+    """Return a Markdown table with one line per kind."""
     lines = ["| mistake | rigs | refused with its code | refused | code |", "|---|---|---|---|---|"]
     for kind in dict.fromkeys(r.kind for r in rows if r.kind):
         its = [r for r in rows if r.kind == kind]
         rigs = ", ".join(dict.fromkeys(r.rig for r in its))
-        said = ", ".join(f"`{code}`" for code in KINDS[kind].codes)
+        codes = ", ".join(f"`{code}`" for code in KINDS[kind].codes)
         refused = sum(r.line is not None for r in its)
-        lines.append(f"| {kind} | {rigs} | {sum(r.named for r in its)} of {len(its)} | {refused} | {said} |")
+        lines.append(f"| {kind} | {rigs} | {sum(r.named for r in its)} of {len(its)} | {refused} | {codes} |")
     return "\n".join(lines)
 
 
 def summary(rows: Sequence[Outcome]) -> str:
-    """What came of it, in a sentence."""
+    """Return a summary of the outcomes in a sentence."""
     right, wrong = [r for r in rows if not r.kind], [r for r in rows if r.kind]
     kinds = len({r.kind for r in wrong})
     refused = sum(r.line is not None for r in wrong)
@@ -253,20 +257,20 @@ def summary(rows: Sequence[Outcome]) -> str:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Print the table; status 1 where a mistake went through or a right log was refused."""
+    """Print the table. The status is 1 if a mistake was accepted or a correct log was rejected."""
     parser = argparse.ArgumentParser("python -m tests.recovery.misuse", description=__doc__)
     parser.add_argument("--boats", type=int, default=5)
     parser.add_argument("--seed", type=int, default=1, help="the first boat's")
     parser.add_argument("--docs", action="store_true", help="write docs/misuse.md")
-    given = parser.parse_args(words)
+    arguments = parser.parse_args(words)
     with TemporaryDirectory(prefix="seatrial-misuse-") as folder:
-        seeds = range(given.seed, given.seed + given.boats)
+        seeds = range(arguments.seed, arguments.seed + arguments.boats)
         rows = list(outcomes(seeds, list(KINDS), list(SENSORS), Path(folder)))
     for r in rows:
         if bool(r.kind) != r.named:
             print(f"{r.kind or 'no mistake'}, {r.rig}, boat {r.seed}: {r.line or 'not refused'}")
     print(summary(rows), table(rows), sep="\n\n")
-    if given.docs:
+    if arguments.docs:
         text = (
             "# Logs with a mistake\n\n"
             "Each log is a mission of a mock boat, imported with one mistake, and passed to `seatrial ident vehicle`. "
@@ -274,7 +278,7 @@ def main(words: Sequence[str] | None = None) -> int:
             "meaningless. One line states the finding, its place, and the entry to correct. The rigs are: all sensors "
             "of a mock boat (full); heading, yaw rate and positions (position); heading and positions (compass); "
             "heading, yaw rate, positions and velocities of the body (body).\n\n"
-            f"    python -m tests.recovery.misuse --boats {given.boats} --seed {given.seed} --docs\n\n"
+            f"    python -m tests.recovery.misuse --boats {arguments.boats} --seed {arguments.seed} --docs\n\n"
             f"{summary(rows)}\n\n{table(rows)}\n\n"
             "The scale of a signal is only checked against a second sensor. Time that runs twice as fast, with heading "
             "and positions only, is therefore not found.\n"

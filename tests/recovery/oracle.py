@@ -1,4 +1,6 @@
-"""What the best answer could have been: the model with the true structure, and the true curve of an unknown effect."""
+"""Oracle of the recovery study: the model with the true structure, and the true curve of an effect outside the
+catalogue.
+"""
 
 from __future__ import annotations
 
@@ -23,11 +25,11 @@ from seatrial.mocks.hidden_effects.catalogue import make_effect
 from tests.recovery.kinds import Case, boat_of, model_of
 
 Array = NDArray[np.float64]
-RATE = 10.0  # Hz
+RATE = 10.0  # Unit: Hz
 
 
 def oracle(case: Case, runs: Sequence[LogSegment]) -> FittedModel | None:
-    """The catalogue's effects of the true names, fitted; None where the catalogue lacks one of them."""
+    """Fit the effects of the catalogue with the true names. Return None if the catalogue lacks one of them."""
     known = catalogue()
     if any(name not in known for name in case.truths):
         return None
@@ -42,7 +44,9 @@ def oracle(case: Case, runs: Sequence[LogSegment]) -> FittedModel | None:
 
 
 def _near_the_truth(effect: Effect, case: Case) -> Effect:
-    """Where a size of zero has no gradient, or a frequency has several optima, start near the truth: it may know."""
+    """Start near the truth if a size of zero has no gradient or a frequency has several optima. The oracle may use the
+    truth.
+    """
     true = make_effect(effect.name, case.seed, case.how.scale).parameters
     known = {
         "f_p": true.get("frequency_hz"),
@@ -56,10 +60,11 @@ def _near_the_truth(effect: Effect, case: Case) -> Effect:
 
 
 def shape_share(case: Case, shapes: Sequence[NonparametricCurve]) -> float | None:
-    """The share of the drawn curve whose band holds the true one; None without a drawn curve of the right kind.
+    """Return the share of the drawn curve whose band contains the true curve. Return None without a suitable drawn
+    curve.
 
-    What the model's own parameters can take up is compared with neither: a constant, for X(u) the drag, for X(n_sum)
-    the thrust.
+    Parts that the model's own parameters can absorb are not compared: a constant, the drag for X(u), and the thrust for
+    X(n_sum).
     """
     answer = next((e.answer for e in boat_of(case).effects if e.answer is not None), None)
     if answer is None:
@@ -73,7 +78,7 @@ def shape_share(case: Case, shapes: Sequence[NonparametricCurve]) -> float | Non
 
 
 def _beyond(drawn: NonparametricCurve, difference: Array) -> Array:
-    """What is left of a difference of curves without what the hull's own damping or thrusters could take up."""
+    """Return the difference of two curves without the part that damping or thrusters of the model can absorb."""
     z = drawn.grid
     columns = [np.ones(z.size)]
     if (drawn.force, drawn.variable) in {("X", "u"), ("Y", "v"), ("N", "r"), ("X", "n_sum"), ("N", "n_diff")}:

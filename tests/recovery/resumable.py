@@ -1,4 +1,4 @@
-"""A study goes on where it was: a JSON line a case, cases that are there are not run again."""
+"""Resumable studies: one JSON line per case, and finished cases are not run again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Row = dict[str, Any]
 
 
 class Keyed(Protocol):
-    """A case that is found again by its key."""
+    """A case with a key that identifies it in the results."""
 
     @property
     def key(self) -> str: ...
@@ -26,7 +26,9 @@ class Keyed(Protocol):
 def resume(
     cases: Sequence[Keyed], run_case: Callable[[Any], Row], line: Callable[[Row], str], jobs: int, out: Path
 ) -> list[Row]:
-    """The lines of all cases, those of earlier runs from the file; each new one is printed by ``line``."""
+    """Return the lines of all cases. Lines of earlier runs come from the file, and each new line is printed by
+    ``line``.
+    """
     done = read(out)
     old = sum(done[c.key]["code"] != code_state() for c in cases if c.key in done)
     if old:
@@ -46,8 +48,10 @@ def resume(
 
 
 def read(out: Path) -> dict[str, Row]:
-    """Lines of earlier runs by key, the last of each; a line that was cut short is left out. A case that failed is
-    among them, for it belongs into the shares, until it is run again."""
+    """Return the last line of each key. A truncated line is left out.
+
+    A failed case is included, because it counts in the shares until it is run again.
+    """
     done: dict[str, Row] = {}
     for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
         try:
@@ -59,7 +63,7 @@ def read(out: Path) -> dict[str, Row]:
 
 
 def listed(word: str, known: Sequence[str]) -> Callable[[str], list[str]]:
-    """A type for argparse: names between commas, each one of the ``known``."""
+    """Return a type for argparse: comma-separated names, each one of ``known``."""
 
     def parse(text: str) -> list[str]:
         names = text.split(",")

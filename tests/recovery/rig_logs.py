@@ -1,7 +1,7 @@
-"""What other rigs log of a mock boat: one table of rigs, each a way from simulated readings to log files.
+"""Logs of other rigs: a table of rigs, each with a function from simulated readings to log files.
 
-A rig with an autopilot goes through the emulated autopilot's own messages and the decoder's clock, at a link that is
-late by chance; what a spreadsheet would hold is written as CSV and imported; the rest is written by daq's recorder.
+A rig with an autopilot uses the messages of the emulated autopilot and the clock of the decoder, over a link with
+random delay. Tables are written as CSV and imported. All other rigs use the recorder.
 """
 
 from __future__ import annotations
@@ -38,10 +38,11 @@ from tests.missions import RPM_MAX, T0, StandingClock, rig_of, write_log
 from tests.recovery.kinds import DECLARED, NONE
 
 Array = NDArray[np.float64]
-Log = Callable[[Path, Sequence[Reading]], Path]  # writes the readings of one mission; returns the log's path
-LINK_DELAY, LINK_JITTER = 0.005, 0.01  # s: least and mean further delay of a message on a telemetry link
-LINK = 900  # stream of random numbers of the link's delays
-SHAFTS = ("n_left", "n_right")  # where no shaft is measured, these are the commands
+Log = Callable[[Path, Sequence[Reading]], Path]  # Write the readings of one mission and return the path of the log.
+# Smallest delay [s] of a message on a telemetry link, and mean of its further delay [s].
+LINK_DELAY, LINK_JITTER = 0.005, 0.01
+LINK = 900  # Stream of random numbers for the delays of the link.
+SHAFTS = ("n_left", "n_right")  # Commands, if no shaft speed is measured.
 AUTOPILOT = DeviceSpecs(
     {"autopilot": 50.0},
     {"autopilot": 5.0},
@@ -53,20 +54,32 @@ TEN_HERTZ = replace(BOAT, ahrs={"ahrs": 10.0}, gnss={"gnss": 10.0})
 
 @dataclass(frozen=True)
 class Rig:
-    """What a boat carries, what is logged of it, and what its owner tells the commands.
+    """Devices of a boat, signals in its logs, and the options that its owner gives to the commands.
 
-    Attributes:
-        says: what it is, a phrase.
-        log: how the readings of a mission become a log.
-        gear: the devices on board.
-        estimation, validation: length of each mission [s].
-        declared: declared standard deviations of the sensors over those of the data sheets; None: estimated.
-        scale_known: the owner knows the thrust coefficients, and gives them.
-        payload: on board in each mission [kg], those to validate last; nothing by default.
-        blind: effects that nothing in these logs can show.
-        there: effects of the catalogue that every log of it has.
-        brings: those that come with another: what a rig makes of it.
-        called: names of the catalogue for what another effect is on it.
+    Attributes
+    ----------
+    says
+        Description of the rig as a phrase.
+    log
+        Function that writes the readings of a mission as a log.
+    gear
+        Devices on board.
+    estimation, validation
+        Duration of each mission [s].
+    declared
+        Given standard deviations of the sensors, divided by those of the data sheets. None if they are estimated.
+    scale_known
+        Whether the owner knows the thrust coefficients and gives them.
+    payload
+        Payload in each mission [kg], validation last. Empty for no payload.
+    blind
+        Effects that these logs cannot show.
+    there
+        Effects of the catalogue that every log of this rig has.
+    brings
+        Effects that the rig adds to another effect.
+    called
+        Names of the catalogue for another effect on this rig.
     """
 
     name: str
@@ -84,7 +97,9 @@ class Rig:
     called: Mapping[str, str] = field(default_factory=dict)
 
     def boat(self, effect: str | None, seed: int) -> Boat:
-        """The boat of a seed, its thrusters its own; of an unknown scale, up to twice or half the usual one."""
+        """Return the boat of a seed with its own thrusters. If the scale is unknown, their thrust is between half and
+        twice the usual one.
+        """
         thruster = draw_thruster(seed)
         if not self.scale_known:
             factor = float(2.0 ** random_stream(seed, LINK, index=1).uniform(-1.0, 1.0))
@@ -92,7 +107,7 @@ class Rig:
         return draw_boat(seed, [make_effect(effect, seed)] if effect else [], thruster)
 
     def sail(self, boat: Boat, folder: Path) -> tuple[list[Path], list[Path]]:
-        """The logs to estimate and to validate, of random missions."""
+        """Write the logs of random missions for estimation and validation."""
         paths = []
         payload = self.payload or (0.0,) * len((*self.estimation, *self.validation))
         for run, (seconds, kg) in enumerate(zip((*self.estimation, *self.validation), payload, strict=True), 1):
@@ -103,7 +118,7 @@ class Rig:
         return paths[: len(self.estimation)], paths[len(self.estimation) :]
 
     def options(self, boat: Boat) -> list[str]:
-        """What the owner knows, as options of `seatrial ident vehicle`."""
+        """Return the knowledge of the owner as options of `seatrial ident vehicle`."""
         known = {"y_left": -0.15, "y_right": 0.15}
         if self.scale_known:
             known |= {"c1": boat.thruster.c1, "c2": boat.thruster.c2}
@@ -113,21 +128,21 @@ class Rig:
 
 
 def vesc_log(path: Path, readings: Sequence[Reading]) -> Path:
-    """The boat of the mocks: an AHRS, a receiver and VESC controllers, as daq's recorder writes them."""
+    """Write the log of the simulated boat: AHRS, receiver and VESC controllers, by the recorder."""
     return write_log(path, "boat", readings)
 
 
 class Output:
-    """What an emulated autopilot sees of a speed controller: the command that it obeys."""
+    """State of a speed controller for the emulated autopilot: the command that it follows."""
 
     duty = 0.0
 
 
 def autopilot_log(path: Path, readings: Sequence[Reading], *, signed: bool) -> Path:
-    """Behind an autopilot, through its own messages: attitude and outputs at 25 Hz, fixes at 5 Hz.
+    """Write a log through the messages of an autopilot: attitude and outputs at 25 Hz, fixes at 5 Hz.
 
-    ``signed``: a DroneCAN bus beside the link gives the shafts' speeds with their signs and times, 25 of each a second;
-    else they are ESC_TELEMETRY's, ten a second, unsigned, at the time at which they came.
+    If ``signed``, a DroneCAN bus gives signed shaft speeds with their times at 25 Hz. Otherwise they are unsigned
+    ESC_TELEMETRY at 10 Hz with the time of arrival.
     """
     rig = rig_of("mavboat")
     device = rig.device("autopilot")
@@ -150,7 +165,7 @@ def autopilot_log(path: Path, readings: Sequence[Reading], *, signed: bool) -> P
         if signed and isinstance(sample, Esc):
             recorder.write("autopilot", Frame(sample, T0 + t + 1e-3, NAN), T0 + t + 1e-3)
         data = autopilot.encode(sample, t)  # type: ignore[arg-type]
-        arrived = max(arrived, t + LINK_DELAY + float(rng.exponential(LINK_JITTER)))  # nothing overtakes
+        arrived = max(arrived, t + LINK_DELAY + float(rng.exponential(LINK_JITTER)))  # Messages stay in order.
         for frame in decoder.feed(data, T0 + arrived):
             t = clock.estimate(frame.t_device, frame.t_rx, True, type(frame.sample))
             recorder.write("autopilot", frame, t)
@@ -159,20 +174,20 @@ def autopilot_log(path: Path, readings: Sequence[Reading], *, signed: bool) -> P
 
 
 def interval(ground: Codec, name: str, rate: float) -> bytes:
-    """MAV_CMD_SET_MESSAGE_INTERVAL."""
+    """Return the message MAV_CMD_SET_MESSAGE_INTERVAL."""
     number = getattr(dialect(), f"MAVLINK_MSG_ID_{name}")
     return ground.encode("COMMAND_LONG", 1, 1, 511, 0, number, 1e6 / rate, 0, 0, 0, 0, 0)
 
 
-Columns = dict[str, tuple[Array, Array]]  # times (n,) [s] and values (n,), by name
+Columns = dict[str, tuple[Array, Array]]  # Times (n,) [s] and values (n,), by name.
 
 
 def csv_log(
     path: Path, readings: Sequence[Reading], *, of: Callable[[Sequence[Reading]], Columns], hold: str = "linear"
 ) -> Path:
-    """A table with one column a signal and empty cells where it has no sample, imported by a map.
+    """Write a table with one column per signal and empty cells without samples, and import it by a map.
 
-    ``hold``: of the inputs: zero for commands, linear for shafts whose speed was measured.
+    ``hold`` is that of the inputs: zero for commands, linear for measured shaft speeds.
     """
     columns, rows = of(readings), dict[float, dict[str, float]]()
     for name, (t, values) in columns.items():
@@ -190,7 +205,7 @@ def csv_log(
 
 
 def import_files(how: Path, table: Path, path: Path) -> None:
-    """`seatrial import`, quietly. Raises RuntimeError where it fails."""
+    """Run `seatrial import` without output. Raise RuntimeError if it fails."""
     with redirect_stdout(StringIO()):
         try:
             command_line.main(["import", str(how), str(table), "-o", str(path), "--force"])
@@ -200,7 +215,7 @@ def import_files(how: Path, table: Path, path: Path) -> None:
 
 
 def csv_map(columns: Iterable[str], hold: str) -> str:
-    """``hold``: of the inputs between samples."""
+    """Return the text of an import map. ``hold`` is that of the inputs."""
     units = {"x": "m", "y": "m", "psi": "rad", "r": "rad/s", "ax": "m/s2", "ay": "m/s2"}
     text = 'format = "seatrial-import-csv 1"\n[csv]\nnan = "drop"\n[time]\ncolumn = "t"\n'
     for name in columns:
@@ -213,7 +228,7 @@ def csv_map(columns: Iterable[str], hold: str) -> str:
 
 
 def measured_columns(readings: Sequence[Reading]) -> Columns:
-    """All that the sensors of the boat said, and its shafts, by the names of an import."""
+    """Return all sensor signals and shaft speeds of the boat by the names of an import."""
     table = tables(readings)
     ahrs, gnss = table["ahrs"], table["gnss"]
     x, y = local_ned(gnss["lat"], gnss["lon"])
@@ -227,29 +242,31 @@ def measured_columns(readings: Sequence[Reading]) -> Columns:
 
 
 def commands_only(readings: Sequence[Reading], *, rate: float) -> Columns:
-    """Without the shafts: the command that held, looked at ``rate`` times a second."""
+    """Return the signals without shaft speeds. The held commands are sampled ``rate`` times a second."""
     table, found = tables(readings), measured_columns(readings)
     at = np.arange(0.0, found["psi"][0][-1], 1.0 / rate)
     sent = {}
     for node, name in zip((1, 2), SHAFTS, strict=True):
-        told = table[f"esc/{node}/command"]
-        held = np.append(0.0, told["n_cmd"])[np.searchsorted(told["t"], at, side="right")]
+        command = table[f"esc/{node}/command"]
+        held = np.append(0.0, command["n_cmd"])[np.searchsorted(command["t"], at, side="right")]
         sent[name] = (at, held)
     return sent | {name: column for name, column in found.items() if name not in SHAFTS}
 
 
 def position_and_compass(readings: Sequence[Reading]) -> Columns:
-    """A receiver and a compass; no gyro, no accelerometer."""
+    """Return the signals of a receiver and a compass, without gyro and accelerometer."""
     return {name: column for name, column in measured_columns(readings).items() if name not in ("r", "ax", "ay")}
 
 
 def navigation_filter(readings: Sequence[Reading]) -> Columns:
-    """What an autopilot's own estimator makes of the same sensors, ten times a second: smooth, and of one mind.
+    """Return the output of the estimator of an autopilot from the same sensors, at 10 Hz.
 
-    Acceleration integrated in NED, drawn to the fixes; the heading integrated from the gyro, drawn to the compass.
+    Acceleration is integrated in NED and corrected by the fixes. The heading is integrated from the gyro and corrected
+    by the compass.
     """
     rows, psi, r, turning = [], None, 0.0, 0.0
-    p, v, b = np.zeros(2), np.zeros(2), np.zeros(2)  # m, m/s, and the error of the acceleration, m/s2
+    # Position [m], velocity [m/s] and error of the acceleration [m/s2].
+    p, v, b = np.zeros(2), np.zeros(2), np.zeros(2)
     origin, last, due, pushing = None, 0.0, 0.0, np.zeros(2)
     for _, sample, t in readings:
         if isinstance(sample, Ahrs):
@@ -271,13 +288,13 @@ def navigation_filter(readings: Sequence[Reading]) -> Columns:
             off, error = np.array([north[1], east[1]]) - p, np.array([sample.vel_n, sample.vel_e]) - v
             p, v, b = p + 0.2 * off, v + 0.1 * error + 0.05 * off, b - 0.005 * error
     table = np.array(rows)
-    table = table[table[:, 0] > 10.0]  # it has converged
+    table = table[table[:, 0] > 10.0]  # The estimator has converged.
     found = {name: (table[:, 0], table[:, k]) for k, name in enumerate(("x", "y", "psi", "r", "u", "v"), start=1)}
     return found | {name: column for name, column in measured_columns(readings).items() if name in SHAFTS}
 
 
 NO_RATES = frozenset({"gyro-scale", "accelerometer-tilt", "accelerometer-scale", "mount", "waves", "pendulum"})
-SHAFT = frozenset({"delay", "lag", "dead-band"})  # the shaft's own, where its speed is not measured
+SHAFT = frozenset({"delay", "lag", "dead-band"})  # Effects of the shaft that need a measured shaft speed.
 VESC = Rig("vesc", "shaft speeds measured and signed, AHRS, GNSS, thrust known", vesc_log)
 RIGS: dict[str, Rig] = {
     rig.name: rig
@@ -316,10 +333,10 @@ RIGS: dict[str, Rig] = {
             "CSV: position, heading, yaw rate and body velocities smoothed by an estimator, 10 Hz",
             partial(csv_log, of=navigation_filter),
             blind=NO_RATES | {"gnss-latency"},
-            there=frozenset({"filter-lag"}),  # its yaw rate is late by 50 ms
-            brings={"lever-arm": frozenset({"velocity-point"})},  # it draws its velocity to that of the antenna
+            there=frozenset({"filter-lag"}),  # The yaw rate is late by 50 ms.
+            brings={"lever-arm": frozenset({"velocity-point"})},  # The velocity is corrected to that of the antenna.
             called={"compass-filtered": "compass"},
-        ),  # its heading is drawn to the compass in two seconds
+        ),  # The heading follows the compass within two seconds.
         replace(VESC, name="noise-third", says="sensor noise declared a third of the true one", declared=1 / 3),
         replace(VESC, name="noise-triple", says="sensor noise declared three times the true one", declared=3.0),
         replace(VESC, name="scale-unknown", says="thrust known to nobody", scale_known=False),
@@ -340,13 +357,18 @@ RIGS: dict[str, Rig] = {
 
 @dataclass(frozen=True)
 class Plant:
-    """Runs that another program simulated, in the folder that SEATRIAL_DATA says.
+    """Runs of an independent simulator, in the folder of the environment variable SEATRIAL_DATA.
 
-    Attributes:
-        folder: where they are.
-        effect: what was switched on, by the catalogue's name.
-        there: effects of the catalogue that the simulator's equations have in any case.
-        diagnosed: whether its model is one that can be diagnosed.
+    Attributes
+    ----------
+    folder
+        Folder of the runs.
+    effect
+        Effect that was switched on, by its name in the catalogue.
+    there
+        Effects of the catalogue that the simulator always has.
+    diagnosed
+        Whether the model can be diagnosed.
     """
 
     name: str
@@ -357,14 +379,14 @@ class Plant:
 
     @property
     def path(self) -> Path:
-        """Raises FileNotFoundError where the data sets are not."""
+        """Return the folder of the runs. Raise FileNotFoundError if the data sets are absent."""
         path = Path(os.environ.get("SEATRIAL_DATA", "SEATRIAL_DATA is not set"), self.folder)
         if not path.exists():
             raise FileNotFoundError(f"{path}")
         return path
 
     def logs(self, folder: Path) -> tuple[list[Path], list[Path]]:
-        """The logs to estimate and to validate."""
+        """Return the logs for estimation and validation."""
         if not self.diagnosed:
             return [import_tlog(self.path, folder / "steps.mcap")], []
         how = folder / "otter.toml"
@@ -378,7 +400,7 @@ class Plant:
 
     @property
     def options(self) -> list[str]:
-        """What its owner knows: the thrusters; or a model of its own."""
+        """Return the knowledge of the owner as options: the thrusters, or a user model."""
         if not self.diagnosed:
             return ["--model", f"{ARDUROVER / 'steered_boat.py'}:boat", "--rate", "25"]
         true = json.loads((self.path / "truth.json").read_text(encoding="utf-8"))
@@ -386,7 +408,7 @@ class Plant:
         return [word for name, value in known.items() for word in ("--fix", f"{name}={value!r}")]
 
     def truth(self) -> dict[str, float]:
-        """True parameters, those that mean the same in the simulator as here."""
+        """Return the true parameters that have the same meaning in the simulator and here."""
         if not self.diagnosed:
             return {"m_u": 2.0, "d_uu": 0.5}
         mass = json.loads((self.path / "truth.json").read_text(encoding="utf-8"))["M"]
@@ -394,15 +416,15 @@ class Plant:
 
 
 def import_tlog(tlog: Path, path: Path) -> Path:
-    """`seatrial import mavlink` of the example's rig, quietly."""
+    """Run `seatrial import mavlink` with the rig of the example, without output."""
     with redirect_stdout(StringIO()), suppress(SystemExit):
         command_line.main(["import", "mavlink", str(tlog), "--rig", str(ARDUROVER / "rig.toml"), "-o", str(path)])
     return path
 
 
 ARDUROVER = Path(__file__).parents[2] / "docs" / "examples" / "ardurover"
-OTTER_ARM = 0.395  # m
-# The Otter's cross-flow drag is a strip integral, its centre of gravity lies ahead of its origin.
+OTTER_ARM = 0.395  # Unit: m
+# The cross-flow drag of the Otter is a strip integral, and its centre of gravity is ahead of its origin.
 STRIPS = frozenset({"cross-flow", "cg-offset", "sway-yaw"})
 PLANTS: dict[str, Plant] = {
     plant.name: plant

@@ -1,15 +1,16 @@
-"""The study on other rigs than the mocks' own, and on plants of other authorship.
+"""Recovery study on other rigs than the default rig of the mocks, and on independent plants.
 
     python -m tests.recovery.rigs [--rigs vesc,ekf] [--effects none,wind] [--seeds N] [--seed S] [--jobs 2]
                                   [--out FILE] [--report] [--docs] [--again N]
 
-Each case is a boat of its own with one effect or none, logged as the rig logs it (`rig_logs`), and the two commands of
-a user: `seatrial ident vehicle` and `seatrial ident diagnose`. Nothing but their result files is judged. A case is a
-line in the out file as soon as it is done; a study that was interrupted goes on where it was. That of all effects takes
-many hours: its cases are kept in `docs/data/rigs-effects.jsonl`, those of clean boats in `rigs-clean.jsonl` and
-those of plants in `rigs-plants.jsonl` beside it, from which --out goes on. --docs writes the sections of which there
-are cases and leaves the others. Not all cases that are kept are of this state of the code: --again N draws N of those
-in the out file, runs them anew into a file beside it (`rigs-effects-again.jsonl`) and says which verdicts changed.
+Each case is another boat with one effect or none, logged by the rig (`rig_logs`). Two user commands analyse it:
+`seatrial ident vehicle` and `seatrial ident diagnose`. Only their result files are evaluated. Each finished case is
+written as a line to the out file. An interrupted study is resumed.
+
+The study of all effects takes many hours. Its cases are kept in `docs/data/rigs-effects.jsonl`, those of clean boats in
+`rigs-clean.jsonl` and those of plants in `rigs-plants.jsonl` in the same folder. --out resumes from such a file. --docs
+writes the sections that have cases and keeps the others. Some kept cases are of an older code state: --again N draws N
+cases of the out file, repeats them into a file beside it (`rigs-effects-again.jsonl`), and reports changed verdicts.
 """
 
 from __future__ import annotations
@@ -57,18 +58,20 @@ class RigCase:
 
     @property
     def key(self) -> str:
-        """By which a case is found again among the results."""
+        """Return the key of the case in the results."""
         return f"{self.rig}/{self.effect}/{self.seed}"
 
     @property
     def boat_seed(self) -> int:
-        """Of the boat and its noise: no two cases share a boat, or their verdicts would not be independent."""
+        """Return the seed of the boat and its noise. No two cases share a boat, so their verdicts are independent."""
         return 100_000 * self.seed + crc32(f"{self.rig}/{self.effect}".encode()) % 100_000
 
 
 def cases_of(rigs: Sequence[str], effects: Sequence[str], seed: int, seeds: int) -> list[RigCase]:
-    """Seed by seed, and mixed within, so that a study cut short has some of everything; no effect that a rig cannot
-    see."""
+    """Return the cases ordered by seed and mixed within each seed, so that a stopped study covers all kinds.
+
+    Effects that a rig cannot measure are left out.
+    """
     found = [
         RigCase(rig, effect, s)
         for s in range(seed, seed + seeds)
@@ -81,14 +84,14 @@ def cases_of(rigs: Sequence[str], effects: Sequence[str], seed: int, seeds: int)
 
 
 def run_case(case: RigCase) -> Row:
-    """One line of the study; a case that fails is a line too."""
+    """Run a case and return its line of the study. A failed case also gives a line."""
     row: Row = {"key": case.key, "rig": case.rig, "effect": case.effect, "seed": case.seed, "code": code_state()}
     row |= {"boat": case.boat_seed}
     before, began = spent(), time.monotonic()
     try:
         with TemporaryDirectory() as folder:
             row |= _plant(PLANTS[case.rig], Path(folder)) if case.rig in PLANTS else _boat(case, Path(folder))
-    except Exception as problem:  # the study goes on, and counts it
+    except Exception as problem:  # The study continues and counts the failure.
         row |= {"error": f"{type(problem).__name__}: {problem}"}
     return row | {"cpu": round(spent() - before, 1), "seconds": round(time.monotonic() - began, 1)}
 
@@ -98,7 +101,8 @@ def _boat(case: RigCase, folder: Path) -> Row:
     boat = rig.boat(None if case.effect == NONE else case.effect, case.boat_seed)
     with_effects = bool(rig.there or rig.payload)
     row = _identified(folder, *rig.sail(boat, folder), rig.options(boat), judged_with_effects=with_effects)
-    load = float(np.mean(rig.payload[: len(rig.estimation)])) if rig.payload else 0.0  # its parts are about the mean
+    # The payload of each run is relative to the mean.
+    load = float(np.mean(rig.payload[: len(rig.estimation)])) if rig.payload else 0.0
     truth = truth_of(replace(boat, hull=replace(boat.hull, mass=boat.hull.mass + load)))
     return row | {"z": z_scores(row.pop("fit").parameters, truth)}
 
@@ -117,8 +121,10 @@ def _identified(
     diagnose: bool = True,
     judged_with_effects: bool = False,
 ) -> Row:
-    """What the two commands say of the logs, and the fit of the first; or that of the second, where every log has an
-    effect that the first does not know."""
+    """Return the outputs of the two commands and the fit of the first.
+
+    If every log has an effect that the first command does not know, return the fit of the second.
+    """
     logs = [p.name for p in estimation] + [w for p in validation for w in ("--validate", p.name)]
     seatrial(folder, "ident", "vehicle", *logs, *options, "--out", "vehicle")
     vehicle = read_result(folder / "vehicle" / "result.json")
@@ -143,11 +149,11 @@ def _identified(
 
 
 def truth_of(boat: Boat) -> dict[str, float]:
-    """The true parameters under ident's names."""
+    """Return the true parameters by the names of ident."""
     return named_truth(boat.truth())
 
 
-# What a line is worth.
+# Verdicts of a line.
 
 RIGHT, FALSE_ALARM = "nothing, rightly", "false alarm"
 NAMED, LIKENED, DRAWN = "named", "likened", "drawn"
@@ -157,15 +163,17 @@ LACK_WORDS = (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG, FAILED)
 
 @cache
 def _own_names() -> dict[str, str]:
-    """Names of the catalogue -> those of the effects that they are, of which some models have another form: such forms
-    have the same first parameter."""
+    """Return a map from the names of the catalogue to the shortest name of the same effect.
+
+    Some models have another form of an effect. Both forms have the same first parameter.
+    """
     by_length = sorted((e for e in catalogue().values() if e.parameters), key=lambda e: len(e.name))
     shortest: dict[str, str] = {}
     return {e.name: shortest.setdefault(e.parameters[0].name, e.name) for e in by_length}
 
 
 def verdict(row: Row) -> str:
-    """One of the words above. A boat that lacks nothing is right only where nothing is found, sure or not."""
+    """Return one of the verdicts above. A clean boat is right only if no effect is found, whatever its attribution."""
     if "error" in row:
         return FAILED
     rig = RIGS.get(row["rig"])
@@ -191,19 +199,21 @@ def verdict(row: Row) -> str:
 
 
 def _expected(row: Row, name: str) -> bool:
-    """That a parameter differs between runs is true where the payload does; some rigs have an effect of their own."""
+    """Return whether an effect is expected: a difference between runs if the payload differs, or an effect of the rig
+    itself.
+    """
     own = RIGS[row["rig"]].there if row["rig"] in RIGS else frozenset[str]()
     return name in own or (row["rig"] == "payload" and name.startswith("between-runs:"))
 
 
 # Tables.
 
-WIDTH, IN_INTERVAL = 1.96, "truth in the 95 % interval"  # half an interval, in standard errors
+WIDTH, IN_INTERVAL = 1.96, "truth in the 95 % interval"  # Half of a 95 % interval in standard errors.
 CLEAN, LACKING, OTHERS = "Clean boats", "Boats with one effect", "Plants of other authorship"
 
 
 def sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The cases of each section that has some."""
+    """Return the cases of each section that has cases."""
     found: dict[str, list[Row]] = {CLEAN: [], LACKING: [], OTHERS: []}
     for r in rows:
         found[OTHERS if r["rig"] in PLANTS else CLEAN if r["effect"] == NONE else LACKING].append(r)
@@ -211,7 +221,7 @@ def sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def report(rows: Sequence[Row], form: Callable[[tables.Lines], str]) -> str:
-    """The tables of one section: what is asked for, then by rig and by effect, and what failed."""
+    """Return the tables of one section: the requirements, then by rig and by effect, and the failures."""
     head = "### " if form is tables.as_markdown else ""
     boats, others = [r for r in rows if r["rig"] in RIGS], [r for r in rows if r["rig"] in PLANTS]
     parts = [
@@ -226,7 +236,7 @@ def report(rows: Sequence[Row], form: Callable[[tables.Lines], str]) -> str:
 
 
 def asked(rows: Sequence[Row]) -> tables.Lines:
-    """Shares over all rigs, each with its 95 % interval and what is asked for; a case that failed counts against."""
+    """Return shares over all rigs with 95 % intervals and requirements. A failed case counts as a miss."""
     clean = [verdict(r) for r in rows if r["effect"] == NONE]
     lacking = [verdict(r) for r in rows if r["effect"] != NONE]
     z = _z(rows)
@@ -249,7 +259,7 @@ def asked(rows: Sequence[Row]) -> tables.Lines:
 
 
 def _worst_rigs(rows: Sequence[Row]) -> list[tuple[str, int, int, str, float]]:
-    """The same shares of clean boats on the rig where each is worst."""
+    """Return the same shares of clean boats on the worst rig of each."""
     alarms, within = list[tuple[str, int, int]](), list[tuple[str, int, int]]()
     for rig in dict.fromkeys(r["rig"] for r in rows if r["effect"] == NONE):
         own = [r for r in rows if r["rig"] == rig and r["effect"] == NONE]
@@ -267,7 +277,7 @@ def _worst_rigs(rows: Sequence[Row]) -> list[tuple[str, int, int, str, float]]:
 
 
 def by_rig(rows: Sequence[Row]) -> tables.Lines:
-    """One line a rig, of its clean boats or of those with an effect."""
+    """Return a table with one line per rig, of its clean boats or of those with an effect."""
     clean = any(r["effect"] == NONE for r in rows)
     of_clean = ["false alarms", "95 %", "within 3 s.e.", IN_INTERVAL]
     own_columns = of_clean if clean else [*LACK_WORDS, "95 % of wrong as sure"]
@@ -287,7 +297,7 @@ def by_rig(rows: Sequence[Row]) -> tables.Lines:
 
 
 def by_effect(rows: Sequence[Row]) -> tables.Lines:
-    """One line an effect, over all rigs."""
+    """Return a table with one line per effect, over all rigs."""
     lines = [["truth", "cases", *LACK_WORDS, "named or likened, 95 %"]]
     for effect in dict.fromkeys(r["effect"] for r in rows if r["effect"] != NONE):
         own = [r for r in rows if r["effect"] == effect]
@@ -304,8 +314,9 @@ def by_effect(rows: Sequence[Row]) -> tables.Lines:
 
 
 def parameters(rows: Sequence[Row]) -> tables.Lines:
-    """(estimate - truth) / standard error of the clean boats by parameter, how many 95 % intervals hold the truth, and
-    the rigs where it is beyond three."""
+    """Return (estimate - truth) / standard error of the clean boats by parameter, the share of 95 % intervals that
+    contain the truth, and the rigs with values beyond three.
+    """
     clean = [r for r in rows if r["effect"] == NONE and r.get("z")]
     lines = [["parameter", "estimates", "mean z", "sd of z", IN_INTERVAL, "within 3", "rigs beyond"]]
     for name in dict.fromkeys(n for r in clean for n in r["z"]):
@@ -327,18 +338,20 @@ def parameters(rows: Sequence[Row]) -> tables.Lines:
 
 
 def plants(rows: Sequence[Row]) -> tables.Lines:
-    """One line a plant: what it has, what was said."""
+    """Return a table with one line per plant: its effects and the findings."""
     lines = [["plant", "switched on", "in its equations besides", "found", "how", "verdict", "beyond 3 s.e."]]
     for r in (r for r in rows if "error" not in r):
         beyond = ", ".join(f"{n} {z:+.1f}" for n, z in r["z"].items() if abs(z) > 3)
         plant = PLANTS[r["rig"]]
-        said = [", ".join(r["found"]) or NONE, ", ".join(r["attribution"]), verdict(r)] if plant.diagnosed else [""] * 3
-        lines.append([plant.name, r["effect"], ", ".join(sorted(plant.there)), *said, beyond])
+        findings = (
+            [", ".join(r["found"]) or NONE, ", ".join(r["attribution"]), verdict(r)] if plant.diagnosed else [""] * 3
+        )
+        lines.append([plant.name, r["effect"], ", ".join(sorted(plant.there)), *findings, beyond])
     return lines
 
 
 def failures(rows: Sequence[Row]) -> tables.Lines:
-    """Cases that ended in an error, by rig and message."""
+    """Return the cases that ended in an error, by rig and message."""
     counts = Counter((r["rig"], r["error"]) for r in rows if "error" in r)
     return [["rig", "cases", "error"], *([rig, str(n), text] for (rig, text), n in counts.most_common())]
 
@@ -351,34 +364,36 @@ def _z(rows: Sequence[Row]) -> Any:
     return np.array([z for r in rows if r["effect"] == NONE for z in r.get("z", {}).values()])
 
 
-# Cases run anew.
+# Repeated cases.
 
 
 def again(out: Path) -> Path:
-    """The file of cases that were run anew, beside those that are kept."""
+    """Return the file of repeated cases, beside that of the kept cases."""
     return out.with_stem(f"{out.stem}-again")
 
 
 def drawn(rows: Sequence[Row], n: int) -> list[RigCase]:
-    """``n`` of the cases, the same ones each time."""
+    """Return ``n`` of the cases. The choice is the same each time."""
     chosen = random.Random(n).sample(sorted(rows, key=lambda r: str(r["key"])), min(n, len(rows)))
     return [RigCase(r["rig"], r["effect"], r["seed"]) for r in chosen]
 
 
 def latest(rows: Sequence[Row]) -> str:
-    """One line: the shares of the cases of the last state of the code alone, where there are others; file order."""
+    """Return one line with the shares of the cases of the latest code state, in file order. It is empty without other
+    states.
+    """
     words = [verdict(r) for r in rows if r["code"] == rows[-1]["code"]]
     if len(words) in (0, len(rows)):
         return ""
     clean = rows[-1]["effect"] == NONE
     says = {"nothing found": (RIGHT,)} if clean else {"named or likened": (NAMED, LIKENED), "wrong as sure": (WRONG,)}
-    counts = {what: sum(w in own for w in words) for what, own in says.items()}
-    shares = ", ".join(f"{what} {k} ({tables.interval(k, len(words))} %)" for what, k in counts.items())
+    counts = {description: sum(w in own for w in words) for description, own in says.items()}
+    shares = ", ".join(f"{description} {k} ({tables.interval(k, len(words))} %)" for description, k in counts.items())
     return f"Of the last state alone ({rows[-1]['code']}), {len(words)} cases: {shares}."
 
 
 def held(rows: Sequence[Row], anew: Sequence[Row]) -> str:
-    """One line: how many verdicts are the same when cases are run anew, and which are not."""
+    """Return one line with the number of equal verdicts of repeated cases, and the changed verdicts."""
     kept = {r["key"]: verdict(r) for r in rows}
     both = [(r["key"], kept[r["key"]], verdict(r)) for r in anew if r["key"] in kept]
     if not both:
@@ -397,7 +412,7 @@ def held(rows: Sequence[Row], anew: Sequence[Row]) -> str:
 
 
 def line(row: Row) -> str:
-    """A case in a few words."""
+    """Return a short description of a case."""
     if "error" in row:
         return f"{row['key']}: failed: {row['error']}"
     z = max((abs(v) for v in row["z"].values()), default=0.0)
@@ -405,32 +420,41 @@ def line(row: Row) -> str:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run what is not yet there, then print the tables."""
-    given = _parser().parse_args(words)
-    wanted = cases_of(given.rigs, given.effects, given.seed, given.seeds)
+    """Run the missing cases, then print the tables."""
+    arguments = _parser().parse_args(words)
+    wanted = cases_of(arguments.rigs, arguments.effects, arguments.seed, arguments.seeds)
     try:
-        if given.again:
-            resume(drawn([*read(given.out).values()], given.again), run_case, line, given.jobs, again(given.out))
-        only_shown = given.report or given.again
-        rows = list(read(given.out).values()) if only_shown else resume(wanted, run_case, line, given.jobs, given.out)
+        if arguments.again:
+            resume(
+                drawn([*read(arguments.out).values()], arguments.again),
+                run_case,
+                line,
+                arguments.jobs,
+                again(arguments.out),
+            )
+        only_shown = arguments.report or arguments.again
+        rows = (
+            list(read(arguments.out).values())
+            if only_shown
+            else resume(wanted, run_case, line, arguments.jobs, arguments.out)
+        )
     except KeyboardInterrupt:
-        print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
+        print(f"interrupted; run the same again to go on ({arguments.out})", file=sys.stderr)
         return 130
-    anew = list(read(again(given.out)).values())
+    anew = list(read(again(arguments.out)).values())
     for title, own in sections(rows).items():
         print(f"{title}\n\n{report(own, tables.as_text)}\n\n{latest(own)}\n{held(own, anew)}\n")
-    if given.docs:
+    if arguments.docs:
         page = DOCS.read_text(encoding="utf-8")
         for title, own in sections(rows).items():
-            page = with_section(page, title, section(own, given.seeds, anew))
+            page = with_section(page, title, section(own, arguments.seeds, anew))
         DOCS.write_text(page, encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0
 
 
 def with_section(page: str, title: str, text: str) -> str:
-    """The page with another text under a heading of the second level, up to the next one; at its end, where it has no
-    such heading."""
+    """Return the page with new text below a heading of the second level. A missing heading is added at the end."""
     heading = f"\n## {title}\n"
     before, _, rest = page.partition(heading)
     _, following, after = rest.partition("\n## ")
@@ -438,7 +462,7 @@ def with_section(page: str, title: str, text: str) -> str:
 
 
 def section(rows: Sequence[Row], seeds: int, anew: Sequence[Row] = ()) -> str:
-    """How these cases are made, how far they are, whether they hold, and their tables."""
+    """Return the text of a section: how the cases are made, their progress, repeated verdicts, and the tables."""
     states = ", ".join(sorted({str(r["code"]) for r in rows}))
     made = " ".join(filter(None, [f"{how_made(rows, seeds)} States of the code: {states}.", latest(rows),
                                   held(rows, anew)]))  # fmt: skip
@@ -446,7 +470,7 @@ def section(rows: Sequence[Row], seeds: int, anew: Sequence[Row] = ()) -> str:
 
 
 def how_made(rows: Sequence[Row], seeds: int) -> str:
-    """The command that makes these cases, or goes on with them, and how far they are; ``seeds``: wanted of each."""
+    """Return the command that makes these cases, and their progress. ``seeds`` is the required number of each."""
     own = [r for r in rows if r["rig"] in RIGS]
     if not own:
         names = ",".join(n for n in PLANTS if any(r["rig"] == n for r in rows))
@@ -458,7 +482,7 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
         [n for n in every if any(r[key] == n for r in own)]
         for key, every in (("rig", RIGS), ("effect", (NONE, *EFFECTS, *OUTSIDE)))
     )
-    blocks = list[list[int]]()  # of seeds that follow each other
+    blocks = list[list[int]]()  # Blocks of consecutive seeds.
     for seed in sorted({r["seed"] for r in own}):
         if not blocks or seed != blocks[-1][-1] + 1:
             blocks.append([])

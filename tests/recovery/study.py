@@ -1,11 +1,11 @@
-"""The recovery study: known truth in, same truth out?
+"""Recovery study: does the diagnosis find the known truth of simulated boats?
 
     python -m tests.recovery.study [--kinds single,mixture] [--seeds N] [--seed S] [--jobs 2] [--effects a,b]
                                    [--out FILE] [--docs]
 
-Boats with one, two or all effects of the mocks, with effects that no catalogue lists, with noise that is not what was
-assumed, and with nothing: each kind on boats of its own number of seeds, or of N. Each case is a line in the out file
-as soon as it is done; a study that was interrupted goes on where it was. Nothing is run again with --report.
+The boats have one, two or all effects of the mocks, effects outside the catalogue, misspecified noise, or no effect.
+Each kind has its own number of seeds, or N. Each finished case is written as a line to the out file. An interrupted
+study is resumed. --report runs no case.
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ Form = Callable[[tables.Lines], str]
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run what is not yet there, then print the tables."""
-    given = _parser().parse_args(words)
-    cases = cases_of(given.kinds, given.seed, given.seeds, given.effects)
+    """Run the missing cases, then print the tables."""
+    arguments = _parser().parse_args(words)
+    cases = cases_of(arguments.kinds, arguments.seed, arguments.seeds, arguments.effects)
     try:
-        if given.report:
-            rows = [r for r in read(given.out).values() if r.get("kind") in given.kinds]
+        if arguments.report:
+            rows = [r for r in read(arguments.out).values() if r.get("kind") in arguments.kinds]
         else:
-            rows = resume(cases, run_case, line, given.jobs, given.out)
+            rows = resume(cases, run_case, line, arguments.jobs, arguments.out)
     except KeyboardInterrupt:
-        print(f"interrupted; run the same again to go on ({given.out})", file=sys.stderr)
+        print(f"interrupted; run the same again to go on ({arguments.out})", file=sys.stderr)
         return 130
     print(report(rows, tables.as_text))
-    if given.docs:
-        # what the study of other rigs has written stays
+    if arguments.docs:
+        # The text of the study of other rigs is kept.
         _, heading, rigs = DOCS.read_text(encoding="utf-8").partition(f"\n{tables.RIGS_HEADING}\n")
-        DOCS.write_text(document(rows, given) + heading + rigs, encoding="utf-8")
+        DOCS.write_text(document(rows, arguments) + heading + rigs, encoding="utf-8")
         print(f"written: {DOCS.name}")
     return 1 if any("error" in r for r in rows) else 0
 
 
 def cases_of(kinds: Sequence[str], seed: int, seeds: int | None, effects: Sequence[str]) -> list[Case]:
-    """Seed by seed, so that a study cut short has some of everything."""
+    """Return the cases ordered by seed, so that a stopped study covers all kinds."""
     numbers = {kind: seeds if seeds is not None else KINDS[kind].seeds for kind in kinds}
     return [
         Case(truth, s, kind)
@@ -64,7 +64,7 @@ def cases_of(kinds: Sequence[str], seed: int, seeds: int | None, effects: Sequen
 
 
 def line(row: Row) -> str:
-    """A case in a few words."""
+    """Return a short description of a case."""
     if "error" in row:
         return f"{row['key']}: failed: {row['error']}"
     if first_right(row):
@@ -75,7 +75,7 @@ def line(row: Row) -> str:
 
 
 def report(rows: Sequence[Row], form: Form) -> str:
-    """All tables."""
+    """Return all tables."""
     some = {kind: [r for r in rows if r["kind"] == kind] for kind in KINDS}
     parts = [
         ("What is asked for", targets.targets(rows)),
@@ -97,13 +97,13 @@ def report(rows: Sequence[Row], form: Form) -> str:
     return "\n\n".join(f"{head}{title}\n\n{form(lines)}" for title, lines in parts if len(lines) > 1) + end
 
 
-def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
-    """docs/recovery.md."""
-    seeds = f" --seeds {given.seeds}" if given.seeds is not None else ""
-    chosen = "" if set(given.kinds) == set(KINDS) else f" --kinds {','.join(given.kinds)}"
-    kept = "" if given.out == OUT else f" --out {given.out}"
+def document(rows: Sequence[Row], arguments: argparse.Namespace) -> str:
+    """Return the text of docs/recovery.md."""
+    seeds = f" --seeds {arguments.seeds}" if arguments.seeds is not None else ""
+    chosen = "" if set(arguments.kinds) == set(KINDS) else f" --kinds {','.join(arguments.kinds)}"
+    kept = "" if arguments.out == OUT else f" --out {arguments.out}"
     states = sorted({str(r["code"]) for r in rows})
-    its = {case.key for case in cases_of(given.kinds, given.seed, given.seeds, given.effects)}
+    its = {case.key for case in cases_of(arguments.kinds, arguments.seed, arguments.seeds, arguments.effects)}
     own = sum(r["key"] in its for r in rows)
     ran = f"{own} cases" if own == len(its) else f"{own} of its {len(its)} cases so far (it goes on where it was)"
     ran += f", and {len(rows) - own} of earlier runs with other seeds, which the second table names" * (own < len(rows))
@@ -116,7 +116,7 @@ def document(rows: Sequence[Row], given: argparse.Namespace) -> str:
         "answer counts as right only where it is given as sure; the oracle is the model with the true effect of the "
         "catalogue, fitted to the same data."
         "\n\n"
-        f"    python -m tests.recovery.study --seed {given.seed}{seeds}{chosen}{kept} --docs\n\n"
+        f"    python -m tests.recovery.study --seed {arguments.seed}{seeds}{chosen}{kept} --docs\n\n"
         f"{ran}; states of the code: {', '.join(states)}.\n\n" + report(rows, tables.as_markdown) + "\n"
     )
 

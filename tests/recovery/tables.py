@@ -1,4 +1,4 @@
-"""What the lines of a study say together: who was named for whom, and how good the estimates are."""
+"""Tables of a study: confusion of effects, and the quality of the estimates."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from tests.recovery.kinds import NONE
 from tests.recovery.verdict import UNKNOWN, all_right, extra, first_answer, first_right, likened, wrong_as_sure
 
 Lines = list[list[str]]
-RIGS_HEADING = "# Other rigs"  # in docs/recovery.md: from here on it is of the study of rigs
+RIGS_HEADING = "# Other rigs"  # Heading in docs/recovery.md. All text from here on belongs to the study of rigs.
 
 
 def by_effect(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The lines of each truth, in the order in which they came; failed cases are left out."""
+    """Return the lines of each true effect, in their order. Failed cases are left out."""
     names = dict.fromkeys(r["effect"] for r in rows)
     found = {name: [r for r in rows if r["effect"] == name and "error" not in r] for name in names}
     return {name: cases for name, cases in found.items() if cases}
 
 
 def rates(rows: Sequence[Row]) -> Lines:
-    """One line an effect: named first, among all named, nothing, unknown, another; extra names; errors; CPU."""
+    """Return a table with one line per effect: named first, named at all, none, unknown, another; extra names; errors;
+    CPU time.
+    """
     lines = [
         [
             "truth",
@@ -66,7 +68,7 @@ def rates(rows: Sequence[Row]) -> Lines:
 
 
 def confusion(rows: Sequence[Row]) -> Lines:
-    """Truth by line, first answer by column, counts; a dot for zero."""
+    """Return counts of first answers (columns) by true effect (lines), with a dot for zero."""
     table = {name: Counter(first_answer(r) for r in cases) for name, cases in by_effect(rows).items()}
     seen = {answer for counter in table.values() for answer in counter}
     columns = [n for n in (NONE, *table) if n in seen]
@@ -77,7 +79,7 @@ def confusion(rows: Sequence[Row]) -> Lines:
 
 
 def coverage(rows: Sequence[Row]) -> Lines:
-    """Clean boats: mean and spread of (estimate - truth) / standard error, and how many lie within 1.96."""
+    """Return mean and spread of (estimate - truth) / standard error on clean boats, and the share within 1.96."""
     lines = [["parameter", "cases", "mean z", "sd of z", "within 1.96"]]
     clean = [r["z"] for r in rows if r["effect"] == NONE and "error" not in r]
     for name in dict.fromkeys(n for z in clean for n in z):
@@ -93,7 +95,7 @@ def share(count: int, n: int) -> str:
 
 
 def interval(count: int, n: int) -> str:
-    """The 95 % interval of a share (Wilson 1927), in per cent."""
+    """Return the 95 % interval of a share (Wilson 1927) in per cent."""
     if n == 0:
         return ""
     z = 1.959964
@@ -103,28 +105,28 @@ def interval(count: int, n: int) -> str:
 
 
 def change(before: Sequence[float], after: Sequence[float]) -> str:
-    """Medians."""
+    """Return the medians before and after."""
     return f"{np.median(before):.3g} -> {np.median(after):.3g}"
 
 
 def position(errors: dict[str, dict[str, float]]) -> float:
-    """Ten seconds ahead, m."""
+    """Return the position error [m] ten seconds ahead."""
     return float(np.hypot(errors["horizon"]["x"], errors["horizon"]["y"]))
 
 
 def heading(errors: dict[str, dict[str, float]]) -> float:
-    """In simulation, degrees."""
+    """Return the heading error [deg] in simulation."""
     return float(np.degrees(errors["simulation"]["psi"]))
 
 
 def as_text(lines: Lines) -> str:
-    """Columns as wide as their widest cell."""
+    """Return the lines as text. Each column is as wide as its widest cell."""
     width = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
     rows = ["  ".join(cell.ljust(w) for cell, w in zip(line, width, strict=True)).rstrip() for line in lines]
     return "\n".join(row for row in rows if row)
 
 
 def as_markdown(lines: Lines) -> str:
-    """The first line is the head."""
+    """Return the lines as a Markdown table. The first line is the header."""
     rows = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join([rows[0], "|" + "---|" * len(lines[0]), *rows[1:]])

@@ -1,4 +1,4 @@
-"""How often each kind of case came out right, beside what is asked for."""
+"""Share of right cases of each kind, with its requirement."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ SMALL_SIZES = (("quarter", 0.25), ("half", 0.5), ("single", 1.0))
 
 @dataclass(frozen=True)
 class Target:
-    """A share of the cases of some kinds; ``least``: the share should not be smaller, else not larger."""
+    """Required share of the cases of some kinds. If ``least``, the share must not be smaller; otherwise it must not be
+    larger.
+    """
 
     kinds: tuple[str, ...]
     says: str
     counts: Callable[[Row], bool]
     share: float
     least: bool = True
-    lacking: bool = True  # of boats with an effect, else of those without
+    lacking: bool = True  # If true, the target is for boats with an effect, otherwise for clean boats.
 
 
 def false_alarm(row: Row) -> bool:
@@ -34,7 +36,7 @@ def false_alarm(row: Row) -> bool:
 
 
 def shape_holds(row: Row) -> bool:
-    """At least nine tenths of the drawn curve have the true one in their band."""
+    """Return whether the band contains the true curve over at least nine tenths of the drawn curve."""
     return bool(row.get("shape", 0.0) >= 0.9)
 
 
@@ -58,14 +60,14 @@ TARGETS = (
 
 
 def good(rows: Sequence[Row], *kinds: str, lacking: bool | None = None) -> list[Row]:
-    """The cases of some kinds that did not fail; only those with an effect, or only those without."""
+    """Return the cases of some kinds that did not fail. ``lacking`` selects those with or without an effect."""
     return [
         r for r in rows if r["kind"] in kinds and "error" not in r and (lacking is None or bool(truths(r)) == lacking)
     ]
 
 
 def targets(rows: Sequence[Row]) -> Lines:
-    """One line a target: what is asked for, what came out, of how many cases."""
+    """Return a table with one line per target: requirement, result and number of cases."""
     lines = [["kind", "share", "asked for", "found", "cases", "met"]]
     for target in TARGETS:
         cases = good(rows, *target.kinds, lacking=target.lacking)
@@ -107,7 +109,7 @@ def _oracle_line(rows: Sequence[Row]) -> Lines:
 
 
 def kinds(rows: Sequence[Row]) -> Lines:
-    """One line a kind: what was said, over all its cases with an effect, and over those without."""
+    """Return a table with one line per kind: results of its cases with an effect and of its clean cases."""
     lines = [
         [
             "kind",
@@ -146,7 +148,7 @@ def kinds(rows: Sequence[Row]) -> Lines:
 
 
 def _seeds(rows: Sequence[Row]) -> str:
-    """21, 31-40"""
+    """Return the seeds as ranges, for example "21, 31-40"."""
     seeds = sorted({int(r["seed"]) for r in rows})
     firsts = [s for s in seeds if s - 1 not in seeds]
     lasts = [s for s in seeds if s + 1 not in seeds]
@@ -162,7 +164,7 @@ def _share(rows: Sequence[Row], counts: Callable[[Row], bool]) -> str:
 
 
 def power(rows: Sequence[Row]) -> Lines:
-    """Named first by effect and size, and over the oracle's error at full size."""
+    """Return the share named first by effect and size."""
     sizes = [(kind, size) for kind, size in SMALL_SIZES if good(rows, kind)]
     if len(sizes) < 2:
         return [[]]
@@ -180,7 +182,7 @@ def power(rows: Sequence[Row]) -> Lines:
 
 
 def oracles(rows: Sequence[Row]) -> Lines:
-    """Error over the oracle's (geometric mean over channels): median, and the worst of ten."""
+    """Return the error divided by that of the oracle (geometric mean over channels): median and 90 % quantile."""
     lines = [["kind", "cases", "10 s ahead, median", "90 %", "simulation, median", "90 %"]]
     for name in KINDS:
         found = [r["ratio"] for r in good(rows, name, lacking=True) if "ratio" in r]
@@ -194,7 +196,9 @@ def oracles(rows: Sequence[Row]) -> Lines:
 
 
 def shapes(rows: Sequence[Row]) -> Lines:
-    """Outside the catalogue: how much of the drawn curve has the true one in its 95 % band."""
+    """Return, for effects outside the catalogue, the share of the drawn curve whose 95 % band contains the true
+    curve.
+    """
     lines = [["truth", "cases", "right force and variable", "curve drawn", "share of the curve in the band, median"]]
     for name in dict.fromkeys(r["effect"] for r in good(rows, "outside")):
         cases = [r for r in good(rows, "outside") if r["effect"] == name]

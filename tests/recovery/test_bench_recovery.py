@@ -1,4 +1,4 @@
-"""A small fixed sample of the bench's recovery study, and the study's own book-keeping."""
+"""Tests of a small fixed sample of the bench recovery study, and of its bookkeeping."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from tests.recovery.tables import as_markdown
 
 
 @pytest.mark.study
-def test_a_clean_bench_lacks_nothing() -> None:
+def test_clean_bench_gives_no_effect() -> None:
     found = diagnose_bench(BenchCase("none", 1))
     assert found.effects == ()
 
 
 @pytest.mark.study
-def test_an_effect_is_named_alone_and_makes_the_model_better() -> None:
-    """An effect of the shaft; one of the force goes by the commands (tests/ident/diagnosis/test_thruster_diagnosis)."""
+def test_effect_alone_is_named_and_improves_the_model() -> None:
+    """This is an effect of the shaft. tests/ident/diagnosis/test_thruster_diagnosis covers an effect of the force by
+    commands.
+    """
     row = bench_study.run_case(BenchCase("spin-up", 1))
     assert row.get("error") is None
     assert verdict(row) == "exact"
@@ -50,12 +52,12 @@ ROWS = [
 
 
 @pytest.mark.parametrize(("row", "wanted"), ROWS)
-def test_a_line_is_judged(row: Row, wanted: str) -> None:
+def test_verdict_of_a_line(row: Row, wanted: str) -> None:
     assert verdict(row) == wanted
     assert wanted in line(row)
 
 
-def test_the_tables_count_what_was_named() -> None:
+def test_tables_count_the_named_effects() -> None:
     rows = [row for row, _ in ROWS]
     together = {one[0]: one[1] for one in bench_study.summary(rows)}
     assert together["named first, size 1"] == "2/5"
@@ -71,7 +73,7 @@ def test_the_tables_count_what_was_named() -> None:
     assert "| spin-up | 5 |" in bench_study.document(rows, "the command")
 
 
-def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_study_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, ran = tmp_path / "new" / "bench.jsonl", []
 
     def pretend(case: BenchCase) -> Row:
@@ -87,7 +89,7 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
     assert "## Together" in bench_study.report(list(read(out).values()), as_markdown)
 
 
-def test_an_unknown_effect_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_effect_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as leaving:
         bench_study.main(["--effects", "kraken"])
     assert leaving.value.code == 2

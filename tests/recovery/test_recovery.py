@@ -1,4 +1,4 @@
-"""A small fixed sample of the recovery study, and the study's own book-keeping."""
+"""Tests of a small fixed sample of the recovery study, and of its bookkeeping."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ IDENTIFIABLE = {"m_u", "m_v", "m_r", "d_v", "d_r", "d_uu", "d_vv", "d_rr", "V_x"
 
 
 @pytest.mark.slow
-def test_a_clean_boat_lacks_nothing_and_its_parameters_are_true() -> None:
+def test_clean_boat_gives_no_effect_and_true_parameters() -> None:
     case = Case("none", 2, "clean")
     found = diagnose_case(case, runs_of(case, (240.0, 120.0)))
     assert found.effects == ()
@@ -56,7 +56,7 @@ LONG = [pytest.param(e, marks=pytest.mark.study) for e in ("mismatch", "cubic-dr
 
 @pytest.mark.parametrize("effect", LONG)
 @pytest.mark.slow
-def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> None:
+def test_effect_is_named_first_and_improves_the_model(effect: str) -> None:
     row = run_case(Case(effect, 2))
     assert row.get("error") is None
     assert row["found"][:1] == [effect]
@@ -69,8 +69,8 @@ def test_an_effect_is_named_first_and_makes_the_model_better(effect: str) -> Non
 
 
 @pytest.mark.study
-def test_what_a_mixture_would_miss_most_comes_first() -> None:
-    """The small delays of all effects together gain most of the likelihood; the boat goes astray by another."""
+def test_most_important_effect_of_a_mixture_comes_first() -> None:
+    """The small delays of all effects together gain most of the likelihood. Another effect dominates the motion."""
     case = Case("turning-resistance", 1, "mixture")
     runs = runs_of(case, (240.0, 160.0))
     found = diagnose(model_of(case), runs[:1], runs[1:], max_effects=2)
@@ -83,19 +83,20 @@ def test_what_a_mixture_would_miss_most_comes_first() -> None:
 
 
 @pytest.mark.study
-def test_a_name_is_found_behind_a_table() -> None:
-    """What throws the boat about by three cycles of heading gains most; the dead band is found once that is drawn."""
+def test_effect_is_found_beside_a_nonparametric_effect() -> None:
+    """The moment with three cycles over heading gains most. The dead band is found after this curve is in the model."""
     row = run_case(Case("heading-third+dead-band", 51, "beside"))
     assert row.get("error") is None
-    assert row["found"] == ["unknown N(psi)", "dead-band"]  # the search's order too; the table weighs more
+    # This is also the order of the search. The nonparametric effect is more important.
+    assert row["found"] == ["unknown N(psi)", "dead-band"]
     assert row["attribution"] == ["nonparametric", "ambiguous"]
     assert verdict.all_right(row)
     assert row["remaining_candidates"] == []
 
 
 @pytest.mark.study
-def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
-    """Without the compass' deviation in the catalogue: the error of the heading over the heading, and no name."""
+def test_sensor_error_outside_the_catalogue_is_drawn() -> None:
+    """Without compass deviation in the catalogue, the heading error over heading is drawn, and no effect is named."""
     case = Case("compass", 2, "leave-one-out")
     runs, effects = runs_of(case, (150.0, 100.0)), {n: e for n, e in catalogue().items() if n != "compass"}
     found = diagnose(model_of(case), runs[:1], runs[1:], effects=effects, max_effects=1)
@@ -106,8 +107,8 @@ def test_a_sensor_that_no_catalogue_explains_is_drawn() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.study)])
-def test_the_bench_finds_its_thruster(seed: int) -> None:
-    """Pole, thrust coefficients and delay within three standard errors and five percent."""
+def test_bench_identifies_its_thruster(seed: int) -> None:
+    """Pole, thrust coefficients and delay are within three standard errors and five percent."""
     bench = draw_bench(seed)
     found = bench_channels_of(push(bench, run=1, chirp_s=5.0, count=4)[0])
     channels = delayed_channels(found["n_cmd_thruster"]) | {"n": found["n_thruster"], "force": found["force"]}
@@ -145,7 +146,7 @@ def fake(effect: str, seed: int, found: list[str], kind: str = "single", **more:
     }
 
 
-def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+def test_interrupted_study_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     out, ran = tmp_path / "new" / "study.jsonl", []
 
     def pretend(case: Case) -> Row:
@@ -165,23 +166,23 @@ def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.Monkey
     assert study.main([*words, "--seeds", "1"]) == 0
     assert ran == ["single/wind/1", "clean/none/1"]
     with out.open("a", encoding="utf-8") as file:
-        file.write('{"key": "none/2/1", "eff')  # killed while it wrote
+        file.write('{"key": "none/2/1", "eff')  # The study was killed while it wrote this line.
         file.write("\n")
     assert study.main([*words, "--seeds", "2"]) == 1
     assert ran[2:] == ["single/wind/2", "clean/none/2"]
     assert study.main([*words, "--seeds", "2"]) == 1
-    assert ran[4:] == ["single/wind/2"]  # what failed is tried again
+    assert ran[4:] == ["single/wind/2"]  # The failed case is run again.
     text = capsys.readouterr().out
     assert "single/wind/1: wind (right" in text
     assert "single/wind/2: failed: ValueError: no" in text
     assert "1 of 4 cases failed" in text
     assert len([json.loads(x) for x in out.read_text().splitlines() if x.endswith("}")]) == 5
-    assert study.main([*words, "--report"]) == 1  # and is among what is shown until it succeeds
+    assert study.main([*words, "--report"]) == 1  # The failed case is shown until it succeeds.
     assert "1 of 4 cases failed" in capsys.readouterr().out
     assert len(ran) == 5
 
 
-def test_the_tables_count_what_was_named() -> None:
+def test_tables_count_the_named_effects() -> None:
     rows = [
         fake("wind", 1, ["wind"]),
         fake("wind", 2, ["compass", "wind"]),
@@ -201,7 +202,7 @@ def test_the_tables_count_what_was_named() -> None:
     assert "| wind | 5 |" in study.report(rows, tables.as_markdown)
 
 
-def test_the_targets_are_shares_of_the_right_cases() -> None:
+def test_targets_are_shares_of_the_right_cases() -> None:
     rows = [
         fake("none", 1, [], "clean"),
         fake("none", 2, ["wind"], "clean"),
@@ -236,7 +237,7 @@ def test_the_targets_are_shares_of_the_right_cases() -> None:
     assert verdict.extra(fake("wind", 1, ["wind", "lag"], "mixture")) == 0
 
 
-def test_kinds_are_what_they_say() -> None:
+def test_kinds_have_their_effects() -> None:
     assert set(KINDS) >= {"single", "half", "mixture", "pair", "outside", "clean", "timid", "short", "dropout"}
     pairs = all_pairs(1)
     assert len(pairs) == len(EFFECTS) // 2
@@ -250,7 +251,7 @@ def test_kinds_are_what_they_say() -> None:
     assert half == pytest.approx(0.5 * boat_of(Case("cubic-drag", 1)).effects[0].parameters["k"])
 
 
-def test_drop_outs_leave_holes_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dropouts_only_remove_samples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(KINDS, "short", replace(KINDS["short"], seconds=(70.0, 65.0)))
     whole = runs_of(Case("none", 1, "short"))[0].channels
     holed = with_gaps(dict(whole), 1)
@@ -271,7 +272,7 @@ def test_ratios_and_bands() -> None:
 
 
 @pytest.mark.parametrize("words", [["--effects", "kraken"], ["--kinds", "kraken"]])
-def test_an_unknown_effect_is_wrong_usage(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_unknown_effect_is_a_usage_error(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as leaving:
         study.main(words)
     assert leaving.value.code == 2

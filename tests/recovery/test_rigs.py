@@ -1,4 +1,4 @@
-"""Other rigs: their logs hold what they say and no more, and every line is judged for what it is worth."""
+"""Tests of other rigs: their logs contain exactly the declared signals, and every line gets the right verdict."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.recovery.rigs import CHOSEN, RigCase, cases_of, verdict
 
 
 @pytest.mark.parametrize("name", ["mavlink-signed", "mavlink-unsigned", "commands-5hz", "gnss-compass", "ekf"])
-def test_a_rig_logs_what_it_says(name: str, tmp_path: Path) -> None:
+def test_log_of_a_rig_has_its_declared_signals(name: str, tmp_path: Path) -> None:
     rig = replace(RIGS[name], estimation=(45.0,), validation=())
     logs, _ = rig.sail(rig.boat(None, 3), tmp_path)
     loaded = load_run(logs[0], "estimation")
@@ -38,12 +38,12 @@ def test_a_rig_logs_what_it_says(name: str, tmp_path: Path) -> None:
     if name.startswith("mavlink"):
         with open_log(logs[0]) as log:
             rpm = log.table(Esc, "autopilot", node=1)
-        late = (rpm["rpm"] * rpm["duty"] < 0).any()  # a shaft that has yet to follow a reversal
+        late = (rpm["rpm"] * rpm["duty"] < 0).any()  # The shaft has not followed a reversal yet.
         assert late == (name == "mavlink-signed")
         assert np.median(np.diff(rpm["t"])) == pytest.approx(0.04 if name == "mavlink-signed" else 0.1, rel=0.1)
 
 
-def test_the_owner_gives_what_he_knows() -> None:
+def test_options_contain_the_knowledge_of_the_owner() -> None:
     boat = RIGS["vesc"].boat("wind", 1)
     assert f"c1={boat.thruster.c1!r}" in RIGS["vesc"].options(boat)
     unknown = RIGS["scale-unknown"]
@@ -53,13 +53,13 @@ def test_the_owner_gives_what_he_knows() -> None:
     assert float(declared["e_r"]) == pytest.approx(0.01 / 3 / 5**0.5)
 
 
-def test_an_estimator_is_smooth_and_near_the_truth() -> None:
+def test_navigation_filter_is_smooth_and_near_the_truth() -> None:
     done = simulate(boat_with(None, 1), [0.0, 20.0], [[0.5, 0.3], [0.2, 0.6]], 60.0, 1)
     smooth, measured, truth = navigation_filter(done.readings), measured_columns(done.readings), done.truth
     for name, near in (("psi", 0.02), ("u", 0.1), ("r", 0.03)):
         t, value = smooth[name]
         true = np.interp(t, truth["t"], np.unwrap(truth[name]) if name == "psi" else truth[name])
-        if name == "u":  # over ground
+        if name == "u":  # This velocity is over ground.
             c, s = np.cos(np.interp(t, truth["t"], truth["psi"])), np.sin(np.interp(t, truth["t"], truth["psi"]))
             true = c * np.gradient(np.interp(t, truth["t"], truth["x"]), t) + s * np.gradient(
                 np.interp(t, truth["t"], truth["y"]), t
@@ -86,7 +86,8 @@ def row(rig: str, effect: str, found: list[str], how: str = "identified", not_ex
         (row("vesc", "none", ["wind"], "ambiguous"), rigs.FALSE_ALARM),
         (row("vesc", "wind", ["wind"]), rigs.NAMED),
         (row("vesc", "wind", ["compass"], "ambiguous", ("wind",)), rigs.LIKENED),
-        (row("commands-5hz", "gnss-latency", ["gnss-latency-command"]), rigs.NAMED),  # its form for such a model
+        # This is the form of the effect for such a model.
+        (row("commands-5hz", "gnss-latency", ["gnss-latency-command"]), rigs.NAMED),
         (row("vesc", "wind", ["compass"], "ambiguous", ("mount",)), rigs.OTHER),
         (row("vesc", "wind", ["unknown N(psi)"], "nonparametric"), rigs.DRAWN),
         (row("vesc", "wind", []), rigs.MISSED),
@@ -96,7 +97,7 @@ def row(rig: str, effect: str, found: list[str], how: str = "identified", not_ex
         (row("vesc", "none", ["between-runs:payload"]), rigs.FALSE_ALARM),
         (row("ekf", "none", ["filter-lag"], "ambiguous"), rigs.RIGHT),
         (row("ekf", "wind", ["filter-lag"]), rigs.MISSED),
-        (row("ekf", "lever-arm", ["lever-arm", "velocity-point"]), rigs.NAMED),  # its velocity is the antenna's
+        (row("ekf", "lever-arm", ["lever-arm", "velocity-point"]), rigs.NAMED),  # The velocity is that of the antenna.
         (row("ekf", "wind", ["wind", "velocity-point"]), rigs.WRONG),
         (row("vesc", "lever-arm", ["lever-arm", "velocity-point"]), rigs.WRONG),
         (row("vesc", "none", ["filter-lag"], "ambiguous"), rigs.FALSE_ALARM),
@@ -105,11 +106,11 @@ def row(rig: str, effect: str, found: list[str], how: str = "identified", not_ex
         (row("otter-none", "none", ["lag"]), rigs.FALSE_ALARM),
     ],
 )
-def test_what_a_line_is_worth(line: Row, worth: str) -> None:
+def test_verdict_of_a_line(line: Row, worth: str) -> None:
     assert verdict(line) == worth
 
 
-def test_the_tables_of_the_rigs() -> None:
+def test_tables_of_the_rigs() -> None:
     rows = [row("vesc", "none", []), row("ekf", "none", ["lag"]), row("vesc", "wind", ["wind"]),
             row("ekf", "wind", []), row("otter-none", "none", []), row("ekf", "lag", []) | {"error": "no"}]  # fmt: skip
     parts = rigs.sections(rows)
@@ -128,7 +129,7 @@ def test_the_tables_of_the_rigs() -> None:
     assert tables.interval(0, 300) == "0.0-1.3"
 
 
-def test_a_case_that_failed_counts_until_it_is_run_again(tmp_path: Path) -> None:
+def test_failed_case_counts_until_it_is_run_again(tmp_path: Path) -> None:
     out = tmp_path / "cases.jsonl"
     cases = [RigCase("vesc", "wind", seed) for seed in (1, 2)]
     right = {case.key: row("vesc", "wind", ["wind"]) | {"key": case.key} for case in cases}
@@ -145,19 +146,20 @@ def test_a_case_that_failed_counts_until_it_is_run_again(tmp_path: Path) -> None
     assert [verdict(r) for r in read(out).values()] == [rigs.NAMED, rigs.NAMED]
 
 
-def test_cases_run_anew_say_which_verdicts_changed() -> None:
+def test_changed_verdicts_of_repeated_cases_are_reported() -> None:
     kept = [row("vesc", "wind", ["wind"]), row("ekf", "wind", []), row("short", "wind", [])]
     assert {c.key for c in rigs.drawn(kept, 3)} == {r["key"] for r in kept}
     assert rigs.drawn(kept, 2) == rigs.drawn(kept[::-1], 2)
     state = kept[0]["code"]
     anew = f"were run anew on another state of the code ({state}; `--again 2`): the verdict is the same in"
     assert rigs.held(kept, kept[:2]) == f"2 of them, drawn at random, {anew} 2 (34.2-100.0 %)."
-    changed = [kept[0], row("ekf", "wind", ["wind"]), row("ekf", "lag", ["lag"])]  # the last is none of those kept
+    # The last case is not among the kept ones.
+    changed = [kept[0], row("ekf", "wind", ["wind"]), row("ekf", "lag", ["lag"])]
     assert rigs.held(kept, changed).endswith(f"{anew} 1 (9.5-90.5 %): ekf/wind/1 was missed, is named.")
     assert rigs.held(kept, []) == ""
 
 
-def test_the_last_state_of_the_code_has_shares_of_its_own() -> None:
+def test_latest_code_state_has_its_own_shares() -> None:
     old, new = row("vesc", "wind", []) | {"code": "old"}, [row("ekf", "wind", ["wind"]), row("short", "wind", [])]
     assert rigs.latest([old, *new]) == (
         f"Of the last state alone ({code_state()}), 2 cases: named or likened 1 (9.5-90.5 %), "
@@ -168,7 +170,7 @@ def test_the_last_state_of_the_code_has_shares_of_its_own() -> None:
     assert rigs.latest(new) == ""
 
 
-def test_a_section_of_the_page_is_written_and_the_others_stay() -> None:
+def test_section_of_the_page_is_replaced_and_the_others_are_kept() -> None:
     page = "# Rigs\n\n## Clean boats\n\nold\n\n### Part\n\nolder\n\n## Boats with one effect\n\nkept\n"
     assert rigs.with_section(page, rigs.CLEAN, "new") == (
         "# Rigs\n\n## Clean boats\n\nnew\n\n## Boats with one effect\n\nkept\n"
@@ -177,7 +179,7 @@ def test_a_section_of_the_page_is_written_and_the_others_stay() -> None:
     assert rigs.with_section(page, rigs.OTHERS, "new") == f"{page}\n## Plants of other authorship\n\nnew\n"
 
 
-def test_a_study_that_was_cut_short_says_so() -> None:
+def test_progress_of_a_stopped_study_is_reported() -> None:
     clean, lacking = [row("vesc", "none", []), row("ekf", "none", [])], [row("vesc", "wind", ["wind"])]
     command = "    python -m tests.recovery.rigs --rigs"
     alike = "each a boat of its own"
@@ -197,7 +199,7 @@ def test_a_study_that_was_cut_short_says_so() -> None:
     assert rigs.how_made([row("otter-none", "none", [])], 1).startswith(f"{command} otter-none\n\n1 cases. Estimates")
 
 
-def test_cases_leave_out_what_a_rig_cannot_see() -> None:
+def test_cases_leave_out_effects_that_a_rig_cannot_measure() -> None:
     cases = cases_of(["commands-5hz", "vesc", "otter-none"], ["none", "lag"], 7, 2)
     assert cases[0] == RigCase("otter-none", "none", 0)
     assert RigCase("vesc", "lag", 7) in cases
@@ -209,8 +211,10 @@ def test_cases_leave_out_what_a_rig_cannot_see() -> None:
 
 
 @pytest.mark.study
-def test_what_an_estimator_makes_of_sensors_does_not_pass_for_motion(tmp_path: Path) -> None:
-    """Taken for white, its errors made 4.0 kg m2 (6 standard errors off) of a quadratic yaw damping of 6.06."""
+def test_errors_of_an_estimator_are_not_identified_as_motion(tmp_path: Path) -> None:
+    """If these errors were treated as white, the quadratic yaw damping was 4.0 kg m2 (6 standard errors off) instead of
+    6.06.
+    """
     rig = replace(RIGS["ekf"], estimation=(250.0,), validation=())
     boat = rig.boat(None, 7002)
     logs, _ = rig.sail(boat, tmp_path)
@@ -222,7 +226,7 @@ def test_what_an_estimator_makes_of_sensors_does_not_pass_for_motion(tmp_path: P
     assert max(map(abs, z.values())) < 3.5, z
     values = {p.name: p.value for p in found.fit.parameters}
     assert values["d_rr"] == pytest.approx(boat.hull.d_rr, rel=0.1)
-    assert values["T_r"] == pytest.approx(0.03, abs=0.005)  # that of `navigation_filter`
+    assert values["T_r"] == pytest.approx(0.03, abs=0.005)  # This is the time constant in `navigation_filter`.
     assert values["A_xy"] > 0.03
     assert values["tau_xy"] > 0.5
 
@@ -230,8 +234,10 @@ def test_what_an_estimator_makes_of_sensors_does_not_pass_for_motion(tmp_path: P
 @pytest.mark.slow
 @pytest.mark.study
 @pytest.mark.parametrize("rig", ["mavlink-unsigned", "commands-10hz"])
-def test_a_clean_boat_of_another_rig_lacks_nothing_and_its_parameters_are_true(rig: str) -> None:
-    """Of four such boats behind an autopilot all were told that something is missing, up to 5.7 standard errors off."""
+def test_clean_boat_of_another_rig_gives_no_effect_and_true_parameters(rig: str) -> None:
+    """Formerly, four of four such boats with an autopilot had a false alarm, with estimates up to 5.7 standard errors
+    off.
+    """
     done = rigs.run_case(RigCase(rig, "none", 2))
     assert done.get("error") is None
     assert verdict(done) == rigs.RIGHT
@@ -241,7 +247,7 @@ def test_a_clean_boat_of_another_rig_lacks_nothing_and_its_parameters_are_true(r
 
 
 @pytest.mark.study
-def test_the_house_rig_is_diagnosed_by_the_commands() -> None:
+def test_default_rig_is_diagnosed_by_the_commands() -> None:
     done = rigs.run_case(RigCase("vesc", "mismatch", 2))
     assert done.get("error") is None
     assert verdict(done) in (rigs.NAMED, rigs.LIKENED)
@@ -250,7 +256,7 @@ def test_the_house_rig_is_diagnosed_by_the_commands() -> None:
     assert verdict(clean) == rigs.RIGHT
 
 
-def test_the_readme_has_the_figures_of_the_cases_that_are_kept() -> None:
+def test_readme_has_the_figures_of_the_kept_cases() -> None:
     root = Path(__file__).parents[2]
     clean, lacking = ([*read(root / f"docs/data/rigs-{name}.jsonl").values()] for name in ("clean", "effects"))
     words, z = [verdict(r) for r in lacking], [z for r in clean for z in r["z"].values()]

@@ -1,4 +1,4 @@
-"""What one line of the study is worth: right, wrong, unknown or nothing; said as sure, or only as a likeness."""
+"""Verdict on one line of the study: right, wrong, unknown or nothing; identified or only ambiguous."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ UNKNOWN = "unknown"
 
 
 def truths(row: Row) -> list[str]:
-    """What the boat had, one effect, two or none."""
+    """Return the true effects of the boat: none, one or two."""
     return [] if row["effect"] == NONE else str(row["effect"]).split("+")
 
 
 def first_answer(row: Row) -> str:
-    """The effect named first; ``none``, or ``unknown`` for a drawn shape."""
+    """Return the effect named first; ``none``, or ``unknown`` for a nonparametric effect."""
     if not row["found"]:
         return NONE
     return UNKNOWN if row["found"][0].startswith("unknown ") else str(row["found"][0])
 
 
 def answers(row: Row) -> list[str]:
-    """The right answers: names, and ``unknown F(v)`` for what no catalogue lists."""
+    """Return the right answers: names, and ``unknown F(v)`` for effects outside the catalogue."""
     return [_table(name, row["seed"]) if name in OUTSIDE else name for name in truths(row)]
 
 
@@ -33,7 +33,7 @@ def _table(name: str, seed: int) -> str:
 
 
 def first_right(row: Row) -> bool:
-    """The truth stands first, as sure; of a boat that lacks nothing, nothing is said."""
+    """Return whether the true effect is first and identified, or no effect was found on a clean boat."""
     if not truths(row):
         return not row["found"]
     if not row["found"]:
@@ -42,41 +42,44 @@ def first_right(row: Row) -> bool:
 
 
 def exactly(row: Row) -> bool:
-    """The truth as sure, and nothing else: no further name, no table of what is left."""
+    """Return whether the true effect is identified, and there is no other effect or nonparametric curve."""
     return first_right(row) and len(row["found"]) == len(truths(row))
 
 
 def leads(row: Row) -> bool:
-    """The truth stands first, as sure or as a likeness."""
+    """Return whether a true effect is first, whatever its attribution."""
     return bool(row["found"]) and row["found"][0] in truths(row)
 
 
 def all_right(row: Row) -> bool:
-    """Every truth is among what was named, likened or drawn; of a boat that lacks nothing, nothing is said."""
+    """Return whether all right answers were found, or no effect was found on a clean boat."""
     if not truths(row):
         return not row["found"]
     return set(answers(row)) <= set(row["found"])
 
 
 def wrong_as_sure(row: Row) -> bool:
-    """Something that the boat has not is named as sure, first."""
+    """Return whether the first effect is identified but not in the boat."""
     return bool(row["found"]) and row["attribution"][0] == "identified" and row["found"][0] not in truths(row)
 
 
 def likened(row: Row) -> bool:
-    """The first answer is a likeness: several effects that the data do not tell apart."""
+    """Return whether the first answer is ambiguous: the data do not distinguish several effects."""
     return bool(row["found"]) and row["attribution"][0] == "ambiguous"
 
 
 def extra(row: Row) -> int:
-    """Names said as sure of what is not there, not even at the 5 % of a mixture."""
+    """Return the number of identified effects that the boat lacks, even at the 5 % size of a mixture."""
     sure = [n for n, c in zip(row["found"], row["attribution"], strict=True) if c == "identified"]
     there = {*truths(row), *(EFFECTS if KINDS[row["kind"]].others else ())}
     return sum(n not in there for n in sure)
 
 
 def drawn_right(row: Row) -> bool:
-    """Of an effect outside the catalogue: the right force is drawn over the right variable, and no name is given as
-    sure; it may be said to resemble one."""
+    """Return whether the right forces are drawn over the right variables and the first effect is not wrongly
+    identified.
+
+    This is for effects outside the catalogue.
+    """
     right = [a.removeprefix("unknown ") for a in answers(row) if a.startswith("unknown ")]
     return set(right) <= set(row.get("nonparametric_effects", [])) and not wrong_as_sure(row)

@@ -1,4 +1,6 @@
-"""Drift of a load cell's zero between rests: found, taken off, and said by `seatrial ident thruster`."""
+"""Tests of the drift of a load cell's zero between rests: it is found, subtracted, and reported by `seatrial ident
+thruster`.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +19,11 @@ from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array
 
 T = np.arange(0.0, 120.0, 0.05)
-C1 = 40.0  # N
+C1 = 40.0  # Unit: N
 
 
 def bench(drift: Array | float = 0.0, noise: float = 0.05) -> tuple[Channel, Channel]:
-    """Command and force of levels of 4 s with rests of 6 s between them."""
+    """Return command and force of levels of 4 s with rests of 6 s between them."""
     levels = np.array([0.2, -0.2, 0.4, -0.4, 0.6, -0.6, 0.8, -0.8, 0.2, 0.4, 0.6, 0.8])
     phase = T % 10.0
     n = np.where(phase < 6.0, 0.0, levels[(T // 10.0).astype(int)])
@@ -30,12 +32,12 @@ def bench(drift: Array | float = 0.0, noise: float = 0.05) -> tuple[Channel, Cha
 
 
 @pytest.mark.parametrize("noise", [0.05, 1.0])
-def test_a_steady_zero_is_no_drift(noise: float) -> None:
+def test_constant_zero_is_not_a_drift(noise: float) -> None:
     assert zero_drift(*bench(2.0, noise), 1.5) is None
 
 
 @pytest.mark.parametrize("drift", [0.03 * T, 4.0 * (1.0 - np.exp(-T / 40.0)), -0.05 * T])
-def test_a_drift_is_taken_off_between_the_rests(drift: Array) -> None:
+def test_drift_is_subtracted_between_the_rests(drift: Array) -> None:
     command, force = bench(drift)
     found = zero_drift(command, force, 1.5)
     assert found is not None
@@ -58,7 +60,7 @@ def log(folder: Path, force: Channel, command: Channel) -> Path:
     return made
 
 
-def test_a_static_curve_is_right_in_spite_of_the_drift_and_says_it(tmp_path: Path) -> None:
+def test_static_curve_is_corrected_for_the_drift_and_reports_it(tmp_path: Path) -> None:
     command, force = bench(0.05 * T)
     words = ["thruster", str(log(tmp_path, force, command)), "--out", str(tmp_path / "out")]
     CliRunner().invoke(ident, words, catch_exceptions=False)
@@ -70,8 +72,8 @@ def test_a_static_curve_is_right_in_spite_of_the_drift_and_says_it(tmp_path: Pat
     assert ends[-0.8] == pytest.approx(-0.64 * C1, abs=0.15)
 
 
-def test_a_frozen_load_cell_is_refused(tmp_path: Path) -> None:
-    """`ident thruster` asks the checks first, as every fit does."""
+def test_frozen_load_cell_is_rejected(tmp_path: Path) -> None:
+    """`ident thruster` runs the log checks first, like every fit."""
     command, force = bench()
     frozen = np.where(T > 25.0, force.value[np.argmax(T > 25.0)], force.value)
     path = log(tmp_path, Channel(T, frozen, "N"), command)

@@ -1,4 +1,4 @@
-"""Sensor noise: known truths, the exact likelihood, and measured sensors at rest."""
+"""Tests of sensor noise: known truths, the exact likelihood, and measured sensors at rest."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def drawn(white: float, walk: float, n: int = 6000, dt: float = 0.02, seed: int 
 
 @pytest.mark.parametrize("gap", [False, True])
 @pytest.mark.parametrize("unit", [1.0, 1e-6])
-def test_the_truth_is_within_its_errors(gap: bool, unit: float) -> None:
+def test_truth_is_within_the_standard_errors(gap: bool, unit: float) -> None:
     channel = drawn(0.3, 0.2, gap=gap)
     found = estimate_noise(Channel(channel.t, channel.value * unit))
     assert abs(found.white / unit - 0.3) < 4 * found.white_error / unit
@@ -44,7 +44,7 @@ def test_the_truth_is_within_its_errors(gap: bool, unit: float) -> None:
     assert not found.flags
 
 
-def test_errors_are_the_spread_of_the_estimates() -> None:
+def test_standard_errors_equal_the_spread_of_the_estimates() -> None:
     fits = [estimate_noise(drawn(0.3, 0.5, 1500, seed=seed)) for seed in range(40)]
     z = np.array([[(f.white - 0.3) / f.white_error, (f.walk - 0.5) / f.walk_error] for f in fits])
     np.testing.assert_allclose(z.std(axis=0), 1.0, atol=0.4)
@@ -52,8 +52,8 @@ def test_errors_are_the_spread_of_the_estimates() -> None:
     assert sum(f.rejected or f.heavy_tailed or f.coarse for f in fits) == 0
 
 
-def test_the_likelihood_is_exact() -> None:
-    """Against the joint Gaussian of all samples, whose offset nobody knows."""
+def test_likelihood_is_exact() -> None:
+    """The reference is the joint Gaussian of all samples with an unknown offset."""
     channel = drawn(0.3, 0.8, 200, gap=True)
     found = estimate_noise(channel)
     t, y = channel.t, channel.value
@@ -73,7 +73,7 @@ def test_innovation_form_has_the_same_differences() -> None:
 
 
 @pytest.mark.parametrize(("white", "walk", "lost"), [(0.3, 0.0, "walk"), (0.0, 0.5, "white")])
-def test_a_part_that_is_not_there_is_flagged(white: float, walk: float, lost: str) -> None:
+def test_absent_part_is_flagged(white: float, walk: float, lost: str) -> None:
     found = estimate_noise(drawn(white, walk, 20_000))
     kept = "white" if lost == "walk" else "walk"
     assert getattr(found, kept) == pytest.approx(white + walk, rel=0.05)
@@ -85,8 +85,8 @@ def test_a_part_that_is_not_there_is_flagged(white: float, walk: float, lost: st
 
 
 @pytest.mark.parametrize("lost", ["walk", pytest.param("white", marks=pytest.mark.study)])
-def test_what_is_as_large_as_its_limit_is_found(lost: str) -> None:
-    """In 95 of 100 records; and the variance of white noise that is too small for it is right on the average."""
+def test_part_as_large_as_its_limit_is_found(lost: str) -> None:
+    """It is found in 95 of 100 records. On average, the variance of a white part too small to be found is right."""
     dt, n, trials, missed, variances = 0.1, 400, 100, 0, []
     white, walk = (0.3, 17 * 0.3 / (n * np.sqrt(dt))) if lost == "walk" else (0.0494, 0.5)
     for seed in range(trials):
@@ -95,7 +95,7 @@ def test_what_is_as_large_as_its_limit_is_found(lost: str) -> None:
         missed += math.isnan(small[1])
         variances.append(found.white**2)
         assert small[2] == pytest.approx(walk if lost == "walk" else white, rel=0.35)
-    assert missed < 13  # 5 expected, a chance of one in a thousand
+    assert missed < 13  # Five are expected. Thirteen have a chance of one in a thousand.
     assert np.mean(variances) == pytest.approx(white**2, rel=0.2)
 
 
@@ -108,8 +108,8 @@ def test_density_agrees_with_the_periodogram() -> None:
 
 
 @pytest.mark.parametrize("walk", [0.0, pytest.param(0.1, marks=pytest.mark.study)])
-def test_bands_of_the_density_hold_the_true_one_as_often_as_they_say(walk: float) -> None:
-    """Beyond the first bands, where the trend is taken out and a window of few oscillations leaks."""
+def test_bands_of_the_density_cover_the_true_density(walk: float) -> None:
+    """The first bands are left out, because detrending and window leakage distort them."""
     rng, inside, dt, n = np.random.default_rng(11), [], 0.1, 4000
     for _ in range(150):
         y = 0.3 * rng.normal(size=n) + np.cumsum(walk * np.sqrt(dt) * rng.normal(size=n))
@@ -147,8 +147,8 @@ def rejections(make: Callable[[np.random.Generator, int], np.ndarray], trials: i
         ),
     ],
 )  # fmt: skip
-def test_the_right_model_is_not_rejected(walk: float, n: int) -> None:
-    """At 0.1 % a way to depart, 200 trials reject 0.6; five have one chance in 2500."""
+def test_right_model_is_not_rejected(walk: float, n: int) -> None:
+    """Each test has a level of 0.1 %, so 200 trials reject 0.6 on average. Five have a chance of one in 2500."""
     found = rejections(lambda rng, n: rng.normal(size=n) + walk * np.cumsum(rng.normal(size=n)), 200, n)
     assert len(found) < 5
 
@@ -161,8 +161,8 @@ SLOW = {
 
 
 @pytest.mark.parametrize("kind", SLOW)
-def test_what_is_slow_and_no_walk_is_rejected(kind: str) -> None:
-    """Each correlation is small: the regression on many lags and the lowest octave see it."""
+def test_slow_signal_that_is_not_a_walk_is_rejected(kind: str) -> None:
+    """Each correlation is small. The regression on many lags and the lowest octave find it."""
     found = rejections(SLOW[kind], 20, 2000)
     assert len(found) == 20
     assert all(f.departures.band.matters and f.departures.band.low == 0 for f in found)
@@ -171,25 +171,27 @@ def test_what_is_slow_and_no_walk_is_rejected(kind: str) -> None:
         assert all(abs(f.largest_correlation) < 0.2 for f in found)
 
 
-def test_a_line_is_found_where_it_is() -> None:
+def test_spectral_line_is_found_at_its_frequency() -> None:
     found = rejections(lambda rng, n: rng.normal(size=n) + 0.5 * np.sin(2 * np.pi * 0.17 * np.arange(n)), 20, 2000)
     assert len(found) == 20
     assert all(f.departures.line.frequency == pytest.approx(0.17, abs=1e-3) for f in found)
     assert np.mean([f.departures.line.share for f in found]) == pytest.approx(0.125 / 1.125, abs=0.02)
 
 
-def test_the_share_that_is_predictable_is_that_of_the_truth() -> None:
-    """An AR(1) of coefficient phi can be predicted to phi^2 of its variance; a mean to its square's share."""
+def test_predictable_share_is_that_of_the_truth() -> None:
+    """The predictable share of an AR(1) process with coefficient phi is phi^2. That of a mean is the share of its
+    square.
+    """
     rng = np.random.default_rng(9)
     e = signal.lfilter([1.0], [1.0, -0.4], rng.normal(size=20_000))
     assert predictable(e).share == pytest.approx(0.16, abs=0.015)
     assert predictable(rng.normal(size=20_000) + 0.5).share == pytest.approx(0.25 / 1.25, abs=0.015)
     small = predictable(signal.lfilter([1.0], [1.0, -0.1], rng.normal(size=20_000)))
     assert small.p < 1e-9
-    assert not small.matters  # significant, and 1 % of the variance
+    assert not small.matters  # The correlation is significant, but only 1 % of the variance.
 
 
-def test_what_is_predictable_does_not_depend_on_the_unit() -> None:
+def test_predictable_share_is_independent_of_the_unit() -> None:
     e = np.random.default_rng(9).normal(size=2000) + 0.2
     for unit in (1e-8, 1e4, 1e8):
         np.testing.assert_allclose(predictable(unit * e), predictable(e), rtol=1e-6)
@@ -198,23 +200,23 @@ def test_what_is_predictable_does_not_depend_on_the_unit() -> None:
 def test_white_noise_has_uniform_p_values() -> None:
     acf = [autocorrelation(np.random.default_rng(seed).normal(size=500), 20) for seed in range(200)]
     p = [ljung_box(r, 500, n_fitted=2) for r in acf]
-    # two degrees of freedom are paid for parameters that were not fitted here
+    # Two degrees of freedom are subtracted for parameters that were not fitted here.
     assert 0.3 < np.mean(p) < 0.5
 
 
-def test_errors_of_noise_with_heavy_tails_are_the_spread_of_the_estimates() -> None:
-    """Of 0.2 % outliers of ten standard deviations and more, of which a record has but a few."""
+def test_errors_of_heavy_tailed_noise_equal_the_spread_of_the_estimates() -> None:
+    """A share of 0.2 % are outliers of ten or more standard deviations. Each record has only a few."""
     rng, fits = np.random.default_rng(3), []
     for _ in range(40):
         y = 0.01 * rng.normal(size=3000) * np.where(rng.random(3000) < 0.002, 20.0, 1.0)
         fits.append(estimate_noise(Channel(0.02 * np.arange(3000), y)))
     white, error = np.array([f.white for f in fits]), np.array([f.white_error for f in fits])
-    assert sum(f.heavy_tailed for f in fits) >= 36  # one or another has no outlier that shows
+    assert sum(f.heavy_tailed for f in fits) >= 36  # Some records have no visible outlier.
     assert not any(f.coarse for f in fits)
     assert 0.6 < np.median(error) / white.std() < 1.6
 
 
-def test_one_jump_is_no_walk_that_is_known_and_coarse_steps_are_seen() -> None:
+def test_single_jump_gives_a_large_error_and_coarse_steps_are_found() -> None:
     t = 0.02 * np.arange(4000)
     jump = estimate_noise(Channel(t, np.where(t < 40.0, 0.0, 1e-3)))
     assert jump.heavy_tailed
@@ -228,7 +230,7 @@ def test_one_jump_is_no_walk_that_is_known_and_coarse_steps_are_seen() -> None:
     assert not fine.heavy_tailed
 
 
-def test_missing_samples_and_short_records() -> None:
+def test_missing_samples_are_ignored_and_short_records_are_rejected() -> None:
     channel = drawn(0.3, 0.2, 2000)
     value = channel.value.copy()
     value[::7] = np.nan
@@ -253,7 +255,7 @@ def test_single_point_gps_is_rejected() -> None:
 
 
 @pytest.mark.measured
-def test_rtk_gps_is_white_noise_and_a_random_walk() -> None:
+def test_rtk_gps_is_white_noise_plus_a_random_walk() -> None:
     for axis in gps("LAB2"):
         assert not axis.rejected
         assert axis.white == pytest.approx(0.003, abs=0.0005)
@@ -261,9 +263,9 @@ def test_rtk_gps_is_white_noise_and_a_random_walk() -> None:
 
 
 @pytest.mark.measured
-def test_a_vectornavs_heading_at_rest_is_a_random_walk() -> None:
+def test_vectornav_heading_at_rest_is_a_random_walk() -> None:
     lines = (measured("static") / "vn100_stationary_40Hz_vnymr.txt").read_text().splitlines()
     yaw = np.array([float(line.split(",")[1]) for line in lines if line.startswith("$VNYMR") and line.count(",") == 12])
     found = estimate_noise(Channel(np.arange(yaw.size) / 40.0, yaw), "yaw")
-    assert found.walk == pytest.approx(0.0104, rel=0.05)  # degrees per root second
+    assert found.walk == pytest.approx(0.0104, rel=0.05)  # Unit: degrees per root second
     assert found.white < 0.1 * found.walk * math.sqrt(found.interval)

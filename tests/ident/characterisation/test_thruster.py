@@ -1,4 +1,4 @@
-"""What a bench log tells of a thruster's force: one direction, wrong signs, and the errors of both ends."""
+"""Tests of the thruster command: one direction only, wrong signs, and the errors of both ends."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ def run(*words: str, status: int = 0) -> None:
 
 
 def write_bench(folder: Path, levels: tuple[float, ...], shaft_sign: float = 1.0, force_sign: float = 1.0) -> str:
-    """A log of levels of 3 s each: first-order shaft, 0.1 s late, 41.1 N ahead and 38.9 N astern at full speed."""
+    """Write a log of levels of 3 s each: first-order shaft, 0.1 s late, at full speed 41.1 N forward and 38.9 N in
+    reverse.
+    """
     rng = np.random.default_rng(0)
     command = np.repeat(levels, round(3.0 / DT))
     late, n = np.append([0.0, 0.0], command[:-2]), np.zeros(command.size)
@@ -64,8 +66,8 @@ def write_bench(folder: Path, levels: tuple[float, ...], shaft_sign: float = 1.0
     return str(folder / "bench.mcap")
 
 
-def test_a_thrust_that_nobody_measured_has_no_number(tmp_path: Path) -> None:
-    """Of one direction c1 and c2 are one: c2 is fixed, which the next step says, too."""
+def test_direction_that_was_not_measured_has_no_thrust(tmp_path: Path) -> None:
+    """With one direction, only c1 + c2 is identifiable. The command fixes c2, and the vehicle fit uses that."""
     run("ident", "thruster", write_bench(tmp_path, AHEAD), "--out", str(tmp_path / "t"))
     result = json.loads((tmp_path / "t/result.json").read_text())
     assert "41.0" in result["answer"] or "41.1" in result["answer"]
@@ -82,7 +84,7 @@ def test_a_thrust_that_nobody_measured_has_no_number(tmp_path: Path) -> None:
     assert (c2.value, c2.free, str(c2.provenance)) == (0.0, False, "given")
     (note,) = notes
     assert "cannot separate c2 from c1" in note
-    # A model.toml of before, where both were free and had no error.
+    # An older model.toml, in which both were free and had no error.
     text = (tmp_path / "t/model.toml").read_text()
     bad = "\n".join(line for line in text.splitlines() if not line.startswith("se = "))
     (tmp_path / "bad.toml").write_text(bad)
@@ -93,15 +95,15 @@ def test_a_thrust_that_nobody_measured_has_no_number(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shaft", "force", "said"),
+    ("shaft", "force", "message"),
     [(1.0, -1.0, "the force falls as the command rises"), (-1.0, 1.0, "left: the shaft turns against its command")],
 )
-def test_a_wrong_sign_is_one_line(
-    shaft: float, force: float, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_wrong_sign_gives_a_one_line_error(
+    shaft: float, force: float, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run("ident", "thruster", write_bench(tmp_path, BOTH, shaft, force), "--out", str(tmp_path / "t"), status=1)
     err = capsys.readouterr().err
-    assert f"bench.mcap: {said}" in err
+    assert f"bench.mcap: {message}" in err
     assert err.count("\n") == 1
     assert not (tmp_path / "t/model.toml").exists()
 
@@ -112,18 +114,18 @@ def estimates(correlation: float) -> Any:
     return SimpleNamespace(estimate=lambda n: (values[n], 0.1), names=("c1", "c2"), covariance=covariance)
 
 
-def test_each_end_has_its_own_error_by_the_covariance() -> None:
+def test_each_direction_has_its_own_error_by_the_covariance() -> None:
     force, error = steady_thrust(estimates(-0.8), np.array([1.0, -1.0, 0.0]))
     np.testing.assert_allclose(force, [41.0, -39.0, 0.0])
     np.testing.assert_allclose(error, np.sqrt([0.25 - 2 * 0.096, 0.25 + 2 * 0.096, 0.0]))
-    said = thruster_answer(estimates(-0.8), has_force=True)
-    assert "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (statistical only)" in said
-    said = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
-    assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in said
+    answer = thruster_answer(estimates(-0.8), has_force=True)
+    assert "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (statistical only)" in answer
+    answer = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
+    assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in answer
     assert "The logs do not determine the thrust" in thruster_answer(estimates(np.nan), has_force=True)
 
 
-def test_steady_points_have_errors_that_allow_for_autocorrelation() -> None:
+def test_errors_of_steady_points_include_autocorrelation() -> None:
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 4.0, 0.0125)
     noise = np.zeros(t.size)

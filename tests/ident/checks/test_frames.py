@@ -1,4 +1,4 @@
-"""Which signal is the mirror of the others; smoothed signals and the floor under their noise."""
+"""Tests of mirrored signals, smoothed signals, frozen signals, copies, and the lower bound of noise."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ ALL: tuple[Relation, ...] = (
 
 
 def signs(*mirrored: str, known: tuple[Relation, ...] = ALL) -> Mapping[Relation, int]:
-    """As they are where these are mirrored and the rest is right."""
+    """Return the signs of the relations if these signals are mirrored and all others are right."""
     return {pair: 1 - 2 * (len(set(pair) & set(mirrored)) % 2) for pair in known}
 
 
-@pytest.mark.parametrize("one", ["heading", "gyro", "position", "velocity", "thrusters"])
-def test_one_mirror_is_named(one: str) -> None:
-    assert mirrored_signals(signs(one)) == (one,)
+@pytest.mark.parametrize("signal", ["heading", "gyro", "position", "velocity", "thrusters"])
+def test_one_mirrored_signal_is_named(signal: str) -> None:
+    assert mirrored_signals(signs(signal)) == (signal,)
 
 
-def test_two_of_one_device_are_named_and_nothing_where_all_agree() -> None:
+def test_two_mirrored_signals_of_one_device_are_named() -> None:
     assert mirrored_signals(signs()) is None
     assert mirrored_signals({}) is None
     assert mirrored_signals(signs("heading", "gyro")) == ("gyro", "heading")
     assert mirrored_signals(signs("position", "velocity")) == ("position", "velocity")
 
 
-def test_what_cannot_be_told_apart_is_named_together() -> None:
+def test_signals_that_cannot_be_distinguished_are_named_together() -> None:
     assert mirrored_signals(signs("heading", known=(("position", "heading"),))) == ("heading", "position")
     known: tuple[Relation, ...] = (("position", "heading"), ("heading", "gyro"))
     assert mirrored_signals(signs("position", known=known)) == ("gyro", "heading", "position")
@@ -56,43 +56,43 @@ def run() -> dict[str, Channel]:
 
 
 def filtered(c: Channel, samples: int = 25) -> Channel:
-    """By a smoother: several passes of a moving mean."""
+    """Smooth a signal by several passes of a moving mean."""
     value, kernel = np.unwrap(c.value), np.full(samples, 1.0 / samples)
     for _ in range(4):
         value = np.convolve(np.pad(value, samples // 2, mode="edge"), kernel, mode="valid")
     return Channel(c.t, value, c.unit)
 
 
-def test_a_smoothed_signal_is_told_and_its_noise_has_a_floor(run: dict[str, Channel]) -> None:
+def test_smoothed_signal_is_reported_and_its_noise_has_a_lower_bound(run: dict[str, Channel]) -> None:
     assert smoothed(run) == ()
-    assert noise_floor(run["r"]) == pytest.approx(0.01, rel=0.2)  # that of the mocks' gyro
+    assert noise_floor(run["r"]) == pytest.approx(0.01, rel=0.2)  # This is the noise of the simulated gyro.
     ekf = run | {"r": filtered(run["r"])}
     assert smoothed(ekf) == ("r",)
     assert [f.code for f in check_signals(ekf, SIDES) if f.level == "warning"] == ["channel-smoothed"]
     log = LoadedLog(LogSegment("run", ekf), {}, {}, None)
-    model, said = with_noise_floors(horizontal_model(), [log])
+    model, notes = with_noise_floors(horizontal_model(), [log])
     assert model.parameter("e_r").bounds[0] == 0.005
     assert model.parameter("e_r").value > 0.005
     assert model.parameter("e_psi") == horizontal_model().parameter("e_psi")
-    assert len(said) == 1
+    assert len(notes) == 1
     assert with_noise_floors(horizontal_model(), [])[1] == []
 
 
-def test_a_position_without_a_receivers_noise_has_errors_that_last(run: dict[str, Channel]) -> None:
+def test_position_of_an_estimator_gets_correlated_errors(run: dict[str, Channel]) -> None:
     assert not estimated(run)
     smooth = run | {n: filtered(run[n], 5) for n in ("x", "y", "psi")}
     assert estimated(smooth)
     log = LoadedLog(LogSegment("run", smooth), {}, {}, None)
-    model, said = with_estimator_errors(horizontal_model(), [log])
-    assert len(said) == 1
+    model, notes = with_estimator_errors(horizontal_model(), [log])
+    assert len(notes) == 1
     assert {f"{p}_{of}" for p in ("A", "tau") for of in ("r", "psi", "axy", "vxy", "xy")} <= set(model.free)
     assert "A_psi" in with_estimator_errors(nomoto_model(), [log])[0].free
-    again, told = with_noise_floors(model, [log])  # their white noise may go to nearly nothing, not to nothing
-    assert told == []
+    again, floor_notes = with_noise_floors(model, [log])  # The white noise may become nearly zero, but not zero.
+    assert floor_notes == []
     assert again.parameter("e_psi").bounds[0] == pytest.approx(0.02 * model.parameter("e_psi").value)
     assert again.parameter("e_xy").value == model.parameter("e_xy").value
     assert again.parameter("e_vxy").bounds[0] == 0.02 * model.parameter("e_vxy").value
-    # of a speed in whole cm/s, along whatever course, no less than rounding makes of it
+    # A speed in whole cm/s has at least the error of rounding, for any course.
     speed = np.hypot(smooth["vx"].value, smooth["vy"].value)
     whole = (np.floor(100.0 * speed) + 0.5) / 100.0 / speed
     cm = smooth | {n: replace(smooth[n], value=whole * smooth[n].value) for n in ("vx", "vy")}
@@ -104,7 +104,7 @@ def test_a_position_without_a_receivers_noise_has_errors_that_last(run: dict[str
     assert with_estimator_errors(horizontal_model(), [replace(log, run=LogSegment("run", run))])[1] == []
 
 
-def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel]) -> None:
+def test_signals_of_a_boat_at_rest_are_not_frozen(run: dict[str, Channel]) -> None:
     t = run["psi"].t
     held = {n: Channel(c.t, np.where((c.t > 30.0) & (c.t < 60.0), c.value[np.searchsorted(c.t, 30.0)], c.value))
             for n, c in run.items()}  # fmt: skip
@@ -116,17 +116,17 @@ def test_a_boat_at_rest_is_not_frozen_and_a_driven_one_is(run: dict[str, Channel
              for side, sign in (("left", 1.0), ("right", -1.0))}  # fmt: skip
     on_the_spot = run | apart | {"x": held["x"], "y": held["y"]}
     assert not list(check_frozen(on_the_spot))
-    rounded = Channel(t, np.round(run["psi"].value, 1))  # a coarse compass repeats itself
+    rounded = Channel(t, np.round(run["psi"].value, 1))  # A coarse compass repeats its values.
     assert not list(check_frozen(run | {"psi": rounded}))
 
 
 @pytest.mark.parametrize("kind", ["n", "f", "n_cmd"])
-def test_a_frozen_signal_of_a_boat_of_one_thruster(run: dict[str, Channel], kind: str) -> None:
+def test_frozen_gyro_of_a_boat_with_one_thruster_is_found(run: dict[str, Channel], kind: str) -> None:
     boat = {n: run[n] for n in ("psi", "x", "y")} | {"r": hung(run["r"], 30.0, 60.0), f"{kind}_left": run["n_left"]}
     assert [f.where for f in check_frozen(boat)] == ["r"]
 
 
-def test_a_sample_of_one_velocity_may_be_missing(run: dict[str, Channel]) -> None:
+def test_sample_of_one_velocity_component_may_be_missing(run: dict[str, Channel]) -> None:
     whole = sensor_matches(run).position
     vx = run["vx"]
     found = sensor_matches(run | {"vx": replace(vx, t=np.delete(vx.t, 100), value=np.delete(vx.value, 100))}).position
@@ -136,8 +136,11 @@ def test_a_sample_of_one_velocity_may_be_missing(run: dict[str, Channel]) -> Non
 
 
 def quiet_boat(left: float, right: float) -> dict[str, Channel]:
-    """A simulated boat without any noise, in waves of its thrust and for 25 s at these: 2 u' = 25 (n_left + n_right)
-    - u|u| / 2, r = u (n_left - n_right); accelerations in mg, speeds in mm/s."""
+    """Simulate a boat without noise. The thrust oscillates, and has these values for 25 s.
+
+    2 u' = 25 (n_left + n_right) - u|u| / 2, r = u (n_left - n_right). Accelerations have steps of 1 mg, speeds of 1
+    mm/s.
+    """
     t = np.arange(0.0, 200.0, 0.01)
     n = 0.3 + 0.2 * np.column_stack([np.sin(t), np.sin(1.3 * t)])
     n[(t > 60.0) & (t < 85.0)] = left, right
@@ -157,12 +160,12 @@ def quiet_boat(left: float, right: float) -> dict[str, Channel]:
 
 
 def hung(c: Channel, begin: float, end: float) -> Channel:
-    """With the value of its begin until its end."""
+    """Return the signal with its value at ``begin`` held until ``end``."""
     return replace(c, value=np.where((c.t > begin) & (c.t < end), c.value[np.searchsorted(c.t, begin)], c.value))
 
 
 @pytest.mark.parametrize("sides", [(0.4, 0.4), (0.5, 0.3)])
-def test_a_steady_motion_without_noise_is_not_frozen_and_a_sensor_that_hangs_is(sides: tuple[float, float]) -> None:
+def test_steady_motion_without_noise_is_not_frozen_but_a_stuck_sensor_is(sides: tuple[float, float]) -> None:
     boat = quiet_boat(*sides)
     assert not list(check_frozen(boat))
     for names in (("ax", "ay"), ("vx", "vy")):
@@ -171,7 +174,7 @@ def test_a_steady_motion_without_noise_is_not_frozen_and_a_sensor_that_hangs_is(
             assert [(f.where, f.code) for f in check_frozen(boat | stuck)] == [(n, "channel-frozen") for n in names]
 
 
-def test_an_accelerometer_with_noise_that_hangs_is_frozen_in_steady_motion_too() -> None:
+def test_stuck_noisy_accelerometer_is_frozen_in_steady_motion() -> None:
     boat, rng = quiet_boat(0.4, 0.4), np.random.default_rng(1)
     noisy = {n: replace(boat[n], value=boat[n].value + 0.05 * rng.normal(size=boat[n].t.size)) for n in ("ax", "ay")}
     assert not list(check_frozen(boat | noisy))
@@ -179,13 +182,13 @@ def test_an_accelerometer_with_noise_that_hangs_is_frozen_in_steady_motion_too()
     assert [f.where for f in check_frozen(boat | stuck)] == ["ax", "ay"]
 
 
-def test_a_part_of_a_log_is_a_copy(run: dict[str, Channel]) -> None:
+def test_part_of_a_log_is_found_as_a_copy(run: dict[str, Channel]) -> None:
     later = {n: Channel(c.t[c.t > 60.0] - 60.0, c.value[c.t > 60.0]) for n, c in run.items()}
-    other = channels_of(sail(boat_with(None, 3), 120.0, 5, run=2)[0])
-    assert [f.where for f in check_copies([("a", run), ("b", other), ("c", later)])] == ["c"]
+    second_run = channels_of(sail(boat_with(None, 3), 120.0, 5, run=2)[0])
+    assert [f.where for f in check_copies([("a", run), ("b", second_run), ("c", later)])] == ["c"]
 
 
-def test_a_number_whose_square_is_infinite_is_no_search_without_end() -> None:
+def test_value_with_an_infinite_square_does_not_block_the_search() -> None:
     n = 60
     rng = np.random.default_rng(1)
     columns = tuple(rng.normal(size=n) + 1j * rng.normal(size=n) for _ in range(4))

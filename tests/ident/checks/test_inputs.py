@@ -1,4 +1,4 @@
-"""Inputs that are not what drove the boat: constant, stuck, or of another thruster."""
+"""Tests of inputs that did not drive the boat: constant, stuck, or of another thruster."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def constant(c: dict[str, Channel], names: tuple[str, ...], value: float) -> dic
 @pytest.mark.parametrize("inputs", [COMMANDS, SHAFTS])
 @pytest.mark.parametrize("value", [0.0, 0.0025, 0.6])
 @pytest.mark.parametrize("sensors", [(ATTITUDE, VELOCITY), (("psi", "x", "y"),)])
-def test_inputs_that_never_change_are_a_fault(
+def test_constant_inputs_of_a_moving_boat_are_a_fault(
     inputs: tuple[str, ...], value: float, sensors: tuple[tuple[str, ...], ...]
 ) -> None:
     (found,) = check_inputs(constant(log(*sensors, inputs), inputs, value))
@@ -41,16 +41,16 @@ def test_inputs_that_never_change_are_a_fault(
 
 
 @pytest.mark.parametrize("inputs", [COMMANDS, SHAFTS])
-def test_inputs_that_change_are_clean(inputs: tuple[str, ...]) -> None:
+def test_changing_inputs_give_no_finding(inputs: tuple[str, ...]) -> None:
     assert not list(check_inputs(log(ATTITUDE, VELOCITY, inputs)))
 
 
-def test_constant_inputs_are_a_fault_of_the_whole_check() -> None:
+def test_constant_inputs_are_the_only_fault_of_all_checks() -> None:
     assert faults(constant(log(ATTITUDE, VELOCITY, COMMANDS), COMMANDS, 0.0)) == ["inputs-constant"]
 
 
-def test_a_boat_that_coasts_is_clean() -> None:
-    """Without thrust a boat loses speed, and waves turn it to and fro."""
+def test_coasting_boat_gives_no_finding() -> None:
+    """Without thrust, a boat loses speed and oscillates in waves."""
     rng = np.random.default_rng(2)
     t = np.arange(0.0, 60.0, 0.1)
     speed, r = 1.5 / (1.0 + 0.2 * t), 0.3 * np.exp(-t / 4.0) + 0.1 * np.sin(2.5 * t)
@@ -65,11 +65,11 @@ def test_a_boat_that_coasts_is_clean() -> None:
     assert not list(check_inputs(c))
 
 
-def test_one_idle_thruster_is_clean() -> None:
+def test_one_idle_thruster_gives_no_finding() -> None:
     assert not list(check_inputs(constant(log(ATTITUDE, VELOCITY, COMMANDS), ("n_cmd_left",), 0.0)))
 
 
-def test_a_shaft_speed_that_is_stuck_against_its_command() -> None:
+def test_shaft_speed_stuck_against_its_command_is_found() -> None:
     c = log(ATTITUDE, VELOCITY, COMMANDS, SHAFTS)
     shaft = c["n_left"]
     value = shaft.value.copy()
@@ -81,8 +81,8 @@ def test_a_shaft_speed_that_is_stuck_against_its_command() -> None:
     assert "against its command" in found.text
 
 
-def test_a_slow_shaft_at_its_limit_is_not_stuck() -> None:
-    """It stays at its limit for seconds, and follows its command 3 s late."""
+def test_slow_shaft_at_its_limit_is_not_stuck() -> None:
+    """The shaft stays at its limit for seconds, and follows its command 3 s late."""
     t = np.arange(0.0, 90.0, 0.1)
     command = np.where(t % 18.0 < 9.0, 0.9, 0.1)
     shaft = np.minimum(np.where((t - 3.0) % 18.0 < 9.0, 0.9, 0.1), 0.75)
@@ -90,7 +90,7 @@ def test_a_slow_shaft_at_its_limit_is_not_stuck() -> None:
     assert not list(check_inputs(c))
 
 
-def test_exchanged_telemetry_is_named_and_no_side() -> None:
+def test_exchanged_telemetry_is_reported_and_not_swapped_sides() -> None:
     c = log(ATTITUDE, VELOCITY, COMMANDS, SHAFTS)
     assert not faults(c)
     c["n_left"], c["n_right"] = c["n_right"], c["n_left"]

@@ -1,4 +1,4 @@
-"""A group of sensors that is late as a whole, and thrust that is logged late, by the motion that follows the thrust."""
+"""Tests of a late group of sensors and of late thrust, found by the motion that follows the thrust."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COMMANDS, SHAFTS = ("n_cmd_left", "n_cmd_right"), ("n_left", "n_right")
 
 @cache
 def sailed(seed: int, shaft_lag: float = SHAFT_LAG) -> Mapping[str, Channel]:
-    """Channels of a boat of 50 kg with two thrusters, by Euler's method: steps of the commands, sensors with noise."""
+    """Simulate a boat of 50 kg with two thrusters by Euler's method: steps of the commands, sensors with noise."""
     rng = np.random.default_rng(seed)
     n_steps = round(SECONDS / DT)
     t = DT * np.arange(n_steps)
@@ -55,7 +55,7 @@ def sailed(seed: int, shaft_lag: float = SHAFT_LAG) -> Mapping[str, Channel]:
 
 
 def log(*groups: tuple[str, ...], late: tuple[str, ...] = (), by: float = 0.0, seed: int = 1) -> dict[str, Channel]:
-    """These groups of signals, one of them late."""
+    """Return these groups of signals. The signals in ``late`` are delayed ``by`` seconds."""
     own = {name: sailed(seed)[name] for group in groups for name in group}
     return {n: Channel(c.t + by * (n in late), c.value, c.unit, c.source, c.hold) for n, c in own.items()}
 
@@ -66,7 +66,7 @@ def alarms(c: Mapping[str, Channel]) -> list[Finding]:
 
 @pytest.mark.parametrize("thrust", [COMMANDS, SHAFTS])
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
-def test_sensors_in_time_are_no_alarm(thrust: tuple[str, ...], seed: int) -> None:
+def test_sensors_in_time_give_no_alarm(thrust: tuple[str, ...], seed: int) -> None:
     found = list(check_latency(log(ATTITUDE, VELOCITY, thrust, seed=seed), SIDES))
     assert [f.code for f in found] == ["sensors-in-time", "thrust-in-time"]
     assert all("95 %" in f.text for f in found)
@@ -75,7 +75,7 @@ def test_sensors_in_time_are_no_alarm(thrust: tuple[str, ...], seed: int) -> Non
 @pytest.mark.parametrize("thrust", [COMMANDS, SHAFTS])
 @pytest.mark.parametrize(("late", "words"), [(ATTITUDE, "heading and yaw rate come"), (VELOCITY, "velocity comes")])
 @pytest.mark.parametrize(("by", "level"), [(0.5, "fault"), (0.9, "fault")])
-def test_a_group_that_is_late(
+def test_late_group_of_sensors_is_found(
     thrust: tuple[str, ...], late: tuple[str, ...], words: str, by: float, level: str
 ) -> None:
     (found,) = alarms(log(ATTITUDE, VELOCITY, thrust, late=late, by=by))
@@ -85,31 +85,31 @@ def test_a_group_that_is_late(
 
 
 @pytest.mark.parametrize(("thrust", "by"), [(SHAFTS, 0.5), (SHAFTS, 1.0), (COMMANDS, 0.8)])
-def test_thrust_that_is_logged_late(thrust: tuple[str, ...], by: float) -> None:
+def test_late_thrust_is_found(thrust: tuple[str, ...], by: float) -> None:
     (found,) = alarms(log(ATTITUDE, VELOCITY, thrust, late=thrust, by=by))
     assert found.code == "thrust-late"
     lag = SHAFT_LAG if thrust is COMMANDS else 0.0
     assert float(found.text.split(" s before")[0].split()[-1]) == pytest.approx(by - lag, abs=0.2)
 
 
-def test_measured_shafts_before_all_sensors() -> None:
+def test_measured_shafts_before_all_sensors_are_found() -> None:
     (found,) = alarms(log(ATTITUDE, VELOCITY, SHAFTS, late=(*ATTITUDE, *VELOCITY), by=0.7))
     assert found.code == "motion-late"
 
 
-def test_the_lag_of_shafts_behind_commands_is_no_alarm() -> None:
+def test_lag_of_shafts_behind_commands_gives_no_alarm() -> None:
     """A fit estimates the delay of the shafts."""
     assert not alarms(log(ATTITUDE, VELOCITY, COMMANDS, late=(*ATTITUDE, *VELOCITY), by=0.7))
 
 
 @pytest.mark.parametrize(("late", "by"), [((), 0.0), (("psi",), 0.8), (("x", "y"), 0.8)])
-def test_without_a_gyro_and_a_receiver_of_positions_alone(late: tuple[str, ...], by: float) -> None:
+def test_late_sensor_is_found_without_gyro_and_velocity(late: tuple[str, ...], by: float) -> None:
     found = alarms(log(("psi",), ("x", "y"), SHAFTS, late=late, by=by))
     assert [f.code for f in found] == ["sensor-late"] * bool(late)
 
 
-def test_what_cannot_be_known_is_said_so() -> None:
-    """Without thrust, or with a thrust that never changes, a course behind its heading may be sideslip."""
+def test_unknown_delay_is_reported() -> None:
+    """Without thrust, or with a constant thrust, a course that follows its heading may be sideslip."""
     without = log(ATTITUDE, VELOCITY, late=ATTITUDE, by=0.8)
     assert [f.code for f in check_latency(without, SIDES)] == ["delay-unknown"]
     constant = log(ATTITUDE, VELOCITY, COMMANDS)
@@ -118,7 +118,7 @@ def test_what_cannot_be_known_is_said_so() -> None:
     assert "not known" in next(check_latency(constant, SIDES)).text
 
 
-def test_pauses_of_a_receiver_are_left_out() -> None:
+def test_pauses_of_a_receiver_are_ignored() -> None:
     c = log(ATTITUDE, VELOCITY, SHAFTS)
     for name in VELOCITY:
         out = (c[name].t % 40.0) < 6.0

@@ -1,4 +1,4 @@
-"""Coarse positions and velocities are called quantised, and not stuck; a frozen receiver stays a fault."""
+"""Tests of coarse positions and velocities: they are quantised and not stuck, and a frozen receiver stays a fault."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from seatrial.ident.checks.signals import check_frozen
 from seatrial.ident.data import Channel
 from tests.ident.checks.test_latency import ATTITUDE, SHAFTS, SIDES, sailed
 
-MINUTE, KNOT = 1.855, 0.514444  # m of 0.001 minutes of latitude; m/s
+MINUTE, KNOT = 1.855, 0.514444  # Length [m] of 0.001 minutes of latitude; one knot in m/s.
 
 
 def log(minutes: float = 0.0, knots: float = 0.0) -> dict[str, Channel]:
-    """A run with positions in steps of so many 0.001 minutes, and a speed over ground in steps of so many knots."""
+    """Return a run with positions in steps of ``minutes`` times 0.001 minutes and a speed over ground in steps of
+    ``knots``.
+    """
     c = {name: sailed(3)[name] for name in (*ATTITUDE, *SHAFTS, "x", "y", "vx", "vy")}
     if minutes:
         for name in ("x", "y"):
@@ -31,21 +33,21 @@ def log(minutes: float = 0.0, knots: float = 0.0) -> dict[str, Channel]:
 
 
 @pytest.mark.parametrize(("minutes", "knots"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
-def test_a_coarse_receiver_is_quantised_and_not_stuck(minutes: float, knots: float) -> None:
+def test_coarse_receiver_is_quantised_and_not_stuck(minutes: float, knots: float) -> None:
     found = [f for f in check_signals(log(minutes, knots), SIDES) if f.level != "ok"]
     quantised = [f.where for f in found if f.code == "channel-quantised"]
     assert quantised == ["x, y"] * bool(minutes) + ["vx, vy"] * bool(knots)
     assert not [f for f in found if f.check == "stuck"]
 
 
-def test_a_fine_receiver_is_not() -> None:
+def test_fine_receiver_is_not_quantised() -> None:
     assert not [f for f in check_signals(log(0.05), SIDES) if f.code == "channel-quantised"]
 
 
-def test_a_coarse_receiver_that_freezes_is_a_fault() -> None:
+def test_coarse_receiver_that_freezes_is_a_fault() -> None:
     c = log()
     for name in ("x", "y"):
         value = MINUTE * np.round(8.0 * c[name].value / MINUTE)
-        value[581:781] = value[581]  # the boat moves by 28 m north and as far east meanwhile
+        value[581:781] = value[581]  # The boat moves by 28 m north and by 28 m east meanwhile.
         c[name] = replace(c[name], value=value)
     assert [f.where for f in check_frozen(c) if f.code == "channel-frozen"] == ["x", "y"]

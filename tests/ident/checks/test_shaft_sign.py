@@ -1,4 +1,4 @@
-"""Shaft speeds that are right in one direction only are named as such, and not as a dead band or a unit."""
+"""Tests of shaft speeds that are right in one direction only. They are not called a dead band or a wrong unit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.ident.checks.test_latency import ATTITUDE, SHAFTS, SIDES, VELOCITY, s
 
 
 def shafts(reported: Callable[[Array], Array], hold: float = 4.0) -> dict[str, Channel]:
-    """A shaft that follows steps ahead and astern with a lag of 0.2 s, as ``reported`` by its controller."""
+    """Return a shaft that follows steps in both directions with a lag of 0.2 s, as ``reported`` by its controller."""
     t = np.arange(0.0, 120.0, 0.05)
     levels = np.random.default_rng(3).uniform(-0.8, 0.8, 30)
     command = levels[(t // hold).astype(int)]
@@ -35,39 +35,39 @@ def shafts(reported: Callable[[Array], Array], hold: float = 4.0) -> dict[str, C
     ],
     ids=["zero astern", "zero ahead", "magnitude", "wrapped"],
 )
-def test_a_speed_of_one_direction_is_named(reported: Callable[[Array], Array], code: str) -> None:
+def test_shaft_speed_of_one_direction_is_named(reported: Callable[[Array], Array], code: str) -> None:
     findings = list(check_signals(shafts(reported), {}))
     assert [f.code for f in findings if f.level == "fault"] == [code]
     assert not {f.code for f in findings} & {"dead-band-wide", "dead-band-narrow", "n-out-of-range"}
 
 
-def test_an_integer_speed_that_wraps_is_not_stuck() -> None:
-    """Near its top, in whole rev/min, it stays the same for seconds while the command is astern."""
+def test_wrapped_integer_speed_is_not_stuck() -> None:
+    """Near its maximum, in whole rev/min, the value is constant for seconds while the command is in reverse."""
     c = shafts(lambda n: np.mod(np.trunc(3000.0 * n), 65536.0) / 3000.0, hold=8.0)
     assert [f.code for f in check_signals(c, {}) if f.level == "fault"] == ["shaft-speed-wrapped"]
 
 
-def test_a_speed_of_both_directions_is_clean() -> None:
+def test_shaft_speed_of_both_directions_gives_no_finding() -> None:
     assert not [f for f in check_signals(shafts(lambda n: n), {}) if f.check == "sign"]
 
 
-def test_percent_is_no_wrap() -> None:
+def test_shaft_speed_in_percent_is_not_called_wrapped() -> None:
     codes = {f.code for f in check_signals(shafts(lambda n: 100.0 * n), {})}
     assert "n-out-of-range" in codes
     assert "shaft-speed-wrapped" not in codes
 
 
-def test_a_gyro_that_wraps_is_named_and_no_unit() -> None:
+def test_wrapped_gyro_is_named_and_not_a_wrong_unit() -> None:
     t = np.arange(0.0, 60.0, 0.05)
     rate = 0.4 * np.sin(0.3 * t) + 0.004 * np.random.default_rng(2).standard_normal(t.size)
-    read = np.mod(np.trunc(1e3 * rate), 65536.0) / 1e3  # mrad/s, read as an unsigned number
+    read = np.mod(np.trunc(1e3 * rate), 65536.0) / 1e3  # The value in mrad/s is read as an unsigned number.
     c = {"psi": Channel(t, -(0.4 / 0.3) * np.cos(0.3 * t), "rad"), "r": Channel(t, read, "rad/s")}
     faults = [f for f in check_signals(c, {}) if f.level == "fault"]
     assert [f.code for f in faults] == ["gyro-wrapped"]
     assert not [f for f in check_signals({**c, "r": Channel(t, rate, "rad/s")}, {}) if f.level == "fault"]
 
 
-def test_wrapped_inputs_are_no_reversed_thrusters() -> None:
+def test_wrapped_inputs_are_not_called_reversed_thrusters() -> None:
     own = sailed(1)
     c = {name: own[name] for name in (*ATTITUDE, *VELOCITY, *SHAFTS)}
     for name in SHAFTS:

@@ -1,4 +1,4 @@
-"""What is said of a shaft's response, and what a log does not show of it."""
+"""Tests of findings about the response of a shaft, and of its limits in short logs."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import pytest
 from seatrial.ident.checks.shafts import check_shafts
 from seatrial.ident.data.record import Channel
 
-RATE = 20.0  # Hz
+RATE = 20.0  # Unit: Hz
 
 
-def told_and_turned(step_at: float, seconds: float, delay: float = 0.15, first: float = 0.0) -> dict[str, Channel]:
-    """One step of the command to 0.4, logged from ``first`` on, and a shaft that follows it with a lag of 0.14 s."""
+def step_response(step_at: float, seconds: float, delay: float = 0.15, first: float = 0.0) -> dict[str, Channel]:
+    """Return one step of the command to 0.4, logged from ``first`` on, and a shaft that follows with a lag of 0.14
+    s.
+    """
     t = np.arange(0.0, seconds, 1.0 / RATE)
     since = np.clip(t - step_at - delay, 0.0, None)
     n = 0.4 * -np.expm1(-since / 0.14) + 0.002 * np.random.default_rng(2).standard_normal(t.size)
@@ -29,78 +31,81 @@ def found(c: dict[str, Channel]) -> list[tuple[str, str, str]]:
     [(0.5, 0.0), (5.0, 5.0), (12.0, 12.0), (-1.0, 0.0)],
     ids=["early", "at 5", "at 12", "constant"],
 )
-def test_a_command_that_does_not_change_in_the_fit_shows_no_delay(step_at: float, first: float) -> None:
-    assert "delay" not in {f.check for f in check_shafts(told_and_turned(step_at, 60.0 + first, first=first))}
+def test_constant_command_shows_no_delay(step_at: float, first: float) -> None:
+    assert "delay" not in {f.check for f in check_shafts(step_response(step_at, 60.0 + first, first=first))}
 
 
 @pytest.mark.parametrize(
     ("delay", "level", "code"), [(0.15, "ok", "shaft-on-time"), (1.0, "fault", "shaft-late")], ids=["on time", "late"]
 )
 def test_one_step_shows_the_delay(delay: float, level: str, code: str) -> None:
-    ((said, named, text),) = found(told_and_turned(8.0, 60.0, delay))
-    assert (said, named) == (level, code)
-    assert text == f"the shaft follows {delay + 0.05:.2f} s after its command"  # to the step of the grid
+    ((found_level, named, text),) = found(step_response(8.0, 60.0, delay))
+    assert (found_level, named) == (level, code)
+    assert text == f"the shaft follows {delay + 0.05:.2f} s after its command"  # Rounded to the step of the grid.
 
 
 @pytest.mark.parametrize("seconds", [2.0, 4.0])
-def test_a_log_that_is_too_short_is_no_dead_shaft(seconds: float) -> None:
-    assert [code for _, code, _ in found(told_and_turned(0.5, seconds))] == ["shaft-too-short"]
+def test_short_log_is_not_called_a_dead_shaft(seconds: float) -> None:
+    assert [code for _, code, _ in found(step_response(0.5, seconds))] == ["shaft-too-short"]
 
 
-def test_a_shaft_that_stands_is_dead() -> None:
-    c = told_and_turned(5.0, 20.0)
+def test_shaft_at_rest_does_not_turn() -> None:
+    c = step_response(5.0, 20.0)
     still = Channel(c["n_left"].t, np.zeros(c["n_left"].t.size))
     assert [code for _, code, _ in found(c | {"n_left": still})] == ["shaft-does-not-turn"]
 
 
 def last_seconds(seconds: float, turns: bool, from_start: bool) -> dict[str, Channel]:
-    """A log of 600 s with the command only at its end; before that none was sent, or zeros."""
-    c = told_and_turned(600.0 - seconds, 600.0, first=0.0 if from_start else 600.0 - seconds)
+    """Return a log of 600 s with a command only at its end. Before that, no command or zeros were sent."""
+    c = step_response(600.0 - seconds, 600.0, first=0.0 if from_start else 600.0 - seconds)
     shaft = c["n_left"]
     return c if turns else c | {"n_left": Channel(shaft.t, np.zeros(shaft.t.size))}
 
 
 @pytest.mark.parametrize("from_start", [False, True], ids=["none before", "zeros before"])
 @pytest.mark.parametrize("seconds", [4.5, 1.5])
-def test_a_shaft_that_never_turns_is_dead_after_a_second_of_command(seconds: float, from_start: bool) -> None:
-    said = found(last_seconds(seconds, False, from_start))
-    assert [(level, code) for level, code, _ in said] == [("fault", "shaft-does-not-turn")]
+def test_shaft_that_never_turns_is_found_after_one_second_of_command(seconds: float, from_start: bool) -> None:
+    findings = found(last_seconds(seconds, False, from_start))
+    assert [(level, code) for level, code, _ in findings] == [("fault", "shaft-does-not-turn")]
     turns = {code for _, code, _ in found(last_seconds(seconds, True, from_start))}
     assert "shaft-does-not-turn" not in turns
 
 
-def test_a_command_of_half_a_second_does_not_tell() -> None:
+def test_command_of_half_a_second_is_too_short() -> None:
     ((level, code, text),) = found(last_seconds(0.5, False, False))
     assert (level, code) == ("warning", "shaft-too-short")
     assert text == "command and shaft speed overlap for too short a time to estimate the response of the shaft"
 
 
-def test_a_shaft_that_dies_in_the_first_seconds_is_dead() -> None:
-    c = told_and_turned(0.5, 60.0)
+def test_shaft_that_fails_in_the_first_seconds_is_found() -> None:
+    c = step_response(0.5, 60.0)
     shaft = c["n_left"]
     dead = Channel(shaft.t, np.where(shaft.t < 2.0, shaft.value, 0.0))
     assert [code for _, code, _ in found(c | {"n_left": dead})] == ["shaft-does-not-turn"]
 
 
-def told_astern_before(*losses: float) -> dict[str, Channel]:
-    """Four speeds ahead, and half astern for a quarter of a second, which has not begun yet when the command ahead is
-    back: 0.3 s late, behind a lag of 0.14 s. The speed is lost for half a second at each time of ``losses``."""
+def brief_reversal(*losses: float) -> dict[str, Channel]:
+    """Return four forward speeds and a reverse command of a quarter of a second.
+
+    The shaft is 0.3 s late with a lag of 0.14 s, so it still turns forward when the command is forward again. The speed
+    is lost for half a second at each time in ``losses``.
+    """
     t = np.arange(0.0, 60.0, 1.0 / RATE)
-    told = np.array([0.5, 0.8, 0.3, 0.6])[(t // 15.0).astype(int)]
-    told[(t >= 10.0) & (t < 10.25)] = -0.5
+    command = np.array([0.5, 0.8, 0.3, 0.6])[(t // 15.0).astype(int)]
+    command[(t >= 10.0) & (t < 10.25)] = -0.5
     n = np.zeros(t.size)
     for k in range(1, t.size):
-        n[k] = n[k - 1] + (np.interp(t[k] - 0.3, t, told) - n[k - 1]) * -np.expm1(-1.0 / RATE / 0.14)
-    n[np.abs(n) < 0.07] = 0.0  # as a controller says that cannot measure slow turning
+        n[k] = n[k - 1] + (np.interp(t[k] - 0.3, t, command) - n[k - 1]) * -np.expm1(-1.0 / RATE / 0.14)
+    n[np.abs(n) < 0.07] = 0.0  # The controller cannot measure slow rotation.
     lost = np.any([(t >= at) & (t < at + 0.5) for at in losses], axis=0) if losses else np.zeros(t.size, bool)
-    return {"n_cmd_left": Channel(t, told), "n_left": Channel(t + 1e-3, np.where(lost, 0.0, n))}
+    return {"n_cmd_left": Channel(t, command), "n_left": Channel(t + 1e-3, np.where(lost, 0.0, n))}
 
 
-def test_a_shaft_that_goes_through_nothing_to_the_other_side_has_not_lost_its_speed() -> None:
-    assert "shaft-speed-drops-out" not in {code for _, code, _ in found(told_astern_before())}
+def test_shaft_that_reverses_has_no_lost_speed() -> None:
+    assert "shaft-speed-drops-out" not in {code for _, code, _ in found(brief_reversal())}
 
 
 @pytest.mark.parametrize(("losses", "often"), [((35.0,), "once"), ((35.0, 40.0), "2 times")])
-def test_a_lost_speed_is_counted(losses: tuple[float, ...], often: str) -> None:
-    (text,) = [text for _, code, text in found(told_astern_before(*losses)) if code == "shaft-speed-drops-out"]
+def test_lost_speeds_are_counted(losses: tuple[float, ...], often: str) -> None:
+    (text,) = [text for _, code, text in found(brief_reversal(*losses)) if code == "shaft-speed-drops-out"]
     assert text == f"its speed falls to zero {often} while it is commanded to turn"

@@ -1,4 +1,6 @@
-"""Swapped thrusters are found before any fit, also without a gyro, and a boat that is wired well is never accused."""
+"""Tests of swapped thrusters: they are found before any fit, also without a gyro, and a correct boat is never
+reported.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ def swapped(channels: Channels) -> Channels:
 
 
 def as_force(channels: Channels) -> Channels:
-    """With thrusts in newtons in the place of shaft speeds."""
+    """Return the channels with thrusts in newtons instead of shaft speeds."""
     forces = {
         f"f_{side}": Channel(c.t, 40.0 * c.value * np.abs(c.value))
         for side in ("left", "right")
@@ -38,7 +40,7 @@ def faults(channels: Channels) -> list[str]:
 
 @pytest.fixture(scope="module")
 def fleet() -> list[Channels]:
-    """Six boats for two minutes, every other one with a hidden effect, on missions of all kinds."""
+    """Return runs of six boats over two minutes, every other boat with a hidden effect, on missions of all kinds."""
     effects = ("wind", "sway-yaw", "yaw-bias", "mismatch", "cg-offset")
     kinds = ("mixed", "zigzag", "steps", "mixed", "chirp")
     found = []
@@ -50,7 +52,7 @@ def fleet() -> list[Channels]:
 
 @pytest.fixture(scope="module")
 def straight() -> list[Channels]:
-    """Five boats whose thrusters are told the same, some with an effect that turns them all the same."""
+    """Return runs of five boats with equal commands on both sides. Some boats have an effect that turns them."""
     effects = (None, "mismatch", None, "wind", "yaw-bias", "sway-yaw", "thruster-interaction", None, "cross-flow")
     found = []
     for seed in range(5):
@@ -62,28 +64,28 @@ def straight() -> list[Channels]:
     return found
 
 
-def test_a_healthy_boat_is_never_accused(fleet: list[Channels], straight: list[Channels]) -> None:
+def test_correct_boat_is_never_reported(fleet: list[Channels], straight: list[Channels]) -> None:
     for seed, channels in enumerate([*fleet, *straight]):
-        for given in (channels, without_gyro(channels), *([as_force(channels)] if seed % 5 == 0 else [])):
-            assert not {"thruster-sides-swapped", "thruster-sign-reversed"} & set(faults(given)), seed
-            assert -1 not in turning(given, SIDES).values(), seed
+        for signals in (channels, without_gyro(channels), *([as_force(channels)] if seed % 5 == 0 else [])):
+            assert not {"thruster-sides-swapped", "thruster-sign-reversed"} & set(faults(signals)), seed
+            assert -1 not in turning(signals, SIDES).values(), seed
 
 
-def test_a_swapped_pair_is_found(fleet: list[Channels]) -> None:
-    for given, hidden in ((fleet, 1), ([without_gyro(c) for c in fleet], 2)):
-        found = [faults(swapped(c)) == ["thruster-sides-swapped"] for c in given]
-        assert sum(found[::2]) == 3  # nothing else is wrong with these
-        assert sum(found[1::2]) >= 3 - hidden  # an effect may hide it within two minutes
+def test_swapped_thrusters_are_found(fleet: list[Channels]) -> None:
+    for boats, hidden in ((fleet, 1), ([without_gyro(c) for c in fleet], 2)):
+        found = [faults(swapped(c)) == ["thruster-sides-swapped"] for c in boats]
+        assert sum(found[::2]) == 3  # These boats have no hidden effect.
+        assert sum(found[1::2]) >= 3 - hidden  # Within two minutes, a hidden effect may mask the swap.
     assert faults(as_force(swapped(fleet[0]))) == ["thruster-sides-swapped"]
 
 
-def test_straight_runs_leave_it_open(straight: list[Channels]) -> None:
+def test_straight_runs_give_no_answer(straight: list[Channels]) -> None:
     assert sum(any(turning(c, SIDES).values()) for c in straight) < 3
     for channels in straight:
         assert "thruster-sides-swapped" not in faults(swapped(channels)) or 1 in turning(channels, SIDES).values()
 
 
-def test_where_nothing_can_be_said_nothing_is(fleet: list[Channels]) -> None:
+def test_missing_or_equal_signals_give_no_answer(fleet: list[Channels]) -> None:
     without = {n: c for n, c in fleet[0].items() if n not in ("r", "psi", "x", "y")}
     assert turning(without, SIDES) == {}
     assert turning({n: c for n, c in fleet[0].items() if n != "n_left"}, SIDES) == {"gyro": 0, "heading": 0}
@@ -92,7 +94,7 @@ def test_where_nothing_can_be_said_nothing_is(fleet: list[Channels]) -> None:
     assert turning(fleet[0] | {"r": noise}, SIDES) == {"gyro": 0, "heading": 1}
 
 
-def test_a_log_of_which_nothing_tells_the_turning_has_no_answer(fleet: list[Channels]) -> None:
-    one = {n: c for n, c in fleet[0].items() if n in ("x", "n_left", "n_right")}
-    assert faults(one) == []
-    assert list(check_motion(one, SIDES)) == []
+def test_log_without_turning_information_gives_no_finding(fleet: list[Channels]) -> None:
+    north_only = {n: c for n, c in fleet[0].items() if n in ("x", "n_left", "n_right")}
+    assert faults(north_only) == []
+    assert list(check_motion(north_only, SIDES)) == []

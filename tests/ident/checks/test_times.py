@@ -1,4 +1,4 @@
-"""Times that jump by years are named before any grid of times is made."""
+"""Tests of times that jump by years. They are reported before any time grid is created."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from seatrial.ident.data import Channel
 @pytest.mark.parametrize(
     ("jump", "words"), [(44.4 * 365.25 * 86400.0, "44.4 years, 9.8 s"), (2.5e5, "2.9 days, 9.8 s")]
 )
-def test_a_clock_that_was_not_set_yet(jump: float, words: str) -> None:
+def test_clock_that_was_set_during_the_log_is_a_fault(jump: float, words: str) -> None:
     t = 0.2 * np.arange(400)
     t[50:] += jump
     c = {name: Channel(t, np.random.default_rng(1).standard_normal(t.size)) for name in ("x", "y", "psi", "r")}
@@ -23,7 +23,7 @@ def test_a_clock_that_was_not_set_yet(jump: float, words: str) -> None:
     assert invalidates_fit(found)
 
 
-def test_a_pause_of_an_hour_is_none() -> None:
+def test_pause_of_an_hour_is_not_a_fault() -> None:
     t = 0.2 * np.arange(400)
     t[50:] += 3600.0
     c = {name: Channel(t, np.random.default_rng(1).standard_normal(t.size)) for name in ("psi", "r")}

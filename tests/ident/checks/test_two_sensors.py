@@ -1,4 +1,4 @@
-"""Two receivers whose values alternate in one signal; what one sensor does is no alarm."""
+"""Tests of two receivers whose values alternate in one signal. One sensor gives no alarm."""
 
 from __future__ import annotations
 
@@ -23,24 +23,26 @@ def every_second(value: float) -> Array:
     return np.where(np.arange(T.size) % 2 == 0, value, 0.0)
 
 
-@pytest.mark.parametrize("what", [{"offset": every_second(2.0)}, {"late": every_second(0.5)}], ids=["place", "time"])
-def test_two_receivers_in_one_signal_are_a_fault(what: dict[str, Array]) -> None:
-    (found,) = check_alternating(track(**what))
+@pytest.mark.parametrize(
+    "difference", [{"offset": every_second(2.0)}, {"late": every_second(0.5)}], ids=["place", "time"]
+)
+def test_two_receivers_in_one_signal_are_a_fault(difference: dict[str, Array]) -> None:
+    (found,) = check_alternating(track(**difference))
     assert (found.code, found.level) == ("two-sensors", "fault")
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.1, 1.0])
-def test_one_receiver_is_clean(noise: float) -> None:
+def test_one_receiver_gives_no_finding(noise: float) -> None:
     assert not list(check_alternating(track(noise=noise)))
 
 
-def test_values_that_stand_in_two_rows_are_no_two_receivers() -> None:
+def test_repeated_values_are_not_two_receivers() -> None:
     c = track()
     held = {n: Channel(T, np.repeat(x.value[::2], 2), "m") for n, x in c.items()}
     assert not list(check_alternating(held))
 
 
-def test_waves_at_half_the_rate_of_the_samples_are_rare() -> None:
-    """A boat that rolls at a period of five samples is no alternation."""
+def test_fast_waves_are_not_two_receivers() -> None:
+    """The boat rolls with a period of five samples."""
     c = {"r": Channel(T, 0.3 * np.sin(2.0 * np.pi * T) + 0.004 * RNG.standard_normal(T.size), "rad/s")}
     assert not list(check_alternating(c))

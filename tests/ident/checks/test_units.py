@@ -1,4 +1,4 @@
-"""A yaw rate and a heading of which one is in degrees: the finding names the unit that is wrong."""
+"""Tests of a yaw rate or a heading in degrees: the finding names the wrong unit."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ def channels(psi: Array) -> dict[str, Channel]:
 
 
 @pytest.mark.parametrize(
-    ("scale", "top", "said"),
+    ("scale", "top", "ending"),
     [
         (57.3, 3.0, "a yaw rate in rad/s that was declared deg/s?"),
         (57.3, 300.0, "a yaw rate in rad/s that was declared deg/s, or a heading in degrees?"),
         (1.0 / 57.3, 3.0, "yaw rate in deg/s?"),
     ],
 )
-def test_the_unit_that_is_wrong_is_named(scale: float, top: float, said: str) -> None:
+def test_wrong_unit_of_heading_or_gyro_is_named(scale: float, top: float, ending: str) -> None:
     """The change of heading is `scale` times the yaw rate."""
     (finding, *_) = gyro_and_heading(
         channels(np.asarray(top * np.sin(T), np.float64)), Match(scale, 0.0, 1.0, half=0.01)
     )
     assert (finding.level, finding.code) == ("fault", "angle-in-degrees")
-    assert finding.text.endswith(said)
+    assert finding.text.endswith(ending)

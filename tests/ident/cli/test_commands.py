@@ -1,4 +1,4 @@
-"""The commands of ident, end to end on logs of the mocks that daq's recorder wrote: files, answers, and error lines."""
+"""End-to-end tests of the ident commands on logs of simulated devices: files, answers and error messages."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ Run = Callable[..., Outcome]
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a bench run, and an estimation and a validation mission of one boat that lacks an effect."""
+    """Return a folder with a bench run, and with an estimation and a validation mission of one boat with a hidden
+    effect.
+    """
     folder = tmp_path_factory.mktemp("logs")
     bench_log(folder / "bench.mcap", draw_bench(SEED), chirp_s=5.0, count=4)
     boat = boat_with(EFFECT, SEED)
@@ -41,7 +43,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """Run one command line in this process: status, stdout, stderr."""
+    """Return a function that runs one command line in this process and gives status, stdout and stderr."""
 
     def run(*words: object) -> Outcome:
         with pytest.raises(SystemExit) as leaving:
@@ -53,7 +55,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 def result_of(folder: Path) -> dict[str, Any]:
-    """result.json; the other files are there too."""
+    """Check that all files exist, and return result.json."""
     for name in FILES:
         assert (folder / name).stat().st_size > 500, name
     return dict(json.loads((folder / "result.json").read_text(encoding="utf-8")))
@@ -61,7 +63,7 @@ def result_of(folder: Path) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def fitted(logs: Path) -> Path:
-    """The folder of a thruster fit and a vehicle fit, made by the commands."""
+    """Return the folder of a thruster fit and a vehicle fit that the commands made."""
     for words in (
         ["thruster", logs / "bench.mcap", "--out", logs / "thruster"],
         [
@@ -81,7 +83,7 @@ def fitted(logs: Path) -> Path:
     return logs
 
 
-def test_thruster(fitted: Path) -> None:
+def test_thruster_command(fitted: Path) -> None:
     result = result_of(fitted / "thruster")
     assert result["kind"] == "thruster"
     assert "N forward" in result["answer"]
@@ -95,13 +97,13 @@ def test_thruster(fitted: Path) -> None:
     assert "bench.mcap" in saved.provenance["logs"][0]
 
 
-def test_the_static_curve_has_the_steps_of_the_plan(fitted: Path) -> None:
+def test_static_curve_has_the_steps_of_the_plan(fitted: Path) -> None:
     static = result_of(fitted / "thruster")["static"]
     assert max(static["n"]) > 0.8
     assert min(static["n"]) < -0.8
 
 
-def test_vehicle(fitted: Path) -> None:
+def test_vehicle_command(fitted: Path) -> None:
     result = result_of(fitted / "vehicle")
     assert result["kind"] == "vehicle"
     assert [(log["path"], log["role"]) for log in result["logs"]] == [
@@ -112,14 +114,14 @@ def test_vehicle(fitted: Path) -> None:
     assert len(result["logs"][0]["sha256"]) == 64
     bench = {r["name"]: r for r in result_of(fitted / "thruster")["fit"]["parameters"]}
     vehicle = {r["name"]: r for r in result["fit"]["parameters"]}
-    for name in ("c1", "c2"):  # taken from the bench, with its errors
+    for name in ("c1", "c2"):  # The values come from the bench, with their errors.
         assert vehicle[name]["value"] == pytest.approx(bench[name]["value"], abs=bench[name]["se"])
         assert vehicle[name]["origin"] == "measured"
         assert 0.0 < vehicle[name]["se"] < 1.01 * bench[name]["se"]
     relative = {n: vehicle[n]["se"] / vehicle[n]["value"] for n in ("c1", "m_u")}
-    assert relative["m_u"] > relative["c1"]  # which is in it
+    assert relative["m_u"] > relative["c1"]  # The error of the thrust is part of the error of the mass.
     assert (result["warnings"], result["fit"]["scale"]["thrust"]) == ([], "measured")
-    assert vehicle["m_u"]["start"] == 37.0  # from the rig in the log
+    assert vehicle["m_u"]["start"] == 37.0  # The initial value comes from the rig in the log.
     assert vehicle["d_vv"]["start"] == 20.0
     assert set(result["errors"]) == {"estimation", "validation"}
     assert result["errors"]["validation"]["horizon"]["r"]["after"] < 0.1
@@ -130,7 +132,7 @@ def test_vehicle(fitted: Path) -> None:
     assert -1.0 < low < 0.3 < high < 2.0
 
 
-def test_diagnose(fitted: Path, run: Run) -> None:
+def test_diagnose_command(fitted: Path, run: Run) -> None:
     status, out, err = run(
         "ident",
         "diagnose",
@@ -150,15 +152,15 @@ def test_diagnose(fitted: Path, run: Run) -> None:
     assert errors["x"]["after"] < errors["x"]["before"]
     saved = load_model(fitted / "diagnosis" / "model.toml")
     assert EFFECT in [e.name for e in saved.model.effects]
-    # the plant's form has another exponent: at 1 m/s both are the same force
+    # The simulator uses another exponent. At 1 m/s both forces are equal.
     assert saved.model.values["d_uuu"] == pytest.approx(make_effect(EFFECT, SEED).parameters["k"], rel=0.5)
     assert str(fitted / "diagnosis" / "report.html") in out.replace("\n", "")
 
 
-def test_a_diagnosed_model_is_where_the_next_diagnosis_starts(fitted: Path, run: Run) -> None:
+def test_next_diagnosis_starts_from_a_diagnosed_model(fitted: Path, run: Run) -> None:
     model = fitted / "diagnosis" / "model.toml"
     if not model.exists():
-        test_diagnose(fitted, run)
+        test_diagnose_command(fitted, run)
     status, _, err = run(
         "ident",
         "diagnose",
@@ -174,7 +176,7 @@ def test_a_diagnosed_model_is_where_the_next_diagnosis_starts(fitted: Path, run:
 
 
 def swapped_sides(path: Path) -> Boat:
-    """A log whose thrusters have each other's names."""
+    """Write a log with exchanged thruster names."""
     boat = boat_with(None, 3)
     recording, mission = sail(boat, 120.0, 5)
     cross = {1: 2, 2: 1}
@@ -186,7 +188,7 @@ def swapped_sides(path: Path) -> Boat:
     return boat
 
 
-def test_a_diagnosis_refuses_what_a_fit_refuses(fitted: Path, tmp_path: Path, run: Run) -> None:
+def test_diagnosis_rejects_logs_that_a_fit_rejects(fitted: Path, tmp_path: Path, run: Run) -> None:
     swapped_sides(tmp_path / "swapped.mcap")
     status, _, err = run(
         "ident", "diagnose", fitted / "vehicle" / "model.toml", tmp_path / "swapped.mcap", "--out", tmp_path / "refused"
@@ -197,7 +199,7 @@ def test_a_diagnosis_refuses_what_a_fit_refuses(fitted: Path, tmp_path: Path, ru
     assert not (tmp_path / "refused").exists()
 
 
-def test_a_fit_that_did_not_converge_is_status_1(fitted: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_that_did_not_converge_has_status_1(fitted: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = read_result(fitted / "vehicle" / "result.json")
     assert isinstance(result, VehicleResult)
     run_workflow(lambda reporter: result, fitted / "vehicle")
@@ -209,7 +211,7 @@ def test_a_fit_that_did_not_converge_is_status_1(fitted: Path, capsys: pytest.Ca
 
 
 @pytest.mark.study
-def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_same(tmp_path: Path, run: Run) -> None:
+def test_swapped_thrusters_are_rejected_and_reported_first_if_fitted_anyway(tmp_path: Path, run: Run) -> None:
     boat = swapped_sides(tmp_path / "swapped.mcap")
     fit = ("ident", "vehicle", tmp_path / "swapped.mcap", "--model", "horizontal:shaft:no-current")
     status, _, err = run(*fit, "--out", tmp_path / "refused")
@@ -227,7 +229,7 @@ def test_a_swapped_pair_is_refused_and_said_first_where_it_is_fitted_all_the_sam
     assert [f["code"] for f in result["logs"][0]["findings"] if f["spoils"]] == ["thruster-sides-swapped"]
 
 
-def test_results_are_replaced_only_when_that_is_asked_for(fitted: Path, tmp_path: Path, run: Run) -> None:
+def test_results_are_replaced_only_with_force(fitted: Path, tmp_path: Path, run: Run) -> None:
     out, header = tmp_path / "noise", tmp_path / "boat.h"
     assert run("ident", "noise", fitted / "estimation.mcap", "--out", out)[0] == 0
     assert run("ident", "export", fitted / "vehicle" / "model.toml", "--to", "c", "-o", header)[0] == 0
@@ -244,7 +246,7 @@ def test_results_are_replaced_only_when_that_is_asked_for(fitted: Path, tmp_path
         assert file.read_text() != "mine"
 
 
-def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Run) -> None:
+def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Run) -> None:
     status, _, err = run(
         "ident",
         "vehicle",
@@ -286,7 +288,9 @@ def test_known_values_and_starts_are_taken(fitted: Path, tmp_path: Path, run: Ru
         ("vehicle {rig}", "rig.toml"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(fitted: Path, tmp_path: Path, run: Run, words: str, says: str) -> None:
+def test_impossible_request_gives_a_one_line_error(
+    fitted: Path, tmp_path: Path, run: Run, words: str, says: str
+) -> None:
     rig = tmp_path / "rig.toml"
     rig.write_text('format = "seatrial-rig 1"\n', encoding="utf-8")
     places = {
@@ -305,7 +309,7 @@ def test_what_cannot_be_done_is_one_line(fitted: Path, tmp_path: Path, run: Run,
 
 
 @pytest.mark.parametrize("words", ["vehicle nowhere.mcap", "vehicle", "diagnose {log}", "vehicle {log} --fix m_u"])
-def test_wrong_usage_is_status_2(logs: Path, run: Run, words: str) -> None:
+def test_usage_error_has_status_2(logs: Path, run: Run, words: str) -> None:
     status, _, err = run("ident", *(w.format(log=logs / "estimation.mcap") for w in words.split()))
     assert status == 2
     assert err.startswith("seatrial ident ")

@@ -1,4 +1,4 @@
-"""`seatrial mission design`: a mission that bench takes, its page, and one line for what is wrong."""
+"""Tests of `seatrial mission design`: a mission that the bench reads, its page, and one-line errors."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ QUICK = ("--evaluations", "500", "--duration", "40", "--steps", "8")
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    """Exit status, stdout and stderr of `seatrial mission` with these words."""
+    """Return exit status, stdout and stderr of `seatrial mission` with these words."""
     with pytest.raises(SystemExit) as left:
         command_line.main(["mission", *words])
-    said = capsys.readouterr()
-    return int(left.value.code or 0), said.out, said.err
+    captured = capsys.readouterr()
+    return int(left.value.code or 0), captured.out, captured.err
 
 
 @pytest.fixture
 def fitted(tmp_path: Path) -> Path:
-    """The model.toml of the documentation, with a correlation of two of its parameters."""
+    """Return the model.toml of the documentation, with a correlation of two of its parameters."""
     text = DOCUMENT.read_text(encoding="utf-8").split("```toml\n")[1].split("```")[0]
     path = tmp_path / "model.toml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_designed_mission_is_read_by_the_bench_and_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "mission.toml"
     words = ("design", "horizontal:shaft:no-current", *QUICK, "--slew", "2", "--n-max", "0.8", "--seed", "3")
-    status, said, _ = run(capsys, *words, "--out", str(out))
+    status, output, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
-    assert "m_u ±" in said
-    assert "The design assumes a built-in time constant of the shafts of 358 ms" in " ".join(said.split())
-    assert "kg m²" in said
-    assert "kg m2" not in said
+    assert "m_u ±" in output
+    assert "The design assumes a built-in time constant of the shafts of 358 ms" in " ".join(output.split())
+    assert "kg m²" in output
+    assert "kg m2" not in output
     mission = load_mission(out)
     assert parse_mission(dump_mission(mission), "again") == mission
     assert mission.thrusters == ("left", "right")
@@ -68,18 +68,20 @@ def test_a_design_is_a_mission_that_bench_reads_and_shows(tmp_path: Path, capsys
     assert {len(v) for v in result["samples"].values()} == {1000}
     t, n = mission.setpoints()
     at = np.searchsorted(t, np.array(result["inputs"][0]["t"][:-1]) + REST_S + 1e-6, side="right") - 1
-    assert np.abs(n[at, 0] - np.array(result["inputs"][0]["value"][:-1])).max() < 0.45  # within a row of the same ramps
+    # Within a row, the ramps are the same.
+    assert np.abs(n[at, 0] - np.array(result["inputs"][0]["value"][:-1])).max() < 0.45
     page = out.with_suffix(".html").read_text(encoding="utf-8")
-    assert re.search(r'<td class="symbol[^"]*">m_u</td>', page)  # alone: beside its meaning it is five lines on a phone
+    # The symbol has its own cell. Beside its meaning, it would need five lines on a phone.
+    assert re.search(r'<td class="symbol[^"]*">m_u</td>', page)
     for words_ in ("Expected standard errors", "Predicted track", "Comparison with random sequences", "PRBS"):
         assert words_ in page
     assert "http://" not in re.sub(r"<script>.*?</script>", "", page, flags=re.DOTALL)
 
 
-def test_a_design_that_is_worse_than_a_random_sequence_says_so_first(
+def test_design_that_is_worse_than_a_random_signal_is_reported_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Eight steps are too few for nine parameters, ten enough for three."""
+    """Eight steps are too few for nine parameters. Ten steps are enough for three."""
     better = ("--evaluations", "1500", "--duration", "40", "--steps", "10")
     for name, how, worse in (("horizontal:shaft:no-current", QUICK, True), ("surge", better, False)):
         out = tmp_path / f"{worse}.toml"
@@ -90,7 +92,7 @@ def test_a_design_that_is_worse_than_a_random_sequence_says_so_first(
         assert result["answer"].startswith("Worse than " if worse else "After this mission")
 
 
-def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("mission.toml", "mission.html"):
         (tmp_path / name).write_text("mine")
         status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / "mission.toml"))
@@ -100,10 +102,8 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (tmp_path / name).unlink()
 
 
-def test_a_mission_that_has_no_place_is_refused_before_the_search(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of m.json the numbers beside it would have taken the place."""
+def test_invalid_output_path_is_rejected_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The results beside a mission m.json would overwrite it."""
     for name, says in (("m.json", "give a .toml"), ("m.html", "give a .toml"), ("none/m.toml", "no such folder")):
         status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / name))
         assert status == 1
@@ -111,59 +111,61 @@ def test_a_mission_that_has_no_place_is_refused_before_the_search(
     assert not list(tmp_path.iterdir())
 
 
-def test_sensors_measure_as_often_as_in_the_fitted_data(fitted: Path) -> None:
+def test_sensor_rates_are_those_of_the_fitted_data(fitted: Path) -> None:
     task = make_task(str(fitted), DesignRequest(duration=40.0, rates={"attitude": 2.0}))
     assert {s.name: task.rate(s.name) for s in task.model.sensors} == {"attitude": 2.0, "gyro": 10.0, "position": 5.0}
 
 
 @pytest.mark.parametrize(
-    ("rate", "said"), [("1", False), pytest.param("10", False, marks=pytest.mark.study), ("100", True)]
+    ("rate", "warned"), [("1", False), pytest.param("10", False, marks=pytest.mark.study), ("100", True)]
 )
-def test_samples_of_a_sensor_are_not_taken_for_averages(
-    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rate: str, said: bool
+def test_rate_above_the_row_rate_gives_a_warning(
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], rate: str, warned: bool
 ) -> None:
     out = tmp_path / "next.toml"
     words = ("--parameters", "m_u", "--rate", f"attitude={rate}", "--rate", "gyro=10", "--out", str(out))
     assert run(capsys, "design", str(fitted), *QUICK, *words)[0] == 0
     made = json.loads(out.with_suffix(".json").read_text())
     assert made["rates"] == {"attitude": float(rate), "gyro": 10.0, "position": 5.0}
-    assert said == any(
+    assert warned == any(
         "attitude 10 Hz), and the model has the noise of these rows" in w["text"] for w in made["warnings"]
     )
     assert f"attitude {rate} Hz, gyro 10 Hz" in out.with_suffix(".html").read_text(encoding="utf-8")
 
 
-def test_the_default_number_of_steps_leaves_each_the_shortest() -> None:
+def test_default_number_of_steps_respects_the_shortest_step() -> None:
     source = "horizontal:shaft:no-current"
     assert make_task(source, DesignRequest(duration=40.0)).steps.n_steps == 8
     assert make_task(source, DesignRequest(duration=40.0, shortest=7.0)).steps.n_steps == 5
 
 
 @pytest.mark.study
-def test_a_fitted_model_brings_what_it_knows(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fitted_model_gives_its_covariance_to_the_design(
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     belief = prior_from_fit(load_model(fitted))
     assert belief.names == ("m_u",)
     assert belief.covariance == pytest.approx(np.array([[0.19**2]]))
     out = tmp_path / "next.toml"
-    status, said, _ = run(capsys, "design", str(fitted), *QUICK, "--parameters", "m_u", "--out", str(out))
-    assert status == 0, said
+    status, output, _ = run(capsys, "design", str(fitted), *QUICK, "--parameters", "m_u", "--out", str(out))
+    assert status == 0, output
     mission = load_mission(out)
     assert mission.prediction is not None
-    thrust = 40.05 + 1.11  # which nobody gave: errors are over it
+    thrust = 40.05 + 1.11  # The thrust is unknown, so the errors are divided by it.
     assert dict(mission.prediction.errors_before) == {"m_u": pytest.approx(0.19 / thrust, rel=1e-3)}
     assert mission.predicted_errors["m_u"] < 0.19 / thrust
     assert "tau_b" not in mission.predicted_errors
 
 
-def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_input_is_realised_by_two_thrusters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "turn.toml"
-    status, said, _ = run(capsys, "design", "yaw", *QUICK, "--out", str(out), "--thrusters", "port,star")
+    status, output, _ = run(capsys, "design", "yaw", *QUICK, "--out", str(out), "--thrusters", "port,star")
     assert status == 0
-    assert said.index("built-in thrust of 41 N") < said.index("After this mission")
+    assert output.index("built-in thrust of 41 N") < output.index("After this mission")
     codes = [w["code"] for w in json.loads(out.with_suffix(".json").read_text())["warnings"]]
     assert codes == ["thrust-scale-unknown", "shaft-lag-built-in", "rates-assumed"]
     assert "assumes 10 Hz for sensors whose rate neither --rate nor the model.toml gives: gyro." in " ".join(
-        said.split()
+        output.split()
     )
     mission = load_mission(out)
     assert mission.thrusters == ("port", "star")
@@ -172,13 +174,13 @@ def test_one_input_is_made_by_two_thrusters(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.study
-def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_discrimination_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "apart.toml"
     short = ("--evaluations", "500", "--duration", "20", "--steps", "6")
     words = ("design", "horizontal:shaft:no-current", *short, "--discriminate", "delay,lag")
-    status, said, _ = run(capsys, *words, "--out", str(out))
+    status, output, _ = run(capsys, *words, "--out", str(out))
     assert status == 0
-    assert "delay against lag differ by at least T" in said
+    assert "delay against lag differ by at least T" in output
     apart = json.loads(out.with_suffix(".json").read_text())["apart"]
     assert min(apart["if_first"], apart["if_second"]) > np.median(apart["random"])
     model = with_effect(horizontal_model(), "delay")
@@ -186,8 +188,10 @@ def test_between_two_effects(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert with_effect(model, "delay") is model
 
 
-def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
-    """In the documented use the model has one of them already: with it in both, T was the price of a prior."""
+def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
+    """In the documented use, the model already contains one effect. With it in both hypotheses, T only measured a
+    prior.
+    """
     fitted = (horizontal_model() + catalogue()["lag"]).with_values({"T_lag": 0.17})
     late, lagged = hypotheses(fitted, ("delay", "lag"))
     assert [e.name for e in late.effects] == ["delay"]
@@ -231,7 +235,7 @@ def test_each_hypothesis_of_a_discrimination_has_its_own_effect_alone() -> None:
         (("horizontal:shaft:no-current", "--area", "1x1"), 1, "give more room"),
     ],
 )
-def test_what_is_wrong_is_one_line(
+def test_invalid_request_gives_a_one_line_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], status: int, says: str
 ) -> None:
     out = tmp_path / "m.toml"
@@ -244,7 +248,7 @@ def test_what_is_wrong_is_one_line(
 
 
 def test_help_has_an_example_and_the_group_lists_it(capsys: pytest.CaptureFixture[str]) -> None:
-    status, said, _ = run(capsys, "design", "--help")
+    status, output, _ = run(capsys, "design", "--help")
     assert status == 0
-    assert "Example: seatrial mission design" in said
+    assert "Example: seatrial mission design" in output
     assert "design" in run(capsys, "--help")[1]

@@ -1,4 +1,6 @@
-"""A log is cut where no sensor has a sample, and its parts cost what they would cost alone."""
+"""Tests of long gaps: a log is cut where no sensor has a sample, and its parts need the time and memory of short
+logs.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ SECONDS = 30.0
 
 
 def log_with_gap(path: Path, gap: float, n_last: int | None = None) -> Path:
-    """A log of two missions with nothing in between, the second of which may have few samples."""
+    """Write a log of two missions with a gap between them. The second may have few samples."""
     boat = boat_with(None, 4)
     first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
     late = [reading._replace(t=reading.t + SECONDS + gap) for reading in second[:n_last]]
@@ -31,8 +33,8 @@ def log_with_gap(path: Path, gap: float, n_last: int | None = None) -> Path:
 
 
 @pytest.mark.parametrize("gap", [DAY, TEN_YEARS])
-def test_parts_cost_what_they_would_cost_alone(tmp_path: Path, gap: float) -> None:
-    """A day between them cost a minute and a gigabyte, ten years were refused for want of memory."""
+def test_parts_of_a_log_with_a_gap_need_no_more_memory_than_alone(tmp_path: Path, gap: float) -> None:
+    """Formerly, a gap of one day needed a minute and a gigabyte, and ten years exceeded the memory."""
     path = log_with_gap(tmp_path / "run.mcap", gap)
     end = f"{SECONDS + gap:.0f}"
     limit = resource.getrlimit(resource.RLIMIT_AS)
@@ -58,7 +60,7 @@ def test_parts_cost_what_they_would_cost_alone(tmp_path: Path, gap: float) -> No
     assert [f for f in found if f.level == "fault"] == []
 
 
-def test_a_finding_names_the_part_it_is_of(tmp_path: Path) -> None:
+def test_finding_names_the_part_of_the_log(tmp_path: Path) -> None:
     boat = boat_with(None, 4)
     first, second = (sail(boat, SECONDS, seed, run)[0].readings for run, seed in ((1, 3), (2, 5)))
     late = [r._replace(t=r.t + 2.0 * SECONDS + DAY) for r in second]
@@ -68,21 +70,21 @@ def test_a_finding_names_the_part_it_is_of(tmp_path: Path) -> None:
     assert sign.text.startswith("from 86460 to 86490 s: ")
 
 
-def test_a_short_gap_and_a_short_part_are_no_runs(tmp_path: Path) -> None:
+def test_short_gap_does_not_cut_and_short_part_is_left_out(tmp_path: Path) -> None:
     whole = load_run(log_with_gap(tmp_path / "short.mcap", 50.0), "judged")
     assert usable_parts(whole) == [whole]
     path = log_with_gap(tmp_path / "run.mcap", DAY, n_last=400)
     with pytest.warns(
         SeatrialWarning, match="its parts are used as separate runs; 1 part shorter than 10 s is left out"
     ):
-        (one,) = load_runs([path], "judged")
-    assert one.about["name"] == "run[0:30]"
+        (part,) = load_runs([path], "judged")
+    assert part.about["name"] == "run[0:30]"
     with pytest.warns(SeatrialWarning):
         (late,) = load_runs([log_with_gap(tmp_path / "b.mcap", DAY)], "judged", TimeWindow(40.0))
     assert late.about["name"] == "b[86430:86460]"
 
 
-def test_a_log_of_nothing_but_gaps_is_refused(tmp_path: Path) -> None:
+def test_log_without_a_part_of_ten_seconds_is_rejected(tmp_path: Path) -> None:
     boat = boat_with(None, 4)
     readings = [r._replace(t=r.t + 100.0 * int(r.t / 5.0)) for r in sail(boat, SECONDS, 3)[0].readings]
     with pytest.raises(
@@ -95,8 +97,10 @@ def of(t: list[float], hold: str = "") -> Channel:
     return Channel(np.array(t), np.arange(len(t), dtype=float), hold=hold)
 
 
-def test_what_counts_as_a_gap() -> None:
-    """A GNSS outage with a running gyro is none, shaft speeds alone are nothing to fit, and slow is no gap."""
+def test_silent_times_are_times_without_any_motion_sensor() -> None:
+    """A GNSS outage with a running gyro is not a gap. Shaft speeds alone are not motion data. A slow sensor is not a
+    gap.
+    """
     steady = Channel(np.arange(0.0, 1000.0, 0.5), np.zeros(2000))
     outage = Channel(np.append(np.arange(100.0), np.arange(900.0, 1000.0)), np.zeros(200))
     assert silent_times({"r": steady, "x": outage}) == []
@@ -107,7 +111,7 @@ def test_what_counts_as_a_gap() -> None:
     assert silent_times({}) == []
 
 
-def test_a_command_written_where_it_changes_holds_across_a_gap() -> None:
+def test_command_recorded_on_change_holds_across_a_gap() -> None:
     gaps = [(100.0, 1000.0)]
     sensor = Channel(np.append(np.arange(101.0), np.arange(1000.0, 1101.0)), np.zeros(202))
     every_second = Channel(sensor.t + 0.25, np.arange(202.0))
@@ -123,7 +127,7 @@ def test_a_command_written_where_it_changes_holds_across_a_gap() -> None:
     assert parts_between({"x": sensor, "n_cmd_left": regular}, gaps)[1]["n_cmd_left"].t[0] == 1000.125
 
 
-def test_outliers_belong_to_their_part() -> None:
+def test_outliers_stay_with_their_part() -> None:
     t = np.append(np.arange(101.0), np.arange(1000.0, 1101.0))
     left_out = LeftOut(np.array([7.5, 1003.5]), np.array([1e7, 1e8]))
     first, second = parts_between({"x": Channel(t, np.zeros(202), left_out=left_out)}, [(100.0, 1000.0)])
@@ -133,7 +137,7 @@ def test_outliers_belong_to_their_part() -> None:
     assert (second["x"].left_out.t.tolist(), second["x"].left_out.value.tolist()) == ([3.5], [1e8])
 
 
-def test_a_fine_clock_has_nothing_in_a_gap() -> None:
+def test_fine_clock_has_no_times_in_a_gap() -> None:
     t = np.append(np.arange(0.0, 10.0, 0.1), np.arange(3e8, 3e8 + 10.0, 0.1))
     clock = clock_of(t, 0.01, before=1.0)
     assert clock.size < 2300

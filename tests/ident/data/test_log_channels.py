@@ -1,4 +1,4 @@
-"""From log to channels: what the mocks said and daq's recorder wrote comes back under ident's names."""
+"""Tests from log to channels: signals of the simulated devices, written by the recorder, get the names of ident."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from seatrial.mocks.sensors import geodetic
 from tests.missions import T0, bench_channels_of, boat_log, boat_with, channels_of, push, sail, write_log
 from tests.recovery.rig_logs import AUTOPILOT, autopilot_log
 
-NANOSECOND = 2.5e-7  # what is left of one in seconds since 1970
+NANOSECOND = 2.5e-7  # Resolution of a time in seconds since 1970.
 
 
 def assert_same(found: dict[str, Channel], wanted: dict[str, Channel]) -> None:
@@ -40,24 +40,26 @@ def boat() -> Recording:
     return sail(boat_with(None, 4), 40.0, 3)[0]
 
 
-def test_a_boats_log_has_every_channel_of_the_model(tmp_path: Path, boat: Recording) -> None:
+def test_log_of_a_boat_has_every_channel_of_the_model(tmp_path: Path, boat: Recording) -> None:
     with open_log(write_log(tmp_path / "a.mcap", "boat", boat.readings)) as log:
         found = channels(log)
     assert_same(found, channels_of(boat))
     units = {"psi": "rad", "r": "rad/s", "ax": "m/s2", "x": "m", "vx": "m/s", "voltage_left": "V", "n_left": ""}
     assert {n: found[n].unit for n in units} == units
     assert found["psi"].source == "ahrs"
-    told = [(r.t, r.sample.n_cmd) for r in boat.readings if type(r.sample).__name__ == "Command" and r.sample.node == 2]
-    np.testing.assert_allclose(found["n_cmd_right"].value, [n for _, n in told], atol=1e-6)
-    np.testing.assert_allclose(found["n_cmd_right"].t - T0, [t for t, _ in told], atol=NANOSECOND)
+    commands = [
+        (r.t, r.sample.n_cmd) for r in boat.readings if type(r.sample).__name__ == "Command" and r.sample.node == 2
+    ]
+    np.testing.assert_allclose(found["n_cmd_right"].value, [n for _, n in commands], atol=1e-6)
+    np.testing.assert_allclose(found["n_cmd_right"].t - T0, [t for t, _ in commands], atol=NANOSECOND)
     truth = boat.truth
     x = np.interp(found["x"].t - T0, truth["t"], truth["x"])
-    assert (found["x"].value - x + x[0]).std() < 0.25  # metres from the first fix
+    assert (found["x"].value - x + x[0]).std() < 0.25  # The position is in metres from the first fix.
     n = np.interp(found["n_left"].t - T0, truth["t"], truth["n_left"])
     assert np.abs(np.median(found["n_left"].value - n)) < 0.01
 
 
-def test_a_receiver_without_a_course_has_a_speed(tmp_path: Path, boat: Recording) -> None:
+def test_receiver_without_a_course_gives_a_speed(tmp_path: Path, boat: Recording) -> None:
     still = [
         r._replace(sample=replace(r.sample, vel_n=NAN, vel_e=NAN)) if isinstance(r.sample, Gnss) else r
         for r in boat.readings
@@ -69,7 +71,7 @@ def test_a_receiver_without_a_course_has_a_speed(tmp_path: Path, boat: Recording
     np.testing.assert_allclose(found["speed"].value, np.hypot(wanted["vx"].value, wanted["vy"].value))
 
 
-def test_a_benchs_log_has_command_shaft_speed_and_force(tmp_path: Path) -> None:
+def test_log_of_a_bench_has_command_shaft_speed_and_force(tmp_path: Path) -> None:
     run = push(draw_bench(2), kind="steps")[0]
     with open_log(write_log(tmp_path / "b.mcap", "bench", run.readings)) as log:
         found = channels(log)
@@ -78,7 +80,7 @@ def test_a_benchs_log_has_command_shaft_speed_and_force(tmp_path: Path) -> None:
     assert np.corrcoef(thrust, found["force"].value)[0, 1] > 0.98
 
 
-def test_a_saturated_reading_and_a_lost_fix_are_left_out(tmp_path: Path, boat: Recording) -> None:
+def test_saturated_readings_and_lost_fixes_are_left_out(tmp_path: Path, boat: Recording) -> None:
     run = push(draw_bench(2), kind="steps")[0]
     cells = [r for r in run.readings if r.device == "loadcell"]
     bad = {id(r) for r in cells[10:20]}
@@ -94,16 +96,16 @@ def test_a_saturated_reading_and_a_lost_fix_are_left_out(tmp_path: Path, boat: R
     assert np.diff(found["x"].t).max() == pytest.approx(21 * 0.2)
 
 
-def test_telemetry_without_a_sign_gets_that_of_the_shaft_not_of_the_output(tmp_path: Path) -> None:
-    """As an autopilot logs it: outputs, and rev/min with the output's sign of that moment."""
+def test_unsigned_telemetry_gets_the_sign_of_the_shaft_and_not_of_the_output(tmp_path: Path) -> None:
+    """An autopilot logs outputs, and rev/min with the sign of the output at that moment."""
     run = sail(boat_with(None, 4), 120.0, 3)[0]
-    told, readings = {1: 0.0, 2: 0.0}, []
+    commands, readings = {1: 0.0, 2: 0.0}, []
     for r in run.readings:
         if isinstance(r.sample, Command):
-            told[r.sample.node] = r.sample.n_cmd
+            commands[r.sample.node] = r.sample.n_cmd
             readings.append(r._replace(sample=Servo(r.sample.node, 1500.0, r.sample.n_cmd)))
         elif isinstance(r.sample, Esc):
-            n = told[r.sample.node]
+            n = commands[r.sample.node]
             rpm = math.copysign(r.sample.rpm, n) if n else abs(r.sample.rpm)
             r = r._replace(sample=replace(r.sample, rpm=rpm, duty=n))
         readings.append(r)
@@ -117,12 +119,12 @@ def test_telemetry_without_a_sign_gets_that_of_the_shaft_not_of_the_output(tmp_p
         assert np.sqrt(np.mean((c.value - truth) ** 2)) < 0.03
 
 
-def test_a_sampled_output_changes_in_the_middle_between_its_samples_on_the_average(tmp_path: Path) -> None:
+def test_sampled_output_changes_midway_between_its_samples_on_average(tmp_path: Path) -> None:
     boat = sail(boat_with(None, 4), 20.0, 3)[0]
     readings = [r for r in boat.readings if not isinstance(r.sample, Command | Esc)]
-    told = next(r for r in boat.readings if isinstance(r.sample, Command) and r.sample.node == 1)
+    first_command = next(r for r in boat.readings if isinstance(r.sample, Command) and r.sample.node == 1)
     begin = min(r.t for r in readings)
-    outputs = [told._replace(t=begin + 0.1 * k, sample=Servo(1, 1500.0, 0.5 * (k >= 100))) for k in range(200)]
+    outputs = [first_command._replace(t=begin + 0.1 * k, sample=Servo(1, 1500.0, 0.5 * (k >= 100))) for k in range(200)]
     readings = sorted(readings + outputs, key=lambda r: r.t)
     with open_log(write_log(tmp_path / "o.mcap", "boat", readings)) as log:
         found = channels(log)["n_cmd_left"]
@@ -132,8 +134,8 @@ def test_a_sampled_output_changes_in_the_middle_between_its_samples_on_the_avera
     assert middle == pytest.approx(9.95, abs=0.011)
 
 
-def test_local_ned_is_metres_on_the_ellipsoid() -> None:
-    """Against the mocks' own projection, and against the length of a degree (published series)."""
+def test_local_ned_is_in_metres_on_the_ellipsoid() -> None:
+    """The references are the projection of the simulator and a published series of the length of a degree."""
     north, east = np.array([0.0, 120.0, -80.0]), np.array([0.0, -60.0, 200.0])
     lat, lon = np.array([geodetic(n, e) for n, e in zip(north, east, strict=True)]).T
     x, y = local_ned(lat, lon)
@@ -143,18 +145,20 @@ def test_local_ned_is_metres_on_the_ellipsoid() -> None:
         phi = math.radians(degrees)
         per_lat = 111132.92 - 559.82 * math.cos(2 * phi) + 1.175 * math.cos(4 * phi)
         per_lon = 111412.84 * math.cos(phi) - 93.5 * math.cos(3 * phi) + 0.118 * math.cos(5 * phi)
-        x, y = local_ned(np.array([degrees, degrees + 1e-3]), np.array([179.9995, -179.9995]))  # over the date line
+        # The track crosses the date line.
+        x, y = local_ned(np.array([degrees, degrees + 1e-3]), np.array([179.9995, -179.9995]))
         assert x[1] == pytest.approx(1e-3 * per_lat, rel=1e-4)
         assert y[1] == pytest.approx(1e-3 * per_lon, rel=1e-4)
 
 
-def test_what_drives_the_boat_is_read_from_the_signals_their_hold_and_their_rate(tmp_path: Path) -> None:
+def test_propulsion_input_follows_signals_holds_and_rates(tmp_path: Path) -> None:
     run = sail(boat_with(None, 4), 20.0, 3)[0]
     commands = [r for r in run.readings if not isinstance(r.sample, Esc)]
     with open_log(write_log(tmp_path / "a.mcap", "boat", run.readings)) as log:
         found = channels(log)
         assert propulsion_input(log, found, {}) is PropulsionInput.MEASURED
-        assert propulsion_input(log, found, dict.fromkeys(SHAFTS, "zero")) is PropulsionInput.COMMAND  # no shaft jumps
+        # A shaft speed does not jump.
+        assert propulsion_input(log, found, dict.fromkeys(SHAFTS, "zero")) is PropulsionInput.COMMAND
         slow = found | {n: Channel(found[n].t[::6], found[n].value[::6]) for n in SHAFTS}
         assert propulsion_input(log, slow, {}) is PropulsionInput.COMMAND
         assert propulsion_input(log, {}, {}) is None
@@ -163,7 +167,7 @@ def test_what_drives_the_boat_is_read_from_the_signals_their_hold_and_their_rate
         assert propulsion_input(log, channels(log), {}) is PropulsionInput.COMMAND
 
 
-def test_a_log_is_read_once_for_its_signals_and_its_devices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_log_is_read_once_for_signals_and_device_checks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 30.0, 3)
     read: list[str] = []
     every = Log._read_tables
@@ -182,11 +186,11 @@ def test_a_log_is_read_once_for_its_signals_and_its_devices(tmp_path: Path, monk
         assert log.table(Gnss, source).flags.writeable
 
 
-def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
+def test_time_window_gives_the_same_rows_and_the_rest_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = boat_log(tmp_path / "a.mcap", boat_with(None, 4), 120.0, 3)
-    monkeypatch.setattr(loading, "MARGIN_S", 8.0)  # of a log as short as this
+    monkeypatch.setattr(loading, "MARGIN_S", 8.0)  # The margin fits this short log.
     whole = load_run(path, "estimation")
     read: list[int] = []
     pread = os.pread
@@ -198,12 +202,12 @@ def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
     assert part.about["duration"] == pytest.approx(30.0)
     assert (part.about["path"], part.about["sha256"]) == ("a.mcap[60:90]", "")
     rows, wanted = (
-        make_record(horizontal_model(), replace(one.run, t_from=60.0, t_to=90.0), 10.0) for one in (part, whole)
+        make_record(horizontal_model(), replace(loaded.run, t_from=60.0, t_to=90.0), 10.0) for loaded in (part, whole)
     )
     assert rows.t.tolist() == wanted.t.tolist()
-    np.testing.assert_allclose(rows.u, wanted.u, atol=1e-11)  # sums over less of the log
+    np.testing.assert_allclose(rows.u, wanted.u, atol=1e-11)  # Cumulative sums start later in the shorter log.
     for name, found, y in zip(rows.outputs, rows.y.T, wanted.y.T, strict=True):
-        # The track begins at the first fix that is read, the heading within half a turn of north.
+        # The track begins at the first fix that is read, and the heading within half a turn of north.
         begin = np.nanmean(found - y) if name in ("x", "y", "psi") else 0.0
         np.testing.assert_allclose(found, y + begin, rtol=0.0, atol=1e-3 if begin else 0.0, err_msg=name)
     with pytest.raises(SeatrialError, match="120 s long, so no data are left from 300 s on"):
@@ -211,10 +215,10 @@ def test_a_window_of_a_log_is_the_same_rows_and_the_rest_is_not_read(
 
 
 @pytest.mark.parametrize("signed", [True, False])
-def test_shaft_speeds_that_an_autopilot_relays_have_an_age(tmp_path: Path, signed: bool) -> None:
+def test_shaft_speeds_relayed_by_an_autopilot_have_an_age(tmp_path: Path, signed: bool) -> None:
     boat = boat_with(None, 4)
     t, n = make_mission("mixed", 60.0, 3).setpoints()
     run = simulate(boat, t, n, 60.0, 1, gear=AUTOPILOT)
-    one = load_run(autopilot_log(tmp_path / "a.mcap", run.readings, signed=signed), "estimation")
-    assert one.propulsion is PropulsionInput.TELEMETRY
-    assert one.holds["n_left"] == ("" if signed else "average")
+    loaded = load_run(autopilot_log(tmp_path / "a.mcap", run.readings, signed=signed), "estimation")
+    assert loaded.propulsion is PropulsionInput.TELEMETRY
+    assert loaded.holds["n_left"] == ("" if signed else "average")

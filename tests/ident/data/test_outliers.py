@@ -1,4 +1,4 @@
-"""Point outliers are left out and named; what a craft can do is kept."""
+"""Tests of point outliers: they are left out and reported, and possible motion is kept."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.checks.outliers import check_outliers
 from seatrial.ident.data import Channel, without_outliers
 
-RATE = 10.0  # Hz
+RATE = 10.0  # Unit: Hz
 T = np.arange(0.0, 120.0, 1.0 / RATE)
 RNG = np.random.default_rng(5)
 
 
 def craft() -> dict[str, Channel]:
-    """A craft on a circle whose shafts reverse every 7 s with a lag of 0.25 s."""
-    told = np.where(T % 14.0 < 7.0, 0.6, -0.6)
+    """Return a craft on a circle whose shafts reverse every 7 s with a lag of 0.25 s."""
+    command = np.where(T % 14.0 < 7.0, 0.6, -0.6)
     shaft = np.zeros(T.size)
     for k in range(1, T.size):
-        shaft[k] = shaft[k - 1] + (1.0 - np.exp(-1.0 / RATE / 0.25)) * (told[k] - shaft[k - 1])
+        shaft[k] = shaft[k - 1] + (1.0 - np.exp(-1.0 / RATE / 0.25)) * (command[k] - shaft[k - 1])
     r = 0.1 + 0.005 * RNG.standard_normal(T.size)
     return {
         "x": Channel(T, 10.0 * np.sin(0.1 * T) + 0.15 * RNG.standard_normal(T.size), "m", "gnss"),
@@ -49,7 +49,7 @@ def spoiled(name: str, rows: list[int], value: float) -> dict[str, Channel]:
         ("n_left", [460], 0.1), ("n_left", [460, 461], 21.3), ("force", [460], 1000.0),
     ],
 )  # fmt: skip
-def test_an_outlier_is_left_out_and_named(name: str, rows: list[int], value: float) -> None:
+def test_outlier_is_left_out_and_reported(name: str, rows: list[int], value: float) -> None:
     cleaned = without_outliers(spoiled(name, rows, value))
     left_out = cleaned[name].left_out
     assert left_out is not None
@@ -61,7 +61,7 @@ def test_an_outlier_is_left_out_and_named(name: str, rows: list[int], value: flo
     assert f"{value:.4g} at {T[rows[0]]:.2f} s" in finding.text
 
 
-def test_random_speeds_of_one_percent_are_left_out() -> None:
+def test_outliers_of_one_percent_of_the_speeds_are_left_out() -> None:
     rows = np.arange(60, 1190, 93)
     c = craft()
     value = c["n_left"].value.copy()
@@ -92,7 +92,7 @@ def test_short_pulses_of_a_command_are_kept() -> None:
     assert without_outliers({"n_cmd_left": joystick})["n_cmd_left"] is joystick
 
 
-def test_a_receivers_start_elsewhere_and_a_short_jump_are_left_out() -> None:
+def test_positions_far_off_at_the_start_and_short_jumps_are_left_out() -> None:
     c = craft()
     x = c["x"].value.copy()
     x[:40] += 5000.0
@@ -105,7 +105,7 @@ def test_a_receivers_start_elsewhere_and_a_short_jump_are_left_out() -> None:
     assert not [f for f in check_outliers(cleaned) if f.code == "position-jumps"]
 
 
-def test_a_jump_without_a_return_is_a_fault_that_names_its_time() -> None:
+def test_jump_without_return_is_a_fault_with_its_time() -> None:
     c = craft()
     x = c["x"].value + np.where(T > 60.05, 300.0, 0.0)
     cleaned = without_outliers(c | {"x": Channel(T, x, "m", "gnss")})
@@ -116,13 +116,13 @@ def test_a_jump_without_a_return_is_a_fault_that_names_its_time() -> None:
     assert "position-and-velocity-axes" not in codes
 
 
-FINE = np.arange(0.0, 60.0, 0.01)  # s, of an inertial sensor at 100 Hz
+FINE = np.arange(0.0, 60.0, 0.01)  # Times [s] of an inertial sensor at 100 Hz.
 
 
 @pytest.mark.parametrize(
     ("name", "n_bad", "value"), [("r", 4, 8.0), ("r", 40, -9.0), ("ax", 5, 60.0), ("ax", 25, -80.0), ("psi", 60, 4.0)]
 )
-def test_a_long_burst_of_a_fast_sensor_is_left_out(name: str, n_bad: int, value: float) -> None:
+def test_long_burst_of_a_fast_sensor_is_left_out(name: str, n_bad: int, value: float) -> None:
     rng = np.random.default_rng(8)
     signal = 0.1 * np.sin(0.5 * FINE) + 0.005 * rng.standard_normal(FINE.size)
     rows = slice(3000, 3000 + n_bad)
@@ -133,7 +133,7 @@ def test_a_long_burst_of_a_fast_sensor_is_left_out(name: str, n_bad: int, value:
 
 
 @pytest.mark.parametrize("with_gyro", [True, False])
-def test_a_burst_of_headings_of_seconds_needs_a_gyro(with_gyro: bool) -> None:
+def test_burst_of_headings_over_seconds_is_found_only_with_a_gyro(with_gyro: bool) -> None:
     """A magnet beside the compass turns its heading by 80 degrees for 3 s."""
     c = craft()
     rows = list(range(500, 530))
@@ -147,8 +147,8 @@ def test_a_burst_of_headings_of_seconds_needs_a_gyro(with_gyro: bool) -> None:
         np.testing.assert_allclose(left_out.value, psi[rows])
 
 
-def test_a_quick_turn_is_no_burst() -> None:
-    """A craft that turns by 80 degrees and back has a gyro that says so."""
+def test_quick_turn_is_not_a_burst() -> None:
+    """If a craft turns by 80 degrees and back, the gyro measures it."""
     rate = np.where((T >= 50.0) & (T < 51.0), 1.4, np.where((T >= 53.0) & (T < 54.0), -1.4, 0.0))
     psi = np.cumsum(rate) * 0.1
     noise = RNG.standard_normal((2, T.size))

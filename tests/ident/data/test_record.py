@@ -1,4 +1,4 @@
-"""Rows for a model from channels: block means, holds, gaps, masks, an input's past, work done, and clear refusals."""
+"""Tests of records: block means, holds, gaps, masks, delayed inputs, work, and clear errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from seatrial.ident.results.answers import cut_records
 
 
 def model(hold: str = "zero", feels: str = "") -> Model:
-    """One input, an angle and a pair that arrives together; ``feels``: the output that has the input in it."""
+    """Return a model with one input, an angle, and a pair of outputs of one sensor. ``feels`` names the output that
+    contains the input.
+    """
     return plain_model(
         "cart",
         f=lambda x, u, p: {"s": u.w},
@@ -44,7 +46,7 @@ def with_inputs(*names: str) -> Model:
 
 
 def with_taps(*taps: int) -> Model:
-    """With an input g, as it was so many steps ago each."""
+    """Return the model with delayed taps of an input g."""
     g = Input("g", "", "linear")
     return model() + Effect("more", "more", {}, inputs=tuple(g.delayed(k) for k in taps))
 
@@ -63,13 +65,13 @@ def channels(rate: float = 50.0) -> dict[str, Channel]:
     }
 
 
-def test_a_fast_sensor_is_averaged_and_a_slow_one_keeps_its_times() -> None:
+def test_fast_sensor_is_averaged_and_a_slow_one_keeps_its_times() -> None:
     record = build_record(model(), channels(), rate=10.0)
     psi, pair = record.y[:, 0], record.y[:, 1:]
     seen = np.isfinite(psi)
-    assert seen.sum() == 100  # the sample at 10 s would begin a block of its own
-    assert record.t[seen][0] == pytest.approx(0.04)  # of 0.00 to 0.08
-    np.testing.assert_allclose(psi[seen], 0.2 * record.t[seen], atol=1e-9)  # mean value at the mean time
+    assert seen.sum() == 100  # The sample at 10 s would start another block.
+    assert record.t[seen][0] == pytest.approx(0.04)  # The block contains the samples from 0.00 to 0.08 s.
+    np.testing.assert_allclose(psi[seen], 0.2 * record.t[seen], atol=1e-9)  # The mean value belongs to the mean time.
     whole = np.isfinite(pair).all(axis=1)
     np.testing.assert_array_equal(np.isfinite(pair).any(axis=1), whole)
     np.testing.assert_allclose(record.t[whole], np.arange(0, 10.01, 0.25), atol=1e-9)
@@ -77,8 +79,10 @@ def test_a_fast_sensor_is_averaged_and_a_slow_one_keeps_its_times() -> None:
     assert record.outputs == ("psi", "a", "b")
 
 
-def test_of_a_fast_sensor_that_is_not_averaged_each_row_has_a_sample() -> None:
-    """That next to the middle of its block; a block without samples has none, and a slow sensor keeps its times."""
+def test_fast_sensor_without_averaging_has_one_sample_in_each_row() -> None:
+    """The sample is the one next to the middle of its block. A block without samples has none. A slow sensor keeps its
+    times.
+    """
     psi = channel(25.0, f=np.exp)
     gap = (psi.t > 3.0) & (psi.t < 4.0)
     at = channels() | {"psi": replace(psi, t=psi.t[~gap], value=psi.value[~gap])}
@@ -93,14 +97,14 @@ def test_of_a_fast_sensor_that_is_not_averaged_each_row_has_a_sample() -> None:
     np.testing.assert_array_equal(record.y[np.isfinite(record.y[:, 1]), 1:], mean.y[np.isfinite(mean.y[:, 1]), 1:])
 
 
-def test_the_noise_of_a_block_mean_is_smaller_by_the_root_of_its_size() -> None:
+def test_noise_of_a_block_mean_falls_with_the_root_of_its_size() -> None:
     noisy = channels() | {"psi": channel(200.0, f=lambda t: 0.1 * np.random.default_rng(1).normal(size=t.size))}
     record = build_record(model(), noisy, rate=10.0)
     psi = record.y[np.isfinite(record.y[:, 0]), 0]
     assert psi.std() == pytest.approx(0.1 / np.sqrt(20), rel=0.2)
 
 
-def test_a_block_mean_of_an_angle_does_not_see_the_wrap() -> None:
+def test_block_mean_of_an_angle_ignores_the_wrap() -> None:
     t = np.arange(0.0, 1.0, 0.01)
     turning = Channel(t, np.mod(3.0 + t + np.pi, 2 * np.pi) - np.pi)
     edges = np.array([0.0, 0.1, 0.2, 0.3, 2.0, 3.0])
@@ -114,29 +118,29 @@ def test_a_block_mean_of_an_angle_does_not_see_the_wrap() -> None:
 
 
 @pytest.mark.parametrize("averaged", [True, False])
-def test_a_gap_of_ten_years_is_refused_at_once(averaged: bool) -> None:
-    """By its times; blocks and rows over the gap would be gigabytes."""
-    given = {
+def test_gap_of_ten_years_is_rejected_at_once(averaged: bool) -> None:
+    """The times are checked first, because blocks and rows over the gap would need gigabytes."""
+    signals = {
         name: Channel(np.concatenate([c.t, c.t + 3.2e8]), np.tile(c.value, 2)) for name, c in channels(50.0).items()
     }
     boat = model()
     sensors = tuple(replace(sensor, averaged=averaged) for sensor in boat.sensors)
     with pytest.raises(ValueError, match=r"no sample from .* too long to bridge; choose a part"):
-        build_record(replace(boat, sensors=sensors), given)
+        build_record(replace(boat, sensors=sensors), signals)
 
 
-def test_a_short_gap_has_the_same_blocks_as_no_gap() -> None:
-    """Edges that no sample is next to are left out, and no mean changes."""
+def test_short_gap_does_not_change_the_blocks() -> None:
+    """Block edges without a sample nearby are left out, and no mean changes."""
     times = np.sort(np.random.default_rng(1).uniform(3.0, 60.0, 900))
     times = times[(times < 20.0) | (times > 45.0)]
-    one = Channel(times, np.sin(times))
+    signal = Channel(times, np.sin(times))
     all_edges, some = np.arange(3.0, 60.0 + 0.05, 0.1), _block_edges(times, 3.0, 60.0, 10.0)
     assert 300 < some.size < all_edges.size - 200
-    for expected, found in zip(block_mean(one, all_edges), block_mean(one, some), strict=True):
+    for expected, found in zip(block_mean(signal, all_edges), block_mean(signal, some), strict=True):
         assert np.array_equal(expected[np.isfinite(expected)], found[np.isfinite(found)])
 
 
-def test_rows_are_the_union_of_all_times_and_no_interval_is_long() -> None:
+def test_rows_are_at_all_times_and_no_interval_is_long() -> None:
     sparse = channels() | {"psi": Channel(np.array([0.0, 3.0, 10.0]), np.zeros(3))}
     record = build_record(model(), sparse, rate=10.0, max_step=0.1)
     assert (np.diff(record.t) > 1e-6).all()
@@ -150,17 +154,18 @@ def test_rows_are_the_union_of_all_times_and_no_interval_is_long() -> None:
     np.testing.assert_allclose(np.cumsum(record.h)[:-1], record.t[1:])
 
 
-def test_samples_that_do_not_keep_time_make_no_rows_without_any() -> None:
-    """Every other interval of a sensor of ten a second is longer than a tenth, by its clock's jitter."""
+def test_irregular_samples_create_no_rows_without_samples() -> None:
+    """Because of clock jitter, every other interval of a sensor at 10 Hz is longer than 0.1 s."""
     late = np.random.default_rng(4).uniform(0.0, 0.009, 101)
     t = np.arange(101) / 10 + late
     record = build_record(model(), channels() | {"psi": Channel(t, np.sin(t))}, rate=10.0, max_step=0.1)
     rows = record.t[~np.isfinite(record.y).any(axis=1)]
-    np.testing.assert_allclose(rows, [2.04, 10.0 - record.meta["t0"]][: rows.size], atol=0.01)  # the input's alone
+    # Only the input has changes at these rows.
+    np.testing.assert_allclose(rows, [2.04, 10.0 - record.meta["t0"]][: rows.size], atol=0.01)
 
 
-def test_a_zero_hold_switches_at_its_own_times_and_a_linear_one_runs_between() -> None:
-    record = build_record(model(), channels() | {"psi": channel(5.0)})  # nothing is averaged
+def test_zero_hold_switches_at_its_own_times_and_a_linear_hold_interpolates() -> None:
+    record = build_record(model(), channels() | {"psi": channel(5.0)})  # No sensor is averaged.
     switch = int(np.argmin(np.abs(record.t - 2.04)))
     assert record.t[switch] == pytest.approx(2.04)
     assert (record.u[switch - 1, 0], record.u_next[switch - 1, 0], record.u[switch, 0]) == (1.0, 1.0, -2.0)
@@ -174,69 +179,70 @@ def test_a_zero_hold_switches_at_its_own_times_and_a_linear_one_runs_between() -
 
 
 def impulse(record: Record) -> float:
-    """Of the first input, as a Runge-Kutta step integrates its line."""
+    """Return the integral of the first input, as a Runge-Kutta step integrates its line."""
     return float(np.sum(record.h * (record.u[:, 0] + record.u_next[:, 0]) / 2))
 
 
-def test_no_impulse_of_a_linear_input_is_lost_between_the_rows() -> None:
+def test_integral_of_a_linear_input_is_preserved() -> None:
     rng = np.random.default_rng(3)
-    for psi in (5.0, 50.0):  # nothing averaged, and averaged
+    for psi in (5.0, 50.0):  # Without averaging, and with averaging.
         value = np.pad(rng.normal(size=401), 50)
-        given = channels() | {"w": Channel(np.arange(0.0, 10.001, 0.02), value), "psi": channel(psi)}
-        assert impulse(build_record(model("linear", "psi"), given)) == pytest.approx(0.02 * value.sum(), abs=1e-6)
+        signals = channels() | {"w": Channel(np.arange(0.0, 10.001, 0.02), value), "psi": channel(psi)}
+        assert impulse(build_record(model("linear", "psi"), signals)) == pytest.approx(0.02 * value.sum(), abs=1e-6)
 
 
 @pytest.mark.parametrize("hold", ["linear", "average", "zero"])
-def test_an_input_is_averaged_as_the_fast_sensors_are(hold: str) -> None:
-    """What one filter does to a force and to the acceleration that follows it, the boat does not see."""
+def test_input_is_averaged_like_the_fast_sensors(hold: str) -> None:
+    """If force and acceleration pass through the same filter, their relation does not change."""
     rng = np.random.default_rng(4)
     t = np.arange(0.0, 10.001, 0.002)
-    force = np.repeat(rng.uniform(-1.0, 1.0, 150), 35)[: t.size]  # of steps every 0.07 s, seen by a sensor at 500 Hz
-    given = channels() | {"psi": Channel(t, force), "w": Channel(t[::35], force[::35])}
+    # The force has steps every 0.07 s, and a sensor at 500 Hz measures it.
+    force = np.repeat(rng.uniform(-1.0, 1.0, 150), 35)[: t.size]
+    signals = channels() | {"psi": Channel(t, force), "w": Channel(t[::35], force[::35])}
     if hold == "linear":
-        given["w"] = Channel(t, force)
-    record = build_record(model(hold, "psi"), given)
+        signals["w"] = Channel(t, force)
+    record = build_record(model(hold, "psi"), signals)
     seen = np.isfinite(record.y[:, 0]) & (record.t > 0.1) & (record.t < 9.9)
     np.testing.assert_allclose(record.u[seen, 0], record.y[seen, 0], atol=0.04)
     raw = replace(model(hold, "psi"), inputs=(Input("w", "N", hold, prefilter=False),))  # type: ignore[arg-type]
-    # nor where what feels the input is not averaged, though something else is, or nothing feels it
-    for other in (raw, model(hold, "a"), model(hold)):
-        sharp = build_record(other, given)
+    # The input is not averaged if the output that contains it is not averaged, or if no output contains it.
+    for unaveraged in (raw, model(hold, "a"), model(hold)):
+        sharp = build_record(unaveraged, signals)
         seen = np.isfinite(sharp.y[:, 0])
         assert np.abs(sharp.u[seen, 0] - sharp.y[seen, 0]).max() > 0.5
 
 
-def test_what_an_input_was_before_the_part_does_not_matter() -> None:
-    """Not even where nothing is known of it."""
+def test_input_before_the_part_has_no_influence() -> None:
+    """This also holds if the input is unknown there."""
     for hold in ("linear", "zero"):
         known = channels() | {"w": channel(50.0)}
         value = known["w"].value.copy()
         value[3] = np.nan
         unknown = known | {"w": Channel(known["w"].t, value)}
-        rows = [build_record(model(hold, "psi"), given, t_from=2.0) for given in (known, unknown)]
+        rows = [build_record(model(hold, "psi"), signals, t_from=2.0) for signals in (known, unknown)]
         np.testing.assert_array_equal(rows[0].u, rows[1].u)
 
 
-def test_a_copy_that_the_data_have_is_theirs() -> None:
+def test_delayed_input_in_the_data_is_used() -> None:
     copies = replace(with_taps(0, 2), name="copies")
-    given = channels() | {"g~2": channel(50.0, f=lambda t: np.full(t.size, 7.0)), "g": channel(50.0)}
-    record = build_record(copies, given)
+    signals = channels() | {"g~2": channel(50.0, f=lambda t: np.full(t.size, 7.0)), "g": channel(50.0)}
+    record = build_record(copies, signals)
     assert (record.u[:, list(record.inputs).index("g~2")] == 7.0).all()
 
 
-def test_a_command_that_is_repeated_is_no_row() -> None:
+def test_repeated_command_creates_no_row() -> None:
     t = np.arange(0.0, 10.0, 0.02)
     repeated = channels() | {"w": Channel(t, np.where(t < 2.04, 1.0, np.where(t < 5.0, -2.0, 3.0)))}
-    for psi in (5.0, 50.0):  # as it is, and averaged
+    for psi in (5.0, 50.0):  # Without averaging, and with averaging.
         slow = {"psi": channel(psi)}
-        record, sparse = (build_record(model(feels="psi"), given | slow) for given in (repeated, channels()))
+        record, sparse = (build_record(model(feels="psi"), signals | slow) for signals in (repeated, channels()))
         assert record.n_rows <= sparse.n_rows + 1
         assert sparse.n_rows < 0.4 * t.size
         same = slice(0, sparse.n_rows - 3)
         np.testing.assert_allclose(record.u[same], sparse.u[same], atol=1e-12)
 
 
-def test_a_hold_between_rows_is_the_line_of_its_mean_and_first_moment() -> None:
+def test_line_between_rows_has_the_mean_and_first_moment_of_the_held_input() -> None:
     rng = np.random.default_rng(1)
     held = Channel(np.sort(rng.uniform(-0.5, 10.0, 300)), rng.normal(size=300))
     t = np.append(np.arange(0.0, 10.0, 0.1), 10.5)
@@ -251,36 +257,36 @@ def test_a_hold_between_rows_is_the_line_of_its_mean_and_first_moment() -> None:
     np.testing.assert_allclose(held_lines(still, t), 0.3, atol=1e-12)
 
 
-def test_a_delayed_copy_is_averaged_as_its_signal_is() -> None:
+def test_delayed_input_is_averaged_like_its_signal() -> None:
     own = replace(with_taps(0), inputs=(Input("g", "", "linear", prefilter=False),))
     late = Effect("late", "late", {}, inputs=(Input("g", "", "linear").delayed(1), Input("h")))
     assert [i.prefilter for i in (own + late).inputs] == [False, False, True]
 
 
-def test_a_delayed_copy_is_held_as_its_signal_is() -> None:
-    """Whatever an effect says of its copies: between them a held command would begin to rise too early."""
+def test_delayed_input_is_held_like_its_signal() -> None:
+    """The hold that an effect declares is ignored. With a linear hold, a held command would begin to rise too early."""
     zero = replace(with_taps(0), inputs=(Input("g", "", "zero"),))
     taps = Effect("late", "late", {}, inputs=tuple(Input("g", "", "linear").delayed(k) for k in (1, 2)))
     assert [i.hold for i in (zero + taps).inputs] == ["zero", "average", "average"]
     assert [i.hold for i in (with_taps(0) + taps).inputs[-2:]] == ["linear", "linear"]
 
 
-def test_a_switch_a_hair_after_a_sample_is_not_late() -> None:
-    """Times that were equal differ by rounding (seconds since 1970 have steps of 0.24 us); they are one row."""
-    given = channels() | {"w": Channel(np.array([0.0, 2.0 + 5e-8, 10.0]), np.array([1.0, -2.0, 3.0]))}
-    given |= {"a": channel(10.0), "b": channel(10.0), "psi": channel(5.0)}
-    record = build_record(model(), given)
+def test_switch_just_after_a_sample_is_at_the_same_row() -> None:
+    """Equal times may differ by rounding, because seconds since 1970 have steps of 0.24 us. They form one row."""
+    signals = channels() | {"w": Channel(np.array([0.0, 2.0 + 5e-8, 10.0]), np.array([1.0, -2.0, 3.0]))}
+    signals |= {"a": channel(10.0), "b": channel(10.0), "psi": channel(5.0)}
+    record = build_record(model(), signals)
     row = int(np.argmin(np.abs(record.t - 2.0)))
     assert record.t[row] == pytest.approx(2.0, abs=1e-6)
     assert record.u[row, 0] == -2.0
 
 
-def test_sample_and_hold_takes_the_first_value_before_the_first_sample() -> None:
+def test_sample_and_hold_uses_the_first_value_before_the_first_sample() -> None:
     c = Channel(np.array([1.0, 2.0, 2.0, 3.0]), np.array([5.0, 6.0, 7.0, 8.0]))
     np.testing.assert_array_equal(sample_and_hold(c, np.array([0.0, 1.0, 1.99, 2.0, 2.5, 9.0])), [5, 5, 5, 7, 7, 8])
 
 
-def test_only_the_common_time_is_used_unless_a_part_is_asked_for() -> None:
+def test_common_time_is_used_unless_a_part_is_requested() -> None:
     late = channels() | {"a": channel(4.0, 6.0, 1.5), "b": channel(4.0, 6.0, 1.5)}
     record = build_record(model(), late)
     assert record.meta["t0"] == 1.5
@@ -296,48 +302,49 @@ def test_only_the_common_time_is_used_unless_a_part_is_asked_for() -> None:
 @pytest.mark.parametrize(
     ("at", "end"),
     [
-        ([0.0, 2.0, 6.0], 10.0),  # written where it changes: held on
-        ([0.0, 2.0, 2.5], 2.5),  # never held for so long before
-        (np.arange(0.0, 5.0, 0.1), 4.9),  # written all the time: its source has died
+        ([0.0, 2.0, 6.0], 10.0),  # The command is recorded on change, so its last value holds.
+        ([0.0, 2.0, 2.5], 2.5),  # No earlier value was held for so long.
+        (np.arange(0.0, 5.0, 0.1), 4.9),  # The command is recorded regularly, so its source has failed.
     ],
 )
-def test_a_command_that_is_written_where_it_changes_is_held_to_the_end(at: Sequence[float], end: float) -> None:
+def test_command_recorded_on_change_is_held_to_the_end(at: Sequence[float], end: float) -> None:
     w = Channel(np.array(at), np.ones(len(at)))
     record = build_record(model(), channels() | {"w": w}, rate=10.0)
     assert record.t[-1] == pytest.approx(end)
     if end < 10.0:
         name, lost = record.meta["cut"]
         assert (name, lost) == ("w", pytest.approx(10.0 - end))
-        (said,) = cut_records([record])
-        assert (said.code, "w ends" in said.text) == ("record-cut", True)
+        (warning,) = cut_records([record])
+        assert (warning.code, "w ends" in warning.text) == ("record-cut", True)
     else:
         assert "cut" not in record.meta
 
 
-def test_an_inputs_past_is_the_input_so_many_steps_ago() -> None:
+def test_delayed_input_is_the_input_some_steps_ago() -> None:
     wide = with_taps(0, 1, 7)
     ramp = channels() | {"g": channel(50.0, f=lambda t: 2.0 * t)}
     record = build_record(wide, ramp)
     names = list(record.inputs)
-    now, one, seven = (record.u[:, names.index(n)] for n in ("g", "g~1", "g~7"))
+    now, one_step, seven_steps = (record.u[:, names.index(n)] for n in ("g", "g~1", "g~7"))
     later = record.t > 7 * HISTORY_STEP
-    np.testing.assert_allclose(now[later] - one[later], 2.0 * HISTORY_STEP, atol=1e-9)
-    np.testing.assert_allclose(now[later] - seven[later], 14.0 * HISTORY_STEP, atol=1e-9)
-    assert seven[0] == now[0]  # before the first sample there is only that
-    assert record.duration == pytest.approx(10.0)  # the past costs no data
+    np.testing.assert_allclose(now[later] - one_step[later], 2.0 * HISTORY_STEP, atol=1e-9)
+    np.testing.assert_allclose(now[later] - seven_steps[later], 14.0 * HISTORY_STEP, atol=1e-9)
+    assert seven_steps[0] == now[0]  # Before the first sample, the first value is used.
+    assert record.duration == pytest.approx(10.0)  # The delayed inputs do not shorten the record.
 
 
-def test_time_and_work_are_inputs_of_their_own() -> None:
+def test_time_and_work_are_computed_as_inputs() -> None:
     wide = with_inputs("t", "n_left", "n_right", "work")
     shafts = {"n_left": channel(25.0, f=lambda t: np.full(t.size, 0.5)), "n_right": channel(25.0, f=lambda t: -t / 10)}
     record = build_record(wide, channels() | shafts, t_from=2.0)
     t, work = (record.u[:, list(record.inputs).index(n)] for n in ("t", "work"))
     np.testing.assert_allclose(t, record.t)
-    at = record.t + 2.0  # work counts from the start of the log: a battery does not know what is fitted
+    # Work counts from the start of the log, because a battery discharges before the fitted part as well.
+    at = record.t + 2.0
     np.testing.assert_allclose(work, (0.125 * at + at**4 / 4000) / WORK_UNIT, atol=1e-5)
 
 
-def test_a_missing_sensor_is_left_out_and_said() -> None:
+def test_missing_sensor_is_left_out_and_reported() -> None:
     record = build_record(model(), {n: c for n, c in channels().items() if n != "b"})
     assert record.meta["missing"] == ("pair",)
     assert not np.isfinite(record.y[:, 1:]).any()
@@ -358,20 +365,20 @@ def test_a_missing_sensor_is_left_out_and_said() -> None:
         ),
     ],
 )
-def test_what_cannot_be_made_is_one_clear_line(drop: tuple[str, ...], change: dict[str, Channel], says: str) -> None:
-    given = {n: c for n, c in channels().items() if n not in drop} | change
+def test_impossible_record_gives_a_one_line_error(drop: tuple[str, ...], change: dict[str, Channel], says: str) -> None:
+    signals = {n: c for n, c in channels().items() if n not in drop} | change
     with pytest.raises(ValueError, match="run 7") as problem:
-        build_record(model(), given, name="run 7")
+        build_record(model(), signals, name="run 7")
     assert str(problem.value) == says
 
 
-def test_a_record_serves_other_models_and_parts() -> None:
+def test_record_can_be_reduced_to_other_models_and_parts() -> None:
     wide = with_taps(0, 3)
     record = build_record(wide, channels() | {"g": channel(50.0)})
     own = record.for_model(model())
     assert (own.inputs, own.outputs) == (("w",), ("psi", "a", "b"))
     np.testing.assert_array_equal(own.u[:, 0], record.u[:, 0])
-    assert np.shares_memory(own.u, record.u)  # a search keeps records for dozens of models
+    assert np.shares_memory(own.u, record.u)  # A search keeps records for dozens of models.
     assert own.y is record.y
     fewer = replace(model(), sensors=model().sensors[1:])
     np.testing.assert_array_equal(record.for_model(fewer).y, record.y[:, 1:])
@@ -383,8 +390,8 @@ def test_a_record_serves_other_models_and_parts() -> None:
     assert isinstance(part, Record)
 
 
-def test_a_row_of_a_sensor_has_all_its_outputs_of_one_time() -> None:
-    """An import drops NaN signal by signal: what is left of two outputs has different times."""
+def test_row_of_a_sensor_has_all_its_outputs_at_the_same_time() -> None:
+    """An import drops NaN separately for each signal, so two outputs can have different times."""
     found = channels()
     for name, lost in (("a", 10), ("b", 20)):
         c = found[name]

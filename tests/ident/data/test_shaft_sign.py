@@ -1,4 +1,4 @@
-"""The direction of a shaft from its speed alone: simulated thrusters that are thrown about."""
+"""Tests of the sign of a shaft speed that is measured without a sign, on simulated thrusters that reverse often."""
 
 from __future__ import annotations
 
@@ -8,45 +8,45 @@ from numpy.typing import NDArray
 
 from seatrial.ident.data.loading import GRID_STEP, follows_command, shaft_speed
 
-DT = 1e-3  # s
+DT = 1e-3  # Unit: s
 Array = NDArray[np.float64]
 
 
 def shaft(command: Array, delay: float, pole: float, dead: float = 0.086) -> Array:
-    """A shaft that follows its command late, with a lag, and not at all within its dead zone."""
+    """Return a shaft speed that follows its command with a delay and a lag, and stays at rest in its dead zone."""
     late = round(delay / DT)
-    told = np.concatenate([np.zeros(late), command])[: command.size]
-    told = np.where(np.abs(told) < dead, 0.0, told)
+    delayed = np.concatenate([np.zeros(late), command])[: command.size]
+    delayed = np.where(np.abs(delayed) < dead, 0.0, delayed)
     n = np.zeros_like(command)
     for k in range(1, n.size):
-        n[k] = n[k - 1] + DT * pole * (told[k - 1] - n[k - 1])
+        n[k] = n[k - 1] + DT * pole * (delayed[k - 1] - n[k - 1])
     return n
 
 
 @pytest.mark.parametrize(("delay", "pole"), [(0.345, 7.2), (0.07, 25.0), (0.5, 3.0)])
-def test_the_sign_is_the_shafts_and_not_the_commands(delay: float, pole: float) -> None:
+def test_sign_is_that_of_the_shaft_and_not_of_the_command(delay: float, pole: float) -> None:
     rng = np.random.default_rng(1)
     levels = rng.uniform(-1.0, 1.0, 60)
     held = rng.uniform(1.0, 4.0, levels.size)
     command = np.repeat(levels, np.round(held / DT).astype(int))
     n, t = shaft(command, delay, pole), DT * np.arange(command.size)
-    truth, told = n[::100], command[::100]  # telemetry at 10 Hz
+    truth, commanded = n[::100], command[::100]  # The telemetry has 10 Hz.
     speed = np.abs(truth + rng.normal(0.0, 0.003, truth.size))
     at = np.searchsorted(t, np.concatenate([[0.0], np.cumsum(held)[:-1]]))
     own, found = shaft_speed(t[::100], speed, t[np.minimum(at, t.size - 1)], levels)
-    own = own + GRID_STEP / 2  # in the middle of the time for which it is held
+    own = own + GRID_STEP / 2  # This is the middle of the time for which the value is held.
     error = np.sqrt(np.mean((np.interp(t[::100], own, found) - truth) ** 2))
     own = own[own < t[-1]]
-    rounded = np.interp(own, t[::100], np.copysign(speed, truth))  # straight lines from sample to sample
+    rounded = np.interp(own, t[::100], np.copysign(speed, truth))  # Linear interpolation between samples.
     between, smooth = (np.mean(np.abs(x[: own.size] - np.interp(own, t, n))) for x in (found, rounded))
-    by_command = np.sqrt(np.mean((np.copysign(speed, told) - truth) ** 2))
-    assert by_command > 0.1  # of full speed
+    by_command = np.sqrt(np.mean((np.copysign(speed, commanded) - truth) ** 2))
+    assert by_command > 0.1  # As a share of full speed.
     assert error < 0.02 + 0.06 * by_command
     assert between < 0.8 * smooth
-    assert follows_command(np.copysign(speed, told), told)
-    assert not follows_command(truth, told)
+    assert follows_command(np.copysign(speed, commanded), commanded)
+    assert not follows_command(truth, commanded)
 
 
-def test_one_way_has_nothing_to_decide() -> None:
+def test_shaft_speed_without_reversals_does_not_follow_the_command() -> None:
     assert not follows_command(np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
     assert not follows_command(np.zeros(3), np.array([0.1, -0.2, 0.3]))

@@ -1,4 +1,4 @@
-"""Logs of one command count x and y from one origin, so that what is at one place is at one place in all of them."""
+"""Tests of the common origin of the logs of one command, so that a fixed point has one position in all logs."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from tests.ident.effects.independent_boat import Force, IndependentBoat, sail
 from tests.ident.effects.test_weak_effects import line, model_of, spring
 from tests.missions import RPM_MAX, write_log
 
-APART = (22.0, -17.0)  # m north and east between the first fixes of two missions from one pier
-POINT = (8.0, -6.0)  # m from the first log's start: where the line is made fast
+APART = (22.0, -17.0)  # Distance [m] north and east between the first fixes of two missions from one pier.
+POINT = (8.0, -6.0)  # Position [m] of the anchor from the start of the first log.
 
 
 def written(path: Path, segment: LogSegment, at: tuple[float, float] = (0.0, 0.0)) -> Path:
-    """The segment as a log of the mocks' rig, whose start lies at this place (m north, m east)."""
+    """Write the segment as a log of the simulated rig. Its start is at the given place (m north, m east)."""
     c, readings = segment.channels, list[Reading]()
     for k, t in enumerate(c["psi"].t.tolist()):
         psi, r, ax, ay = (float(c[n].value[k]) for n in ("psi", "r", "ax", "ay"))
@@ -45,14 +45,14 @@ def written(path: Path, segment: LogSegment, at: tuple[float, float] = (0.0, 0.0
         x, y, vx, vy = (float(c[n].value[k]) for n in ("x", "y", "vx", "vy"))
         lat, lon = geodetic(x + at[0], y + at[1])
         readings.append(Reading("gnss", Gnss(t, lat, lon, vel_n=vx, vel_e=vy, fix=3), t))
-    return write_log(path, "boat", sorted(readings, key=lambda one: one.t))
+    return write_log(path, "boat", sorted(readings, key=lambda reading: reading.t))
 
 
 def two_logs(folder: Path, force: Callable[[float, float], Force], seconds: float) -> list[LoadedLog]:
-    """Two missions of one boat on one line; ``force(north, east)`` is that of a line made fast there."""
+    """Return two missions of one boat on one line. ``force(north, east)`` gives the force of a line anchored there."""
     paths = []
     for k, at in enumerate(((0.0, 0.0), APART)):
-        fast = (POINT[0] - at[0], POINT[1] - at[1])  # as the boat of this log sees it from its start
+        fast = (POINT[0] - at[0], POINT[1] - at[1])  # The anchor relative to the start of this log.
         segment = sail(IndependentBoat(force=force(*fast)), seconds, 11 + k)
         paths.append(written(folder / f"mission{k}.mcap", segment, at))
     return load_all(paths, [])[0]
@@ -60,7 +60,7 @@ def two_logs(folder: Path, force: Callable[[float, float], Force], seconds: floa
 
 def fitted(logs: list[LoadedLog], effect: str) -> FittedModel:
     model = with_effects(model_of(IndependentBoat()), [effect])
-    return fit_nominal_model(model, [one.run for one in logs], [])
+    return fit_nominal_model(model, [log.run for log in logs], [])
 
 
 @cache
@@ -74,7 +74,7 @@ def placed(tmp_path: Path, *places: tuple[float, float]) -> list[Path]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", [pytest.param(name, marks=pytest.mark.study) for name in ("tether", "mooring")])
-def test_a_fixed_point_is_where_it_is_in_two_logs_from_one_pier(effect: str, tmp_path: Path) -> None:
+def test_fixed_point_has_one_position_in_two_logs_from_one_pier(effect: str, tmp_path: Path) -> None:
     stiff = 0.9
 
     def force(north: float, east: float) -> Force:
@@ -90,48 +90,49 @@ def test_a_fixed_point_is_where_it_is_in_two_logs_from_one_pier(effect: str, tmp
         assert error < 2.0, name
 
 
-def test_the_logs_of_one_command_count_from_the_first_fix_of_the_first(tmp_path: Path) -> None:
+def test_logs_of_one_command_use_the_first_fix_of_the_first_log(tmp_path: Path) -> None:
     paths = placed(tmp_path, (0.0, 0.0), APART, (5000.0, -3000.0))
     alone = [load_run(p, "estimation") for p in paths]
     estimation, validation = load_all(paths[:1], paths[1:])
-    assert all(one.origin == estimation[0].origin for one in validation)
+    assert all(shared.origin == estimation[0].origin for shared in validation)
     assert np.array_equal(estimation[0].run.channels["x"].value, alone[0].run.channels["x"].value)
-    for one, own, at in zip(validation, alone[1:], (APART, (5000.0, -3000.0)), strict=True):
-        moved = [float(one.run.channels[n].value[0] - own.run.channels[n].value[0]) for n in ("x", "y")]
-        assert moved == pytest.approx(at, abs=0.1 if at is APART else 2.0)  # the mocks' earth is flat
-        for n in ("x", "y"):  # the same track: no other metres
-            there, here = one.run.channels[n].value, own.run.channels[n].value
+    for shared, own, at in zip(validation, alone[1:], (APART, (5000.0, -3000.0)), strict=True):
+        moved = [float(shared.run.channels[n].value[0] - own.run.channels[n].value[0]) for n in ("x", "y")]
+        assert moved == pytest.approx(at, abs=0.1 if at is APART else 2.0)  # The simulator has a flat earth.
+        for n in ("x", "y"):  # The track has the same length.
+            there, here = shared.run.channels[n].value, own.run.channels[n].value
             assert there - there[0] == pytest.approx(here - here[0], abs=1e-9)
-            assert one.own_channels[n].value == pytest.approx(here, abs=1e-9)
-        assert one.about["origin"] == asdict(estimation[0].origin)
+            assert shared.own_channels[n].value == pytest.approx(here, abs=1e-9)
+        assert shared.about["origin"] == asdict(estimation[0].origin)
     origin = estimation[0].origin
     assert origin is not None
     assert origin.log == "log0"
     assert (origin.latitude, origin.longitude) == pytest.approx((LATITUDE, LONGITUDE), abs=1e-5)
 
 
-def test_a_frame_of_another_place_does_not_change_a_fit(tmp_path: Path) -> None:
-    """The state starts at the first position, and only a fixed point knows where that is."""
+def test_origin_at_another_place_does_not_change_a_fit(tmp_path: Path) -> None:
+    """The state starts at the first position. Only a fixed point depends on the origin."""
     model, (path,) = nominal_model(horizontal_model()), placed(tmp_path, (0.0, 0.0))
-    one = load_run(path, "estimation")
-    assert one.origin is not None
-    far = FrameOrigin(one.origin.latitude + 0.05, one.origin.longitude - 0.05, "another")
+    loaded = load_run(path, "estimation")
+    assert loaded.origin is not None
+    far = FrameOrigin(loaded.origin.latitude + 0.05, loaded.origin.longitude - 0.05, "another")
     values = np.array([p.value for p in model.parameters])
     here, there = (
-        Likelihood(model).value_by_row(make_record(model, x.run, 10.0), values) for x in (one, *share_frame([one], far))
+        Likelihood(model).value_by_row(make_record(model, x.run, 10.0), values)
+        for x in (loaded, *share_frame([loaded], far))
     )
     assert there.sum() == pytest.approx(here.sum(), rel=1e-9)
     assert there == pytest.approx(here, abs=1e-6)
 
 
-def test_offsets_go_both_ways_and_over_the_date_line() -> None:
+def test_offsets_are_antisymmetric_and_cross_the_date_line() -> None:
     a, b = FrameOrigin(60.0, 179.99), FrameOrigin(60.05, -179.98)
     there, back = a.offset(b), b.offset(a)
     assert there == pytest.approx((5571.0, 1671.0), abs=5.0)
     assert there == pytest.approx([-z for z in back], abs=1e-6)
 
 
-def test_logs_far_apart_keep_their_own_origins_and_refuse_a_common_point(tmp_path: Path) -> None:
+def test_distant_logs_keep_their_own_origins_and_reject_a_common_point(tmp_path: Path) -> None:
     logs, _ = load_all(placed(tmp_path, (0.0, 0.0), (11_000.0, 0.0)), [])
     assert [one.origin.log for one in logs if one.origin] == ["log0", "log1"]
     plain, moored = horizontal_model(), horizontal_model() + catalogue()["mooring"]
@@ -144,20 +145,20 @@ def test_logs_far_apart_keep_their_own_origins_and_refuse_a_common_point(tmp_pat
     assert not _refused(nominal_model(plain), catalogue(), [logs[0].run])
 
 
-def test_positions_without_latitude_and_longitude_are_taken_for_one_frame_with_a_warning(tmp_path: Path) -> None:
+def test_positions_without_latitude_and_longitude_are_assumed_in_one_frame_with_a_warning(tmp_path: Path) -> None:
     (path,) = placed(tmp_path, (0.0, 0.0))
     known = load_run(path, "estimation")
     unknown = replace(known, origin=None, run=replace(known.run, name="imported", meta={}))
     boat, alone = with_effects(model_of(IndependentBoat()), ["mooring"]), unknown.run
-    assert frames_assumed(fit_nominal_model(boat, [alone], [])) == []  # one log alone has one frame
+    assert frames_assumed(fit_nominal_model(boat, [alone], [])) == []  # A single log has one frame.
     assert frames_assumed(fit_nominal_model(boat, [known.run], [replace(known.run, name="later")])) == []
-    (said,) = frames_assumed(fit_nominal_model(boat, [known.run], [alone]))
-    assert said.code == "frame-assumed"
-    assert "imported gives x and y without latitude and longitude" in said.text
+    (warning,) = frames_assumed(fit_nominal_model(boat, [known.run], [alone]))
+    assert warning.code == "frame-assumed"
+    assert "imported gives x and y without latitude and longitude" in warning.text
     assert not share_frame([unknown])[0].origin
 
 
-def test_a_saved_model_keeps_where_its_fixed_point_counts_from(tmp_path: Path) -> None:
+def test_saved_model_keeps_the_origin_of_its_fixed_point(tmp_path: Path) -> None:
     logs, _ = load_all(placed(tmp_path, (0.0, 0.0), (40.0, 10.0), (30_000.0, 0.0)), [])
     moored = with_effects(model_of(IndependentBoat()), ["mooring"])
     fit = fit_nominal_model(moored, [logs[0].run], []).fit
@@ -168,10 +169,10 @@ def test_a_saved_model_keeps_where_its_fixed_point_counts_from(tmp_path: Path) -
     (later,) = share_frame([load_run(tmp_path / "log1.mcap", "navigated")], saved.origin)
     assert later.run.channels["x"].value[0] == pytest.approx(40.0, abs=0.2)
     assert saved_frame_warnings(saved.model, [later], saved.origin) == []
-    (said,) = saved_frame_warnings(saved.model, [later], None)
-    assert (said.code, "does not contain the origin" in said.text) == ("frame-assumed", True)
+    (warning,) = saved_frame_warnings(saved.model, [later], None)
+    assert (warning.code, "does not contain the origin" in warning.text) == ("frame-assumed", True)
     with pytest.raises(SeatrialError, match=r"log2\.mcap: it begins more than 10 km"):
         saved_frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin)
     plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit
     save_model(path, plain, validity={}, provenance={}, origin=origin)
-    assert load_model(path).origin is None  # nothing in it counts from there
+    assert load_model(path).origin is None  # No parameter depends on the origin.

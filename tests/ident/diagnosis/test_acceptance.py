@@ -1,4 +1,4 @@
-"""Do validation data support an effect?"""
+"""Tests of the conditions under which the search accepts an effect."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class View:
 
 
 def fitted(**by_run: np.ndarray) -> Any:
-    """A model with these log-likelihoods, one a second, on each run."""
+    """Return a stand-in for a fitted model with the given log-likelihoods of each run, one value per second."""
     views = [
         View(SimpleNamespace(name=n, t=100.0 + np.arange(ll.size), duration=ll.size - 1.0), ll)
         for n, ll in by_run.items()
@@ -38,28 +38,31 @@ def fitted(**by_run: np.ndarray) -> Any:
     return SimpleNamespace(model=SimpleNamespace(block=5.0), validation=tuple(views))
 
 
-def test_the_gain_is_over_all_runs_and_its_error_over_blocks_of_ten_seconds() -> None:
+def test_validation_gain_is_summed_over_runs_with_an_error_from_ten_second_blocks() -> None:
     rng = np.random.default_rng(1)
-    one, two = rng.normal(0.3, 1.0, (2, 200))
-    gain, t = validation_gain(fitted(one=np.zeros(200), two=np.zeros(200)), fitted(one=one, two=two))
-    blocks = np.concatenate([one.reshape(20, 10).sum(1), two.reshape(20, 10).sum(1)])
-    assert gain == pytest.approx(one.sum() + two.sum())
+    first, second = rng.normal(0.3, 1.0, (2, 200))
+    gain, t = validation_gain(fitted(one=np.zeros(200), two=np.zeros(200)), fitted(one=first, two=second))
+    blocks = np.concatenate([first.reshape(20, 10).sum(1), second.reshape(20, 10).sum(1)])
+    assert gain == pytest.approx(first.sum() + second.sum())
     student = blocks.mean() / (blocks.std(ddof=1) / 40**0.5)
     assert t == pytest.approx(stats.norm.isf(stats.t.sf(student, 39)), rel=1e-3)
 
 
 @pytest.mark.parametrize("n_blocks", [3, 5, 12, 24])
-def test_chance_passes_as_seldom_in_few_blocks_as_in_many(n_blocks: int) -> None:
-    """Gains of pure chance: the part beyond two is that of the normal distribution, not 9 % as with 3 blocks."""
+def test_chance_gains_pass_equally_rarely_for_few_and_many_blocks(n_blocks: int) -> None:
+    """The share of random gains with t > 2 is that of the normal distribution. With 3 blocks and no correction it was 9
+    %.
+    """
     rng, found = np.random.default_rng(n_blocks), []
     for _ in range(2000):
-        ll = np.repeat(rng.normal(size=n_blocks), 10 if n_blocks == 24 else 5)  # long enough for blocks of ten seconds
+        # The run is long enough for blocks of 10 s.
+        ll = np.repeat(rng.normal(size=n_blocks), 10 if n_blocks == 24 else 5)
         found.append(validation_gain(fitted(run=np.zeros(ll.size)), fitted(run=ll))[1])
     assert np.mean(np.array(found) > 2.0) == pytest.approx(0.0228, abs=0.011)
 
 
-def test_a_few_blocks_that_lose_much_are_not_taken_for_outliers() -> None:
-    """Two turning circles that a model predicts worse, among forty blocks that gain a little."""
+def test_few_blocks_with_large_losses_are_not_treated_as_outliers() -> None:
+    """The model predicts two turning circles worse, and forty other blocks a little better."""
     ll = np.full(400, 0.5)
     ll[150:170] = -80.0
     gain, t = validation_gain(fitted(run=np.zeros(400)), fitted(run=ll))
@@ -67,12 +70,12 @@ def test_a_few_blocks_that_lose_much_are_not_taken_for_outliers() -> None:
     assert not refit(gain=gain, t=t).validated
 
 
-def test_only_the_runs_that_both_models_have_are_compared() -> None:
+def test_validation_gain_compares_only_runs_of_both_models() -> None:
     gain, _ = validation_gain(fitted(a=np.zeros(50), b=np.zeros(50)), fitted(a=np.full(50, 1.0)))
     assert gain == pytest.approx(50.0)
 
 
-def test_what_is_not_finite_is_an_error() -> None:
+def test_validation_gain_raises_an_error_if_a_value_is_not_finite() -> None:
     with pytest.raises(ValueError, match="not finite"):
         validation_gain(fitted(a=np.zeros(50)), fitted(a=np.full(50, np.nan)))
 
@@ -92,7 +95,7 @@ def refit(
 
 
 @pytest.mark.parametrize(
-    ("given", "accepted"),
+    ("values", "accepted"),
     [
         ({}, True),
         ({"criterion": -1.0}, False),
@@ -101,17 +104,18 @@ def refit(
         ({"prediction": change(1.02, 0.98, 1.06)}, True),
         ({"prediction": change(0.7, 0.5, 0.9)}, True),
         ({"prediction": change(1.2, 1.1, 1.3)}, False),
-        # each step is no worse than the one before, and all together are: worse than the nominal model
+        # Each step is within its interval, but all effects together predict worse than the nominal model.
         ({"prediction": change(1.1, 0.97, 1.25), "total": change(1.86, 1.09, 3.19)}, False),
         ({"prediction": change(1.1, 0.97, 1.25), "total": change(1.2, 0.9, 1.5)}, True),
-        # a force without a story has to predict better; an effect with one may gain too little for the interval
+        # An effect without a physical formula must predict better. A physical effect may gain too little for the
+        # interval.
         ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": SAME}, False),
         ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": change(0.95, 0.9, 0.98)}, True),
-        # by inputs alone it has to be better beyond the interval, and by as much as counts
+        # The simulation error must fall beyond its interval, and by a material amount.
         ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": change(0.95, 0.89, 1.01)}, False),
         ({"kind": EffectKind.RESONANT, "prediction": NEARLY, "by_inputs": change(0.99, 0.98, 0.999)}, False),
         ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(0.7, 0.5, 0.9), "by_inputs": SAME}, True),
-        # beside effects that make the prediction better the point estimate is enough
+        # If the other effects improve the prediction, the point estimate is sufficient.
         *(
             ({"kind": EffectKind.NONPARAMETRIC, "prediction": change(ratio, 0.94, 1.02), "total": total}, accepted)
             for ratio, total, accepted in (
@@ -123,8 +127,8 @@ def refit(
         ({"prediction": NEARLY}, True),
     ],
 )
-def test_every_condition_counts(given: dict[str, Any], accepted: bool) -> None:
-    assert refit(**given).accepted is accepted
+def test_refit_is_accepted_only_if_every_condition_holds(values: dict[str, Any], accepted: bool) -> None:
+    assert refit(**values).accepted is accepted
 
 
 @pytest.mark.parametrize(
@@ -134,13 +138,16 @@ def test_every_condition_counts(given: dict[str, Any], accepted: bool) -> None:
         (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO + 0.01, True, True),
         (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO - 0.01, False, True),
         (change(1.2, 1.1, 1.3), 1.5, False, False),
-        (change(0.99, 0.9, 1.1), MATERIAL_ERROR_RATIO - 0.001, False, False),  # the same with it and without
+        # The error is the same with and without the effect.
+        (change(0.99, 0.9, 1.1), MATERIAL_ERROR_RATIO - 0.001, False, False),
     ],
 )
-def test_what_pays_and_what_predicts(prediction: Any, error: float, predicts: bool, pays: bool) -> None:
+def test_effect_importance_reports_support_and_improved_prediction(
+    prediction: Any, error: float, predicts: bool, pays: bool
+) -> None:
     weight = EffectImportance("wind", 100.0, error, 30.0, 4.0, prediction)
     assert (weight.improves_prediction, weight.supported) == (predicts, pays)
-    assert replace(weight, t=1.9).supported is (predicts and pays)  # a better prediction is support as well
+    assert replace(weight, t=1.9).supported is (predicts and pays)  # A better prediction also counts as support.
     assert not replace(weight, t=0.9).supported
     assert not EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction).supported
 
@@ -154,13 +161,13 @@ def test_what_pays_and_what_predicts(prediction: Any, error: float, predicts: bo
         ((), Outcome.UNTESTED),
     ],
 )
-def test_a_round_that_added_nothing_says_how_far_the_best_came(outcomes: Any, of_round: Outcome) -> None:
+def test_explanation_of_a_round_without_an_effect_names_the_best_outcome(outcomes: Any, of_round: Outcome) -> None:
     from dataclasses import replace
 
     refits = tuple(replace(refit(), outcome=o) for o in outcomes)
-    one = Round((), (), refits, None)
-    assert one.outcome is of_round
-    assert ("wind" in one.explanation) is (
+    search_round = Round((), (), refits, None)
+    assert search_round.outcome is of_round
+    assert ("wind" in search_round.explanation) is (
         of_round in (Outcome.WORSE_PREDICTION, Outcome.SMALL)
-    )  # names whom it is about
-    assert ("small compared with the effects found" in one.explanation) is (of_round is Outcome.SMALL)
+    )  # Only these outcomes name the effect.
+    assert ("small compared with the effects found" in search_round.explanation) is (of_round is Outcome.SMALL)

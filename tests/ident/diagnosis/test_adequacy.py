@@ -1,4 +1,4 @@
-"""How sure a name is: what is left, tables beside it, alternatives that are close or untested."""
+"""Tests of the attribution of found effects: remaining scores, nonparametric effects and competing models."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from tests.ident.pages import loaded
 from tests.ident.report_example import diagnosis
 from tests.ident.unlisted import kind_of
 
-N = 4000  # rows
-UNSCALED = SimpleNamespace(values={}, inputs=())  # a model without thrust
+N = 4000  # Number of rows.
+UNSCALED = SimpleNamespace(values={}, inputs=())  # A model without thrust coefficients.
 
 
 def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **more: Any) -> Refit:
-    """A refit with an effect of this name; what the judgement does not read is left out."""
+    """Return a refit with an effect of this name. Fields that the attribution does not read are left out."""
     effect = Effect(name, name.replace("-", " "), {}, **kind_of(name), **more)
     stage = SimpleNamespace(fit=fit or SimpleNamespace(names=(), flags=()))
     return Refit(effect, cast(Any, stage), criterion + 8.3, 1, criterion, 50.0, t)
@@ -44,7 +44,7 @@ def refit(name: str, criterion: float, t: float = 5.0, fit: object = None, **mor
 def a_fit(
     names: Sequence[str], values: ArrayLike, covariance: Array, model: object = UNSCALED, flags: object = ()
 ) -> Any:
-    """Estimates without data."""
+    """Return a stand-in for a fit with the given estimates, without data."""
     found, errors = np.asarray(values), np.sqrt(np.diag(covariance))
 
     def estimate(name: str, record: int = 0) -> tuple[float, float]:
@@ -70,21 +70,23 @@ def score(name: str, criterion: float) -> Score:
     return Score(name, criterion + 8.294, 1, 20.0, {}, {}, **kind_of(name))
 
 
-def of(*rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()) -> tuple[EffectAttribution, ...]:
+def attributions_of(
+    *rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()
+) -> tuple[EffectAttribution, ...]:
     return assess_alternatives(rounds, left, N, untested)
 
 
-def test_a_name_that_leaves_nothing_is_sure() -> None:
-    (found,) = of(one_round(refit("wind", 800.0), refit("heading-moment", 300.0)))
+def test_effect_that_leaves_no_unexplained_score_is_identified() -> None:
+    (found,) = attributions_of(one_round(refit("wind", 800.0), refit("heading-moment", 300.0)))
     assert found == EffectAttribution("wind", "identified")
 
 
-def test_a_larger_form_of_the_same_effect_is_no_alternative_unless_it_explains_more() -> None:
-    """It explains as much by its making: what counts is whether its further parameters are worth their number."""
+def test_larger_form_of_an_effect_competes_only_if_it_explains_more() -> None:
+    """A nesting effect explains at least as much. It counts only if its further parameters pay for their number."""
     chosen = refit("steady-pull", 1500.0)
-    (near,) = of(one_round(chosen, refit("mooring", 1490.0, nests=("steady-pull",))))
-    (stranger,) = of(one_round(chosen, refit("mooring", 1490.0)))
-    (better,) = of(one_round(chosen, refit("mooring", 1510.0, nests=("steady-pull",))))
+    (near,) = attributions_of(one_round(chosen, refit("mooring", 1490.0, nests=("steady-pull",))))
+    (stranger,) = attributions_of(one_round(chosen, refit("mooring", 1490.0)))
+    (better,) = attributions_of(one_round(chosen, refit("mooring", 1510.0, nests=("steady-pull",))))
     assert near == EffectAttribution("steady-pull", "identified")
     assert stranger.not_excluded == better.not_excluded == ("mooring",)
 
@@ -92,65 +94,68 @@ def test_a_larger_form_of_the_same_effect_is_no_alternative_unless_it_explains_m
 @pytest.mark.parametrize(
     ("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")]
 )
-def test_what_is_left_counts_beyond_a_little(worth: float, attribution: str) -> None:
-    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
+def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: float, attribution: str) -> None:
+    (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
     assert found.attribution == attribution
     if found.reasons:
         assert found.reasons == ("with it the score tests still find that N depends on u and r (21 more in 2 ln L)",)
 
 
-def test_a_little_is_a_share_of_what_was_explained() -> None:
-    """A strong effect whose true form is not quite ours leaves more than a weak one."""
-    (strong,) = of(one_round(refit("lever-arm", 5000.0)), left=(score("accelerometer-tilt", 100.0),))
-    (weak,) = of(one_round(refit("lever-arm", 600.0)), left=(score("accelerometer-tilt", 100.0),))
+def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -> None:
+    """A strong effect with an approximate formula may leave a larger remaining score than a weak effect."""
+    (strong,) = attributions_of(one_round(refit("lever-arm", 5000.0)), left=(score("accelerometer-tilt", 100.0),))
+    (weak,) = attributions_of(one_round(refit("lever-arm", 600.0)), left=(score("accelerometer-tilt", 100.0),))
     assert (strong.attribution, weak.attribution) == ("identified", "ambiguous")
 
 
 @pytest.mark.parametrize(
     ("n_left", "attribution"), [(MAX_REMAINING_TESTS, "identified"), (MAX_REMAINING_TESTS + 1, "ambiguous")]
 )
-def test_many_small_rests_are_a_rest(n_left: int, attribution: str) -> None:
-    """A lag in the place of a delay: no test finds much, but a great many find something."""
+def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attribution: str) -> None:
+    """If a lag is fitted in place of a delay, many tests find a small remaining effect. No test finds a large one."""
     left = tuple(score(f"candidate-{k}", 3.0) for k in range(n_left))
-    (found,) = of(one_round(refit("lag", 4000.0)), left=left)
+    (found,) = attributions_of(one_round(refit("lag", 4000.0)), left=left)
     assert found.attribution == attribution
 
 
-def test_a_table_beside_a_name_puts_the_name_in_doubt() -> None:
-    wind, table = of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
+def test_nonparametric_effect_added_beside_an_effect_makes_it_ambiguous() -> None:
+    wind, table = attributions_of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
     assert (wind.attribution, table.attribution) == ("ambiguous", "nonparametric")
     assert "unknown Y(psi) had to be added beside it" in wind.reasons
 
 
-def test_a_table_that_explains_more_puts_the_name_in_doubt_unless_validation_refused_it() -> None:
-    (doubted,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0)))
-    (kept,) = of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0, t=1.0)))
+def test_validated_nonparametric_effect_that_explains_more_makes_an_effect_ambiguous() -> None:
+    (doubted,) = attributions_of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0)))
+    (kept,) = attributions_of(one_round(refit("dead-band", 110.0), refit("unknown N(n_diff)", 150.0, t=1.0)))
     assert (doubted.attribution, kept.attribution) == ("ambiguous", "identified")
 
 
-def test_an_alternative_that_comes_close_is_listed() -> None:
-    (found,) = of(one_round(refit("delay", 400.0), refit("lag", 385.0), refit("filter-lag", 395.0), refit("lift", 9.0)))
+def test_competing_models_with_a_close_criterion_are_listed() -> None:
+    (found,) = attributions_of(
+        one_round(refit("delay", 400.0), refit("lag", 385.0), refit("filter-lag", 395.0), refit("lift", 9.0))
+    )
     assert found.attribution == "ambiguous"
     assert found.not_excluded == ("filter-lag", "lag")
     assert found.reasons == ("filter lag explains nearly as much (5 less in 2 ln L)",)
 
 
-def test_an_alternative_that_only_fits_better_is_said_so() -> None:
+def test_competing_model_that_fits_better_but_fails_validation_is_reported() -> None:
     for t, better in ((1.0, "better"), (5.0, "significantly better")):
-        (found,) = of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
+        (found,) = attributions_of(one_round(refit("pendulum", 400.0), refit("compass", 439.0, t=t)))
         gain = "compass explains the estimation data better (by 39 in 2 ln L)"
         assert found.reasons == (f"{gain}, but not the validation data {better}",)
 
 
-def test_an_alternative_that_could_not_be_tested_is_not_excluded() -> None:
+def test_untested_alternative_is_not_excluded() -> None:
     sag = refit("current-drift", 200.0, alternatives=("wind", "battery-sag"))
-    (found,) = of(one_round(sag), untested=("battery-sag",))
+    (found,) = attributions_of(one_round(sag), untested=("battery-sag",))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("battery-sag",))
 
 
-def test_an_alternative_that_the_estimates_take_up_is_not_excluded() -> None:
-    """Where the asymmetry of the thrust is estimated, it is a loss in reverse: what is left is the shape of the loss,
-    which looks like other shapes."""
+def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> None:
+    """The estimated asymmetry of the thrust absorbs most of a loss of reverse thrust. The rest of that loss resembles
+    other effects.
+    """
     linear = refit("thrust-linearity", 90.0, alternatives=("dead-band", "reverse-thrust"))
     hidden = replace(score("reverse-thrust", 5.0), tolerance=4e-4)
     (found,) = assess_alternatives([one_round(linear)], (), N, nominal=[hidden])
@@ -163,10 +168,10 @@ def test_an_alternative_that_the_estimates_take_up_is_not_excluded() -> None:
     assert seen.attribution == "identified"
 
 
-def test_an_alternative_that_could_not_be_fitted_is_not_excluded() -> None:
-    """Else the second best takes its place, as sure."""
+def test_alternative_whose_refit_failed_is_not_excluded() -> None:
+    """Otherwise the second best effect would be called identified."""
     lost = UntestedCandidate(refit("mismatch", 0.0).effect, "tau_b is outside its bounds")
-    (found,) = of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
+    (found,) = attributions_of(replace(one_round(refit("heading-moment", 300.0)), untested=(lost,)))
     assert found.attribution == "ambiguous"
     assert found.reasons == ("mismatch passes the test too and could not be fitted: tau_b is outside its bounds",)
 
@@ -174,87 +179,97 @@ def test_an_alternative_that_could_not_be_fitted_is_not_excluded() -> None:
 @pytest.mark.parametrize(
     ("errors", "attribution"), [((1.3, 1.2), "identified"), ((7.3, 6.3), "ambiguous"), ((np.nan, 1.0), "ambiguous")]
 )
-def test_a_line_whose_fixed_end_is_not_located_is_not_sure(errors: tuple[float, float], attribution: str) -> None:
-    """From a track of 12 m: the true end at (40, -30) m is three standard errors away."""
+def test_tether_with_an_uncertain_anchor_position_is_ambiguous(errors: tuple[float, float], attribution: str) -> None:
+    """The track is 12 m long. The true anchor at (40, -30) m is three standard errors away."""
     names, ends = ("k_tether", "x_tether", "y_tether"), ("x_tether", "y_tether")
     fit = a_fit(names, [0.07, 19.6, -15.4], np.diag(np.square([0.006, *errors])))
     parameters = tuple(Parameter(n, 0.0 if n == "k_tether" else 1.0, "m" if n in ends else "kg/m2") for n in names)
     line = refit("tether", 800.0, fit=fit, parameters=parameters, scan=dict.fromkeys(ends, (0.0, 12.0)))
     track = SimpleNamespace(outputs=("psi", "x", "y"), y=np.array([[0.1, -1.4, -5.1], [0.2, 10.3, 8.4], [np.nan] * 3]))
     stage = cast(Any, SimpleNamespace(fit=fit, records=[track]))
-    (found,) = of(one_round(replace(line, fitted=stage)))
+    (found,) = attributions_of(one_round(replace(line, fitted=stage)))
     assert found.attribution == attribution
 
 
 @pytest.mark.parametrize("name", [n for n, e in catalogue().items() if e.scan and n != "tether"])
-def test_what_else_is_scanned_is_no_place(name: str) -> None:
-    """The lever arm of the wind is in metres, too."""
+def test_scanned_parameters_other_than_the_anchor_are_not_treated_as_a_position(name: str) -> None:
+    """The lever arm of the wind also has the unit metre."""
     effect = catalogue()[name]
     n = len(effect.parameters)
     fit = a_fit(tuple(p.name for p in effect.parameters), np.ones(n), 0.01 * np.eye(n))
     stage = cast(Any, SimpleNamespace(fit=fit, records=[]))
-    (found,) = of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=stage)))
+    (found,) = attributions_of(one_round(replace(refit(name, 800.0, fit=fit), effect=effect, fitted=stage)))
     assert found.attribution == "identified"
 
 
 @pytest.mark.parametrize(("error", "attribution"), [(1.3, "identified"), (1.003, "ambiguous")])
-def test_a_name_without_which_the_prediction_is_as_good_is_not_sure(error: float, attribution: str) -> None:
-    """An elastic tether that is fitted as a drifting current: the likelihood rises by thousands, the prediction not."""
+def test_effect_without_influence_on_the_prediction_is_ambiguous(error: float, attribution: str) -> None:
+    """An elastic tether is fitted as a drifting current: the likelihood rises by thousands, but the prediction does not
+    improve.
+    """
     unchanged = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
     weight = EffectImportance("current-drift", 4000.0, error, 300.0, 9.0, unchanged)
     (found,) = assess_alternatives([one_round(refit("current-drift", 4000.0))], (), N, weights=[weight])
     assert found.attribution == attribution
 
 
-def test_a_name_whose_weight_is_not_known_is_not_sure() -> None:
+def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, weights=[weight])
     assert found.attribution == "ambiguous"
     assert found.reasons == ("the prediction without it could not be tested: x0",)
 
 
-def test_what_speaks_against_the_data_speaks_against_every_name() -> None:
+def test_reservation_about_the_data_makes_every_effect_ambiguous() -> None:
     short = "the estimation data are short (60 s)"
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, reservations=[short])
     assert (found.attribution, found.reasons) == ("ambiguous", (short,))
 
 
-def test_a_name_that_only_says_what_depends_on_what_keeps_with_another_shape() -> None:
+def test_effect_that_only_names_a_dependence_stays_identified_beside_a_curve_of_it() -> None:
     moment = refit("heading-moment", 700.0, nonparametric_of=ForceCurve("N", "psi"))
-    name, _ = of(one_round(moment), one_round(refit("unknown N(psi)", 200.0)), left=(score("N(psi)", 1.0),))
+    name, _ = attributions_of(
+        one_round(moment), one_round(refit("unknown N(psi)", 200.0)), left=(score("N(psi)", 1.0),)
+    )
     assert name == EffectAttribution("heading-moment", "identified")
-    doubted, _ = of(one_round(moment), one_round(refit("unknown Y(psi)", 200.0)))
+    doubted, _ = attributions_of(one_round(moment), one_round(refit("unknown Y(psi)", 200.0)))
     assert doubted.attribution == "ambiguous"
 
 
-def test_of_several_effects_one_may_do_the_work_of_all() -> None:
-    """A centre of gravity ahead couples sway and yaw and resists turning: two names do as well as the right one."""
+def test_effect_that_could_replace_several_effects_is_not_excluded() -> None:
+    """A centre of gravity ahead of the origin couples sway and yaw and resists turning, so two other effects fit as
+    well.
+    """
     pair = (
         one_round(refit("sway-yaw", 670.0, alternatives=("cg-offset", "cross-flow"))),
         one_round(refit("turning-resistance", 80.0, alternatives=("cg-offset",))),
     )
-    coupled, turning = of(*pair, left=(score("cross-flow", -1.0),))
+    coupled, turning = attributions_of(*pair, left=(score("cross-flow", -1.0),))
     assert (coupled.attribution, turning.attribution) == ("ambiguous", "identified")
-    (alone,) = of(pair[0], left=(score("cross-flow", -1.0),))
+    (alone,) = attributions_of(pair[0], left=(score("cross-flow", -1.0),))
     assert alone.attribution == "identified"
 
 
 @pytest.mark.parametrize(("criterion", "attribution"), [(172.0, "ambiguous"), (800.0, "identified")])
-def test_a_small_alternative_of_a_strong_effect_may_be_its_true_form(criterion: float, attribution: str) -> None:
-    """The shaft's speed bends by a power of the command that is not ours: at the top that looks like a small limit."""
-    curve, limit = of(
+def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_its_formula(
+    criterion: float, attribution: str
+) -> None:
+    """The true shaft speed follows a different power of the command. Near full command, the difference resembles a
+    speed limit.
+    """
+    curve, limit = attributions_of(
         one_round(refit("speed-curve", 4357.0)),
         one_round(refit("speed-limit", criterion, alternatives=("speed-curve",))),
     )
     assert (curve.attribution, limit.attribution) == ("identified", attribution)
     if limit.reasons:
         assert limit.reasons == ("it may only correct the formula of speed curve",)
-    (_, other) = of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
-    assert other.attribution == "identified"
+    (_, unrelated) = attributions_of(one_round(refit("speed-curve", 4357.0)), one_round(refit("rod-flex", criterion)))
+    assert unrelated.attribution == "identified"
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "description"),
     [
         ("N(u, r)", "that N depends on u and r"),
         ("X(past of n_sum)", "that X follows n_sum"),
@@ -265,19 +280,22 @@ def test_a_small_alternative_of_a_strong_effect_may_be_its_true_form(criterion: 
         ("lag", "lag"),
     ],
 )
-def test_what_is_left_is_said_in_words(name: str, said: str) -> None:
-    (found,) = of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
-    assert found.reasons[0].startswith(f"with it the score tests still find {said} (")
+def test_remaining_score_is_described_in_words(name: str, description: str) -> None:
+    (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
+    assert found.reasons[0].startswith(f"with it the score tests still find {description} (")
 
 
-def test_two_effects_of_which_nothing_is_left_are_both_sure() -> None:
-    assert [j.attribution for j in of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))] == [
+def test_two_effects_without_remaining_scores_are_both_identified() -> None:
+    assert [
+        j.attribution
+        for j in attributions_of(one_round(refit("lever-arm", 9000.0)), one_round(refit("yaw-bias", 120.0)))
+    ] == [
         "identified",
         "identified",
     ]
 
 
-def test_a_doubt_stands_under_the_answer(tmp_path: Path) -> None:
+def test_caveat_is_shown_below_the_answer(tmp_path: Path) -> None:
     result = diagnosis()
     result["caveat"] = "The name is uncertain: a lag explains nearly as much."
     result["effects"][0] |= {
@@ -307,74 +325,75 @@ HUMP = (Parameter("A", 0.0, "N", "height of the hump"), Parameter("w", 0.2, "m/s
         (-3.1, 0.37, (), "the data do not determine its size: A = -3.1 ± 1 N"),
     ],
 )
-def test_a_shape_that_was_bent_into_anothers_place_shows_it(
+def test_effect_whose_parameters_are_at_bounds_or_undetermined_is_ambiguous(
     height: float, width: float, flags: tuple[tuple[str, str], ...], reason: str | None
 ) -> None:
-    """A hump in the place of another resistance: as wide as it may be, or of any height."""
+    """A hump that imitates another resistance has a width at its bound or an undetermined height."""
     fit = a_fit(("d_u", "A", "w"), [9.0, height, width], np.diag([0.01, 1.0, 0.0025]), flags=flags)
-    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
+    (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=HUMP)))
     assert found.attribution == ("ambiguous" if reason else "identified")
     assert found.reasons == ((reason,) if reason else ())
 
 
-def test_a_doubt_has_no_newtons_where_the_thrust_is_not_known() -> None:
+def test_caveat_has_no_newtons_if_the_thrust_is_unknown() -> None:
     model = horizontal_model()
     thrust = model.values["c1"] + model.values["c2"]
     free = Parameter("A", 0.0, "N", "height of the hump")
     fit = a_fit(["A"], [0.1 * thrust], np.array([[(0.05 * thrust) ** 2]]), model)
     fit.parameters = (SimpleNamespace(name="A", unit="N", segment=None),)
-    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
+    (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
     assert found.reasons == ("the data do not determine its size: A/T = 0.1 ± 0.05",)
     fit.flags = (("A", AT_BOUND),)
-    (found,) = of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
+    (found,) = attributions_of(one_round(refit("hump", 800.0, fit=fit, parameters=(free,))))
     assert found.reasons == ("its parameter A/T (height of the hump) is at its bound, 0.1",)
 
 
 @pytest.mark.parametrize(
     ("sizes", "errors", "correlation", "attribution"),
     [
-        ((9.0, 0.1), (1.0, 1.0), 0.0, "identified"),  # of a wind the part across may be nothing
+        ((9.0, 0.1), (1.0, 1.0), 0.0, "identified"),  # The component of a wind across its direction may be zero.
         ((0.5, 0.1), (1.0, 1.0), 0.0, "ambiguous"),
-        ((0.5, 9.0), (1.0, np.nan), 0.0, "ambiguous"),  # one without a standard error says nothing
-        ((0.5, -0.5), (1.0, 1.0), 0.999, "identified"),  # their sum is not told, but their difference is
+        ((0.5, 9.0), (1.0, np.nan), 0.0, "ambiguous"),  # An estimate without a standard error does not count.
+        # The data do not determine the sum, but they determine the difference.
+        ((0.5, -0.5), (1.0, 1.0), 0.999, "identified"),
     ],
 )
-def test_sizes_are_told_together(
+def test_sizes_of_an_effect_are_tested_jointly(
     sizes: tuple[float, float], errors: tuple[float, float], correlation: float, attribution: str
 ) -> None:
     both = np.array(errors)
     covariance = np.outer(both, both) * np.array([[1.0, correlation], [correlation, 1.0]])
     fit = a_fit(("F_x", "F_y"), sizes, covariance)
     across = (Parameter("F_x", 0.0, "N"), Parameter("F_y", 0.0, "N"))
-    (found,) = of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
+    (found,) = attributions_of(one_round(refit("wind", 800.0, fit=fit, parameters=across)))
     assert found.attribution == attribution
 
 
-def test_a_parameter_of_each_run_is_told_as_those_of_all_are() -> None:
+def test_size_of_a_per_record_parameter_is_tested_like_a_common_parameter() -> None:
     drift = (Parameter("V_dx", 0.0, "m/s^2", "drift", per_record=True),)
     records = SimpleNamespace(records=("a", "b"))
     for values, attribution in (((0.5, -9.0), "identified"), ((0.5, 0.1), "ambiguous")):
         fit = a_fit(("V_dx@0", "V_dx@1"), values, np.eye(2))
-        one = refit("current-drift", 800.0, fit=fit, parameters=drift)
+        drifting = refit("current-drift", 800.0, fit=fit, parameters=drift)
         stage = cast(Any, SimpleNamespace(fit=fit, **vars(records)))
-        (found,) = of(one_round(replace(one, fitted=stage)))
+        (found,) = attributions_of(one_round(replace(drifting, fitted=stage)))
         assert found.attribution == attribution
     assert found.reasons == ("the data do not determine its size: V_dx@0 = 0.5 ± 1 m/s^2",)
 
 
-def test_the_estimates_of_the_last_model_count() -> None:
-    """What was told in its own round is not, beside an effect that came later."""
+def test_attribution_uses_the_estimates_of_the_final_model() -> None:
+    """A size that was determined in its own round may be undetermined after a later effect was added."""
 
     def stage(value: float) -> Any:
         return SimpleNamespace(fit=a_fit(("F",), [value], np.eye(1)))
 
-    one = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
-    (alone,) = assess_alternatives([one_round(one)], (), N)
-    (beside,) = assess_alternatives([one_round(one)], (), N, after=stage(1.5))
+    wind = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
+    (alone,) = assess_alternatives([one_round(wind)], (), N)
+    (beside,) = assess_alternatives([one_round(wind)], (), N, after=stage(1.5))
     assert (alone.attribution, beside.attribution) == ("identified", "ambiguous")
 
 
-def test_more_may_not_be_left_than_an_effect_explains() -> None:
+def test_effect_is_ambiguous_if_a_remaining_score_exceeds_its_criterion() -> None:
     large, small = one_round(refit("wind", 30000.0)), one_round(refit("lift", 650.0))
-    both = of(large, small, left=(score("mooring", 700.0),))
+    both = attributions_of(large, small, left=(score("mooring", 700.0),))
     assert [found.attribution for found in both] == ["identified", "ambiguous"]

@@ -1,4 +1,4 @@
-"""Columns of the score test: derivatives by hand and in plain floats, driven states, and what no catalogue lists."""
+"""Tests of the columns of the score test: analytic derivatives, effects with states, and generic curves."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def base_for(effect: Effect | None = None) -> Model:
 
 
 def with_all_inputs(model: Model) -> Model:
-    """The model with the inputs of every effect that it can carry."""
+    """Return the model with the inputs of every effect that it accepts."""
     for effect in catalogue().values():
         if model.accepts(effect):
             model = model + effect
@@ -41,7 +41,7 @@ def with_all_inputs(model: Model) -> Model:
 
 
 def made_record(model: Model, seed: int = 0, n_rows: int = N_ROWS) -> Record:
-    """Irregular rows of random inputs, nothing measured."""
+    """Return a record with irregular rows, random inputs and no measured outputs."""
     rng = np.random.default_rng(seed)
     t = np.cumsum(rng.choice([0.05, 0.1], n_rows))
     u = rng.uniform(-1, 1, (n_rows, len(model.inputs)))
@@ -61,13 +61,13 @@ def path_for(model: Model, seed: int = 0, n_rows: int = N_ROWS) -> TrajectoryLin
 
 
 def in_floats(model: Model, x: np.ndarray, u: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Rates, then outputs, of one row by the model's own functions, without any symbols."""
+    """Return the rates and then the outputs of one row, evaluated by the model's own functions in floats."""
     s = model.signals(x.tolist(), u.tolist(), values.tolist())
     return np.array([s.rate[v.name] for v in model.states] + [s.y[o.name] for o in model.outputs], dtype=float)
 
 
-def test_the_column_of_a_fitted_parameter_is_its_derivative() -> None:
-    """By hand: surge damping and yaw inertia of the horizontal model, in the rates and in the accelerometer."""
+def test_column_of_a_fitted_parameter_is_its_analytic_derivative() -> None:
+    """Check surge damping and yaw inertia of the horizontal model, in the rates and in the accelerometer."""
     model = base_for()
     path = path_for(model)
     states, outputs = [s.name for s in model.states], [o.name for o in model.outputs]
@@ -81,10 +81,11 @@ def test_the_column_of_a_fitted_parameter_is_its_derivative() -> None:
     assert not damping[:, others].any()
     inertia = path.parameter("m_r")[:, states.index("r")]
     N = path.base[:, states.index("r")] * p["m_r"]
-    np.testing.assert_allclose(inertia, -N / p["m_r"] ** 2, rtol=1e-4, atol=1e-9)  # a difference, half a percent wide
+    # The column is a finite difference with a relative step of half a percent.
+    np.testing.assert_allclose(inertia, -N / p["m_r"] ** 2, rtol=1e-4, atol=1e-9)
 
 
-def test_the_columns_of_simple_effects_by_hand() -> None:
+def test_columns_of_simple_effects_equal_analytic_derivatives() -> None:
     path = path_for(base_for())
     states = [s.name for s in path.model.states]
     u, p = path.x[:, states.index("u")], path.model.values
@@ -99,15 +100,15 @@ def test_the_columns_of_simple_effects_by_hand() -> None:
     np.testing.assert_allclose(mismatch[:, states.index("r")], 0.15 * (f["left"] + f["right"]) / p["m_r"], atol=1e-9)
 
 
-# Of effects with states of their own, which a solver integrates here, one is enough.
+# One effect whose states a solver integrates is enough for the quick tests.
 SOLVED = {"rod-flex", "sway-slosh", "second-lag"}
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.study] * (name in SOLVED)) for name in catalogue()]
 )
-def test_every_effects_columns_are_differences_of_the_model_with_it(name: str) -> None:
-    """The same step in plain floats: no row, input, state or point of a scan is mixed up."""
+def test_columns_of_every_effect_are_finite_differences_of_the_extended_model(name: str) -> None:
+    """Repeat the step in plain floats. This finds any mix-up of rows, inputs, states or scan points."""
     effect = catalogue()[name]
     path = path_for(base_for(effect), n_rows=12)
     larger = path.model + effect
@@ -137,7 +138,7 @@ def test_every_effects_columns_are_differences_of_the_model_with_it(name: str) -
 def driven(
     larger: Model, effect: Effect, path: TrajectoryLinearisation, values: np.ndarray, u: np.ndarray
 ) -> np.ndarray:
-    """The effect's own states by a differential equation solver, what drives them held at its mean between rows."""
+    """Integrate the effect's own states. Their drive is held at its mean between two rows."""
     n, m, t = len(path.model.states), len(effect.states), path.record.t
 
     def rate(at: float, z: np.ndarray) -> np.ndarray:
@@ -152,8 +153,8 @@ def driven(
 
 
 @pytest.mark.parametrize("frequency", [0.25, 0.55, 1.37])
-def test_the_driven_pendulum_against_an_independent_integration(frequency: float) -> None:
-    """z'' + 2 zeta w z' + w^2 z = -a_x along a smooth path, by a differential equation of its own."""
+def test_pendulum_states_equal_an_independent_integration(frequency: float) -> None:
+    """Integrate z'' + 2 zeta w z' + w^2 z = -a_x independently along a smooth path."""
     model = base_for()
     effect = catalogue()["pendulum"]
     t = 0.05 * np.arange(400)
@@ -182,7 +183,7 @@ def test_the_driven_pendulum_against_an_independent_integration(frequency: float
         atol=1e-12,
     ).y
     spring = (2 * zeta * omega * swing[1] + omega**2 * swing[0]) / p["m_u"]
-    wanted = spring + [acceleration(at) / p["m_u"] for at in t]  # the mass no longer goes with the hull
+    wanted = spring + [acceleration(at) / p["m_u"] for at in t]  # The pendulum's mass no longer moves with the hull.
     np.testing.assert_allclose(whole(path, columns)[:, states.index("u"), 0], wanted, atol=0.01 * np.abs(spring).max())
 
 
@@ -203,7 +204,7 @@ def test_generic_features_are_smooth_functions_of_single_variables_and_products(
         assert np.linalg.matrix_rank(feature) == feature.shape[1]
 
 
-def test_generic_columns_push_the_boat_along_one_force() -> None:
+def test_generic_columns_act_along_one_force() -> None:
     path = path_for(base_for())
     states, p = [s.name for s in path.model.states], path.model.values
     found = {c.name: c for c in path.generic()}
@@ -232,7 +233,7 @@ def test_generic_columns_push_the_boat_along_one_force() -> None:
         assert not column[:, rest].any()
 
 
-def test_a_thrusters_loss_acts_on_surge_and_yaw_at_once() -> None:
+def test_loss_of_one_thruster_acts_on_surge_and_yaw() -> None:
     path = path_for(base_for())
     states, p = [s.name for s in path.model.states], path.model.values
     n = path.own.u[:, path.own.inputs.index("n_left")]
@@ -244,8 +245,8 @@ def test_a_thrusters_loss_acts_on_surge_and_yaw_at_once() -> None:
     assert not column[:, [states.index(name) for name in ("x", "psi", "v", "b_X")]].any()
 
 
-def test_the_columns_of_a_steady_wind_are_those_of_its_force() -> None:
-    """Not of a wind of some strength: its drag on the moving boat is not in them, on a boat of any size."""
+def test_columns_of_a_steady_wind_are_those_of_its_force() -> None:
+    """The columns do not contain the drag that a wind of finite speed adds to a moving boat, for boats of any size."""
     path = path_for(base_for())
     states, p = [s.name for s in path.model.states], path.model.values
     psi = path.x[:, states.index("psi")]
@@ -264,7 +265,7 @@ def test_the_columns_of_a_steady_wind_are_those_of_its_force() -> None:
             np.testing.assert_allclose(yaw, columns.scan["w_n"] * across, atol=0.01)
 
 
-def test_a_sensors_error_touches_its_reading_alone() -> None:
+def test_column_of_a_sensor_error_changes_only_its_output() -> None:
     path = path_for(base_for())
     n, outputs = len(path.model.states), [o.name for o in path.model.outputs]
     found = {c.name: c for c in path.generic()}
@@ -274,7 +275,7 @@ def test_a_sensors_error_touches_its_reading_alone() -> None:
     assert not np.delete(column, n + outputs.index("psi"), axis=1).any()
 
 
-def test_splines_follow_a_smooth_function_and_leave_out_what_does_not_vary() -> None:
+def test_splines_follow_a_smooth_function_and_omit_constant_variables() -> None:
     z = np.random.default_rng(0).uniform(-1, 2, 2000)
     basis = splines(z, 7)
     assert basis.shape == (2000, 6)
@@ -286,7 +287,7 @@ def test_splines_follow_a_smooth_function_and_leave_out_what_does_not_vary() -> 
     assert splines(np.full(50, 0.3), 6).shape == (50, 0)
 
 
-def test_all_columns_leave_out_what_a_record_cannot_drive_and_what_is_there() -> None:
+def test_all_columns_omits_effects_without_inputs_and_effects_already_in_the_model() -> None:
     model = base_for()
     bare = made_record(model)
     x = np.random.default_rng(1).normal(size=(N_ROWS, len(model.states))) * 0.4
@@ -295,7 +296,7 @@ def test_all_columns_leave_out_what_a_record_cannot_drive_and_what_is_there() ->
     assert not {"delay", "battery-sag", "force-delay", "force-lag", "lever-arm-force"} & set(names)
     assert "advance-ratio" in names
     assert "heading-moment" in names
-    assert "N(psi)" in names  # it has a third harmonic that heading-moment has not
+    assert "N(psi)" in names  # This curve has a third harmonic, which heading-moment lacks.
     full = [c.name for c in all_columns(path_for(model), catalogue().values())]
     assert {"delay", "lag", "battery-sag"} <= set(full)
     present = model + catalogue()["cubic-drag"]
@@ -303,8 +304,8 @@ def test_all_columns_leave_out_what_a_record_cannot_drive_and_what_is_there() ->
     assert "cubic-drag" not in [c.name for c in all_columns(again, catalogue().values())]
 
 
-def test_a_column_means_the_same_in_every_record() -> None:
-    """A run in which a variable stands still keeps its columns, on the knots and about the mean of all runs."""
+def test_spline_columns_have_the_same_meaning_in_every_record() -> None:
+    """A run with a constant variable keeps its columns. They use the knots and the mean of all runs."""
     whole = np.random.default_rng(5).normal(size=400)
     still = np.full(50, 0.3)
     among = np.concatenate([whole, still])
@@ -313,4 +314,4 @@ def test_a_column_means_the_same_in_every_record() -> None:
     together = splines(among, 6)
     np.testing.assert_allclose(at_rest, together[400:])
     np.testing.assert_allclose(splines(whole, 6, among), together[:400])
-    assert splines(still, 6).shape == (50, 0)  # alone it says nothing
+    assert splines(still, 6).shape == (50, 0)  # Alone, the constant variable carries no information.

@@ -1,4 +1,4 @@
-"""`ident diagnose` on a boat's model that was fitted with a static thrust curve: `--thruster` gives it again."""
+"""Tests of `ident diagnose` on a model that was fitted with a static thrust curve, given again by `--thruster`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def run(*words: object) -> Result:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log, a curve from command to thrust, and the boat fitted with it."""
+    """Return a folder with a log, a curve from command to thrust, and a boat model fitted with them."""
     where = tmp_path_factory.mktemp("curve")
     boat_log(where / "one.mcap", boat_with(None, 5), 60, 1)
     n = np.linspace(-1.0, 1.0, 11)
@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.study
-def test_the_curve_gives_the_model_its_thrust_again(folder: Path) -> None:
+def test_thruster_option_gives_the_model_its_thrust_input_again(folder: Path) -> None:
     words = "diagnose", folder / "vehicle/model.toml", folder / "one.mcap", "--max-effects", 1
     done = run(*words, "--thruster", folder / "curve.toml", "--out", folder / "diagnosis")
     assert done.exit_code == 0, done.output
@@ -47,7 +47,7 @@ def test_the_curve_gives_the_model_its_thrust_again(folder: Path) -> None:
     np.testing.assert_array_equal(thrusts[0], thrusts[1])
 
 
-def test_without_it_one_line_says_what_to_give(folder: Path) -> None:
+def test_error_without_the_curve_names_the_thruster_option(folder: Path) -> None:
     done = run("diagnose", folder / "vehicle/model.toml", folder / "one.mcap")
     assert isinstance(done.exception, SeatrialError)
     assert "one.mcap: no signal for the input 'f_left'" in str(done.exception)
@@ -56,11 +56,13 @@ def test_without_it_one_line_says_what_to_give(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("curve", "message"),
     [("left", "--thruster left: no such file"), ("vehicle/model.toml", "vehicle/model.toml: contains no static curve")],
 )
-def test_what_is_no_curve_is_said(folder: Path, monkeypatch: pytest.MonkeyPatch, given: str, says: str) -> None:
+def test_file_without_a_curve_is_rejected(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, curve: str, message: str
+) -> None:
     monkeypatch.chdir(folder)
-    done = run("diagnose", "vehicle/model.toml", "one.mcap", "--thruster", given, "--out", "found")
+    done = run("diagnose", "vehicle/model.toml", "one.mcap", "--thruster", curve, "--out", "found")
     assert isinstance(done.exception, SeatrialError)
-    assert says in str(done.exception)
+    assert message in str(done.exception)

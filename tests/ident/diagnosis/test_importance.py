@@ -1,4 +1,4 @@
-"""In which order the effects that were found are told."""
+"""Tests of the importance of found effects and of their order in the result."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ MOMENT = chosen("heading-moment", nonparametric_of=ForceCurve("N", "psi"))
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "order"),
     [
-        # the search took the delay first; without the other the prediction loses more
+        # The search added the delay first, but the prediction degrades more without the yaw bias.
         ([(chosen("delay"), 1.02), (chosen("yaw-bias"), 1.4)], ["yaw-bias", "delay"]),
         (
             [(chosen("yaw-bias"), 1.0), (chosen("delay"), 1.1), (chosen("unknown N(u)"), 1.9)],
             ["delay", "yaw-bias", "unknown N(u)"],
         ),
-        # a table that was found before a name gives way to it only where the name weighs more
+        # A nonparametric effect goes after an effect with a formula only if that effect is more important.
         ([(chosen("unknown N(psi)"), 1.6), (chosen("dead-band"), 1.3)], ["unknown N(psi)", "dead-band"]),
         ([(chosen("unknown N(psi)"), 1.2), (chosen("dead-band"), 1.3)], ["dead-band", "unknown N(psi)"]),
         ([(chosen("wind"), 1.2), (chosen("unknown N(u)"), 1.5), (chosen("lag"), 1.1)], ["wind", "unknown N(u)", "lag"]),
@@ -44,15 +44,15 @@ MOMENT = chosen("heading-moment", nonparametric_of=ForceCurve("N", "psi"))
         ([], []),
     ],
 )
-def test_what_the_prediction_would_miss_most_comes_first_and_tables_mostly_last(
-    found: list[tuple[Refit, float]], told: list[str]
+def test_effects_are_ordered_by_importance_with_nonparametric_effects_mostly_last(
+    found: list[tuple[Refit, float]], order: list[str]
 ) -> None:
     weights = [EffectImportance(c.effect.name, 10.0, error) for c, error in found]
-    assert [w.effect for w in by_importance(weights, [c for c, _ in found])] == told
+    assert [w.effect for w in by_importance(weights, [c for c, _ in found])] == order
 
 
-def test_an_effect_without_which_nothing_can_be_fitted_has_no_weight(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The nominal model in the place of the one without it would give it the gain of all."""
+def test_effect_has_no_importance_if_the_model_without_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A comparison with the nominal model instead would credit this effect with the gain of all effects."""
 
     def stage(log_posterior: float, *effects: Refit) -> Any:
         model = SimpleNamespace(effects=[c.effect for c in effects])
@@ -61,13 +61,13 @@ def test_an_effect_without_which_nothing_can_be_fitted_has_no_weight(monkeypatch
     def fails(*_: Any) -> Any:
         raise ValueError("x0")
 
-    one, before = chosen("wind"), stage(0.0)
-    one = replace(one, fitted=stage(900.0, one))
-    other = replace(chosen("lift"), fitted=stage(930.0, one, chosen("lift")), prediction=cast(Any, "fell"))
+    wind_refit, before = chosen("wind"), stage(0.0)
+    wind_refit = replace(wind_refit, fitted=stage(900.0, wind_refit))
+    lift_refit = replace(chosen("lift"), fitted=stage(930.0, wind_refit, chosen("lift")), prediction=cast(Any, "fell"))
     monkeypatch.setattr(importance, "_with", fails)
     monkeypatch.setattr(importance, "comparison", lambda *_: SimpleNamespace(error_ratio=1.2))
-    rounds = [Round((), (), (c,), c) for c in (one, other)]
-    lift, wind = effect_importance(before, other.fitted, [one, other], rounds, [], [])
+    rounds = [Round((), (), (c,), c) for c in (wind_refit, lift_refit)]
+    lift, wind = effect_importance(before, lift_refit.fitted, [wind_refit, lift_refit], rounds, [], [])
     assert (lift.effect, lift.gain, lift.untested) == ("lift", 60.0, None)
     assert (wind.effect, wind.untested, wind.supported) == ("wind", "x0", False)
     assert np.isnan([wind.gain, wind.error_ratio, wind.t]).all()

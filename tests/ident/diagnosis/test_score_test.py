@@ -1,4 +1,4 @@
-"""The score tests against what theory promises: their size, the likelihood ratio, and what must not change them."""
+"""Tests of the score tests against theory: their false-alarm rate, the likelihood ratio, and their invariances."""
 
 from __future__ import annotations
 
@@ -53,13 +53,17 @@ Linearised = tuple[TrajectoryLinearisation, FilterResult, list[np.ndarray]]
 
 
 def rate_bounds(p: float, n: int = N_SETS) -> tuple[float, float]:
-    """Where a rate of n trials lies with 99.9 % when each has probability p."""
+    """Return the interval that holds the observed rate of n trials with probability 99.9 %. Each trial has probability
+    p.
+    """
     low, high = stats.binom.interval(0.999, n, p)
     return low / n, high / n
 
 
 def path_of(record: Record) -> Linearised:
-    """The slider fitted to a record: its path, the filter's run, and the columns of the fitted parameters."""
+    """Fit the slider to a record. Return the linearisation, the filter result and the columns of the fitted
+    parameters.
+    """
     fitted = fit(slider(), [record], settings=SearchSettings(threads=1))
     run = Likelihood(fitted.model).filter(record, fitted.record_values[0])
     path = TrajectoryLinearisation(fitted.model, fitted.record_values[0], record, run.x_pred)
@@ -68,7 +72,7 @@ def path_of(record: Record) -> Linearised:
 
 @pytest.fixture(scope="module")
 def null_scores() -> dict[str, np.ndarray]:
-    """Name -> p values (n, 2) of LM and of its block version, on data sets that lack nothing."""
+    """Return the p values (n, 2) of the LM test and its block version by name, on data without a missing effect."""
     found: dict[str, list[tuple[float, float]]] = {}
     for seed in range(N_SETS):
         path, run, own = path_of(slide(seed))
@@ -83,17 +87,18 @@ def null_scores() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["push", "drag", "tape", "push and drag"])
-def test_lm_is_chi_squared_when_nothing_is_missing(null_scores: dict[str, np.ndarray], name: str) -> None:
+def test_lm_is_chi_squared_if_no_effect_is_missing(null_scores: dict[str, np.ndarray], name: str) -> None:
     p, p_block = null_scores[name].T
     assert p.size == N_SETS
     assert stats.kstest(p, "uniform").pvalue > 1e-3
     low, high = rate_bounds(0.05)
     assert low <= np.mean(p < 0.05) <= high
-    # the block version is chi-squared only for many blocks (here there are six); it must never alarm more often
+    # The block version is chi-squared only for many blocks (here there are six). Its false-alarm rate must never be
+    # higher.
     assert np.mean(p_block < 0.05) <= high
 
 
-def test_lm_is_the_likelihood_ratio_for_a_small_effect() -> None:
+def test_lm_equals_the_likelihood_ratio_for_a_small_effect() -> None:
     for seed, push, drag in ((1, 0.06, 0.0), (2, -0.05, 0.0), (3, 0.0, 0.5), (4, 0.0, 0.6)):
         record = slide(seed, 600, push, drag)
         effect, size = (PUSH, push) if push else (DRAG, drag)
@@ -102,30 +107,34 @@ def test_lm_is_the_likelihood_ratio_for_a_small_effect() -> None:
         ratio = 2 * (larger.log_likelihood - fitted.log_likelihood)
         value, error = larger.estimate(effect.parameters[0].name)
         assert s.lm > 5
-        # a push is linear: only the trapezoid rule stands between them; drag also moves the filter's gains
+        # A push is linear, so only the trapezoidal rule differs. Drag also changes the gains of the filter.
         assert s.lm == pytest.approx(ratio, rel=0.03 if push else 0.2)
         assert abs(s.step[effect.parameters[0].name] - value) < 0.5 * error
         assert abs(value - size) < 3.5 * error
 
 
-def test_a_fitted_parameter_cannot_be_found_missing() -> None:
-    """What the fitted parameters can imitate has no score, and adding it to a candidate changes nothing."""
+def test_score_of_a_fitted_parameter_is_zero() -> None:
+    """An effect that the fitted parameters can imitate has no score. Adding it to a candidate does not change the
+    score.
+    """
     record = slide(5, 400, push=0.05)
     path, run, own = path_of(record)
     push = whole(path, next(path.effect(PUSH)))
     mixed = push + 3.0 * own[0][:, :, None] - 0.7 * own[1][:, :, None]
     same = SensitivityColumns("damping", own[1][:, :, None])
-    one, two = scores_of_columns(path, run, own, [SensitivityColumns("push", push), SensitivityColumns("mixed", mixed)])
+    pushed, combined = scores_of_columns(
+        path, run, own, [SensitivityColumns("push", push), SensitivityColumns("mixed", mixed)]
+    )
     (none,) = scores_of_columns(path, run, own, [same])
     assert (none.lm, none.df, none.lm_block, none.step, none.p, none.p_block) == (0.0, 1, 0.0, {}, 1.0, 1.0)
     assert none.tolerance < 1e-8
-    assert scores_of_columns(path, run, own, [replace(same, delta=0.0 * same.delta)]) == []  # nothing acts
-    assert two.lm == pytest.approx(one.lm, rel=1e-6)
-    assert two.lm_block == pytest.approx(one.lm_block, rel=1e-6)
+    assert scores_of_columns(path, run, own, [replace(same, delta=0.0 * same.delta)]) == []  # No column acts.
+    assert combined.lm == pytest.approx(pushed.lm, rel=1e-6)
+    assert combined.lm_block == pytest.approx(pushed.lm_block, rel=1e-6)
 
 
-def test_tolerance_is_what_a_regression_on_the_fitted_parameters_leaves() -> None:
-    """Of the data alone: the priors of the fitted parameters do not make it larger."""
+def test_tolerance_is_the_residual_of_a_regression_on_the_fitted_parameters() -> None:
+    """The tolerance depends on the data alone. The priors of the fitted parameters do not increase it."""
     path, run, own = path_of(slide(5, 400, push=0.05))
     push = whole(path, next(path.effect(PUSH)))
     columns = [SensitivityColumns(f"{k:g}", push + k * own[0][:, :, None]) for k in (0.0, 300.0)]
@@ -141,7 +150,7 @@ def test_tolerance_is_what_a_regression_on_the_fitted_parameters_leaves() -> Non
     assert found[1].tolerance < 0.1 * found[0].tolerance
 
 
-def test_scores_do_not_depend_on_units_and_copies_add_no_freedom() -> None:
+def test_scores_are_independent_of_units_and_copies_add_no_degrees_of_freedom() -> None:
     record = slide(6, 400, drag=0.1)
     path, run, own = path_of(record)
     drag = whole(path, next(path.effect(DRAG)))
@@ -162,7 +171,7 @@ def test_scores_do_not_depend_on_units_and_copies_add_no_freedom() -> None:
     assert twice.lm == pytest.approx(plain.lm, rel=1e-4)
 
 
-def test_a_one_sided_effect_of_the_wrong_sign_is_none() -> None:
+def test_one_sided_effect_with_the_wrong_sign_has_no_score() -> None:
     record = slide(7, 400, push=0.08)
     fitted = fit(slider(), [record], settings=SearchSettings(threads=1))
     ahead = scores_at(fitted, record, [replace(PUSH, one_sided=True)])[0]
@@ -177,7 +186,9 @@ def test_a_one_sided_effect_of_the_wrong_sign_is_none() -> None:
 
 
 def whitened(run: FilterResult, e: np.ndarray, H: np.ndarray) -> np.ndarray:
-    """Innovations (n_rows, n_outputs) by the inverse Cholesky factor of their covariance, in the order of rows."""
+    """Multiply innovations (n_rows, n_outputs) by the inverse Cholesky factors of their covariances, in the order of
+    rows.
+    """
     out = []
     for k in range(len(e)):
         seen = np.flatnonzero(np.isfinite(run.e[k]))
@@ -188,7 +199,7 @@ def whitened(run: FilterResult, e: np.ndarray, H: np.ndarray) -> np.ndarray:
 
 
 def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None:
-    """The effects are linear, so the gains do not move and differences of whole filter runs are exact."""
+    """The effects are linear and do not change the gains, so differences of complete filter runs are exact."""
     record = slide(8, 562)
     record = replace(record, t=np.cumsum(np.random.default_rng(8).uniform(0.05, 0.15, record.n_rows)))
     model = slider() + PUSH + TAPE
@@ -205,11 +216,12 @@ def test_whitened_sensitivities_are_the_derivatives_of_the_innovations() -> None
         step = np.where(np.array(names) == name, 1e-3, 0.0)
         moved = [likelihood.filter(record, values + sign * step).e for sign in (0.5, -0.5)]
         wanted = whitened(run, (moved[0] - moved[1]) / 1e-3, H)
-        np.testing.assert_allclose(g[:, column], wanted, atol=1e-2 * np.abs(wanted).max())  # h d / 6 m of it
+        # The linearisation error is h d / 6 m of the value.
+        np.testing.assert_allclose(g[:, column], wanted, atol=1e-2 * np.abs(wanted).max())
 
 
 def lagging() -> Effect:
-    """A force that follows the speed with a lag: an effect with a state of its own."""
+    """Return an effect with its own state: a force that follows the speed with a lag."""
 
     def hook(s: Signals) -> None:
         s.rate["z"] = 0.2 * (s.x.v - s.x.z)
@@ -218,8 +230,8 @@ def lagging() -> Effect:
     return Effect("lagging", "", {"rate": hook}, (Parameter("k_lagging", 0.0, step=0.01),), (State("z"),))
 
 
-def test_a_long_record_is_tested_in_parts_of_whole_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same statistics as from the whole record, states of effects going on from part to part."""
+def test_long_record_is_processed_in_parts_of_whole_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The statistics equal those of the whole record. The states of effects continue from part to part."""
     fitted = fit_and_evaluate(slider(), [slide(11, 900, drag=0.1)], [])
     parameters, effects = fitted_parameters(fitted.model, 1), [PUSH, DRAG, TAPE, lagging()]
 
@@ -239,9 +251,10 @@ def test_a_long_record_is_tested_in_parts_of_whole_blocks(monkeypatch: pytest.Mo
 
 
 @pytest.mark.study
-def test_the_block_version_holds_where_the_innovations_are_coloured() -> None:
-    """A model that takes the sea for calmer than it is: its innovations remember, and the plain test alarms far too
-    often; the one from blocks does not."""
+def test_block_robust_test_keeps_its_size_for_coloured_innovations() -> None:
+    """The model assumes too little process noise, so its innovations are autocorrelated. The plain test has far too
+    many false alarms; the block-robust test does not.
+    """
     calm = slider().replace_parameters(slider().parameter("q").at(0.4 * Q))
     plain, block = [], []
     for seed in range(N_SETS):
@@ -253,12 +266,12 @@ def test_the_block_version_holds_where_the_innovations_are_coloured() -> None:
     assert np.mean(np.array(block) < 0.5) == pytest.approx(0.5, abs=0.12)
 
 
-def test_records_and_blocks_add_up() -> None:
+def test_records_and_blocks_are_additive() -> None:
     rng = np.random.default_rng(1)
     g, e, t = rng.normal(size=(90, 3)), rng.normal(size=90), np.arange(90) * 0.5
     whole, parts = NormalEquations(["a", "b", "c"]), NormalEquations(["a", "b", "c"])
     whole.add([0, 1, 2], g, e, block_index(t))
-    for rows in (slice(0, 30), slice(30, 90)):  # at 15 s, where a block ends
+    for rows in (slice(0, 30), slice(30, 90)):  # The split is at 15 s, where a block ends.
         parts.add([0, 1, 2], g[rows], e[rows], block_index(t[rows]))
     np.testing.assert_allclose(whole.information, g.T @ g)
     np.testing.assert_allclose(parts.score, -g.T @ e)
@@ -268,8 +281,10 @@ def test_records_and_blocks_add_up() -> None:
     np.testing.assert_allclose(blocks.sum(0), whole.score)
 
 
-def test_a_prior_counts_as_information_of_a_fitted_parameter() -> None:
-    """With a sharp prior a fitted parameter cannot imitate anything; the test becomes that of the bare column."""
+def test_prior_counts_as_information_of_a_fitted_parameter() -> None:
+    """With a sharp prior, a fitted parameter cannot imitate the effect. The test then equals that of the column
+    alone.
+    """
     rng = np.random.default_rng(2)
     g, e = rng.normal(size=(400, 2)), rng.normal(size=400)
     g[:, 1] += 2 * g[:, 0]
@@ -279,15 +294,16 @@ def test_a_prior_counts_as_information_of_a_fitted_parameter() -> None:
     (free,) = score_tests(normal, no_priors(1), [ColumnIndex(column, (1,))])
     (held,) = score_tests(normal, PriorTerms(np.zeros(1), np.array([1e12])), [ColumnIndex(column, (1,))])
     rest = g[:, 1] - g[:, 0] * (g[:, 0] @ g[:, 1]) / (g[:, 0] @ g[:, 0])
-    # the score of the fitted parameter is not zero here, so its part is taken from both
+    # The score of the fitted parameter is not zero here, so its part is subtracted from both scores.
     assert free.lm == pytest.approx((rest @ e) ** 2 / (rest @ rest), rel=1e-9)
     assert held.lm == pytest.approx((g[:, 1] @ e) ** 2 / (g[:, 1] @ g[:, 1]), rel=1e-6)
 
 
 @pytest.mark.parametrize("transform", ["none", "log"])
-def test_a_fit_that_its_prior_holds_back_is_at_its_maximum(transform: Any) -> None:
-    """A sharp prior far from the truth: the likelihood alone would move on, and the posterior has nowhere to go. The
-    one step to the effect is the one that a fit with both finds."""
+def test_fit_held_by_a_sharp_prior_is_at_the_maximum_of_the_posterior(transform: Any) -> None:
+    """The prior is far from the truth, so the likelihood alone would move on. The posterior is at its maximum, and the
+    score step to the effect equals the result of a fit with both.
+    """
     drag = slider().parameter("d")
     held = replace(drag, value=1.3, prior=(1.3, 0.02), transform=transform)
     model, record = slider().replace_parameters(held), slide(21, 900)
@@ -298,7 +314,8 @@ def test_a_fit_that_its_prior_holds_back_is_at_its_maximum(transform: Any) -> No
     n = len(parameters)
     prior = prior_terms(parameters, at)
     error = 1 / np.sqrt(np.diag(normal.information)[:n] + prior.information)
-    assert np.abs(error * normal.score[:n]).max() > 2.0  # how far the likelihood alone would move, in standard errors
+    # The distance that the likelihood alone would move, in standard errors.
+    assert np.abs(error * normal.score[:n]).max() > 2.0
     assert np.abs(error * (normal.score[:n] + prior.gradient)).max() < 0.2
     score = next(s for s in score_tests(normal, prior, places) if s.name == "push")
     both = fit_and_evaluate(fitted.fit.model + PUSH, [record], [])
@@ -307,11 +324,11 @@ def test_a_fit_that_its_prior_holds_back_is_at_its_maximum(transform: Any) -> No
     assert score.lm == pytest.approx(2 * (both.fit.log_posterior - fitted.fit.log_posterior), rel=0.05, abs=0.2)
 
 
-def test_an_effect_of_each_records_own_may_have_opposite_signs() -> None:
-    """Two records pushed in opposite directions: one shared push sees nothing, one push a record sees both."""
+def test_per_record_effect_may_have_opposite_signs() -> None:
+    """Two records are pushed in opposite directions. A common push is not found; a push per record is found."""
     rng = np.random.default_rng(3)
     g = [rng.normal(size=(300, 2)) for _ in range(2)]
-    e = [rng.normal(size=300) - sign * 0.5 * one[:, 1] for sign, one in zip((1, -1), g, strict=True)]
+    e = [rng.normal(size=300) - sign * 0.5 * common[:, 1] for sign, common in zip((1, -1), g, strict=True)]
     shared = SensitivityColumns("shared", np.zeros((1, 1, 1)), ("k",))
     own = SensitivityColumns("own", np.zeros((1, 1, 1)), ("k",), per_record=True)
     places, total = place([shared, own], 1, 2)
@@ -320,9 +337,9 @@ def test_an_effect_of_each_records_own_may_have_opposite_signs() -> None:
     for i in range(2):
         at = [0] + [k for p in places for k in p.of_record(i)]
         normal.add(at, np.column_stack([g[i], g[i][:, 1]]), e[i], block_index(np.arange(300) * 0.1))
-    one, two = score_tests(normal, no_priors(1), places)
-    assert (one.df, two.df) == (1, 2)
-    assert one.p > 0.01
-    assert two.p < 1e-20
-    assert two.step["k@0"] == pytest.approx(0.5, abs=0.2)
-    assert two.step["k@1"] == pytest.approx(-0.5, abs=0.2)
+    common, separate = score_tests(normal, no_priors(1), places)
+    assert (common.df, separate.df) == (1, 2)
+    assert common.p > 0.01
+    assert separate.p < 1e-20
+    assert separate.step["k@0"] == pytest.approx(0.5, abs=0.2)
+    assert separate.step["k@1"] == pytest.approx(-0.5, abs=0.2)

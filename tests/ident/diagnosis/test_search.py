@@ -1,4 +1,4 @@
-"""The search for missing effects: what is chosen, what is begun again, what is removed, and what cannot be tested."""
+"""Tests of the search for missing effects: choice, repeated starts, removal, and candidates that cannot be tested."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ FELL, ROSE = PredictionChange(0.7, 0.6, 0.8, 10.0, {}), PredictionChange(1.3, 1.
 
 
 def blank(**more: Any) -> Any:
-    """A fitted model of which only some things are asked."""
+    """Return a stand-in for a fitted model that has only the given fields."""
     return cast(Any, type("Stage", (), {"fit": None, **more})())
 
 
@@ -65,14 +65,14 @@ def refit(name: str, criterion: float, gain: float = 50.0, t: float = 5.0) -> Re
 
 
 def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
-    """In the place of the exact refit: what the prediction says, or why it fails."""
+    """Return a replacement of the exact refit that gives the listed prediction change or raises the listed error."""
 
     def exact(_search: _Search, _current: FittedModel, rough: Refit) -> Refit:
         found = by_name.get(rough.effect.name, FELL)
         if isinstance(found, Exception):
             raise found
-        one = replace(rough, prediction=found)
-        return replace(one, outcome=search._outcome(one, []))
+        exact_refit = replace(rough, prediction=found)
+        return replace(exact_refit, outcome=search._outcome(exact_refit, []))
 
     return exact
 
@@ -80,14 +80,14 @@ def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
 @pytest.mark.parametrize(
     ("by_name", "outcomes", "untested"),
     [
-        # four that fail validation do not stand in the way of the fifth
+        # Four candidates that fail validation do not block the fifth.
         ({}, [*[Outcome.NOT_VALIDATED] * 4, Outcome.ADDED, Outcome.OUTRANKED], []),
         ({"e": ROSE}, [*[Outcome.NOT_VALIDATED] * 4, Outcome.WORSE_PREDICTION, Outcome.ADDED], []),
         ({"e": ValueError("x0")}, [*[Outcome.NOT_VALIDATED] * 4, Outcome.ADDED], [("e", "x0")]),
         ({"e": ROSE, "f": ROSE}, [*[Outcome.NOT_VALIDATED] * 4, *[Outcome.WORSE_PREDICTION] * 2], []),
     ],
 )
-def test_the_best_of_the_accepted_is_chosen(
+def test_best_accepted_candidate_is_chosen(
     monkeypatch: pytest.MonkeyPatch, by_name: Any, outcomes: list[Outcome], untested: list[tuple[str, str]]
 ) -> None:
     monkeypatch.setattr(_Search, "_exact", exactly(by_name))
@@ -103,14 +103,14 @@ def test_the_best_of_the_accepted_is_chosen(
 @pytest.mark.parametrize(
     ("behind", "by_name", "chosen"),
     [
-        (1.5, {"lift": SAME, "wind": FELL}, "wind"),  # as likely, and predicts better
+        (1.5, {"lift": SAME, "wind": FELL}, "wind"),  # The wind is about as likely and predicts better.
         (1.5, {"lift": FELL, "wind": SAME}, "lift"),
         (1.5, {"lift": SAME, "wind": ValueError("x0")}, "lift"),
         (1.5, {"lift": SAME, "wind": ROSE}, "lift"),
-        (2.5, {"lift": SAME, "wind": FELL}, "lift"),  # less likely
+        (2.5, {"lift": SAME, "wind": FELL}, "lift"),  # The wind is less likely.
     ],
 )
-def test_of_effects_as_likely_the_one_that_predicts_better_is_chosen(
+def test_better_prediction_decides_between_equally_likely_effects(
     monkeypatch: pytest.MonkeyPatch, behind: float, by_name: Any, chosen: str
 ) -> None:
     monkeypatch.setattr(_Search, "_exact", exactly(by_name))
@@ -125,7 +125,7 @@ def test_of_effects_as_likely_the_one_that_predicts_better_is_chosen(
     ("gain", "t", "chosen"),
     [(400.0, 6.0, f"{BETWEEN}payload"), (40.0, 1.4, "wind"), (-40.0, -1.4, "wind")],
 )
-def test_a_difference_between_runs_comes_after_an_effect_unless_it_explains_significantly_more(
+def test_parameter_difference_between_runs_is_chosen_only_if_it_explains_significantly_more(
     monkeypatch: pytest.MonkeyPatch, gain: float, t: float, chosen: str
 ) -> None:
     monkeypatch.setattr(_Search, "_exact", exactly({}))
@@ -138,7 +138,7 @@ def test_a_difference_between_runs_comes_after_an_effect_unless_it_explains_sign
     assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
 
 
-def test_a_candidate_that_does_not_pay_by_its_score_is_refitted_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_candidate_with_a_negative_score_criterion_is_still_refitted(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[str] = []
     note = lambda _self, _current, pairs, *_: tried.extend(effect.name for effect, _ in pairs)  # noqa: E731
     monkeypatch.setattr(_Search, "_refit_all", note)
@@ -150,8 +150,8 @@ def test_a_candidate_that_does_not_pay_by_its_score_is_refitted_all_the_same(mon
     assert tried == ["compass"]
 
 
-def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
-    """The statistic from blocks cannot exceed their number: below it no effect of any size passes."""
+def test_data_too_short_for_the_tests_are_reported() -> None:
+    """The block statistic cannot exceed the number of blocks. With too few blocks, no effect of any size passes."""
     scores = [Score("wind", 900.0, df, 5.0, {}, {}, blocks=12) for df in (1, 4, 8)]
     short = search._short_data(scores, blank(records=[blank(duration=60.0)], model=blank(block=5.0)))
     assert short == ShortData(60.0, 105.0, 2, 3)
@@ -171,7 +171,7 @@ def test_data_too_short_for_a_test_are_not_said_to_lack_nothing() -> None:
 
 
 @pytest.mark.parametrize("fell", [True, False])
-def test_a_curve_without_a_name_is_a_likeness_where_it_does_not_predict_better(fell: bool) -> None:
+def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: bool) -> None:
     curve = Effect("unknown X(u)", "a curve: the force X depends on u", {}, kind=EffectKind.NONPARAMETRIC)
     chosen = Refit(curve, blank(), 90.0, 1, 82.0, 30.0, 4.0)
     found = Diagnosis(
@@ -187,17 +187,17 @@ def test_a_curve_without_a_name_is_a_likeness_where_it_does_not_predict_better(f
     assert ("falls" in answer) is fell
 
 
-def test_a_search_in_which_nothing_passes_says_what_was_tested() -> None:
+def test_round_without_a_significant_score_lists_the_tested_candidates() -> None:
     scores = tuple(Score(f"effect{k}", 3.0, 1, 2.0, {}, {}, threshold=12.0) for k in range(40))
     short = ShortData(60.0, 105.0, 3, 40)
-    one = _quiet_round(Diagnosis(blank(), blank(), (), (), (), scores=scores, short_data=short))
-    assert (one.tested, one.passed, one.chosen) == (40, 0, None)
-    assert len(one.candidates) > 10
-    assert one.why == "no candidate passes the score tests; 60 s of data are too short to test 3 of 40"
+    quiet_round = _quiet_round(Diagnosis(blank(), blank(), (), (), (), scores=scores, short_data=short))
+    assert (quiet_round.tested, quiet_round.passed, quiet_round.chosen) == (40, 0, None)
+    assert len(quiet_round.candidates) > 10
+    assert quiet_round.why == "no candidate passes the score tests; 60 s of data are too short to test 3 of 40"
 
 
-def test_a_search_that_may_add_no_more_says_what_it_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is left was never refitted: nobody knows that it is smaller."""
+def test_search_that_reached_its_limit_names_the_untried_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The untried candidates were never refitted, so their importance is unknown."""
     mine, score = a_search(Effect("wind", "wind", {})), Score("wind", 900.0, 1, 50.0, {}, {}, threshold=12.0)
     monkeypatch.setattr(mine, "scored", lambda _stage: ([score], [score]))
     mine.forward(blank(), 0)
@@ -205,15 +205,17 @@ def test_a_search_that_may_add_no_more_says_what_it_left(monkeypatch: pytest.Mon
     chosen = refit("hump", 900.0)
     after = blank(fit=blank(flags=()))
     found = Diagnosis(after, after, (Round((), (), (chosen,), chosen),), (score,), (), untried_scores=(score,))
-    said = "The search ended with 1 effect, the limit set by --max-effects; not tried: wind."
-    assert diagnosis_caveat(found) == said  # on the screen, too
-    assert said not in _notes(found)
+    caveat = "The search ended with 1 effect, the limit set by --max-effects; not tried: wind."
+    assert diagnosis_caveat(found) == caveat  # The caveat is also shown on the screen.
+    assert caveat not in _notes(found)
     doubted = replace(found, attributions=(EffectAttribution("hump", "ambiguous", ("a lag resembles it",)),))
-    assert diagnosis_caveat(doubted) == f"The name is uncertain: a lag resembles it. {said}"
+    assert diagnosis_caveat(doubted) == f"The name is uncertain: a lag resembles it. {caveat}"
 
 
-def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each of three pays beside the others; without the one that did not, the rest are worse than nothing."""
+def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each of three effects pays beside the others. Without one of them, the other two predict worse than no effect."""
     mine = a_search()
     mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0), refit("lift", 90.0))]
     left: list[str] = []
@@ -228,7 +230,7 @@ def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(mo
 
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", compared)
-    monkeypatch.setattr(search, "fit_without", lambda *given: blank(name=f"without {given[3].name}"))
+    monkeypatch.setattr(search, "fit_without", lambda *arguments: blank(name=f"without {arguments[3].name}"))
     current, weights, removed = mine.backward_elimination(blank(), blank(name="all"))
     assert left == ["without hump", "without lift"]
     assert [r.effect.name for r in removed] == ["hump", "lift"]
@@ -237,7 +239,7 @@ def test_no_set_of_effects_is_left_that_predicts_worse_than_the_nominal_model(mo
 
 
 @pytest.mark.parametrize(("error", "removed"), [(1.01, ["table"]), (1.001, ["table", "lift"]), (1.05, [])])
-def test_a_nonparametric_effect_has_to_predict_beside_the_others_and_any_to_matter(
+def test_nonparametric_effect_must_improve_the_prediction_beside_the_others(
     monkeypatch: pytest.MonkeyPatch, error: float, removed: list[str]
 ) -> None:
     mine = a_search()
@@ -257,14 +259,15 @@ def test_a_nonparametric_effect_has_to_predict_beside_the_others_and_any_to_matt
 @pytest.mark.parametrize(
     ("name", "criterion", "prediction", "outcome"),
     [
-        ("mount", 100.0, SAME, Outcome.ADDED),  # 1 % of the likelihood of its declared alternative: 3 degrees
+        # The criterion is 1 % of that of its declared alternative, which corresponds to 3 degrees.
+        ("mount", 100.0, SAME, Outcome.ADDED),
         ("lift", 100.0, SAME, Outcome.SMALL),
         ("lift", 100.0, FELL, Outcome.ADDED),
         ("lift", 300.0, SAME, Outcome.ADDED),
         ("mount", 300.0, ROSE, Outcome.WORSE_PREDICTION),
     ],
 )
-def test_what_is_small_by_its_likelihood_may_matter(
+def test_effect_with_a_small_likelihood_gain_may_matter(
     name: str, criterion: float, prediction: PredictionChange, outcome: Outcome
 ) -> None:
     compass = replace(refit("compass", 10_000.0), effect=catalogue()["compass"])
@@ -281,7 +284,7 @@ SCANNED = Effect(
 SCORE = Score("scanned", 100.0, 1, 50.0, {"A": 5.0}, {"w": 1.0})
 
 
-def test_a_refit_begins_at_the_score_test_then_nearer_then_at_its_neighbours_and_at_last_at_nothing() -> None:
+def test_initial_values_of_a_refit_start_at_the_score_test_and_end_at_zero() -> None:
     assert [tuple(p.value for p in e.parameters) for e in _starts(SCANNED, SCORE)] == [
         (1.0, 1.0),
         (0.6, 1.0),
@@ -293,7 +296,7 @@ def test_a_refit_begins_at_the_score_test_then_nearer_then_at_its_neighbours_and
 
 
 @pytest.mark.parametrize(("n_failures", "untested"), [(0, False), (5, False), (6, True)])
-def test_a_refit_that_fails_is_begun_again_and_named_where_none_helps(
+def test_failed_refit_is_repeated_from_other_starts_and_then_listed_as_untested(
     monkeypatch: pytest.MonkeyPatch, n_failures: int, untested: bool
 ) -> None:
     tried = []
@@ -321,7 +324,7 @@ def test_a_refit_that_fails_is_begun_again_and_named_where_none_helps(
         assert found.gain == pytest.approx(100.0)
 
 
-def test_a_nested_model_that_fits_worse_is_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_extended_model_that_fits_worse_is_refitted_from_another_start(monkeypatch: pytest.MonkeyPatch) -> None:
     values = iter([-500.0, 40.0, 90.0])
 
     class Model:
@@ -337,8 +340,8 @@ def test_a_nested_model_that_fits_worse_is_begun_again(monkeypatch: pytest.Monke
     assert found.gain == pytest.approx(60.0)
 
 
-def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One at a time: without the first of them the second may be needed."""
+def test_effects_that_do_not_pay_are_removed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Effects are removed one at a time, because the second may be needed after the first is removed."""
     mine = a_search()
     mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0), refit("lift", 90.0))]
     fits = {name: blank(name=name) for name in ("all", "without hump")}
@@ -350,16 +353,16 @@ def test_what_does_not_pay_beside_the_others_is_removed(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
-    monkeypatch.setattr(search, "fit_without", lambda *given: fits[f"without {given[3].name}"])
+    monkeypatch.setattr(search, "fit_without", lambda *arguments: fits[f"without {arguments[3].name}"])
     current, weights, removed = mine.backward_elimination(blank(), fits["all"])
     assert current is fits["without hump"]
     assert [w.effect for w in weights] == ["cubic", "lift"]
     assert [r.effect.name for r in removed] == ["hump"]
-    assert set(mine.candidates) == {"hump"}  # and the last tests are of it, too
+    assert set(mine.candidates) == {"hump"}  # The last score tests cover the removed effect, too.
 
 
-def test_a_removal_that_could_not_be_tested_removes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither where the weight is not known, nor where the exact fit without the effect fails."""
+def test_effect_is_kept_if_its_removal_could_not_be_tested(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This holds if the importance is unknown, and if the exact fit without the effect fails."""
     mine, whole = a_search(), blank()
     mine.rounds = [Round((), (), (r,), r) for r in (refit("hump", 900.0), refit("cubic", 300.0))]
     weights = (EffectImportance("cubic", 10.0, 1.1, 20.0, 0.3, FELL), EffectImportance("hump", NAN, NAN, untested="x0"))
@@ -375,7 +378,7 @@ def test_a_removal_that_could_not_be_tested_removes_nothing(monkeypatch: pytest.
     assert [w.untested for w in found] == ["not finite", "x0"]
 
 
-def test_the_picture_of_a_doubt_is_left_out_where_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_curve_of_an_ambiguous_effect_is_omitted_if_it_cannot_be_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(*_: Any) -> Any:
         raise ValueError("x0")
 
@@ -402,8 +405,8 @@ def test_the_picture_of_a_doubt_is_left_out_where_it_cannot_be_fitted(monkeypatc
     ]
 
 
-def test_a_candidate_of_the_users_own_that_cannot_be_tested_is_named() -> None:
-    """Of the catalogue nobody asks why a sailing effect is not tested on a barge."""
+def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
+    """Effects of the catalogue that the model cannot carry are not listed."""
     model = horizontal_model()
     seen = Channel(np.arange(3.0), np.zeros(3))
     runs = [LogSegment("mon/run", {"tide": seen}), LogSegment("tue/run", {})]
@@ -411,8 +414,8 @@ def test_a_candidate_of_the_users_own_that_cannot_be_tested_is_named() -> None:
     sail = Effect("sail", "a sail", {}, requires=("sail_area",))
     twice = Effect("twice", "a mass", {}, (Parameter("m_u", 1.0),))
     fine = Effect("fine", "a fine one", {}, (Parameter("own", 0.0),))
-    given = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
-    refused = search._refused(model, given, runs)
+    candidates = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
+    refused = search._refused(model, candidates, runs)
     assert [(u.effect.name, u.reason) for u in refused] == [
         ("tide", "tue/run lacks its input tide"),
         ("sail", f"it needs the signal 'sail_area', which model {model.name} does not have"),
@@ -423,13 +426,13 @@ def test_a_candidate_of_the_users_own_that_cannot_be_tested_is_named() -> None:
     assert (first.code, first.text) == ("effect-untested", "Not tested: a tide (tue/run lacks its input tide).")
 
 
-def test_a_start_nearer_to_nothing_is_within_the_bounds() -> None:
-    """A ratio of 1 whose half is outside."""
+def test_halved_initial_value_is_clipped_to_its_bounds() -> None:
+    """Half of the ratio 1 is outside its bounds."""
     ratio = Effect("own", "own", {}, (Parameter("ratio", 1.0, bounds=(0.6, 3.0)), Parameter("A", 1.0)))
     assert search._half_values(ratio) == {"ratio": 0.6, "A": 0.5}
 
 
-def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
+def test_failed_refit_is_named_in_the_answer() -> None:
     score = Score("mismatch", 1611.0, 1, 50.0, {}, {})
     lost = UntestedCandidate(catalogue()["mismatch"], "outside its bounds")
     found = Diagnosis(
@@ -439,21 +442,23 @@ def test_what_could_not_be_fitted_is_no_proof_that_nothing_is_missing() -> None:
     assert "could not be fitted: a thrust mismatch" in diagnosis_answer(found, None, 10.0)
 
 
-def test_a_payload_has_no_kilograms_where_the_thrust_is_not_known() -> None:
+def test_payload_has_no_kilograms_if_the_thrust_is_unknown() -> None:
     model = horizontal_model()
     thrust = model.values["c1"] + model.values["c2"]
     shift = ParameterShift("m_payload", "kg", 0.0, 0.0, 0.2 * thrust, 0.01 * thrust, 90.0)
     after = blank(fit=blank(model=model), cross_validated=False)
     found = Diagnosis(blank(), after, (), (), (), mismatches=(ValidationMismatch("tue/run", "r", 2.0, shift),))
-    said = diagnosis_answer(found, None, 10.0)
-    assert "The best explanation is m_payload/T = 0.2 ± 0.01 kg/N in that run, instead of 0." in said
+    answer = diagnosis_answer(found, None, 10.0)
+    assert "The best explanation is m_payload/T = 0.2 ± 0.01 kg/N in that run, instead of 0." in answer
     (row,) = map(_mismatch, reported_mismatches(found))
     assert (row.parameter, row.unit) == ("m_payload/T", "kg/N")
     assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
 
 
-def test_what_the_validation_data_support_and_no_prediction_needs_is_named() -> None:
-    """A lag of filtered velocities, t = 6.6: "no candidate predicts the validation data better" was not true."""
+def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> None:
+    """A lag of filtered velocities has t = 6.6. The former answer "no candidate predicts the validation data better"
+    was wrong.
+    """
     chosen = refit("filter-lag", 600.0)
     gone = RemovedEffect(catalogue()["filter-lag"], 662.0, 6.6, SAME)
     score = Score("filter-lag", 1862.0, 2, 0.0, {}, {})
@@ -470,7 +475,8 @@ def test_what_the_validation_data_support_and_no_prediction_needs_is_named() -> 
     assert not replace(gone, prediction=ROSE).immaterial
 
 
-# -- on missions of mock boats ---------------------------------------------------------------------------------------
+# -- on missions of simulated boats
+# -------------------------------------------------------------------------------------
 
 FEW = {n: e for n, e in catalogue().items() if n in ("mismatch", "yaw-bias", "cubic-drag", "reverse-thrust")}
 
@@ -480,30 +486,30 @@ def loaded(boat: Boat, kg: float) -> Boat:
 
 
 def segments(*boats: Boat, seconds: float = 150.0) -> list[LogSegment]:
-    """A run of each boat, on missions of their own."""
+    """Return one run of each boat, each on its own mission."""
     return [LogSegment(f"run{k}", channels_of(sail(boat, seconds, 100 + k, k)[0])) for k, boat in enumerate(boats, 1)]
 
 
 @pytest.mark.study
-def test_a_payload_in_one_run_is_named() -> None:
+def test_payload_in_one_run_is_identified() -> None:
     clean = boat_with(None, 1)
     runs = segments(clean, loaded(clean, 5.0), clean)
     found = diagnose(horizontal_model(), runs[:2], runs[2:], effects=FEW)
     assert [r.effect.name for r in found.effects] == [f"{BETWEEN}payload"]
     values = [found.after.fit.estimate("m_payload", i)[0] for i in (0, 1)]
     assert values[1] - values[0] == pytest.approx(5.0, abs=0.6)
-    # the payload of the validation run comes from its other blocks, for the headline as for its acceptance
+    # The payload of the validation run is estimated from its other blocks, for the answer and for the acceptance.
     evaluation = evaluate_diagnosis(found)
     assert [e.name for e in evaluation.in_blocks] == [f"{BETWEEN}payload"]
-    for one in (evaluation.before, evaluation.after):
-        assert one.validation is not None
-        assert len(one.validation.records) == len(validated_in_blocks(found.after).validation) > 4
+    for evaluated in (evaluation.before, evaluation.after):
+        assert evaluated.validation is not None
+        assert len(evaluated.validation.records) == len(validated_in_blocks(found.after).validation) > 4
     assert "has separate parameters for each run" in _blocks_note(evaluation)[0]
 
 
 @pytest.mark.slow
 @pytest.mark.study
-def test_a_validation_run_with_more_on_board_is_said() -> None:
+def test_validation_run_with_an_extra_payload_is_reported() -> None:
     clean = boat_with(None, 1)
     light, heavy = segments(clean, loaded(clean, 20.0))
     found = diagnose(horizontal_model(), [light], [heavy], effects=FEW)
@@ -514,23 +520,23 @@ def test_a_validation_run_with_more_on_board_is_said() -> None:
     assert (mismatch.shift.name, mismatch.shift.value) == ("m_payload", pytest.approx(20.0, abs=1.0))
     answer = diagnosis_answer(found, None, 10.0)
     assert answer.startswith("The model does not hold in run2: ")
-    assert "m_payload/T = " in answer  # nobody gave the thrust
+    assert "m_payload/T = " in answer  # The thrust is unknown.
 
 
 @pytest.mark.slow
 @pytest.mark.study
-def test_one_log_is_cross_validated_and_the_answer_says_so() -> None:
+def test_single_log_is_cross_validated_and_the_answer_reports_it() -> None:
     found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=240.0), [], effects=FEW)
     assert [(j.effect, j.attribution) for j in found.attributions] == [("mismatch", "identified")]
     assert found.cross_validated
     assert len(found.after.validation) == 5
     values = {v.record.name: v.values[list(v.model.values).index("eps_LR")] for v in found.after.validation}
-    assert len(set(values.values())) == 5  # each from the other blocks
+    assert len(set(values.values())) == 5  # Each value is estimated from the other blocks.
     assert "the fit to the others" in diagnosis_answer(found, None, 10.0)
 
 
 @pytest.mark.slow
-def test_a_minute_of_data_is_never_sure() -> None:
+def test_one_minute_of_data_never_identifies_an_effect() -> None:
     found = diagnose(horizontal_model(), segments(boat_with("mismatch", 1), seconds=60.0), [], effects=FEW)
     assert [(j.effect, j.attribution) for j in found.attributions] == [("mismatch", "ambiguous")]
     assert "short" in found.attributions[0].reasons[-1]
@@ -539,8 +545,8 @@ def test_a_minute_of_data_is_never_sure() -> None:
 @pytest.mark.slow
 @pytest.mark.study
 @pytest.mark.parametrize("n", [8, 32])
-def test_many_short_runs_work_as_two(n: int) -> None:
-    """The mean of the disturbance's memory, which stands at its bound in each of them, is at its bound."""
+def test_many_short_runs_give_the_result_of_two_long_runs(n: int) -> None:
+    """The correlation time of the disturbance is at its bound in each run. Its mean must be at the bound, too."""
     boat, runs = boat_with("mismatch", 1), []
     channels = channels_of(sail(boat, 320.0, 100)[0])
     for k in range(n):
@@ -553,11 +559,11 @@ def test_many_short_runs_work_as_two(n: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.study
-def test_a_validation_log_that_cannot_be_used_is_named_and_the_search_goes_on() -> None:
-    good, other = segments(boat_with("mismatch", 1), boat_with("mismatch", 1))
-    lacking = LogSegment("odd", {n: c for n, c in other.channels.items() if n != "n_left"})
-    away = {n: Channel(c.t + 1e4, c.value) if n == "n_left" else c for n, c in other.channels.items()}
-    found = diagnose(horizontal_model(), [good], [lacking, LogSegment("apart", away), other], effects=FEW)
+def test_unusable_validation_log_is_listed_and_the_search_continues() -> None:
+    good, usable = segments(boat_with("mismatch", 1), boat_with("mismatch", 1))
+    lacking = LogSegment("odd", {n: c for n, c in usable.channels.items() if n != "n_left"})
+    away = {n: Channel(c.t + 1e4, c.value) if n == "n_left" else c for n, c in usable.channels.items()}
+    found = diagnose(horizontal_model(), [good], [lacking, LogSegment("apart", away), usable], effects=FEW)
     assert [f.record for f in found.failed_runs] == ["odd", "apart"]
     assert "n_left" in found.failed_runs[0].reason
     assert "overlap" in found.failed_runs[1].reason

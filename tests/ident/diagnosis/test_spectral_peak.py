@@ -1,4 +1,4 @@
-"""A peak in the spectrum of the innovations is found, and colour alone is none."""
+"""Tests of the search for a peak in the spectrum of the innovations. Coloured noise has no peak."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def coloured(kind: str, rng: np.random.Generator, n: int = 4000) -> np.ndarray:
 
 
 def narrow(frequency: float, damping: float, sd: float, rng: np.random.Generator, n: int = 4000) -> np.ndarray:
-    """A lightly damped mode driven by white noise."""
+    """Return a lightly damped mode driven by white noise."""
     omega = 2 * np.pi * frequency
     r = np.exp(-damping * omega * DT)
     x = np.asarray(lfilter([1.0], [1.0, -2 * r * np.cos(omega * DT), r * r], rng.standard_normal(n)))
@@ -32,7 +32,7 @@ def narrow(frequency: float, damping: float, sd: float, rng: np.random.Generator
 
 
 @pytest.mark.parametrize("kind", ["white", "red", "blue", "white and red"])
-def test_colour_alone_is_no_peak(kind: str) -> None:
+def test_coloured_noise_alone_has_no_peak(kind: str) -> None:
     rng = np.random.default_rng(3)
     p = []
     for _ in range(60):
@@ -45,7 +45,7 @@ def test_colour_alone_is_no_peak(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["white", "red", "white and red"])
 @pytest.mark.parametrize("frequency", [0.3, 0.45, 1.2])
-def test_a_peak_is_found_where_it_is(kind: str, frequency: float) -> None:
+def test_peak_is_found_at_its_frequency(kind: str, frequency: float) -> None:
     rng = np.random.default_rng(4)
     noise = coloured(kind, rng)
     waves = noise + narrow(frequency, 0.08, 0.6 * float(noise.std()), rng)
@@ -55,7 +55,7 @@ def test_a_peak_is_found_where_it_is(kind: str, frequency: float) -> None:
     assert peak.p < SURE
 
 
-def test_gaps_are_bridged_and_short_or_sparse_channels_left_out() -> None:
+def test_gaps_are_bridged_and_short_or_sparse_channels_are_omitted() -> None:
     rng = np.random.default_rng(5)
     e = coloured("white", rng) + narrow(0.5, 0.08, 0.8, rng)
     e[rng.uniform(size=e.size) < 0.1] = np.nan

@@ -1,5 +1,4 @@
-"""The thruster's model as a diagnosis sees it: what may be unexplained, how its effects act, and logs through the
-command."""
+"""Tests of the diagnosis of a thruster model: its residuals, its effects, and logs given to the command."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ BENCH = [name for name, effect in catalogue().items() if "bench" in effect.requi
 
 
 def rates(model: Model, values: dict[str, float], n: float, command: float, **states: float) -> dict[str, float]:
-    """Rates and outputs of one row with all copies of the command alike."""
+    """Return rates and outputs of one row. All delayed taps of the command have the same value."""
     model = model.with_values(values)
     x = np.array([[{"n": n, **states}.get(s.name, 0.0) for s in model.states]])
     u = np.array([[command if i.name.startswith("n_cmd") else 30.0 for i in model.inputs]])
@@ -45,23 +44,23 @@ def with_effect(name: str) -> Model:
     return with_disturbances(thruster_model(n_delays=9)) + catalogue()[name]
 
 
-def test_a_bench_model_says_what_may_be_unexplained() -> None:
+def test_bench_model_lists_its_residuals_and_variables() -> None:
     model = with_disturbances(thruster_model(n_delays=9))
     assert [(r.name, r.state, r.unit) for r in residuals_of(model)] == [("F", "b_f", "N"), ("n_dot", "b_n", "1/s")]
     assert [v.name for v in variables_of(model)] == ["n", "n_ref", "slip", "t"]
     assert [r.name for r in residuals_of(thruster_model(force=False))] == ["n_dot"]
-    assert model.parameter("s_n").value == 1e-4  # b_n takes its place
+    assert model.parameter("s_n").value == 1e-4  # The disturbance b_n replaces this noise.
     assert len(BENCH) == 13
     assert not [e for e in BENCH if "hull" in catalogue()[e].requires]
     hull = [e for n, e in catalogue().items() if n not in BENCH]
     assert not [e.name for e in hull if model.accepts(e)]
 
 
-def test_residuals_enter_where_their_states_do() -> None:
+def test_nonparametric_residuals_act_like_their_disturbance_states() -> None:
     model = with_disturbances(thruster_model(n_delays=9))
     for force, variable in (("F", "n"), ("n_dot", "slip")):
         effect = nonparametric_effect(model, ForceCurve(force, variable), (-1.0, 1.0))
-        flat = {p.name: 0.25 for p in effect.parameters}  # a table of one value all along
+        flat = {p.name: 0.25 for p in effect.parameters}  # A curve with the same value everywhere.
         state = next(r.state for r in residuals_of(model) if r.name == force)
         table, moved = rates(model + effect, flat, 0.5, 0.6), rates(model, {}, 0.5, 0.6, **{state: 0.25})
         assert table["force"] == pytest.approx(moved["force"])
@@ -69,7 +68,7 @@ def test_residuals_enter_where_their_states_do() -> None:
         assert (table["force"], table["n'"]) != (rates(model, {}, 0.5, 0.6)["force"], rates(model, {}, 0.5, 0.6)["n'"])
 
 
-def test_the_effects_do_what_their_formulas_say() -> None:
+def test_thruster_effects_follow_their_formulas() -> None:
     base = rates(with_disturbances(thruster_model(n_delays=9)), {}, 0.5, 0.9)
     a, c1, c2 = 2.794, 40.05, 1.11
     late = rates(with_effect("second-lag"), {"k_lag": 1.0, "T_late": 0.1}, 0.5, 0.9, n_late=0.7)
@@ -98,7 +97,7 @@ def test_the_effects_do_what_their_formulas_say() -> None:
     assert flexed["rod_rate'"] == pytest.approx(2 * np.pi * 6.0 * (base["force"] - 3.0))
 
 
-def test_the_variables_of_a_row_are_the_models_own() -> None:
+def test_variables_of_a_row_use_the_parameters_of_the_model() -> None:
     model = with_disturbances(thruster_model()).with_values({"tau": 0.2, "d": 0.1})
     t = np.arange(0.0, 6.0, 0.02)
     command = Channel(t, np.where(t > 1.0, 0.6, np.where(t > 0.5, 0.05, 0.0)))
@@ -110,24 +109,24 @@ def test_the_variables_of_a_row_are_the_models_own() -> None:
     found = variables(model, path.own, x, path.values)
     late = record.t > 1.02 + 0.2 + 0.02
     np.testing.assert_allclose(found["n_ref"][late], 0.6)
-    np.testing.assert_allclose(found["n_ref"][record.t < 1.0], 0.0, atol=1e-12)  # in the dead zone
+    np.testing.assert_allclose(found["n_ref"][record.t < 1.0], 0.0, atol=1e-12)  # The command is in the dead zone.
     np.testing.assert_allclose(found["slip"], found["n_ref"] - x[:, 0])
 
 
 @pytest.mark.parametrize(("delay", "pole"), [(0.345, 7.2), (2.6, 1.1)])
-def test_the_start_is_near_whatever_the_delay(delay: float, pole: float) -> None:
+def test_initial_delay_and_pole_are_near_the_truth(delay: float, pole: float) -> None:
     t = np.arange(0.0, 60.0, 0.02)
-    told = np.where((t % 12.0) < 6.0, 0.2 + 0.1 * np.floor(t / 12.0), -0.3)
+    command = np.where((t % 12.0) < 6.0, 0.2 + 0.1 * np.floor(t / 12.0), -0.3)
     n = np.zeros(t.size)
     for k in range(1, t.size):
-        n[k] = n[k - 1] + 0.02 * pole * (np.interp(t[k] - delay, t, told, left=0.0) - n[k - 1])
-    channels = delayed_channels(Channel(t, told)) | {"n": Channel(t, n)}
+        n[k] = n[k - 1] + 0.02 * pole * (np.interp(t[k] - delay, t, command, left=0.0) - n[k - 1])
+    channels = delayed_channels(Channel(t, command)) | {"n": Channel(t, n)}
     tau, a = shaft_guess([build_record(thruster_model(force=False), channels, rate=50.0)])
     assert tau == pytest.approx(delay, abs=0.11)
     assert a == pytest.approx(pole, rel=0.5)
 
 
-def test_a_slow_thruster_comes_back_from_its_file() -> None:
+def test_slow_thruster_model_is_restored_from_its_file() -> None:
     slow = thruster_model("slow", force=False)
     assert slow.parameter("tau").bounds[1] == pytest.approx(4.8)
     again = make_model(slow.source, ["rpm"])
@@ -137,7 +136,7 @@ def test_a_slow_thruster_comes_back_from_its_file() -> None:
         make_model("thruster:fast", ["rpm"])
 
 
-def test_noise_that_was_put_to_nought_begins_again() -> None:
+def test_noise_that_collapsed_to_zero_is_reset() -> None:
     model = thruster_model(force=False).with_values({"e_n": 1e-9})
     t = np.arange(0.0, 20.0, 0.02)
     noise = 0.01 * np.random.default_rng(1).normal(size=t.size)
@@ -146,31 +145,32 @@ def test_noise_that_was_put_to_nought_begins_again() -> None:
     kept = model.with_values({"e_n": 2e-3})
     assert reset_collapsed_noise(kept, [record]) == kept
     floor = model.replace_parameters(replace(model.parameter("e_n"), value=1e-9, bounds=(1e-9, np.inf)))
-    assert reset_collapsed_noise(floor, [record]) == floor  # of a smoothed signal: its differences are motion
+    # The log has a smoothed signal, so its differences are motion and not noise.
+    assert reset_collapsed_noise(floor, [record]) == floor
 
 
 def loaded(**channels: Channel) -> LoadedLog:
     return LoadedLog(LogSegment("bench", channels), {"path": "bench.mcap"}, {}, None)
 
 
-def test_a_log_says_which_thruster_and_what_it_lacks() -> None:
+def test_log_gives_the_thruster_name_and_errors_name_missing_signals() -> None:
     t = np.arange(0.0, 5.0, 0.1)
     moved, still = Channel(t, np.sin(t)), Channel(t, 0.0 * t)
-    one = loaded(n_cmd_port=moved, n_port=moved, n_cmd_stern=still, n_stern=still)
-    assert thruster.thruster_name(one) == "port"
+    log = loaded(n_cmd_port=moved, n_port=moved, n_cmd_stern=still, n_stern=still)
+    assert thruster.thruster_name(log) == "port"
     with pytest.raises(SeatrialError, match=r"bench.mcap: thrusters with commands and shaft speed: none; name one"):
         thruster.thruster_name(loaded(n_cmd_port=still, n_port=still))
     with pytest.raises(SeatrialError, match=r"bench.mcap: the log has no load cell, but the model has a force"):
-        thruster.thruster_runs([one], thruster_model(), None)
-    runs = thruster.thruster_runs([one, replace(one)], thruster_model(force=False), None)
+        thruster.thruster_runs([log], thruster_model(), None)
+    runs = thruster.thruster_runs([log, replace(log)], thruster_model(force=False), None)
     assert {"n", "n_cmd_0", "n_cmd_48"} <= set(runs[1].channels)
     with pytest.raises(SeatrialError, match=r"bench.mcap: no signal 'n_cmd_bow'; it has n_cmd_port"):
-        thruster.thruster_runs([one], thruster_model(force=False), "bow")
+        thruster.thruster_runs([log], thruster_model(force=False), "bow")
 
 
 @pytest.mark.study
 @pytest.mark.slow
-def test_the_command_finds_what_a_bench_hides(tmp_path: Path) -> None:
+def test_diagnose_command_finds_a_hidden_bench_effect(tmp_path: Path) -> None:
     bench = draw_bench(3, make_effect("recirculation", 3))
     logs = [str(bench_log(tmp_path / f"bench{k}.mcap", bench, k)) for k in (1, 2)]
     model, out = str(tmp_path / "thruster/model.toml"), tmp_path / "diagnosis"

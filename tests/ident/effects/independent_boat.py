@@ -1,5 +1,7 @@
-"""A compact simulator of another authorship than the mocks: one rigid body, one added-mass matrix, Heun's
-method at 40 Hz, and effects as plain forces. What it knows of the effects it does not take from ident."""
+"""Compact simulator that is independent of mocks: one rigid body, one added-mass matrix, Heun's method at 40 Hz.
+
+Its effects are plain forces and use no code of ident.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +13,20 @@ import numpy as np
 
 from seatrial.ident.data.record import Channel, LogSegment
 
-STEP = 0.025  # s
-AHRS, GNSS = 2, 8  # steps between samples
+STEP = 0.025  # Unit: s
+AHRS, GNSS = 2, 8  # Steps between samples.
 
-# force(boat at this moment) -> X, Y [N], N [N m] in body axes
+# force(state of motion) -> X, Y [N], N [N m] in body axes.
 Force = Callable[["Moment"], tuple[float, float, float]]
-# thrust(side, boat at this moment) -> factor on the thrust of that side
+# thrust(side, state of motion) -> factor of the thrust of that side.
 Loss = Callable[[str, "Moment"], float]
 
 
 @dataclass
 class Moment:
-    """Where the boat is: m, rad, m/s and rad/s; ``vn, ve`` over ground, ``u, v`` through the water; n of full speed."""
+    """State of motion of the boat in m, rad, m/s and rad/s. ``vn, ve`` are over ground, ``u, v`` through the water,
+    ``n`` as a share of full speed.
+    """
 
     t: float
     north: float
@@ -36,30 +40,33 @@ class Moment:
     n: dict[str, float]
 
     def into_body(self, north: float, east: float) -> tuple[float, float]:
-        """A vector of the earth in body axes."""
+        """Turn a vector from NED into body axes."""
         c, s = math.cos(self.psi), math.sin(self.psi)
         return c * north + s * east, c * east - s * north
 
 
 @dataclass(frozen=True)
 class Slosh:
-    """A mass on a spring and damper in the hull, at the origin, free to move along one body axis."""
+    """Mass on a spring and damper in the hull at the origin. It moves along one body axis."""
 
-    mass: float  # kg, of the boat's own
-    frequency: float  # Hz
-    damping: float  # ratio
-    axis: str  # surge or sway
+    mass: float  # Part [kg] of the boat's own mass.
+    frequency: float  # Unit: Hz
+    damping: float  # Damping ratio.
+    axis: str  # Surge or sway.
 
 
 @dataclass(frozen=True)
 class IndependentBoat:
-    """A twin-screw boat of about 40 kg, or of ``scale`` times its length (masses and forces by Froude's law)."""
+    """Twin-screw boat of about 40 kg, or of ``scale`` times its length (masses and forces by Froude's law)."""
 
     scale: float = 1.0
     force: Force | None = None
     loss: Loss | None = None
     slosh: Slosh | None = None
-    told: tuple[float, float] = (1.0, 0.0)  # factor on the velocity of the receiver, and offset of its course, rad
+    receiver_error: tuple[float, float] = (
+        1.0,
+        0.0,
+    )  # Factor of the velocity of the receiver, and offset of its course in rad.
     current: tuple[float, float] = (0.12, -0.08)
 
     @property
@@ -76,7 +83,7 @@ class IndependentBoat:
 
 
 def mission(seconds: float, seed: int) -> list[tuple[float, float, float]]:
-    """Steps of both thrusters, each held for 2 to 9 s, now and then equal or opposed: (from when, left, right)."""
+    """Return steps (time, left, right) of both thrusters, each held for 2 to 9 s, sometimes equal or opposite."""
     rng, t, steps = np.random.default_rng(seed), 3.0, [(0.0, 0.0, 0.0)]
     while t < seconds:
         mean, turn = rng.uniform(-0.4, 0.9), rng.uniform(-0.6, 0.6) * (rng.uniform() < 0.5)
@@ -86,8 +93,11 @@ def mission(seconds: float, seed: int) -> list[tuple[float, float, float]]:
 
 
 def sail(boat: IndependentBoat, seconds: float = 300.0, seed: int = 1, gyro: bool = True) -> LogSegment:
-    """A log: shaft speeds, heading, yaw rate and accelerations at 20 Hz, position and velocity over ground at 5 Hz;
-    without ``gyro`` heading, position and velocity alone."""
+    """Return a log: shaft speeds, heading, yaw rate and accelerations at 20 Hz, position and velocity over ground at 5
+    Hz.
+
+    Without ``gyro``, the log has no yaw rate and no accelerations.
+    """
     rng, steps, at = np.random.default_rng(seed), mission(seconds, seed), 0
     slow, sd = math.exp(-STEP / 0.18), (0.25 * boat.weight, 0.25 * boat.weight, 0.03 * boat.weight * boat.scale)
     calm, state, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0], {"left": 0.0, "right": 0.0}
@@ -105,7 +115,7 @@ def sail(boat: IndependentBoat, seconds: float = 300.0, seed: int = 1, gyro: boo
         state = [x + STEP * (d1 + d2) / 2 for x, d1, d2 in zip(state, rate, again, strict=True)]
         n = later
     found = np.array(rows)
-    factor, offset = boat.told
+    factor, offset = boat.receiver_error
     over_ground = (found[:, 9] + 1j * found[:, 10]) * factor * np.exp(1j * offset)
     found[:, 9], found[:, 10] = over_ground.real, over_ground.imag
     return _measured(found, rng, gyro, seed)
@@ -114,21 +124,21 @@ def sail(boat: IndependentBoat, seconds: float = 300.0, seed: int = 1, gyro: boo
 def _rate(
     boat: IndependentBoat, t: float, state: list[float], n: dict[str, float], calm: list[float]
 ) -> tuple[list[float], tuple[float, ...]]:
-    """The state's rate (north, east, psi, u, v, r and the slosh), and what psi, r, ax, ay, x, y, vx, vy are."""
+    """Return the rate of the state (north, east, psi, u, v, r and the slosh), and psi, r, ax, ay, x, y, vx, vy."""
     north, east, psi, u, v, r, z, z_rate = state
-    w, one, slosh = boat.weight, boat.scale, boat.slosh
+    w, length, slosh = boat.weight, boat.scale, boat.slosh
     c, s = math.cos(psi), math.sin(psi)
     vn, ve = c * u - s * v + boat.current[0], s * u + c * v + boat.current[1]
     now = Moment(t, north, east, psi, u, v, r, vn, ve, n)
     f = {side: boat.full_thrust * z * abs(z) * (boat.loss(side, now) if boat.loss else 1.0) for side, z in n.items()}
-    X = f["left"] + f["right"] - (2.0 + 24.0 * abs(u)) * u * one**2 + calm[0]
-    Y = -(45.0 + 60.0 * abs(v)) * v * one**2 + calm[1]
-    N = boat.arm * (f["left"] - f["right"]) - (5.0 + 7.0 * abs(r)) * r * w * one + calm[2]
+    X = f["left"] + f["right"] - (2.0 + 24.0 * abs(u)) * u * length**2 + calm[0]
+    Y = -(45.0 + 60.0 * abs(v)) * v * length**2 + calm[1]
+    N = boat.arm * (f["left"] - f["right"]) - (5.0 + 7.0 * abs(r)) * r * w * length + calm[2]
     if boat.force is not None:
         X, Y, N = (a + b for a, b in zip((X, Y, N), boat.force(now), strict=True))
-    m_u, m_v, m_r, pull = 42.0 * w, 58.0 * w, 8.0 * w * one**2, 0.0
+    m_u, m_v, m_r, pull = 42.0 * w, 58.0 * w, 8.0 * w * length**2, 0.0
     along_u, along_v = m_u, m_v
-    if slosh is not None:  # its specific force comes through its spring alone
+    if slosh is not None:  # The mass acts on the hull only through its spring.
         omega = 2 * math.pi * slosh.frequency
         pull = slosh.mass * (omega * omega * z + 2 * slosh.damping * omega * z_rate)
         if slosh.axis == "surge":

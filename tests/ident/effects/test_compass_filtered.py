@@ -1,4 +1,4 @@
-"""Compass deviation behind a heading filter: the filter's own equation, its limit, and found again by a fit."""
+"""Tests of compass deviation behind a heading filter: the filter equation, its limit, and recovery by a fit."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ def model_with(name: str, **values: float) -> Model:
 
 
 def blank(model: Model, seed: int, seconds: float = 200.0) -> Record:
-    """A record of steps of both thrusters, ten rows a second, without measurements."""
+    """Return a record with steps of both thrusters at ten rows a second, without measurements."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, seconds, 0.1)
     steps = int(np.ceil(t.size / 80))
     n = [np.repeat(rng.uniform(-0.3, 0.9, steps), 80)[: t.size] for _ in range(2)]
-    given = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
-    return build_record(model, given | {o.name: Channel(t, np.zeros(t.size)) for o in model.outputs})
+    inputs = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
+    return build_record(model, inputs | {o.name: Channel(t, np.zeros(t.size)) for o in model.outputs})
 
 
 def predicted(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """States and outputs by name, simulated from rest."""
+    """Return states and outputs of a simulation from rest."""
     run = simulate(model, record, x0=np.zeros(len(model.states)))
     return run.x, run.y
 
 
-def test_the_error_is_the_deviation_behind_a_first_order_filter() -> None:
+def test_heading_error_is_the_deviation_behind_a_first_order_filter() -> None:
     model = model_with("compass-filtered", **TRUTH)
     record = blank(model, 1)
     x, y = predicted(model, record)
@@ -46,8 +46,8 @@ def test_the_error_is_the_deviation_behind_a_first_order_filter() -> None:
     deviation = sum(
         TRUTH[k] * f for k, f in zip(TERMS, (np.sin(psi), np.cos(psi), np.sin(2 * psi), np.cos(2 * psi)), strict=True)
     )
-    filtered, dt = np.full(psi.size, deviation[0]), 0.1  # it has followed before the log begins
-    for k in range(psi.size - 1):  # exact for a deviation that is linear between rows
+    filtered, dt = np.full(psi.size, deviation[0]), 0.1  # The filter has settled before the log starts.
+    for k in range(psi.size - 1):  # This step is exact for a deviation that is linear between rows.
         decay = np.exp(-dt / TRUTH["T_head"])
         slope = (deviation[k + 1] - deviation[k]) / dt
         steady = deviation[k] - slope * TRUTH["T_head"]
@@ -58,7 +58,7 @@ def test_the_error_is_the_deviation_behind_a_first_order_filter() -> None:
     np.testing.assert_allclose(error, filtered, atol=1e-3)
 
 
-def test_without_a_filter_it_is_compass_deviation() -> None:
+def test_limit_without_a_filter_is_the_compass_deviation() -> None:
     values = dict(zip(("dev_s", "dev_c", "dev_2s", "dev_2c"), (TRUTH[k] for k in TERMS), strict=True))
     plain = model_with("compass", **values)
     record = blank(plain, 2)
@@ -69,16 +69,16 @@ def test_without_a_filter_it_is_compass_deviation() -> None:
         return float(np.sqrt(np.mean((predicted(model, record)[1] - exact) ** 2)))
 
     assert off(0.6) < 0.02
-    assert off(0.3) == pytest.approx(0.5 * off(0.6), rel=0.1)  # of the order of the time constant
+    assert off(0.3) == pytest.approx(0.5 * off(0.6), rel=0.1)  # The difference has the order of the time constant.
 
 
-def test_it_is_asked_only_of_what_an_estimator_tells() -> None:
+def test_effect_is_accepted_only_with_sensors_of_an_estimator() -> None:
     plain = horizontal_model("shaft", ("attitude", "gyro", "position"))
     assert not plain.accepts(catalogue()["compass-filtered"])
     assert horizontal_model("shaft", SENSORS).accepts(catalogue()["compass-filtered"])
 
 
-def test_it_is_found_again() -> None:
+def test_filtered_deviation_is_identified() -> None:
     model = model_with("compass-filtered", e_psi=0.01, e_r=0.005, e_uv=0.03)
     model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
     rng, noise = np.random.default_rng(5), {"psi": 0.01, "r": 0.005, "u": 0.03, "v": 0.03}

@@ -1,4 +1,6 @@
-"""The compass drawn by the motors, and velocities of another point: signs, size, and found again by a fit."""
+"""Tests of compass deviation by motor currents and of velocities of another point: signs, sizes, and recovery by a
+fit.
+"""
 
 from __future__ import annotations
 
@@ -27,52 +29,52 @@ def model_with(*names: str) -> Model:
 
 
 def at(model: Model, n: tuple[float, float] = (0.0, 0.0), **states: float) -> dict[str, float]:
-    """Rates of the states and outputs, by name."""
+    """Return rates of the states and outputs by name."""
     x = np.array([[states.get(s.name, 0.0) for s in model.states]])
     row = VectorisedModel(model)(x, np.array([n]), np.array(list(model.values.values())))[0]
     names = [f"{s.name}'" for s in model.states] + [o.name for o in model.outputs]
     return dict(zip(names, row, strict=True))
 
 
-def test_the_heading_goes_where_the_motors_draw_it_and_takes_its_time() -> None:
+def test_motors_deflect_the_heading_with_a_lag() -> None:
     model = model_with("compass-motor").with_values({"dev_mc": 0.1, "T_dev": 5.0})
-    north = at(model, (1.0, -0.5))  # both directions draw
+    north = at(model, (1.0, -0.5))  # Both directions of rotation deflect the heading.
     assert (north["drawn_c'"], north["drawn_s'"]) == pytest.approx((1.5 / 5.0, 0.0))
     assert at(model, (1.0, -0.5), psi=np.pi / 2)["drawn_c'"] == pytest.approx(0.0)
-    assert at(model, drawn_c=1.0)["drawn_c'"] == pytest.approx(-0.2)  # and comes back once they stop
+    assert at(model, drawn_c=1.0)["drawn_c'"] == pytest.approx(-0.2)  # The heading returns after the motors stop.
 
 
-def test_surge_shows_up_as_sway_when_the_heading_is_wrong() -> None:
+def test_surge_appears_as_sway_if_the_heading_is_wrong() -> None:
     model = model_with("compass-motor").with_values({"dev_mc": 0.1})
     seen = at(model, u=2.0, psi=0.3, drawn_c=1.0)
     assert seen["psi"] == pytest.approx(0.4)
     assert (seen["u"], seen["v"]) == pytest.approx((2.0 * np.cos(0.1), -2.0 * np.sin(0.1)))
 
 
-def test_a_turning_boat_moves_the_point_that_is_measured() -> None:
+def test_yaw_rate_adds_to_the_velocity_of_the_measured_point() -> None:
     model = model_with("velocity-point").with_values({"b_x": 0.5, "b_y": 0.2})
     seen = at(model, u=1.0, r=0.4)
     assert (seen["u"], seen["v"], seen["r"]) == pytest.approx((1.0 - 0.4 * 0.2, 0.4 * 0.5, 0.4))
 
 
-def test_a_model_without_body_velocity_is_not_asked() -> None:
+def test_effects_are_not_accepted_without_body_velocity() -> None:
     plain = horizontal_model("shaft", ("attitude", "gyro", "position"))
     assert not any(plain.accepts(catalogue()[n]) for n in ("compass-motor", "velocity-point"))
 
 
 def sailed(truth: Model, seed: int) -> Record:
-    """Two minutes of steps, with white noise."""
+    """Return two minutes of steps with white noise."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, 120.0, 0.1)
     n = [np.repeat(rng.uniform(-0.4, 0.9, 15), 80) for _ in range(2)]
-    given = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
+    inputs = {"n_left": Channel(t, n[0]), "n_right": Channel(t, n[1])}
     blank = {o.name: Channel(t, np.zeros(t.size)) for o in truth.outputs}
-    y = simulate(truth, build_record(truth, given | blank), x0=np.zeros(len(truth.states))).y
+    y = simulate(truth, build_record(truth, inputs | blank), x0=np.zeros(len(truth.states))).y
     noise = {"psi": 0.02, "r": 0.01, "u": 0.03, "v": 0.03}
     seen = {o.name: Channel(t, y[:, j] + noise[o.name] * rng.normal(size=t.size)) for j, o in enumerate(truth.outputs)}
-    return build_record(truth, given | seen)
+    return build_record(truth, inputs | seen)
 
 
-def test_both_are_found_again() -> None:
+def test_both_effects_are_identified() -> None:
     model = model_with("compass-motor", "velocity-point").with_values({"e_psi": 0.02, "e_r": 0.01, "e_uv": 0.03})
     model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
     records = [sailed(model.with_values(TRUTH), seed) for seed in (1, 2)]

@@ -1,4 +1,4 @@
-"""Effects whose form is not plain from their formula: the force they make, and that each names its alternatives."""
+"""Tests of effects with a less obvious formula: their force, and their alternatives."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def model_with(name: str, **values: float) -> Model:
 
 
 def rates(model: Model, **x: float) -> dict[str, float]:
-    """Rates and outputs by name, at rest but for the given states."""
+    """Return rates and outputs by name. States that are not given are zero."""
     names = [s.name for s in model.states]
     state = np.array([[x.get(n, 0.0) for n in names]])
     row = VectorisedModel(model)(state, np.zeros((1, len(model.inputs))), np.array(list(model.values.values())))[0]
@@ -34,12 +34,12 @@ def rates(model: Model, **x: float) -> dict[str, float]:
 
 
 def force(name: str, x: dict[str, float], **values: float) -> float:
-    """What the effect adds to X, N."""
+    """Return the force X [N] that the effect adds."""
     added = rates(model_with(name, **values), **x)["u"] - rates(model_with(name), **x)["u"]
     return 37.0 * added
 
 
-def test_a_hump_is_highest_at_its_speed_and_against_the_motion() -> None:
+def test_hump_is_largest_at_its_speed_and_opposes_the_motion() -> None:
     def hump(u: float) -> float:
         return force("hump", {"u": u}, A_hump=7.0, u_hump=0.8, w_hump=0.15)
 
@@ -49,7 +49,7 @@ def test_a_hump_is_highest_at_its_speed_and_against_the_motion() -> None:
     assert abs(hump(1.6)) < 1e-5
 
 
-def test_a_line_drags_with_its_length_against_the_motion_over_ground() -> None:
+def test_tether_drag_grows_with_its_length_and_opposes_the_motion_over_ground() -> None:
     def drag(x: float, u: float) -> float:
         return force("tether", {"x": x, "u": u}, k_tether=0.05)
 
@@ -59,10 +59,10 @@ def test_a_line_drags_with_its_length_against_the_motion_over_ground() -> None:
     against = force("tether", {"x": 40.0, "u": 1.0}, k_tether=0.05, V_x=-1.0) - force(
         "tether", {"x": 40.0, "u": 1.0}, V_x=-1.0
     )
-    assert against == pytest.approx(0.0, abs=1e-4)  # at rest over ground
+    assert against == pytest.approx(0.0, abs=1e-4)  # The boat is at rest over ground.
 
 
-def test_the_scale_of_the_accelerometers_is_on_what_they_feel() -> None:
+def test_accelerometer_scale_acts_on_the_specific_force() -> None:
     x = {"u": 1.0, "r": 0.3, "v": 0.1}
     plain = rates(model_with("accelerometer-scale"), **x)
     scaled = rates(model_with("accelerometer-scale", k_acc=0.1), **x)
@@ -71,8 +71,8 @@ def test_the_scale_of_the_accelerometers_is_on_what_they_feel() -> None:
     assert scaled["u"] == plain["u"]
 
 
-def test_the_waves_have_the_size_that_their_parameters_say() -> None:
-    """The stationary covariance of the filter (Lyapunov's equation) against A."""
+def test_waves_have_the_size_of_their_parameters() -> None:
+    """The stationary covariance of the filter (Lyapunov's equation) is compared with A."""
     model = model_with("waves", A_X=3.0, f_wave=0.4, zeta_wave=0.07)
     names = [s.name for s in model.states]
     at = [names.index(n) for n in ("wave_X", "wave_X_rate")]
@@ -91,8 +91,8 @@ def test_the_waves_have_the_size_that_their_parameters_say() -> None:
 
 
 @pytest.mark.study
-def test_waves_are_seen_in_the_innovations_and_fitted() -> None:
-    """And on a boat without waves nothing is seen."""
+def test_waves_are_found_in_the_innovations_and_fitted() -> None:
+    """No waves are found on a boat without waves."""
     runs = {name: LogSegment("run", channels_of(sail(boat_with(name, 4), 130.0, 3)[0])) for name in ("waves", None)}
     assert wave_peak_score(fit_nominal_model(horizontal_model(), [runs[None]], [])) is None
     before = fit_nominal_model(horizontal_model(), [runs["waves"]], [])

@@ -1,4 +1,4 @@
-"""Two effects of one model make the same of it, whichever was added first."""
+"""Tests that the order in which effects are added does not change the model."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ ROWS = 6
 
 
 def all_effects(base: Model) -> list[Effect]:
-    """Whatever the model takes: of the catalogue, components, disturbances and tables of every residual."""
+    """Return every effect that the model accepts: catalogue, components, disturbances and curves of every residual."""
     sensors = [s.name for s in base.sensors]
     found = [*catalogue().values(), current_walk(), telemetry_age(), estimator_error(sensors), disturbance_of(base)]
     found += [sensor_bias(sensors), antenna(0.7, -0.4), *input_response_effects(base)]
-    if not {"n", "n_input"} & set(base.provides):  # of given thrust
+    if not {"n", "n_input"} & set(base.provides):  # Models with a given thrust.
         found.append(thrust_calibration(base))
     found += [nonparametric_effect(base, ForceCurve(r.name, "u"), (-1.0, 1.5)) for r in residuals_of(base)]
-    whole = with_disturbances(base)  # with the offsets that errors of readings go with
+    whole = with_disturbances(base)  # The model with the sensor offsets that the curves of sensor errors need.
     found += [nonparametric_effect(whole, ForceCurve(r.name, "r"), (-1.0, 1.0)) for r in sensor_errors_of(whole)]
     found += [nonparametric_effect(base, ForceCurve(r.name, "r"), (-1.0, 1.0)) for r in thrust_losses_of(base)]
     return [e for e in found if base.accepts(e)]
@@ -49,7 +49,7 @@ def drawn(kind: str, name: str, low: float, high: float, n: int) -> np.ndarray:
 
 
 def at_random(model: Model) -> dict[str, np.ndarray]:
-    """Rates and outputs by name, at states, inputs and parameters that go with their names alone."""
+    """Return rates and outputs by name, at states, inputs and parameters that depend only on their names."""
 
     def value(name: str) -> float:
         p = model.parameter(name)
@@ -64,10 +64,10 @@ def at_random(model: Model) -> dict[str, np.ndarray]:
 
 
 def differences(base: Model, effects: Sequence[Effect]) -> list[str]:
-    """Rates and outputs in which the effects make another model in reverse order."""
-    one, other = (at_random(reduce(add, order, base)) for order in (effects, effects[::-1]))
-    assert all(np.isfinite(v).all() for v in one.values())
-    return [n for n in one if not np.allclose(one[n], other[n], rtol=1e-12, atol=1e-12)]
+    """Return the rates and outputs that differ if the effects are added in reverse order."""
+    forward, reversed_order = (at_random(reduce(add, order, base)) for order in (effects, effects[::-1]))
+    assert all(np.isfinite(v).all() for v in forward.values())
+    return [n for n in forward if not np.allclose(forward[n], reversed_order[n], rtol=1e-12, atol=1e-12)]
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def differences(base: Model, effects: Sequence[Effect]) -> list[str]:
         "kinematic:force",
     ],
 )
-def test_effects_make_the_same_model_in_any_order(source: str) -> None:
+def test_two_effects_give_the_same_model_in_any_order(source: str) -> None:
     base = make_model(source, tuple(SENSORS))
     effects = all_effects(base)
     assert len(effects) > 3
@@ -96,7 +96,7 @@ def test_effects_make_the_same_model_in_any_order(source: str) -> None:
 
 
 @pytest.mark.parametrize("source", ["horizontal:shaft", "horizontal:command", "horizontal:force", "nomoto"])
-def test_all_effects_at_once_make_the_same_model_in_any_order(source: str) -> None:
+def test_all_effects_together_give_the_same_model_in_any_order(source: str) -> None:
     base = make_model(source, tuple(SENSORS))
     together: list[Effect] = []
     for effect in all_effects(base):
@@ -106,11 +106,11 @@ def test_all_effects_at_once_make_the_same_model_in_any_order(source: str) -> No
 
 
 @pytest.mark.parametrize("source", ["horizontal:shaft", "horizontal:command", "nomoto"])
-def test_an_effect_taken_out_leaves_the_model_as_if_it_had_never_been_in(source: str) -> None:
-    """Whatever was added after it stays, with the inputs that both read."""
-    base, other = make_model(source, tuple(SENSORS)), catalogue()["gnss-latency"]
+def test_removed_effect_leaves_the_model_as_before(source: str) -> None:
+    """An effect that was added later stays, with the inputs that both effects use."""
+    base, latency = make_model(source, tuple(SENSORS)), catalogue()["gnss-latency"]
     for effect in all_effects(base):
         assert (base + effect).without(effect.name) == base
-        if effect.name != other.name and (base + effect).accepts(other):
-            assert set((base + effect + other).without(effect.name).inputs) == set((base + other).inputs)
+        if effect.name != latency.name and (base + effect).accepts(latency):
+            assert set((base + effect + latency).without(effect.name).inputs) == set((base + latency).inputs)
     assert base.without("mooring") == base

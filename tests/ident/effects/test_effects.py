@@ -1,4 +1,4 @@
-"""Every effect: neutral at its given values, with the effect its formula says, and complete for people."""
+"""Tests of every effect: neutral at its initial values, consistent with its formula, and completely described."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ RNG = np.random.default_rng(7)
 
 
 def points(model: Model, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """Random states and inputs; an input's past is the input itself, so that delays change nothing."""
+    """Return random states and inputs. Delayed inputs equal the inputs, so delays change nothing."""
     x = RNG.normal(size=(n, len(model.states))) * 0.5
     u = RNG.uniform(-1, 1, size=(n, len(model.inputs)))
     names = [i.name for i in model.inputs]
@@ -40,7 +40,7 @@ def evaluate(model: Model, x: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", catalogue())
-def test_an_effect_is_neutral_at_its_given_values(name: str) -> None:
+def test_effect_is_neutral_at_its_initial_values(name: str) -> None:
     effect = catalogue()[name]
     base = carrier(effect)
     model = base + effect
@@ -64,7 +64,7 @@ def test_an_effect_is_neutral_at_its_given_values(name: str) -> None:
         "kinematic:force:yaw",
     ],
 )
-def test_what_a_model_accepts_is_neutral_on_it_whatever_its_inputs_were_before(source: str) -> None:
+def test_accepted_effect_is_neutral_for_any_past_inputs(source: str) -> None:
     base = make_model(source, tuple(SENSORS))
     accepted = [e for e in (*catalogue().values(), nothing_late()) if base.accepts(e)]
     assert accepted
@@ -79,22 +79,22 @@ def test_what_a_model_accepts_is_neutral_on_it_whatever_its_inputs_were_before(s
 
 
 def nothing_late() -> Effect:
-    """The age of telemetry, of none, which a catalogue of what a search may add does not list."""
+    """Return an age of telemetry of zero. The catalogue does not list this component."""
     age = telemetry_age()
     return replace(age, parameters=(age.parameters[0].at(0.0),))
 
 
-def test_a_nomoto_model_has_the_age_of_its_inputs_in_their_delay() -> None:
+def test_nomoto_model_covers_the_age_of_its_inputs_by_its_delay() -> None:
     assert not make_model("nomoto").accepts(telemetry_age())
     assert make_model("horizontal:shaft").accepts(telemetry_age())
 
 
 @pytest.mark.parametrize("name", catalogue())
-def test_an_effect_changes_something_and_says_what(name: str) -> None:
+def test_effect_changes_the_model_and_is_described(name: str) -> None:
     effect = catalogue()[name]
     model = carrier(effect) + effect
     x, u = points(model)
-    u = RNG.uniform(-1, 1, size=u.shape)  # with a past of its own
+    u = RNG.uniform(-1, 1, size=u.shape)  # The delayed inputs differ from the inputs.
     first = effect.parameters[0]
     stepped = model.replace_parameters(first.at(first.value + first.step))
     assert first.step > 0
@@ -103,23 +103,23 @@ def test_an_effect_changes_something_and_says_what(name: str) -> None:
     for p in effect.parameters:
         assert p.prior is not None
         assert p.meaning
-    for other in effect.alternatives:
-        assert other in catalogue(), f"{name} names an alternative that is not there: {other}"
+    for alternative in effect.alternatives:
+        assert alternative in catalogue(), f"{name} names an alternative that is not there: {alternative}"
 
 
 @pytest.mark.parametrize("name", [name for name, effect in catalogue().items() if effect.one_sided])
-def test_a_fit_cannot_make_a_one_sided_effect_negative(name: str) -> None:
+def test_parameter_of_a_one_sided_effect_is_bounded_by_zero(name: str) -> None:
     assert catalogue()[name].parameters[0].bounds[0] == 0.0
 
 
 @pytest.mark.parametrize("name", ["pendulum", "sway-slosh"])
-def test_less_than_the_whole_boat_swings(name: str) -> None:
+def test_sloshing_mass_is_less_than_the_boat(name: str) -> None:
     boat = horizontal_model().with_values({"m_u": 400.0})
     mass = scale_priors(catalogue()[name], size_of(boat)).parameters[0]
     assert 300.0 < mass.bounds[1] < 400.0
 
 
-def test_the_thrust_is_known_for_every_latency() -> None:
+def test_past_thrust_covers_every_latency() -> None:
     latest = catalogue()["gnss-latency"].parameters[0].bounds[1]
     past = np.arange(N_PAST + 1.0)
     assert _before(past, latest / 2) == pytest.approx(past[-1])
@@ -129,7 +129,9 @@ def test_the_thrust_is_known_for_every_latency() -> None:
 def driven(
     names: Sequence[str], values: dict[str, float], command: Callable[[np.ndarray], np.ndarray], hold: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rates of surge at rest, and their times, of a boat whose thrust is late: shaft speeds, and all else at zero."""
+    """Return times and surge velocity of a boat with delayed thrust. Shaft speeds drive it; all other signals are
+    zero.
+    """
     model = horizontal_model("shaft", hold=hold)  # type: ignore[arg-type]
     for name in names:
         model = model + catalogue()[name]
@@ -146,15 +148,15 @@ def only_thrust(s: Signals) -> None:
 
 
 @pytest.mark.parametrize("hold", ["zero", "linear"])
-def test_delay_dead_band_and_lag_compose_in_any_order(hold: str) -> None:
-    """One chain, in which a command is first late, then cut, then smoothed: the parts are the same in any order."""
+def test_delay_dead_band_and_lag_give_the_same_model_in_any_order(hold: str) -> None:
+    """In the chain, a command is first delayed, then cut, then smoothed."""
     values = {"tau_delay": 0.23, "T_lag": 0.3, "n_dead": 0.05}
     found = [
         driven(names, values, lambda t: np.where((t > 1.0) & (t < 9.0), 0.8, 0.2), hold)[1]
         for names in permutations(("delay", "lag", "dead-band"))
     ]
-    for other in found[1:]:
-        np.testing.assert_allclose(other, found[0], rtol=1e-12)
+    for permuted in found[1:]:
+        np.testing.assert_allclose(permuted, found[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("hold", ["zero", "linear"])
@@ -167,11 +169,12 @@ def test_delay_dead_band_and_lag_compose_in_any_order(hold: str) -> None:
         (("lag", "delay"), {"tau_delay": 0.5, "T_lag": 0.3}, 0.8),
     ],
 )
-def test_a_change_is_as_late_as_its_delay_and_its_lag_together(
+def test_change_is_late_by_the_sum_of_delay_and_lag(
     names: tuple[str, ...], values: dict[str, float], late: float, hold: str
 ) -> None:
-    """Thrust that is linear in the shaft speed about a working point: what is lost of speed is the delay times the
-    change of thrust, whatever the hold."""
+    """The thrust is linear in the shaft speed about a working point. The lost speed is then the delay times the change
+    of acceleration, for any hold.
+    """
     small = 0.01
 
     def step(t: np.ndarray) -> np.ndarray:
@@ -180,13 +183,13 @@ def test_a_change_is_as_late_as_its_delay_and_its_lag_together(
     t, u = driven((), {}, step, hold)
     _, behind = driven(names, values, step, hold)
     settled = t > 12.0
-    of_change = 2 * 2 * (40.05 + 1.11) * 0.5 * small / 37.0  # thrust of both that a change adds, over the mass
+    of_change = 2 * 2 * (40.05 + 1.11) * 0.5 * small / 37.0  # Acceleration that the change of both thrusts adds.
     begun, slow = (driven(n, v, lambda t: 0.5 + 0 * t, hold)[1] for n, v in (((), {}), (names, values)))
     lost = (u - behind - (begun - slow))[settled]
     np.testing.assert_allclose(lost / of_change, late, atol=0.01)
 
 
-def test_a_dead_band_has_a_gradient_beyond_it() -> None:
+def test_dead_band_has_a_gradient_beyond_it() -> None:
     effect = catalogue()["dead-band"]
     model = carrier(effect) + replace(effect, parameters=(effect.parameters[0].at(0.1),))
     x, u = np.zeros((3, len(model.states))), np.array([[0.05, 0.05], [0.3, 0.3], [-0.3, -0.3]])
@@ -202,13 +205,13 @@ def test_a_dead_band_has_a_gradient_beyond_it() -> None:
     np.testing.assert_allclose(surge, thrust, atol=1e-9)
 
 
-def test_an_effect_that_the_model_cannot_carry_is_refused() -> None:
+def test_effect_that_the_model_cannot_carry_is_rejected() -> None:
     with pytest.raises(ValueError, match="advance-ratio needs the signal"):
         horizontal_model("general") + catalogue()["advance-ratio"]
 
 
-def test_an_effect_whose_states_the_model_has_is_refused() -> None:
+def test_effect_whose_states_the_model_has_is_rejected() -> None:
     lag = catalogue()["lag"]
-    other = replace(lag, name="other", parameters=(replace(lag.parameters[0], name="T_other"),))
+    duplicate = replace(lag, name="other", parameters=(replace(lag.parameters[0], name="T_other"),))
     model = horizontal_model() + lag
-    assert model.refusal(other) == "model horizontal has late_left already"
+    assert model.refusal(duplicate) == "model horizontal has late_left already"

@@ -1,5 +1,7 @@
-"""A late fix against a boat of its own equations, integrated in steps of 2 ms, whose truth is looked up that much
-earlier: through whatever lies between what is known of the thrusters and the motion, and where the antenna is."""
+"""Tests of a late fix against an independent boat, integrated in steps of 2 ms and looked up at the earlier time.
+
+The tests cover every component between shaft speed and motion, and the position of the antenna.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from seatrial.ident.model.structure import Effect, Model
 from seatrial.ident.models.components import telemetry_age
 from seatrial.ident.models.horizontal import horizontal_model
 
-DT, LATE, ARM = 0.002, 0.2, 0.15  # s, s, m
+DT, LATE, ARM = 0.002, 0.2, 0.15  # Units: s, s, m
 HULL = {
     "m_u": 37.0,
     "m_v": 47.0,
@@ -34,12 +36,12 @@ Values = Mapping[str, float]
 
 
 def speeds(t: float) -> np.ndarray:
-    """Shaft speeds, left and right: to and fro, so that the thrust changes quickly and the motion stays slow."""
+    """Return oscillating shaft speeds of left and right. The thrust changes quickly and the motion stays slow."""
     return np.array([0.6 * np.sin(2.5 * t), 0.6 * np.sin(2.5 * t + 0.3)])
 
 
 def forces(n: np.ndarray, x: np.ndarray, p: Values) -> np.ndarray:
-    """Of each thruster."""
+    """Return the force of each thruster."""
     share = p.get("lambda_n", 0.0)
     f = 40.05 * ((1 - share) * n * np.abs(n) + share * n) + 1.11 * n**2
     f = f - p.get("k_J", 0.0) * np.abs(n) * (x[3] - np.array([-ARM, ARM]) * x[5])
@@ -48,7 +50,7 @@ def forces(n: np.ndarray, x: np.ndarray, p: Values) -> np.ndarray:
 
 
 def rates(t: float, x: np.ndarray, p: Values) -> np.ndarray:
-    """North, east, psi, u, v, r; and what the thrust follows its input by, where it lags."""
+    """Return the rates of north, east, psi, u, v, r and of the lagging shaft speeds."""
     n = speeds(t - p.get("tau_delay", 0.0) + p.get("tau_age", 0.0))
     n = np.sign(n) * np.maximum(np.abs(n) - p.get("n_dead", 0.0), 0.0)
     slow = (n - x[6:]) / p["T_lag"] if "T_lag" in p else 0 * n
@@ -69,7 +71,7 @@ def rates(t: float, x: np.ndarray, p: Values) -> np.ndarray:
 
 
 def sailed(p: Values) -> np.ndarray:
-    """States by steps of DT, from nearly at rest (Runge-Kutta)."""
+    """Return the states in steps of DT, starting almost at rest (Runge-Kutta)."""
     x = np.array([3.0, -2.0, 0.4, 0.3, 0.0, p.get("r_0", 0.0), *speeds(0.0)])
     found = [x]
     for t in DT * np.arange(round(5.0 / DT)):
@@ -82,7 +84,7 @@ def sailed(p: Values) -> np.ndarray:
 
 
 def fix(t: float, x: np.ndarray, p: Values) -> np.ndarray:
-    """Position and velocity of the antenna."""
+    """Return position and velocity of the antenna."""
     (l_x, l_y), psi, r = (p.get("l_x", 0.0), p.get("l_y", 0.0)), x[2], x[5]
     c, s = np.cos(psi), np.sin(psi)
     north, east = c * l_x - s * l_y, s * l_x + c * l_y
@@ -102,7 +104,9 @@ def effects_of(names: Sequence[str]) -> list[Effect]:
 
 
 def errors(names: Sequence[str], values: Values, late: float = LATE) -> np.ndarray:
-    """The largest errors of north, east, and their rates; of a fix that is ``late``, predicted by the state of now."""
+    """Return the largest errors of north, east and their rates. The fix is ``late`` and predicted from the present
+    state.
+    """
     model = reduce(add, effects_of(names), horizontal_model())
     model = model.with_values({**HULL, **{k: v for k, v in values.items() if k != "r_0"}, "tau_gnss": late})
     path = sailed(values)
@@ -134,7 +138,7 @@ CHAIN: dict[tuple[str, ...], dict[str, float]] = {
 }
 
 
-# One of each way to make thrust, and the chain of four; `make study` runs the others, too.
+# One case of each component, and the chain of four. `make study` also runs the others.
 DEFAULT = {
     (),
     ("delay",),
@@ -150,29 +154,29 @@ DEFAULT = {
     [pytest.param(names, marks=[pytest.mark.study] * (names not in DEFAULT)) for names in CHAIN],
     ids=lambda names: "+".join(names) or "alone",
 )
-def test_a_late_fix_is_where_the_boat_was_whatever_makes_its_thrust(names: tuple[str, ...]) -> None:
+def test_late_fix_is_the_past_position_for_any_thrust_component(names: tuple[str, ...]) -> None:
     found = errors(("gnss-latency", *names), CHAIN[names])
     assert found[:2].max() < 2e-3
     assert found[2:].max() < (1e-2 if "lag" in names else 5e-3)
 
 
-def test_a_late_fix_is_that_of_an_antenna_on_its_arm() -> None:
-    """In a turn of 50 deg/s, that slows down: by the origin's velocity it was 15 cm off."""
+def test_late_fix_includes_the_lever_arm_of_the_antenna() -> None:
+    """The boat is in a turn of 50 deg/s that slows down. With the velocity of the origin, the error was 15 cm."""
     found = errors(("lever-arm", "gnss-latency"), {"l_x": 1.2, "l_y": -0.5, "r_0": 0.9})
     assert found[:2].max() < 2e-3
     assert found[2:].max() < 0.03
 
 
 @pytest.mark.parametrize("lag", [0.05, pytest.param(0.1, marks=pytest.mark.study), 0.3])
-def test_a_lag_that_is_short_beside_the_latency_is_not_extrapolated(lag: float) -> None:
-    """A quick state's rate, times several of its time constants, is not where it was."""
+def test_lag_shorter_than_the_latency_is_not_extrapolated(lag: float) -> None:
+    """The rate of a fast state, multiplied by several time constants, does not give its past value."""
     assert errors(("gnss-latency", "lag"), {"T_lag": lag}, 0.4)[2:].max() < 0.1
 
 
-def test_of_shafts_that_are_quicker_than_any_state_the_command_was_another() -> None:
-    """With no lag of the shafts the thrust of half the latency earlier is that of the command then."""
+def test_late_fix_uses_past_commands_if_the_shafts_have_no_lag() -> None:
+    """Without a lag, the thrust of half the latency earlier is that of the command at that time."""
     model = horizontal_model("command") + catalogue()["gnss-latency-command"]
     model = model.with_values({"tau_gnss": 0.2, "tau_n": 0.1, "T_n": 0.0, "dead_zone": 0.0, "c2": 0.0})
-    u = [0.5 - (i.delay - 0.1) * 0.4 for i in model.inputs]  # 0.5 acts now, 0.4 per second
+    u = [0.5 - (i.delay - 0.1) * 0.4 for i in model.inputs]  # The command 0.5 acts now and changes by 0.4 per second.
     s = model.signals([0.0] * len(model.states), u, list(model.values.values()))
     assert s.y["vx"] == pytest.approx(-0.2 * 2 * 40.05 * 0.46**2 / 37.0, rel=1e-9)

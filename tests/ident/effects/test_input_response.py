@@ -1,4 +1,4 @@
-"""What depends on an input's past: which there are, and that nothing is left of it when the input rests."""
+"""Tests of the effects of past inputs: their list, and that no force remains while the input is constant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def by_name(model: Model) -> dict[str, Effect]:
     return {curve_name(e.kind, e.curve): e for e in input_response_effects(model) if e.curve is not None}
 
 
-def test_there_is_one_of_each_kind_for_each_pair_of_inputs() -> None:
+def test_one_effect_of_each_kind_exists_for_each_pair_of_inputs() -> None:
     assert set(by_name(horizontal_model())) == NAMES
     assert set(by_name(horizontal_model("force"))) == {n.replace("n_", "f_") for n in NAMES}
     assert input_response_effects(horizontal_model("general")) == []
@@ -26,8 +26,8 @@ def test_there_is_one_of_each_kind_for_each_pair_of_inputs() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))
-def test_nothing_acts_while_the_input_rests_and_all_has_settled(name: str) -> None:
-    """With the states where a constant input brings them to rest, forces are what they are without the effect."""
+def test_no_force_acts_while_the_input_is_constant_and_settled(name: str) -> None:
+    """The states have the steady values of a constant input. The forces then equal those without the effect."""
     base = horizontal_model()
     effect = by_name(base)[name]
     model = base + effect

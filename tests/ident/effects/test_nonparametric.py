@@ -1,4 +1,4 @@
-"""Nonparametric effects: the curve of a force over a variable, what it adds to a model, and the curve with its band."""
+"""Tests of nonparametric effects: the curve of a force over a variable, its force in a model, and its band."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def hats(z: np.ndarray) -> np.ndarray:
     return np.column_stack([b * np.ones(z.size) for b in spline_basis(z, False, SPAN)])
 
 
-def test_the_hats_are_a_partition_of_one_and_constant_beyond_the_span() -> None:
+def test_basis_functions_sum_to_one_and_are_constant_beyond_the_span() -> None:
     z = np.linspace(-2, 3, 1001)
     low, high = SPAN[0] - ROUNDING * SPACING, SPAN[1] + ROUNDING * SPACING
     B = hats(z)
@@ -40,8 +40,10 @@ def test_the_hats_are_a_partition_of_one_and_constant_beyond_the_span() -> None:
     np.testing.assert_allclose(B[z > high], np.eye(N_KNOTS)[[-1] * int((z > high).sum())], atol=1e-12)
 
 
-def test_the_hats_interpolate_between_knots_and_round_the_corners() -> None:
-    """The mean of the linear interpolation over what is rounded, which between the corners is itself."""
+def test_basis_functions_interpolate_between_knots_and_round_the_corners() -> None:
+    """The reference is the mean of the linear interpolation over the rounding width. Between the corners it equals the
+    line.
+    """
     knots = np.linspace(*SPAN, N_KNOTS)
     values = np.random.default_rng(0).normal(size=N_KNOTS)
     z = np.linspace(-1.0, 2.0, 333)
@@ -52,8 +54,8 @@ def test_the_hats_interpolate_between_knots_and_round_the_corners() -> None:
     np.testing.assert_allclose(hats(middles) @ values, np.interp(middles, knots, values), atol=1e-12)
 
 
-def test_the_slope_of_a_curve_does_not_jump_at_a_knot() -> None:
-    """By which the filter linearises: where it jumps, so does the likelihood."""
+def test_slope_of_a_curve_is_continuous_at_the_knots() -> None:
+    """The filter linearises with this slope. A jump in the slope would cause a jump in the likelihood."""
     values = np.random.default_rng(4).normal(size=N_KNOTS)
     h = 1e-7
     for knot in np.linspace(*SPAN, N_KNOTS):
@@ -62,7 +64,9 @@ def test_the_slope_of_a_curve_does_not_jump_at_a_knot() -> None:
 
 
 def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """(n, 3): what a nonparametric effect adds to X, Y, N, from the rates of the horizontal model with and without."""
+    """Return the forces X, Y, N (n, 3) that an effect adds, from the rates of the horizontal model with and without
+    it.
+    """
     base = horizontal_model()
     effect = nonparametric_effect(base, ForceCurve(force, *variable.split(", ")), SPAN)
     model = base + effect
@@ -75,7 +79,7 @@ def forces(force: str, variable: str, coefficients: list[float], x: np.ndarray, 
     return np.asarray((more[0] - more[1]) * [p["m_u"], p["m_v"], p["m_r"]])
 
 
-def test_an_unknown_effect_adds_its_table_to_one_force() -> None:
+def test_nonparametric_effect_adds_its_curve_to_one_force() -> None:
     rng = np.random.default_rng(1)
     x, u = rng.normal(size=(40, 6)), rng.uniform(-1, 1, (40, 3))
     table = rng.normal(size=N_KNOTS).tolist()
@@ -96,7 +100,7 @@ def test_an_unknown_effect_adds_its_table_to_one_force() -> None:
     np.testing.assert_allclose(late, hats(u[:, 2]) @ table, atol=1e-9)
 
 
-def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
+def test_nonparametric_effect_is_neutral_at_zero_and_has_a_name() -> None:
     rng = np.random.default_rng(2)
     x, u = rng.normal(size=(10, 6)), rng.uniform(-1, 1, (10, 3))
     assert not forces("X", "v", [0.0] * N_KNOTS, x, u).any()
@@ -110,7 +114,7 @@ def test_an_unknown_effect_does_nothing_at_zero_and_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     ("name", "wanted"), [("psi", 0.3), ("t", 7.0), ("n_sum", 0.4), ("n_diff", 0.6), ("f_sum", 15.0), ("f_diff", -10.0)]
 )
-def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
+def test_variables_are_read_from_the_signals(name: str, wanted: float) -> None:
     s: Any = Signals(
         x=SimpleNamespace(psi=0.3), u=SimpleNamespace(t=7.0, n_left=0.7, n_right=0.1, f_left=10.0, f_right=20.0)
     )
@@ -118,13 +122,13 @@ def test_variables_are_read_where_they_stand(name: str, wanted: float) -> None:
     assert next(v for v in variables_of(model) if v.name == name).read(s) == pytest.approx(wanted)
 
 
-def test_what_a_model_has_not_cannot_be_unknown() -> None:
+def test_unknown_force_of_a_curve_is_rejected() -> None:
     with pytest.raises(ValueError, match="no 'F' for a nonparametric curve; it has X, Y, N"):
         nonparametric_effect(horizontal_model(), ForceCurve("F", "u"), SPAN)
 
 
 @pytest.mark.parametrize("variable", ["u", "psi"])
-def test_the_curve_is_centred_and_its_band_comes_from_the_covariance(variable: str) -> None:
+def test_curve_is_centred_and_its_band_comes_from_the_covariance(variable: str) -> None:
     effect = nonparametric_effect(horizontal_model(), ForceCurve("X", variable), SPAN)
     names = ["d_u", *(p.name for p in effect.parameters)]
     rng = np.random.default_rng(3)
@@ -146,7 +150,7 @@ def test_the_curve_is_centred_and_its_band_comes_from_the_covariance(variable: s
     assert inside.mean() == pytest.approx(0.95, abs=0.01)
 
 
-def test_a_smooth_curve_stays_near_the_lines_between_its_knots() -> None:
+def test_bound_of_the_interpolation_error_covers_smooth_curves() -> None:
     knots, grid = np.linspace(*SPAN, N_KNOTS), np.linspace(*SPAN, 500)
     for bend in (lambda z: z**2, np.sin, lambda z: np.exp(-z)):
         allowed = between_knots(bend(knots), grid, SPAN)

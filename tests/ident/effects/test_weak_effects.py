@@ -1,5 +1,6 @@
-"""Effects that are easily missed, on boats of a simulator that shares nothing with ident: found, with their sizes, and
-a boat that lacks nothing stays so."""
+"""Tests of weak effects on boats of an independent simulator. They are found with their sizes, and a nominal boat has
+no effect.
+"""
 
 from __future__ import annotations
 
@@ -19,27 +20,33 @@ from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.models.scaling import scale_priors, size_of
 from tests.ident.effects.independent_boat import Force, IndependentBoat, Loss, Moment, Slosh, sail
 
-SECONDS = (300.0, 150.0)  # of the estimation run and of the validation run
+SECONDS = (300.0, 150.0)  # Durations of the estimation run and of the validation run.
 
 
 def model_of(boat: IndependentBoat, gyro: bool = True) -> Model:
-    """The horizontal model with this boat's thrust, and a start near enough."""
-    w, one = boat.weight, boat.scale
+    """Return the horizontal model with the thrust of this boat and suitable initial values."""
+    w, length = boat.weight, boat.scale
     sensors = ("attitude", "gyro", "accelerometer", "position", "ground_velocity")
     model = horizontal_model(sensors=sensors if gyro else ("attitude", "position", "ground_velocity"))
-    start = {"m_u": 37.0 * w, "m_v": 47.0 * w, "m_r": 9.7 * w * one**2, "d_v": 50 * one**2, "d_uu": 25 * one**2}
+    start = {
+        "m_u": 37.0 * w,
+        "m_v": 47.0 * w,
+        "m_r": 9.7 * w * length**2,
+        "d_v": 50 * length**2,
+        "d_uu": 25 * length**2,
+    }
     thrust = {"c1": boat.full_thrust, "c2": 0.0, "y_left": -boat.arm, "y_right": boat.arm}
-    return model.with_values(start | thrust | {"d_r": 4.1 * w * one, "d_rr": 6.2 * w * one})
+    return model.with_values(start | thrust | {"d_r": 4.1 * w * length, "d_rr": 6.2 * w * length})
 
 
 def found_on(boat: IndependentBoat, gyro: bool = True) -> Diagnosis:
-    """The diagnosis of one run, judged by another."""
+    """Return the diagnosis of one run, validated by another."""
     runs = [sail(boat, seconds, seed, gyro) for seed, seconds in zip((12, 11), SECONDS, strict=True)]
     return diagnose(model_of(boat, gyro), runs[:1], runs[1:])
 
 
 def scores_of(boat: IndependentBoat, gyro: bool = True) -> tuple[list[Score], list[Score]]:
-    """All score tests of the first round, best first, and those that pass."""
+    """Return all score tests of the first round, best first, and those that pass."""
     run, full = sail(boat, SECONDS[0], 12, gyro), nominal_model(model_of(boat, gyro))
     wanted = {n: e for n, e in catalogue().items() if full.accepts(e)}
     everything, candidates = with_all_candidates(full, wanted, [run])
@@ -54,7 +61,7 @@ def estimates(found: Diagnosis, names: Sequence[str]) -> Mapping[str, tuple[floa
 
 
 def spring(stiffness: float, slack: float, north: float, east: float) -> Force:
-    """An elastic line to a fixed point, slack up to its length."""
+    """Return the force of an elastic line to a fixed point. The line is slack up to its length."""
 
     def force(now: Moment) -> tuple[float, float, float]:
         dn, de = now.north - north, now.east - east
@@ -66,7 +73,7 @@ def spring(stiffness: float, slack: float, north: float, east: float) -> Force:
 
 
 def line(k: float, north: float, east: float) -> Force:
-    """A line that is paid out from a fixed point and drags along itself."""
+    """Return the force of a line that is paid out from a fixed point and dragged through the water."""
 
     def force(now: Moment) -> tuple[float, float, float]:
         pull = k * math.hypot(now.north - north, now.east - east) * math.hypot(now.vn, now.ve)
@@ -76,7 +83,9 @@ def line(k: float, north: float, east: float) -> Force:
 
 
 def wind(north: float, east: float, k: float, arm: float) -> Force:
-    """Quadratic in the relative wind; ``arm``: of the lateral force, ahead of the origin."""
+    """Return a force that is quadratic in the relative wind. ``arm`` is the position of the lateral force ahead of the
+    origin.
+    """
 
     def force(now: Moment) -> tuple[float, float, float]:
         along, across = now.into_body(north - now.vn, east - now.ve)
@@ -87,26 +96,26 @@ def wind(north: float, east: float, k: float, arm: float) -> Force:
 
 
 def stalled(*sides: str) -> Loss:
-    """Up to half of the thrust of these sides is lost with the square of the yaw rate."""
+    """Return a thrust loss of these sides that grows with the square of the yaw rate, up to one half."""
     return lambda side, now: 1 - 0.5 * min(abs(now.r) / 0.8, 1.0) ** 2 * (side in sides)
 
 
 def partly_linear(share: float) -> Loss:
-    """This share of the thrust is linear in the shaft speed, the rest quadratic."""
+    """Return a thrust of which this share is linear in the shaft speed. The rest is quadratic."""
     return lambda side, now: 1 - share + share / max(abs(now.n[side]), 1e-3)
 
 
 def powered(exponent: float) -> Loss:
-    """Thrust by this power of the shaft speed."""
+    """Return a thrust with this power of the shaft speed."""
     return lambda side, now: max(abs(now.n[side]), 1e-3) ** (exponent - 2)
 
 
 def rudder(k: float) -> Force:
-    """A moment by the difference of the sides that grows with the speed squared."""
+    """Return a yaw moment that is proportional to the difference of the sides and to the speed squared."""
     return lambda now: (0.0, 0.0, k * abs(now.u) * now.u * (now.n["left"] - now.n["right"]) / 2)
 
 
-SMALL = 0.6  # times the length: 9 kg
+SMALL = 0.6  # Factor of the length, for a boat of 9 kg.
 FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "spring": (
         IndependentBoat(force=spring(0.9, 6.0, 4.0, -3.0)),
@@ -131,8 +140,8 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "wind": (IndependentBoat(SMALL, wind(3.0, -2.5, 0.1, -0.15)), False, "wind", {"w_x": 0.9, "w_n": -0.15}),
     "linear": (IndependentBoat(loss=partly_linear(0.6)), True, "thrust-linearity", {"lambda_n": 0.6}),
     "power": (IndependentBoat(loss=powered(1.6)), True, "thrust-power", {"p_n": -0.4}),
-    "speed": (IndependentBoat(told=(1.05, 0.0)), True, "velocity-scale", {"k_V": 0.05}),
-    "course": (IndependentBoat(told=(1.0, 0.07)), True, "velocity-course", {"chi_0": 0.07}),
+    "speed": (IndependentBoat(receiver_error=(1.05, 0.0)), True, "velocity-scale", {"k_V": 0.05}),
+    "course": (IndependentBoat(receiver_error=(1.0, 0.07)), True, "velocity-course", {"chi_0": 0.07}),
     "rudder": (IndependentBoat(force=rudder(12.0)), True, "steering", {"N_delta": 12.0}),
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
@@ -141,7 +150,7 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
 
 @pytest.mark.study
 @pytest.mark.parametrize("case", FOUND)
-def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
+def test_weak_effect_is_found_with_its_size(case: str) -> None:
     boat, gyro, name, truth = FOUND[case]
     found = found_on(boat, gyro)
     assert [q.effect.name for q in found.effects] == [name]
@@ -155,8 +164,8 @@ def test_a_weak_effect_is_found_with_its_size(case: str) -> None:
 
 
 @pytest.mark.study
-def test_a_drawn_thrust_loss_is_that_of_the_boat() -> None:
-    """Over the yaw rates that the boat has: none on a straight course, half of the thrust in the tightest turns."""
+def test_curve_of_a_thrust_loss_equals_the_true_loss() -> None:
+    """Over the yaw rates of the run, no thrust is lost straight ahead and half is lost in the tightest turns."""
     (curve,) = found_on(IndependentBoat(loss=stalled("left"))).curves
     assert (curve.force, curve.variable, curve.unit) == ("T_left", "r", "")
     wanted = [-0.5 * min(abs(r) / 0.8, 1.0) ** 2 for r in curve.grid]
@@ -165,7 +174,7 @@ def test_a_drawn_thrust_loss_is_that_of_the_boat() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("axis", ["surge", pytest.param("sway", marks=pytest.mark.study)])
-def test_a_sloshing_mass_passes_the_score_test_along_either_axis(axis: str) -> None:
+def test_sloshing_mass_passes_the_score_test_along_either_axis(axis: str) -> None:
     scores, passed = scores_of(IndependentBoat(slosh=Slosh(9.0, 0.5, 0.05, axis)))
     name = {"surge": "pendulum", "sway": "sway-slosh"}[axis]
     assert name in [s.name for s in passed]
@@ -176,5 +185,5 @@ def test_a_sloshing_mass_passes_the_score_test_along_either_axis(axis: str) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [pytest.param(1.0, marks=pytest.mark.study), SMALL])
-def test_a_boat_that_lacks_nothing_stays_so(scale: float) -> None:
+def test_nominal_boat_gives_no_effect(scale: float) -> None:
     assert not found_on(IndependentBoat(scale)).effects

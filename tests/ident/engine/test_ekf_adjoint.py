@@ -1,4 +1,4 @@
-"""Gradients by the adjoint, which is ours, against tangents by CasADi, on every model there is; and its parts."""
+"""Tests of adjoint gradients against tangents by CasADi, on every model, and of the parts of the adjoint."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ MODELS: dict[str, Callable[[], Model]] = {
 
 
 def record_of(model: Model, n_rows: int = 40) -> Record:
-    """What the model does with inputs at random, with its noise, irregular rows and missing samples."""
+    """Simulate a record of the model with random inputs, its noise, irregular rows and missing samples."""
     rng = np.random.default_rng(5)
     t = np.cumsum(rng.uniform(0.02, 0.1, n_rows))
     u = np.repeat(rng.uniform(0.2, 1.0, (n_rows // 8, len(model.inputs))), 8, axis=0)
@@ -72,32 +72,34 @@ def check_gradient(likelihood: Likelihood) -> None:
     tangents = likelihood.scores(record, v, list(model.values))
     assert np.isfinite(value)
     assert value == pytest.approx(tangents.value, rel=1e-12)
-    scale = np.sqrt(np.diag(tangents.information)) + 1e-6  # a gradient's standard deviation
+    scale = np.sqrt(np.diag(tangents.information)) + 1e-6  # Standard deviation of a gradient.
     assert np.abs((gradient - tangents.gradient) / scale).max() < 1e-7
     assert np.count_nonzero(gradient) > len(model.values) // 2
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_gradient_of_every_model(name: str) -> None:
+def test_adjoint_gradient_of_every_model(name: str) -> None:
     check_gradient(Likelihood(MODELS[name]()))
 
 
 @pytest.mark.parametrize("name", ["turning", "robust", "horizontal:shaft"])
-def test_the_gradient_of_the_longer_form_and_of_output_error(name: str) -> None:
+def test_adjoint_gradient_of_the_joseph_form_and_of_output_error(name: str) -> None:
     check_gradient(Likelihood(MODELS[name](), joseph=True))
     check_gradient(Likelihood(MODELS[name](), process_noise=False))
 
 
 @pytest.mark.parametrize("width", [2, 4, 8])
-def test_adjoints_are_those_of_the_stages_as_they_stand(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the vectors hold: matrix by matrix and scalar by scalar, the same slopes."""
+def test_adjoints_of_the_stages_are_independent_of_the_vector_width(
+    width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Products by matrices and by scalars must give the same slopes."""
     monkeypatch.setattr(jit, "WIDTH", width)
     g = EkfGraphs(make_model("horizontal:shaft"))
     bar = ca.SX.sym("bar", g.s.numel())
     rng = np.random.default_rng(width)
     root = rng.normal(size=(g.n, g.n))
     s = np.append(rng.normal(size=g.n), np.array(pack(ca.SX(root @ root.T)).elements(), float))
-    given = {
+    values = {
         "s": s,
         "h": 0.1,
         "p": list(g.model.values.values()),
@@ -111,14 +113,14 @@ def test_adjoints_are_those_of_the_stages_as_they_stand(width: int, monkeypatch:
     ]
     for ours, effect in pairs:
         plain = ekf_adjoint.of_stage(g, effect, "tape", bar)
-        np.testing.assert_allclose(_run(ours, g, bar, given), _run(plain, g, bar, given), rtol=1e-9, atol=1e-9)
-    assert pairs[1][0].before  # with products
+        np.testing.assert_allclose(_run(ours, g, bar, values), _run(plain, g, bar, values), rtol=1e-9, atol=1e-9)
+    assert pairs[1][0].before  # This stage has matrix products.
 
 
-def _run(found: ekf_adjoint.Adjoint, g: EkfGraphs, bar: ca.SX, given: dict[str, object]) -> np.ndarray:
-    """The slopes, by way of what the stage keeps."""
+def _run(found: ekf_adjoint.Adjoint, g: EkfGraphs, bar: ca.SX, values: dict[str, object]) -> np.ndarray:
+    """Return the slopes, computed from the intermediate results that the stage keeps."""
     kept = ca.Function("ahead", list(g.inputs.values()), list(found.keeps.values()))
-    known = dict(zip(found.keeps, kept.call([given[n] for n in g.inputs]), strict=True)) | given
+    known = dict(zip(found.keeps, kept.call([values[n] for n in g.inputs]), strict=True)) | values
     for product in found.before:
         left = [[float(known[f.array][f.place]) * (1 + f.twice) for f in line] for line in product.left]
         right = np.array(ca.DM(known[product.right])).reshape(-1, product.stride)
@@ -130,7 +132,7 @@ def _run(found: ekf_adjoint.Adjoint, g: EkfGraphs, bar: ca.SX, given: dict[str, 
 
 @needs_llvm
 @pytest.mark.parametrize("width", [2, 4, 8])
-def test_products_are_compiled_as_they_are_interpreted(width: int) -> None:
+def test_compiled_products_equal_interpreted_products(width: int) -> None:
     a, kept, b = ca.SX.sym("a", 3), ca.SX.sym("kept", 2 * width), ca.SX.sym("b", 2)
     left = ((Factor("a", 0), Factor("b", 1, twice=True)), (Factor("a", 2, twice=True), Factor("a", 1)))
     plan = Plan(
@@ -142,15 +144,15 @@ def test_products_are_compiled_as_they_are_interpreted(width: int) -> None:
         frozenset({"a", "kept"}),
     )
     rng = np.random.default_rng(1)
-    given = {"a": rng.normal(size=(7, 3)), "kept": rng.normal(size=(7, 2 * width))}
+    arrays = {"a": rng.normal(size=(7, 3)), "kept": rng.normal(size=(7, 2 * width))}
     mask = np.array([3, 1, 2, 3, 0, 2, 1], np.uint32)
-    fast, slow = (Kernel(plan, compiled=way)(7, mask, given) for way in (True, False))
+    fast, slow = (Kernel(plan, compiled=way)(7, mask, arrays) for way in (True, False))
     assert abs(slow["sum"][0]) > 1e-3
     for name in ("sum", "b", "made"):
         np.testing.assert_allclose(fast[name], slow[name], rtol=1e-12, err_msg=name)
 
 
-def test_every_operation_is_differentiated_backwards() -> None:
+def test_reverse_mode_of_every_operation() -> None:
     table = operations()
     x, y = table.pop("x"), table.pop("y")
     v, bar = ca.vertcat(*table.values()), ca.SX.sym("bar", len(table))
@@ -164,7 +166,7 @@ def test_every_operation_is_differentiated_backwards() -> None:
             )
 
 
-def test_quotients_by_one_number_take_a_product_each() -> None:
+def test_quotients_by_one_number_need_one_product_each() -> None:
     x, m, bar = ca.SX.sym("x", 4), ca.SX.sym("m"), ca.SX.sym("bar", 4)
     ours, casadi = (
         ca.Function("f", [x, m, bar], [e]) for e in (reverse_mode(x / m, m, bar), ca.jtimes(x / m, m, bar, True))
@@ -178,7 +180,7 @@ def test_quotients_by_one_number_take_a_product_each() -> None:
     assert products[0] < products[1]
 
 
-def test_drag_is_written_so_that_its_slopes_are_short() -> None:
+def test_drag_is_simplified_for_short_slopes() -> None:
     u, d = ca.SX.sym("u"), ca.SX.sym("d")
     forms = [d * ca.fabs(u) * u, u * d * ca.fabs(u), -d * u * ca.fabs(u), u * ca.sign(u) * d, d * ca.sign(u) * u]
     for form in forms:
@@ -191,8 +193,8 @@ def test_drag_is_written_so_that_its_slopes_are_short() -> None:
     assert float(ca.Function("f", [u, d], [slope])(-1.5, 2.0)) == 6.0
 
 
-def test_slopes_by_a_triangle_are_doubled_beside_the_diagonal() -> None:
-    """What L stands for: f = sum of a_ij P_ij over the upper triangle of P = A A'."""
+def test_slopes_by_a_triangle_are_doubled_off_the_diagonal() -> None:
+    """L is defined by f = sum of a_ij P_ij over the upper triangle of P = A A'."""
     n, rng = 3, np.random.default_rng(2)
     A, a = rng.normal(size=(n, n)), rng.normal(size=6)
     X = ca.SX.sym("X", n, n)
@@ -202,7 +204,7 @@ def test_slopes_by_a_triangle_are_doubled_beside_the_diagonal() -> None:
     np.testing.assert_allclose(L @ A, wanted, rtol=1e-12)
 
 
-def test_the_tape_has_what_the_adjoint_reads() -> None:
+def test_tape_contains_what_the_adjoint_reads() -> None:
     plans = Plans(EkfGraphs(make_model("horizontal:shaft")))
     forward, backward = plans.forward(), plans.backward()
     for name in plans.tapes:

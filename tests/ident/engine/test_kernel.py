@@ -1,4 +1,4 @@
-"""Compiled kernels against CasADi's own evaluation, operation by operation, and against the interpreter."""
+"""Tests of compiled kernels against CasADi, operation by operation, and against the interpreter."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ WIDTH = 4
 
 def operations() -> dict[str, ca.SX]:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    one = "sin cos tan tanh sinh cosh arctan arcsinh exp floor ceil abs sign square negative expm1 rint sinc"
+    unary = "sin cos tan tanh sinh cosh arctan arcsinh exp floor ceil abs sign square negative expm1 rint sinc"
     inside = "arcsin arccos arctanh"
     positive = "sqrt log log10 log1p arccosh cbrt"
-    two = (
+    binary = (
         "hypot arctan2 minimum maximum fmod copysign add multiply divide less less_equal equal not_equal logaddexp mod"
     )
-    found = {n: getattr(np, n)(x) for n in one.split()}
+    found = {n: getattr(np, n)(x) for n in unary.split()}
     found |= {n: getattr(np, n)(0.9 * ca.sin(x)) for n in inside.split()}
     found |= {n: getattr(np, n)(1 + x * x) for n in positive.split()}
-    found |= {n: getattr(np, n)(x, y) for n in two.split()}
+    found |= {n: getattr(np, n)(x, y) for n in binary.split()}
     return {"x": x, "y": y, **found} | {
         "power": (1 + x * x) ** y,
         "constpow": (1 + x * x) ** 2.5,
@@ -66,7 +66,7 @@ def points() -> tuple[np.ndarray, np.ndarray]:
 
 @needs_llvm
 @pytest.mark.parametrize("where", ["scalars", "lanes", "a constant in lanes"])
-def test_every_operation_agrees_with_casadi(where: str) -> None:
+def test_every_operation_equals_casadi(where: str) -> None:
     table = operations()
     x, y = table.pop("x"), table.pop("y")
     v = ca.vertcat(*table.values())
@@ -81,8 +81,8 @@ def test_every_operation_agrees_with_casadi(where: str) -> None:
     if where == "scalars":
         got = Kernel(plan)(X.size, None, {"x": X.ravel().copy(), "y": Y.ravel().copy()})["v"]
     else:
-        given = {"x": X, "y": Y if "y" in rows else Y[0, :1].copy()}
-        got = Kernel(plan)(len(X), None, given)["v"][:, 0].swapaxes(1, 2).reshape(X.size, -1)
+        arrays = {"x": X, "y": Y if "y" in rows else Y[0, :1].copy()}
+        got = Kernel(plan)(len(X), None, arrays)["v"][:, 0].swapaxes(1, 2).reshape(X.size, -1)
     for j, name in enumerate(table):
         close = np.isclose(got[:, j], wanted[:, j], rtol=3e-13, atol=3e-16, equal_nan=True)
         assert close.all(), (name, X.ravel()[~close], got[~close, j], wanted[~close, j])
@@ -102,15 +102,15 @@ def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
     chosen = [0, 1, 2, 4, 5, 6, 7, 8, 3]
     results = []
     for kernel in (fast, slow):
-        n, mask, given = data_of(kernel)
+        n, mask, arrays = data_of(kernel)
         s = np.array([3.0, 0.1, 0.01, 0.0, 0.09])[: fast.plan.sizes["s"]]
         groups = kernel.groups(len(chosen)) if name == "tangent" else 1
-        given |= {"p": values_of(turning()), "s": s}
+        arrays |= {"p": values_of(turning()), "s": s}
         if name == "tangent":
-            given["dp"] = kernel.seeds(9, chosen)
-        rows = {r: np.zeros((n, kernel.plan.sizes[r])) for r in kernel.plan.rows & set(kernel.plan.sizes) - set(given)}
+            arrays["dp"] = kernel.seeds(9, chosen)
+        rows = {r: np.zeros((n, kernel.plan.sizes[r])) for r in kernel.plan.rows & set(kernel.plan.sizes) - set(arrays)}
         per_row = frozenset({"ll"} & set(kernel.plan.summed))
-        results.append(kernel(n, mask, {**given, **rows}, groups=groups, per_row=per_row))
+        results.append(kernel(n, mask, {**arrays, **rows}, groups=groups, per_row=per_row))
     for key in results[0]:
         np.testing.assert_allclose(results[0][key], results[1][key], rtol=1e-9, atol=1e-11, err_msg=key)
 
@@ -120,7 +120,7 @@ def test_gram_sums_the_products_of_all_lanes() -> None:
     v = ca.SX.sym("v", 3)
     plan = Plan((stage({"x": v}, {"v": 2 * v}, 0), Gram("v", "G", 3, 0)), frozenset({"x"}), frozenset({"x", "v"}), 4)
     rng = np.random.default_rng(1)
-    x = rng.normal(size=(7, 3, 3, 4))  # rows, groups, entries, width
+    x = rng.normal(size=(7, 3, 3, 4))  # Dimensions: rows, groups, entries, width.
     mask = np.array([1, 1, 0, 1, 0, 1, 1], np.uint32)
     for compiled in (True, False):
         G = Kernel(plan, compiled)(7, mask, {"x": x}, groups=3)["G"]
@@ -130,23 +130,23 @@ def test_gram_sums_the_products_of_all_lanes() -> None:
 
 
 @needs_llvm
-def test_one_kernel_takes_any_number_of_groups_and_sums_or_keeps_rows() -> None:
+def test_kernel_accepts_any_number_of_groups_and_sums_or_keeps_rows() -> None:
     x, a = ca.SX.sym("x"), ca.SX.sym("a")
     plan = Plan((stage({"x": x, "a": a}, {"total": x * a}),), frozenset({"x"}), frozenset({"a", "total"}), 2)
     kernel = Kernel(plan)
     x_rows = np.arange(5.0)
     for groups in (1, 3):
         a_lanes = np.arange(2.0 * groups).reshape(groups, 1, 2)
-        given = {"x": x_rows, "a": a_lanes}
-        np.testing.assert_allclose(kernel(5, None, given, groups=groups)["total"], 10.0 * a_lanes)
-        kept = kernel(5, None, given, groups=groups, per_row={"total"})["total"]
+        arrays = {"x": x_rows, "a": a_lanes}
+        np.testing.assert_allclose(kernel(5, None, arrays, groups=groups)["total"], 10.0 * a_lanes)
+        kept = kernel(5, None, arrays, groups=groups, per_row={"total"})["total"]
         np.testing.assert_allclose(kept, x_rows[:, None, None, None] * a_lanes)
 
 
 @needs_llvm
 @pytest.mark.skipif(FlushToZero() == FLUSH_TO_ZERO, reason="nothing is known of this processor's control register")
-def test_what_dies_out_is_zero_within_a_kernel_and_no_other_program_sees_that() -> None:
-    """A processor is a hundred times slower with numbers below the smallest normal one."""
+def test_subnormal_numbers_are_zero_only_within_a_kernel() -> None:
+    """A processor is a hundred times slower with subnormal numbers."""
     p = ca.SX.sym("p")
     kernel = Kernel(Plan((stage({"p": p}, {"p": 0.5 * p}),), frozenset()))
     smallest = np.finfo(float).tiny
@@ -155,7 +155,7 @@ def test_what_dies_out_is_zero_within_a_kernel_and_no_other_program_sees_that() 
     assert np.array([smallest])[0] * 0.25 > 0.0
 
 
-def test_arrays_start_at_cache_lines_and_are_kept() -> None:
+def test_arrays_are_aligned_to_cache_lines_and_reused() -> None:
     arena = Arena()
     a = arena.take("a", (3, 5))
     assert a.ctypes.data % 64 == 0
@@ -166,7 +166,7 @@ def test_arrays_start_at_cache_lines_and_are_kept() -> None:
 
 
 @needs_llvm
-def test_wrong_arrays_are_refused() -> None:
+def test_invalid_arrays_are_rejected() -> None:
     x = ca.SX.sym("x")
     kernel = Kernel(Plan((stage({"x": x}, {"y": x}),), frozenset({"x", "y"})))
     with pytest.raises(ValueError, match="x: expected contiguous doubles of shape"):
@@ -178,7 +178,7 @@ def test_wrong_arrays_are_refused() -> None:
 
 
 @needs_llvm
-def test_a_corrupt_cache_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_corrupt_cache_file_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
     x = ca.SX.sym("x")
     plan = Plan((stage({"x": x}, {"y": ca.sin(x) + 41.5}),), frozenset({"x", "y"}))
@@ -196,7 +196,7 @@ def test_a_corrupt_cache_is_compiled_again(tmp_path: Path, monkeypatch: pytest.M
 
 
 @needs_llvm
-def test_a_cache_that_cannot_be_written_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_that_cannot_be_written_is_not_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("not a folder")
     monkeypatch.setenv("SEATRIAL_CACHE", str(blocked / "cache"))
@@ -218,12 +218,12 @@ def bad_model(rate: object) -> Model:
 
 
 @pytest.mark.parametrize("rate", [math.sin, float, lambda a: np.array([0.0, float(a)])[1]])
-def test_numbers_made_of_symbols_are_named(rate: object) -> None:
+def test_numbers_in_place_of_symbols_are_reported(rate: object) -> None:
     with pytest.raises(ValueError, match="model bad: the rate of the state a has lost its symbols"):
         filter_kernels_for(bad_model(rate))
 
 
-def test_missing_and_misshapen_results_are_named() -> None:
+def test_missing_and_misshapen_results_are_reported() -> None:
     with pytest.raises(ValueError, match="model bad: the rate of the state a is not a scalar"):
         filter_kernels_for(bad_model(lambda a: ca.vertcat(a, a)))
     model = plain_model(
@@ -239,31 +239,31 @@ def test_missing_and_misshapen_results_are_named() -> None:
         filter_kernels_for(model)
 
 
-def test_models_that_differ_in_values_share_their_kernels() -> None:
+def test_models_that_differ_only_in_values_share_their_kernels() -> None:
     model = turning()
     assert filter_kernels_for(model) is filter_kernels_for(model.with_values({"m": 5.0}))
     assert filter_kernels_for(model) is not filter_kernels_for(model, joseph=True)
 
 
 @pytest.mark.parametrize("compiled", [pytest.param(True, marks=needs_llvm), False])
-def test_segments_are_calls_one_by_one(compiled: bool) -> None:
-    """x carried, u and what is made of it in rows, p shared."""
+def test_segments_equal_separate_calls(compiled: bool) -> None:
+    """The state x is carried, the input u and the results are rows, and p is shared."""
     x, u, p, none = (ca.SX.sym(n, size) for n, size in (("x", 2), ("u", 1), ("p", 1), ("none", 0)))
     plan = Plan((stage({"x": x, "u": u, "p": p, "none": none}, {"z": ca.vertcat(x, u * p), "x": 0.5 * x + u * p}),),
                 frozenset({"u", "z", "none"}))  # fmt: skip
     kernel, rng = Kernel(plan, compiled), np.random.default_rng(0)
-    given = {"u": rng.normal(size=(20, 1)), "p": np.array([3.0]), "none": np.zeros((20, 0))}
+    arrays = {"u": rng.normal(size=(20, 1)), "p": np.array([3.0]), "none": np.zeros((20, 0))}
     start, stop, begin = [0, 7, 7, 19], [1, 12, 20, 20], rng.normal(size=(4, 2))
     kept = begin.copy()
-    ends = kernel.segments(start, stop, given, begin, ("z",))["z"]
+    ends = kernel.segments(start, stop, arrays, begin, ("z",))["z"]
     for k, (first, last) in enumerate(zip(start, stop, strict=True)):
-        rows = {name: given[name][first:last] for name in ("u", "none")}
-        alone = kernel(last - first, None, given | rows | {"x": begin[k].copy()})
+        rows = {name: arrays[name][first:last] for name in ("u", "none")}
+        alone = kernel(last - first, None, arrays | rows | {"x": begin[k].copy()})
         np.testing.assert_array_equal(ends[k], alone["z"][-1])
     np.testing.assert_array_equal(begin, kept)
-    assert kernel.segments([], [], given, np.zeros((0, 2)), ("z",))["z"].shape == (0, 3)
+    assert kernel.segments([], [], arrays, np.zeros((0, 2)), ("z",))["z"].shape == (0, 3)
     with pytest.raises(ValueError, match="u: expected contiguous doubles"):
-        kernel.segments([0], [1], given | {"u": np.ones(3, np.float32)}, begin[:1], ("z",))
+        kernel.segments([0], [1], arrays | {"u": np.ones(3, np.float32)}, begin[:1], ("z",))
     for first, last in ((0, 21), (5, 5), (-1, 3)):
         with pytest.raises(ValueError, match=r"segments: each needs a start value and .* 20 given rows"):
-            kernel.segments([first], [last], given, begin[:1], ("z",))
+            kernel.segments([first], [last], arrays, begin[:1], ("z",))

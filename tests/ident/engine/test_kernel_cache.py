@@ -1,4 +1,4 @@
-"""Kernels found again: the same numbers without CasADi, and never those of another model."""
+"""Tests of cached kernels: the same numbers without CasADi, and never a kernel of another model."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ print("casadi" in sys.modules, value.hex(), *(float(g).hex() for g in [*gradient
 """
 
 
-def one(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
-    given: dict[str, Any] = {
+def scalar_model(rate: Callable[[Any, Any, Any], Any], **more: Any) -> Model:
+    parts: dict[str, Any] = {
         "states": (State("a", noise="q", x0=0.1),),
         "inputs": (Input("w"),),
         "sensors": (Sensor("s", (Output("y", noise="e"),)),),
         "parameters": (Parameter("k", 2.0), Parameter("q", 0.1), Parameter("e", 0.2)),
     }
-    return plain_model("one", f=lambda x, u, p: {"a": rate(x, u, p)}, h=lambda x, u, p: {"y": x.a}, **given | more)
+    return plain_model("one", f=lambda x, u, p: {"a": rate(x, u, p)}, h=lambda x, u, p: {"y": x.a}, **parts | more)
 
 
 def key(model: Model) -> str | None:
@@ -70,8 +70,10 @@ for effect in catalogue().values():
 """
 
 
-def test_a_key_is_the_same_in_every_process() -> None:
-    """The order of a set of names is another in each: a rate that was summed in such an order was compiled anew."""
+def test_key_is_the_same_in_every_process() -> None:
+    """The order of a set of names differs between processes. A rate that was summed in this order was compiled
+    again.
+    """
     found = [
         subprocess.run([sys.executable, "-c", KEYS], capture_output=True, text=True, check=True,
                        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": seed}).stdout
@@ -82,7 +84,7 @@ def test_a_key_is_the_same_in_every_process() -> None:
 
 
 @needs_llvm
-def test_a_second_process_has_the_same_numbers_without_casadi(tmp_path: Path) -> None:
+def test_second_process_has_the_same_numbers_without_casadi(tmp_path: Path) -> None:
     environment = {**os.environ, "SEATRIAL_CACHE": str(tmp_path), "PYTHONPATH": str(ROOT)}
     runs = [
         subprocess.run(
@@ -93,7 +95,7 @@ def test_a_second_process_has_the_same_numbers_without_casadi(tmp_path: Path) ->
     assert [run[0] for run in runs] == ["True", "False"]
     assert runs[0][1:] == runs[1][1:]
     for path in tmp_path.glob("*.o"):
-        path.write_bytes(path.read_bytes()[:-1])  # damaged: made anew
+        path.write_bytes(path.read_bytes()[:-1])  # A damaged file is compiled again.
     again = subprocess.run(
         [sys.executable, "-c", WORK], env=environment, cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.split()
@@ -101,7 +103,7 @@ def test_a_second_process_has_the_same_numbers_without_casadi(tmp_path: Path) ->
 
 
 @needs_llvm
-def test_a_kernel_that_was_found_again_still_has_its_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cached_kernel_has_its_plan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
     plans = []
     for _ in range(2):
@@ -132,8 +134,8 @@ for plan in [*made, Plan((stage({str(v): v for v in around.values()}, around),))
 """
 
 
-def test_every_process_writes_the_same_code() -> None:
-    """Or none would find another's in the cache: sets come in another order in each."""
+def test_every_process_generates_the_same_code() -> None:
+    """Otherwise no process would find the code of another in the cache, because the order of sets differs."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     runs = {
         subprocess.run(
@@ -150,17 +152,18 @@ def test_every_process_writes_the_same_code() -> None:
     assert "held.carried4" in runs.pop()
 
 
-def test_two_models_share_a_key_only_if_they_do_the_same() -> None:
-    base = one(lambda x, u, p: p.k * x.a + 3.0 * np.sin(u.w))
+def test_two_models_share_a_key_only_if_they_are_equivalent() -> None:
+    base = scalar_model(lambda x, u, p: p.k * x.a + 3.0 * np.sin(u.w))
     assert key(base) is not None
-    assert key(base) == key(one(lambda x, u, p: p.k * x.a + (2.0 + 1.0) * np.sin(u.w)))
+    assert key(base) == key(scalar_model(lambda x, u, p: p.k * x.a + (2.0 + 1.0) * np.sin(u.w)))
     assert key(base) == key(base.with_values({"k": 7.0}))
     others = [
-        one(lambda x, u, p: p.k * x.a + 3.0000001 * np.sin(u.w)),
-        one(lambda x, u, p: p.k * x.a - 3.0 * np.sin(u.w)),
-        one(lambda x, u, p: p.k * x.a + 3.0 * np.cos(u.w)),
-        one(lambda x, u, p: p.e * x.a + 3.0 * np.sin(u.w)),
-        one(lambda x, u, p: 3.0 * np.sin(u.w) + p.k * x.a),  # the same in other order: made anew, which is only slower
+        scalar_model(lambda x, u, p: p.k * x.a + 3.0000001 * np.sin(u.w)),
+        scalar_model(lambda x, u, p: p.k * x.a - 3.0 * np.sin(u.w)),
+        scalar_model(lambda x, u, p: p.k * x.a + 3.0 * np.cos(u.w)),
+        scalar_model(lambda x, u, p: p.e * x.a + 3.0 * np.sin(u.w)),
+        # The same sum in another order is compiled again, which is only slower.
+        scalar_model(lambda x, u, p: 3.0 * np.sin(u.w) + p.k * x.a),
         replace(base, states=(State("a", noise=0.3, x0=0.1),)),
         replace(base, sensors=(Sensor("s", (Output("y", noise="e", angle=True),)),)),
         with_outlier_model(base),
@@ -179,11 +182,11 @@ def test_two_models_share_a_key_only_if_they_do_the_same() -> None:
         lambda x, u, p: float(x.a),
     ],
 )
-def test_what_cannot_be_written_down_has_no_key(rate: Callable[[Any, Any, Any], Any]) -> None:
-    assert key(one(rate)) is None
+def test_model_that_cannot_be_serialised_has_no_key(rate: Callable[[Any, Any, Any], Any]) -> None:
+    assert key(scalar_model(rate)) is None
 
 
-def test_all_models_and_effects_can_be_found_again() -> None:
+def test_all_models_and_effects_have_a_key() -> None:
     for model in (
         surge_model(),
         yaw_model(),
@@ -199,10 +202,11 @@ def test_all_models_and_effects_can_be_found_again() -> None:
 
 
 @needs_llvm
-def test_a_kernel_made_in_a_hurry_gives_the_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quickly_compiled_kernel_gives_the_same_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record, values = turning_record(), values_of(turning())
     found = []
-    for place, n_rows in (("careful", jit.QUICK_ROWS + 1), ("quick", jit.QUICK_ROWS)):  # quick code only for few rows
+    # Quick compilation is used only for few rows.
+    for place, n_rows in (("careful", jit.QUICK_ROWS + 1), ("quick", jit.QUICK_ROWS)):
         monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / place))
         monkeypatch.setattr(filter_kernels, "_known", WeakValueDictionary())
         with jit.quick_compilation(n_rows):
@@ -211,16 +215,16 @@ def test_a_kernel_made_in_a_hurry_gives_the_same_numbers(tmp_path: Path, monkeyp
     np.testing.assert_allclose(quick.value, careful.value, rtol=1e-12)
     np.testing.assert_allclose(quick.gradient, careful.gradient, rtol=1e-9, atol=1e-9)
     codes = [{p.read_bytes() for p in (tmp_path / place).glob("*.o")} for place in ("careful", "quick")]
-    assert not codes[0] & codes[1]  # it is other machine code, under another name
+    assert not codes[0] & codes[1]  # The machine code differs and has another name.
 
 
-def test_the_cache_has_a_limit_and_what_was_used_last_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_has_a_size_limit_and_keeps_recently_used_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
     monkeypatch.setattr(jit, "LARGEST_CACHE", 10_000)
     for k in range(9):
         jit.write_cache(f"{k}.o", bytes(1000))
         os.utime(tmp_path / f"{k}.o", (k, k))
-    assert jit.read_cache("0.o") == bytes(1000)  # the oldest, but used now
+    assert jit.read_cache("0.o") == bytes(1000)  # This is the oldest file, but it was used now.
     jit.write_cache("9.o", bytes(1000))
     kept = {p.name for p in tmp_path.iterdir()}
     assert {"0.o", "9.o"} <= kept
@@ -228,7 +232,7 @@ def test_the_cache_has_a_limit_and_what_was_used_last_stays(tmp_path: Path, monk
     assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= 7_000
 
 
-def test_the_files_are_counted_once_and_then_by_what_was_written(
+def test_cache_files_are_counted_once_and_then_by_the_written_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
@@ -237,15 +241,16 @@ def test_the_files_are_counted_once_and_then_by_what_was_written(
     monkeypatch.setattr(jit, "_prune", counted.append)
     for k in range(15):
         jit.write_cache(f"{k}.o", bytes(10_000))
-    assert counted == [tmp_path, tmp_path]  # with the first file, and with the eleventh after it
+    # The files are counted with the first file, and with the eleventh file after it.
+    assert counted == [tmp_path, tmp_path]
 
 
-@pytest.mark.parametrize("what", ["folder", "file"])
-def test_what_others_may_have_written_is_not_run(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("writable", ["folder", "file"])
+def test_cache_writable_by_others_is_not_used(writable: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path / "kernels"))
     jit.write_cache("a.o", b"code")
     assert jit.read_cache("a.o") == b"code"
-    place = tmp_path / "kernels" / ("a.o" if what == "file" else "")
+    place = tmp_path / "kernels" / ("a.o" if writable == "file" else "")
     for mode in (0o002, 0o020):
         before = place.stat().st_mode
         place.chmod(before | mode)

@@ -1,4 +1,4 @@
-"""One linear operator a row: compiled, it is what numpy makes of it, and what the formula says."""
+"""Tests of one linear operator per row: the compiled version equals NumPy and the formula."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import pytest
 from seatrial.ident.engine import jit
 from seatrial.ident.engine.row_operators import MULTIPLE, NOWHERE, apply_rows, padded
 
-N, S, M, Q = 40, 5, 3, 3  # rows, states, outputs, and as many sensitivities of outputs
+N, S, M, Q = 40, 5, 3, 3  # Rows, states, outputs, and sensitivities of outputs.
 TOUCHED = {"some": [1, 3, 6], "rates": [0, 1, 2, 3, 4], "outputs": [5, 7], "all": list(range(S + Q)), "none": []}
 
 
 @pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("what", TOUCHED)
-def test_rows_are_the_formula(what: str, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("columns", TOUCHED)
+def test_rows_equal_the_formula(columns: str, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if compiled and not jit.AVAILABLE:
         pytest.skip("llvmlite is not installed")
     monkeypatch.setattr(jit, "AVAILABLE", compiled)
-    rng, touched, w = np.random.default_rng(3), np.array(TOUCHED[what], np.int64), padded(11)
+    rng, touched, w = np.random.default_rng(3), np.array(TOUCHED[columns], np.int64), padded(11)
     B, ahead = 0.3 * rng.normal(size=(N, S + M, 2 * S + Q)), rng.uniform(size=N)
     drive, begin = rng.normal(size=(N + 1, touched.size, w)), rng.normal(size=(S, w))
     seen = rng.uniform(size=(N, M)) < 0.4

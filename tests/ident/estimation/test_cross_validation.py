@@ -1,4 +1,6 @@
-"""Blocked cross-validation: estimates that a block had no part in, without a second fit."""
+"""Tests of blocked cross-validation: each block is predicted with estimates from the other blocks, without a second
+fit.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import PARAMETERS, Effect, EffectKind, Signals, State
 from tests.ident.estimation.test_homogeneity import pushed, records
 
-MODEL = replace(pushed(), block=0.4)  # s: a record of 30 s has five blocks at least
+MODEL = replace(pushed(), block=0.4)  # Blocks of 0.4 s. A record of 30 s has at least five blocks.
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def split(data: list[Record], block: float = MODEL.block) -> TimeBlocks:
     return time_blocks(data, block, [{"u": (0.5, 0.5)}] * len(data))
 
 
-def test_blocks_cover_their_records_once(data: list[Record]) -> None:
+def test_blocks_cover_each_record_exactly_once(data: list[Record]) -> None:
     blocks = split(data)
     assert blocks.of == (*[0] * 6, *[1] * 6)
     for i, record in enumerate(data):
@@ -45,7 +47,7 @@ def test_blocks_cover_their_records_once(data: list[Record]) -> None:
     assert len(split(data, 1e3).of) == 2 * FEWEST_BLOCKS
 
 
-def test_a_newton_step_finds_what_a_fit_to_the_others_finds(data: list[Record]) -> None:
+def test_newton_step_equals_a_fit_to_the_other_blocks(data: list[Record]) -> None:
     blocks, fitted = split(data), fit(MODEL, data)
     found = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
     names = list(MODEL.values)
@@ -56,11 +58,11 @@ def test_a_newton_step_finds_what_a_fit_to_the_others_finds(data: list[Record]) 
             error = fitted.errors[fitted.names.index(name)]
             assert abs(found[k][names.index(name)] - others.estimate(name)[0]) < 0.15 * error, (k, name)
             moved.append(abs(others.estimate(name)[0] - fitted.estimate(name)[0]) / error)
-    assert max(moved) > 0.5  # the blocks do differ
+    assert max(moved) > 0.5  # The estimates do differ between the blocks.
 
 
 def drifting() -> Effect:
-    """A push of each record's own, more than the known one."""
+    """Return a push with a per-record size, in addition to the known push."""
 
     def add(s) -> None:
         s.u.X = s.u.X + s.p.extra
@@ -69,8 +71,8 @@ def drifting() -> Effect:
     return Effect("extra-push", "a push", {PARAMETERS: add}, (own,))
 
 
-def test_what_an_effect_has_for_each_run_comes_from_the_other_blocks(data: list[Record]) -> None:
-    """And is not adapted to the block that judges it, which what the nominal model has for each run is."""
+def test_per_record_parameters_of_an_effect_come_from_the_other_blocks(data: list[Record]) -> None:
+    """They are not adapted to the predicted block. Per-record parameters of the nominal model are adapted to it."""
     for kind, held_out in ((EffectKind.CATALOGUE, True), (EffectKind.DISTURBANCE, False)):
         model = MODEL + replace(drifting(), kind=kind)
         stage = fit_and_evaluate(model, data, data[1:])
@@ -84,12 +86,12 @@ def test_what_an_effect_has_for_each_run_comes_from_the_other_blocks(data: list[
                 assert abs(view.values[at] - stage.validation[0].values[at]) < 1.0
             else:
                 prior = view.values[at] / 25.0 / np.sqrt(score.information[0, 0])
-                assert abs(z - prior) < 0.1  # at its maximum, given the prior
+                assert abs(z - prior) < 0.1  # The value is at the maximum of the posterior.
         assert len({round(float(v.values[at]), 9) for v in blocks}) == len(blocks)
 
 
 def charging() -> Effect:
-    """A push that has built up for longer than a block lasts: its state is at rest nowhere but at the start."""
+    """Return a push that builds up for longer than a block. Its state is at rest only at the start of the record."""
 
     def rate(s: Signals) -> None:
         s.rate["z"] = (1.0 - s.x.z) / 3.0
@@ -99,7 +101,7 @@ def charging() -> Effect:
     return Effect("charging", "a push that builds up", {"rate": rate}, (k,), (State("z", sd0=1e-6),))
 
 
-def test_a_block_begins_where_the_states_of_an_effect_have_been(data: list[Record]) -> None:
+def test_block_starts_from_the_states_of_an_effect_in_the_whole_record(data: list[Record]) -> None:
     plain = fit_and_evaluate(MODEL, data, [])
     blocks = cut_into_blocks(data, plain.estimation, MODEL.block)
     stage = fit_and_evaluate(MODEL + charging(), data, blocks)
@@ -114,7 +116,7 @@ def test_a_block_begins_where_the_states_of_an_effect_have_been(data: list[Recor
         assert view.record.start["u"] == blocks.records[0 if of == 0 else blocks.of.index(of)].start["u"]
 
 
-def test_a_validation_run_that_cannot_be_evaluated_is_named_and_the_others_stay(data: list[Record]) -> None:
+def test_failed_validation_run_is_listed_and_the_others_are_kept(data: list[Record]) -> None:
     wild = replace(data[1], name="wild", u=np.full_like(data[1].u, 1e200), u_next=np.full_like(data[1].u, 1e200))
     for model in (MODEL, MODEL + replace(drifting(), kind=EffectKind.DISTURBANCE)):
         stage = fit_and_evaluate(model, data[:1], [data[1], wild])

@@ -1,4 +1,4 @@
-"""What a fitted model is judged by: only sensors of which the estimation data tell something."""
+"""Tests of the fitted model: validation uses only sensors that the estimation data inform."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.missions import boat_with, channels_of, sail
 
 
 def run(seed: int, *signals: str) -> LogSegment:
-    """A log of the slider with its force and these measurements."""
+    """Return a log of the slider with its force and the given measurements."""
     record = slide(seed)
     channels = {"w": Channel(record.t, record.u[:, 0])}
     for name, y in zip(record.outputs, record.y.T, strict=True):
@@ -35,13 +35,13 @@ def with_free_noise(*names: str) -> Model:
 @pytest.mark.parametrize(
     ("model", "estimation", "used"),
     [
-        (with_free_noise("e_v", "e_s"), ["speed"], False),  # nothing tells the noise of the tape
-        (with_free_noise("e_v"), ["speed"], True),  # somebody gave it
-        (with_free_noise("e_v", "e_s"), ["speed", "place"], True),  # the fit does
+        (with_free_noise("e_v", "e_s"), ["speed"], False),  # No data inform the noise of the place sensor.
+        (with_free_noise("e_v"), ["speed"], True),  # The noise of the place sensor is fixed.
+        (with_free_noise("e_v", "e_s"), ["speed", "place"], True),  # The fit estimates the noise of the place sensor.
     ],
 )
-def test_a_sensor_that_only_a_validation_run_has_is_no_judge(model: Model, estimation: list[str], used: bool) -> None:
-    """With its built-in noise it could refute any model, or hide that one is wrong."""
+def test_sensor_that_only_a_validation_run_has_is_not_used(model: Model, estimation: list[str], used: bool) -> None:
+    """With its built-in noise, the sensor could reject any model, or hide that a model is wrong."""
     stage = fit_nominal_model(model, [run(1, *estimation)], [run(2, "speed", "place")])
     (view,) = stage.validation
     place = view.record.outputs.index("place")
@@ -51,23 +51,23 @@ def test_a_sensor_that_only_a_validation_run_has_is_no_judge(model: Model, estim
 
 
 @pytest.mark.parametrize("lost", [pytest.param("fails", marks=pytest.mark.study), "ends too early", "never converges"])
-def test_a_refit_for_another_size_that_loses_its_way_begins_where_the_first_fit_ended(
+def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
     lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A vehicle of 2 kg, found in the first fit, was one of 14 kg, not converged, after the second."""
+    """A vehicle of 2 kg in the first fit became one of 14 kg in a second fit that did not converge."""
     found = channels_of(sail(boat_with(None, 1), 60.0, 101)[0])
     for side in ("left", "right"):
         n = found.pop(f"n_{side}")
         found[f"f_{side}"] = Channel(n.t, 0.05 * (40.05 * n.value * abs(n.value) + 1.11 * n.value**2))
     asked: list[float] = []
 
-    def once_lost(model: Model, *given: Any) -> fitted_model.FittedModel:
+    def once_lost(model: Model, *arguments: Any) -> fitted_model.FittedModel:
         asked.append(model.values["m_u"])
         if len(asked) == 1 or (len(asked) == 3 and lost != "never converges"):
-            return fit_and_evaluate(model, *given)
+            return fit_and_evaluate(model, *arguments)
         if lost == "fails":
             raise ValueError("the likelihood cannot be evaluated at the initial values")
-        return fit_and_evaluate(model, *given, SearchSettings(max_iterations=1))
+        return fit_and_evaluate(model, *arguments, SearchSettings(max_iterations=1))
 
     monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)
     stage = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])

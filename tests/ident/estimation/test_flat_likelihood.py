@@ -1,4 +1,6 @@
-"""A parameter whose likelihood is flat where it stands and falls a little further off: how well it is known."""
+"""Tests of the standard error of a parameter whose likelihood is flat at the estimate and falls a little further
+off.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ STEPPED = (Parameter("x", 0.3, step=0.1), Parameter("y", 0.0, step=0.1))
 
 
 @pytest.mark.parametrize("dead_zone", [0.07, 0.11])
-def test_an_end_between_two_levels_has_an_error_that_reaches_both(dead_zone: float) -> None:
+def test_error_of_a_dead_zone_between_two_levels_reaches_both_levels(dead_zone: float) -> None:
     found = steps(dead_zone)
     assert found.converged
     d, error = found.estimate("d")
@@ -31,23 +33,23 @@ def test_an_end_between_two_levels_has_an_error_that_reaches_both(dead_zone: flo
 
 
 def trough(z: np.ndarray) -> float:
-    """Flat for 0.2 < z[0] < 0.7, and everywhere in z[1]."""
+    """A likelihood that is flat for 0.2 < z[0] < 0.7, and everywhere in z[1]."""
     return -1e4 * max(0.2 - z[0], z[0] - 0.7, 0.0)
 
 
-def test_the_ends_of_a_plateau() -> None:
+def test_flat_interval_is_found_between_its_ends() -> None:
     (found,) = flat_coordinates(trough, np.array([0.3, 0.0]), STEPPED, np.zeros((2, 2)), FREE)
     assert (found.at, found.low, found.high) == (0, pytest.approx(0.2, abs=1e-3), pytest.approx(0.7, abs=5e-3))
     assert found.information == pytest.approx((2 * 1.96 / 0.5) ** 2, rel=0.02)
 
 
-def test_a_bound_ends_a_plateau_but_makes_none() -> None:
+def test_bound_ends_a_flat_interval_but_does_not_create_one() -> None:
     bounds = fisher_scoring.Bounds(np.array([0.25, -0.1]), np.array([INF, 0.1]), np.zeros(2, dtype=bool))
     (found,) = flat_coordinates(trough, np.array([0.3, 0.0]), STEPPED, np.zeros((2, 2)), bounds)
     assert (found.at, found.low) == (0, 0.25)
 
 
-def test_where_the_information_tells_the_truth_there_is_none() -> None:
+def test_no_flat_coordinate_is_found_if_the_information_is_right() -> None:
     def bowl(z: np.ndarray) -> float:
         return float(-0.5 * (z[0] ** 2 + 1e4 * z[1] ** 2))
 
@@ -56,27 +58,28 @@ def test_where_the_information_tells_the_truth_there_is_none() -> None:
     assert flat_coordinates(lambda z: 1e-8 * bowl(z), np.zeros(2), parameters, np.diag([1e-8, 1e-4]), FREE) == []
 
 
-def test_a_far_fall_is_found_but_the_end_of_the_numbers_is_none() -> None:
-    """One that acts by its square, with hardly any information where it stands; and one that ends in no number."""
+def test_distant_fall_is_found_but_a_value_that_is_not_finite_is_not() -> None:
+    """The first coordinate acts by its fourth power, with almost no information at zero. The second leads to NaN."""
 
     def even(z: np.ndarray) -> float:
         return float(-1e-8 * z[0] ** 4 if abs(z[1]) < 300.0 else np.nan)
 
     (found,) = flat_coordinates(even, np.zeros(2), STEPPED, np.diag([1e-12, 1e-12]), FREE)
-    end = (1.9207 * 1e8) ** 0.25  # 118, of steps of 0.1
+    end = (1.9207 * 1e8) ** 0.25  # 118, which is far beyond the steps of 0.1.
     assert (found.at, found.low, found.high) == (0, pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
 
 
 def kinked(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """A narrow curved valley, and a third coordinate that is felt below 1 alone: beyond it is a plateau, and far off an
-    abyss."""
+    """A narrow curved valley. The third coordinate acts only below 1; above 1 the likelihood is flat, and far off it
+    drops.
+    """
     J = np.array([[-20.0 * z[0], 10.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 3.0 * float(z[2] < 1.0)]])
     r = np.array([10.0 * (z[1] - z[0] ** 2), 1.0 - z[0], 3.0 * min(z[2] - 1.0, 0.0)])
     value = -0.5 * float(r @ r) - (1e6 if abs(z[2] - 1.0) > 3.0 else 0.0)
     return fisher_scoring.Evaluation(value, -J.T @ r, J.T @ J, np.zeros(3))
 
 
-def test_a_coordinate_that_loses_its_information_does_not_end_the_search() -> None:
+def test_search_continues_after_a_coordinate_loses_its_information() -> None:
     bounds = fisher_scoring.Bounds(np.full(3, -50.0), np.full(3, 50.0), np.zeros(3, dtype=bool))
     top = fisher_scoring.maximise(kinked, np.array([-1.2, 1.0, 0.0]), bounds, max_iterations=60, tolerance=1e-10)
     np.testing.assert_allclose(top.z[:2], [1.0, 1.0], atol=1e-3)
@@ -85,15 +88,17 @@ def test_a_coordinate_that_loses_its_information_does_not_end_the_search() -> No
 
 
 def ridge(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """Less curved than the expected information says, with a small kink at its top."""
+    """A ridge with less curvature than the expected information and with a small kink at its top."""
     sign = np.where(z >= 0.0, 1.0, -1.0)
     value = float(np.sum(-0.05 * np.abs(z) - 0.03 * z**2))
     return fisher_scoring.Evaluation(value, -0.05 * sign - 0.06 * z, np.eye(z.size), np.zeros(z.size))
 
 
 @pytest.mark.parametrize("start", [3.0, 2.0, 0.7, -1.3])
-def test_what_a_correction_promises_and_no_step_gains_is_not_left_to_gain(start: float) -> None:
-    """Of a fit to 32 runs it left 0.017, which was called not converged; by the expected information 0.0006 is left."""
+def test_predicted_gain_of_a_failed_bfgs_step_is_ignored(start: float) -> None:
+    """In a fit to 32 runs, the predicted remaining gain was 0.017, which was reported as not converged. The expected
+    information predicts 0.0006.
+    """
     bounds = fisher_scoring.Bounds(np.full(1, -INF), np.full(1, INF), np.zeros(1, dtype=bool))
     top = fisher_scoring.maximise(ridge, np.array([start]), bounds, max_iterations=60, tolerance=1e-6)
     assert abs(top.z[0]) < 1e-9
@@ -101,14 +106,15 @@ def test_what_a_correction_promises_and_no_step_gains_is_not_left_to_gain(start:
 
 
 def running_away(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """A bowl about 1, but beyond 3, where a simulation would run away: better than the slope it was reached from, and
-    with sensitivities of another world."""
+    """A bowl about 1. Beyond 3, the simulation would diverge: the value rises above the slope, and the sensitivities
+    are meaningless.
+    """
     if z[0] > 3.0:
         return fisher_scoring.Evaluation(-20.0, np.array([1e24]), np.array([[1e48]]), np.zeros(1))
     return fisher_scoring.Evaluation(float(-2.0 * (z[0] - 1.0) ** 2), -4.0 * (z - 1.0), np.array([[1.0]]), np.zeros(1))
 
 
-def test_a_search_does_not_go_where_the_simulation_runs_away() -> None:
+def test_search_avoids_the_region_of_a_diverging_simulation() -> None:
     bounds = fisher_scoring.Bounds(np.full(1, -INF), np.full(1, INF), np.zeros(1, dtype=bool))
     top = fisher_scoring.maximise(running_away, np.array([-4.0]), bounds, max_iterations=60, tolerance=1e-10)
     assert top.z[0] == pytest.approx(1.0, abs=1e-4)

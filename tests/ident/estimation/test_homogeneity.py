@@ -1,4 +1,4 @@
-"""One value or one a log: sizes of the test, its power, and the scatter that it finds."""
+"""Tests of the homogeneity test: its false-alarm rate, its power, and the estimated variation between logs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from seatrial.ident.results.tables import homogeneity_row
 
 
 def pushed() -> Model:
-    """A mass with linear drag under a known push."""
+    """Return the model of a mass with linear drag under a known push."""
     return plain_model(
         "pushed",
         f=lambda x, u, p: {"u": (u.X - p.d * x.u) / p.m},
@@ -49,7 +49,7 @@ def records(masses: tuple[float, ...], seed: int, process: float = 0.01) -> list
     return made
 
 
-def test_equal_logs_agree_as_often_as_the_level_says() -> None:
+def test_false_alarm_rate_of_equal_logs_is_the_level() -> None:
     found = []
     for seed in range(40):
         data = records((40.0, 40.0, 40.0), seed)
@@ -60,28 +60,29 @@ def test_equal_logs_agree_as_often_as_the_level_says() -> None:
     assert all(a.df == 2 for a in found)
 
 
-def test_what_was_known_of_the_one_value_is_known_once() -> None:
-    """A prior that the data contradict: counted once for each log it would pull equal logs apart from their mean."""
+def test_prior_is_counted_once_and_not_once_for_each_log() -> None:
+    """The data contradict the prior. Counted once for each log, it would pull equal logs away from their mean."""
     data = [replace(r, name=f"run{k}") for k, r in enumerate([*records((40.0,), 7)] * 4)]
-    told = pushed().replace_parameters(replace(pushed().parameter("m"), prior=(30.0, 2.0)))
-    one = fit(told, data)
-    found = homogeneity_test(one, data, "m")
-    assert one.estimate("m")[0] < fit(pushed(), data).estimate("m")[0] - 0.1
+    with_prior = pushed().replace_parameters(replace(pushed().parameter("m"), prior=(30.0, 2.0)))
+    common = fit(with_prior, data)
+    found = homogeneity_test(common, data, "m")
+    assert common.estimate("m")[0] < fit(pushed(), data).estimate("m")[0] - 0.1
     np.testing.assert_allclose(found.values, found.value, rtol=1e-5)
     assert found.lr < 1e-4
 
 
-def test_logs_that_differ_do_not_agree() -> None:
+def test_different_logs_are_found_to_differ() -> None:
     data = records((30.0, 40.0, 50.0), 0)
-    one = fit(pushed(), data)
-    found = homogeneity_test(one, data, "m")
+    common = fit(pushed(), data)
+    found = homogeneity_test(common, data, "m")
     assert not found.agree
     assert found.p < 1e-6
     assert np.abs(found.values - [30.0, 40.0, 50.0]).max() < 4 * found.errors.max()
     assert found.scatter == pytest.approx(10.0, abs=3.0)
-    told = fit(pushed(), data, settings=SearchSettings(robust_errors=False)).estimate("m")[1]
-    assert found.mean_error > 3 * told  # the common fit promises too much, even where residuals widen it
-    assert found.mean_error > 1.5 * found.error > 1.5 * told
+    plain_error = fit(pushed(), data, settings=SearchSettings(robust_errors=False)).estimate("m")[1]
+    # The standard error of the common fit is too small, even after its inflation for autocorrelated residuals.
+    assert found.mean_error > 3 * plain_error
+    assert found.mean_error > 1.5 * found.error > 1.5 * plain_error
     assert "do not agree" in homogeneity_sentence(found)
     row = homogeneity_row(found)
     assert row.records == ("run0", "run1", "run2")
@@ -90,7 +91,7 @@ def test_logs_that_differ_do_not_agree() -> None:
     assert row.low < 40.0 < row.high
 
 
-def test_the_scatter_of_known_values() -> None:
+def test_between_log_variance_of_known_values() -> None:
     rng = np.random.default_rng(0)
     found = []
     for _ in range(200):
@@ -106,35 +107,37 @@ def test_the_scatter_of_known_values() -> None:
     assert (mean0, error0) == pytest.approx((5.0, 3**-0.5))
 
 
-def test_a_value_without_an_error_takes_no_part() -> None:
+def test_value_without_a_standard_error_is_ignored() -> None:
     V = np.diag([1.0, np.nan, 1.0])
     assert between_log_variance(np.array([1.0, 99.0, 3.0]), V)[1] == pytest.approx(2.0)
     assert np.isnan(between_log_variance(np.array([1.0, 99.0]), np.diag([1.0, np.nan]))[1])
 
 
 @pytest.mark.parametrize("method", ["prediction-error", "output-error"])
-def test_both_fits_are_made_in_the_same_way(method: Method) -> None:
-    """Else an output-error fit is worse than a prediction-error one by hundreds, and equal boats differ."""
+def test_common_and_separate_fits_use_the_same_method(method: Method) -> None:
+    """Otherwise an output-error likelihood is compared with a prediction-error likelihood, and equal boats differ."""
     data = records((40.0, 40.0, 40.0), 4)
-    one = fit(pushed(), data, EstimationOptions(method=method))
-    found = homogeneity_test(one, data, "m")
+    common = fit(pushed(), data, EstimationOptions(method=method))
+    found = homogeneity_test(common, data, "m")
     of_each = pushed().replace_parameters(replace(pushed().parameter("m"), per_record=True))
     each = fit(of_each, data, EstimationOptions(method=method))
-    assert found.lr == pytest.approx(2.0 * (each.log_posterior - one.log_posterior), abs=1e-3)
+    assert found.lr == pytest.approx(2.0 * (each.log_posterior - common.log_posterior), abs=1e-3)
     assert found.lr < 30.0
     outliers = fit(pushed(), data, EstimationOptions(method=method, outlier_model=True))
     assert homogeneity_test(outliers, data, "m").lr == pytest.approx(found.lr, abs=1.0)
 
 
 @pytest.mark.parametrize("prior", [None, (60.0, 8.0)])
-def test_a_log_that_does_not_inform_the_parameter_is_left_out(prior: tuple[float, float] | None) -> None:
-    """At rest the mass is not seen: neither the test nor Student's t may count that log, whose error is its prior's."""
+def test_log_that_does_not_inform_the_parameter_is_left_out(prior: tuple[float, float] | None) -> None:
+    """At rest, the data do not inform the mass, and its error is that of the prior. Neither the test nor Student's t
+    may count this log.
+    """
     data, (still,) = records((40.0, 40.0), 0), records((40.0,), 1)
     still = replace(still, name="still", u=0.0 * still.u, u_next=0.0 * still.u, y=0.0 * still.y)
     model = pushed().with_free(["m"])
     model = model.replace_parameters(replace(model.parameter("m"), prior=prior))
-    one = fit(model, [*data, still])
-    found = homogeneity_test(one, [*data, still], "m")
+    common = fit(model, [*data, still])
+    found = homogeneity_test(common, [*data, still], "m")
     without = homogeneity_test(fit(model, data), data, "m")
     assert (found.df, found.left_out) == (1, ("still",))
     np.testing.assert_allclose([found.lr, found.p], [without.lr, without.p], atol=1e-3)
@@ -150,24 +153,24 @@ def test_a_log_that_does_not_inform_the_parameter_is_left_out(prior: tuple[float
     assert homogeneity_row(alone).low is None
 
 
-def test_what_cannot_be_tested_is_said() -> None:
+def test_homogeneity_test_rejects_invalid_requests() -> None:
     data = records((40.0, 40.0), 0)
-    one = fit(pushed(), data)
+    common = fit(pushed(), data)
     with pytest.raises(SeatrialError, match=r"--test-homogeneity q: not a free parameter .* choose one of m, d, e"):
-        homogeneity_test(one, data, "q")
+        homogeneity_test(common, data, "q")
     single = fit(pushed(), data[:1])
     with pytest.raises(SeatrialError, match="give two logs or more"):
         homogeneity_test(single, data[:1], "m")
-    fixed = replace(one, parameters=tuple(p for p in one.parameters if p.name != "m"))
+    fixed = replace(common, parameters=tuple(p for p in common.parameters if p.name != "m"))
     with pytest.raises(SeatrialError, match="not a free parameter"):
         homogeneity_test(fixed, data, "m")
 
 
-def test_a_restricted_fit_is_compared_with_restricted_ones() -> None:
-    """Its errors are larger by what the dynamics took of the noise; the likelihood ratio is of the maxima."""
+def test_restricted_fit_is_compared_with_restricted_fits() -> None:
+    """The errors are larger because the dynamics take degrees of freedom. The likelihood ratio uses the maxima."""
     data, model = records((40.0, 41.0), 3, 0.0), pushed()
     model = replace(model, states=(replace(model.states[0], noise=0.0),))
     fits = [fit(model, data, EstimationOptions(reml=r)) for r in (False, True)]
-    plain, restricted = (homogeneity_test(one, data, "m") for one in fits)
+    plain, restricted = (homogeneity_test(common, data, "m") for common in fits)
     assert (restricted.errors > 1.0005 * plain.errors).all()
     assert restricted.lr == pytest.approx(plain.lr, abs=1e-3)

@@ -1,4 +1,4 @@
-"""The likelihood against independent truths: plain numpy, a joint Gaussian, finite differences, itself."""
+"""Tests of the likelihood against plain NumPy, a joint Gaussian, finite differences and its own invariances."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def predict_second_order(
     h: float,
     first: Any = REFERENCE.predict,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Add half the trace of P with the second derivatives of the rates to the mean, in the middle of the interval."""
+    """Add half the trace of P times the second derivatives of the rates to the mean, in the middle of the interval."""
     middle = (u + u_next) / 2
     x_middle = x + h / 2 * model.f(x + h / 2 * model.f(x, u), middle)
     end, P_end = first(model, x, P, u, u_next, h)
-    w, V = np.linalg.eigh((P + P_end) / 2)  # along the principal axes of P
+    w, V = np.linalg.eigh((P + P_end) / 2)  # The differences run along the principal axes of P.
     step = 1e-3
     bent = [
         (model.f(x_middle + step * v, middle) - 2 * model.f(x_middle, middle) + model.f(x_middle - step * v, middle))
@@ -65,27 +65,27 @@ def predict_second_order(
     return end + h * np.asarray(sum(a * b for a, b in zip(w, bent, strict=True))) / 2, P_end
 
 
-def test_the_filter_of_the_documentation_is_this_one() -> None:
+def test_filter_in_the_documentation_equals_the_reference_filter() -> None:
     docs = Path(__file__).resolve().parents[3] / "docs"
     code = (docs / "examples/reference_ekf.py").read_text(encoding="utf-8")
     assert f"```python\n{code}```" in (docs / "theory/estimation.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("joseph", [False, True])
-def test_value_agrees_with_a_filter_in_plain_numpy(joseph: bool) -> None:
+def test_value_equals_a_filter_in_plain_numpy(joseph: bool) -> None:
     record, v = turning_record(), values_of(turning())
     assert Likelihood(turning(), joseph=joseph).value(record, v) == pytest.approx(numpy_value(record, v), rel=1e-9)
 
 
-def test_a_mean_of_second_order_agrees_with_plain_numpy() -> None:
+def test_second_order_value_equals_a_filter_in_plain_numpy() -> None:
     record, v = turning_record(), values_of(turning())
     bent = Likelihood(replace(turning(), second_order=True)).value(record, v)
     assert bent == pytest.approx(numpy_value(record, v, second_order=True), rel=1e-8)
     assert abs(bent - Likelihood(turning()).value(record, v)) > 1e-3
 
 
-def test_a_mean_of_second_order_is_that_of_many_boats() -> None:
-    """Quadratic drag slows the mean of a cloud of boats down by its spread, which a filter of first order misses."""
+def test_second_order_mean_equals_a_monte_carlo_mean() -> None:
+    """Quadratic drag slows down the mean of many boats because of their spread. A first-order filter misses this."""
     model, x, P = replace(turning(), second_order=True), np.array([0.0, 1.5]), np.diag([1e-4, 0.04])
     N = np.full((11, 1), 3.0)
     record = Record("free", np.arange(11) * 0.05, N, N, np.full((11, 3), np.nan), ("N",), ("psi", "gyro", "second"))
@@ -103,8 +103,11 @@ def test_a_mean_of_second_order_is_that_of_many_boats() -> None:
 
 
 def linear() -> Model:
-    """Two linear states, measured by sensors of their own. Its matrix is nilpotent, so that the mean's Runge-Kutta
-    and the covariance's Taylor series are the same and exact."""
+    """Return a model with two linear states, each measured by its own sensor.
+
+    The system matrix is nilpotent, so the Runge-Kutta step of the mean and the Taylor series of the covariance are
+    exact.
+    """
     return plain_model(
         "linear",
         f=lambda x, u, p: {"a": p.k * x.b, "b": u.w},
@@ -126,7 +129,7 @@ def linear_record(n_rows: int = 12) -> Record:
 
 
 def joint_gaussian(record: Record, v: np.ndarray) -> float:
-    """ln N of all measurements at once, from mean and covariance of all states at all rows."""
+    """Return the log density of all measurements, from the mean and covariance of all states at all rows."""
     k, q, e = v
     A = np.array([[0.0, k], [0.0, 0.0]])
     mean, P, identity = np.array([0.4, -0.2]), np.diag([0.25, 0.09]), np.eye(2)
@@ -159,13 +162,13 @@ def joint_gaussian(record: Record, v: np.ndarray) -> float:
     return -0.5 * (r @ np.linalg.solve(S, r) + np.linalg.slogdet(S)[1] + r.size * math.log(2 * math.pi))
 
 
-def test_a_linear_model_is_a_joint_gaussian() -> None:
+def test_value_of_a_linear_model_equals_a_joint_gaussian() -> None:
     record, v = linear_record(), values_of(linear())
     assert Likelihood(linear()).value(record, v) == pytest.approx(joint_gaussian(record, v), rel=1e-9)
 
 
 @pytest.mark.parametrize("second_order", [False, True])
-def test_gradient_agrees_with_finite_differences(second_order: bool) -> None:
+def test_gradient_equals_finite_differences(second_order: bool) -> None:
     model = replace(turning(), second_order=second_order)
     likelihood, record, v = Likelihood(model), turning_record(), values_of(model)
     value, gradient = likelihood.gradient(record, v)
@@ -182,7 +185,7 @@ def test_gradient_agrees_with_finite_differences(second_order: bool) -> None:
 
 
 @pytest.mark.parametrize("piece", [1, 7, 64])
-def test_the_gradient_of_a_long_record_is_made_in_pieces(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gradient_of_a_long_record_computed_in_pieces_is_the_same(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     value, gradient = likelihood.gradient(record, v)
     monkeypatch.setattr(likelihood_module, "WHOLE", 0)
@@ -191,7 +194,7 @@ def test_the_gradient_of_a_long_record_is_made_in_pieces(piece: int, monkeypatch
     np.testing.assert_array_equal(likelihood.gradient(record, v)[1], gradient)
 
 
-def test_tangents_agree_with_the_adjoint_for_any_subset() -> None:
+def test_tangents_equal_the_adjoint_for_any_subset_of_parameters() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     gradient = dict(zip(FREE, likelihood.gradient(record, v)[1], strict=True))
     everything = likelihood.scores(record, v, FREE)
@@ -207,7 +210,7 @@ def test_tangents_agree_with_the_adjoint_for_any_subset() -> None:
 
 @pytest.mark.study
 def test_information_is_the_variance_of_the_score() -> None:
-    """On a linear model, over 400 simulated records."""
+    """The model is linear, and 400 records are simulated."""
     model, v, rng = linear(), values_of(linear()), np.random.default_rng(0)
     likelihood, record = Likelihood(model), linear_record(40)
     run_scores, information = [], np.zeros((3, 3))
@@ -223,7 +226,7 @@ def test_information_is_the_variance_of_the_score() -> None:
 
 
 def _drawn(record: Record, v: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Measurements from the model's own discrete-time law."""
+    """Draw measurements from the discrete-time distribution of the model."""
     k, q, e = v
     x, y = np.array([0.4, -0.2]) + rng.normal(size=2) * [0.5, 0.3], record.y.copy()
     A = np.array([[0.0, k], [0.0, 0.0]])
@@ -236,7 +239,7 @@ def _drawn(record: Record, v: np.ndarray, rng: np.random.Generator) -> np.ndarra
 
 
 def with_rows_between(record: Record) -> Record:
-    """The same samples, and three rows without any in each interval, on the line between its inputs."""
+    """Return the record with three rows without samples in each interval. Their inputs are interpolated."""
     between = [record.t[:-1] + share * np.diff(record.t) for share in (0.21, 0.5, 0.83)]
     t = np.sort(np.concatenate([record.t, *between]))
     y = np.full((t.size, record.y.shape[1]), np.nan)
@@ -245,8 +248,8 @@ def with_rows_between(record: Record) -> Record:
     return replace(record, t=t, y=y, u=u, u_next=np.vstack([u[1:], u[-1:]]))
 
 
-def test_a_row_without_samples_changes_nothing() -> None:
-    """Of a system that every step integrates exactly; twice as many such rows, and rows with one sample of two."""
+def test_row_without_samples_changes_nothing_for_a_linear_model() -> None:
+    """Every step integrates the linear system exactly. The test adds rows twice; some rows have one sample of two."""
     model, record = linear(), linear_record()
     v, likelihood = values_of(model), Likelihood(model)
     once = with_rows_between(record)
@@ -259,8 +262,8 @@ def test_a_row_without_samples_changes_nothing() -> None:
     np.testing.assert_allclose(seen, likelihood.filter(record, v).x_filt, rtol=1e-12)
 
 
-def test_a_row_without_samples_changes_a_nonlinear_system_by_the_error_of_its_steps_alone() -> None:
-    """Which vanishes as they are divided by four and more, again and again."""
+def test_row_without_samples_changes_a_nonlinear_model_only_by_the_integration_error() -> None:
+    """The change vanishes as the steps are divided again and again."""
     model, records = turning(), [turning_record()]
     for _ in range(4):
         records.append(with_rows_between(records[-1]))
@@ -270,7 +273,7 @@ def test_a_row_without_samples_changes_a_nonlinear_system_by_the_error_of_its_st
     assert changes[-1] < 1e-8 * abs(values[-1])
 
 
-def test_an_absent_sensor_is_a_model_without_it() -> None:
+def test_absent_sensor_equals_a_model_without_it() -> None:
     model, record, v = turning(), turning_record(), values_of(turning())
     lone = replace(model, sensors=model.sensors[:1])
     y = record.y.copy()
@@ -279,19 +282,19 @@ def test_an_absent_sensor_is_a_model_without_it() -> None:
     assert Likelihood(model).value(replace(record, y=y), v) == pytest.approx(alone, rel=1e-13)
 
 
-def test_units_do_not_matter() -> None:
-    """Milliradians instead of radians for the gyros: the likelihood shifts by its Jacobian, the score scales."""
+def test_likelihood_is_independent_of_units() -> None:
+    """The gyros use milliradians instead of radians. The likelihood shifts by the Jacobian, and the score is scaled."""
     model, record, v = turning(), turning_record(), values_of(turning())
 
     def in_milli(s: object) -> None:
         for name in ("gyro", "second"):
             s.y[name] = 1000.0 * s.y[name]  # type: ignore[attr-defined]
 
-    other = replace(model, stages=(*model.stages, ("units", in_milli)))
+    scaled = replace(model, stages=(*model.stages, ("units", in_milli)))
     y = record.y * [1.0, 1000.0, 1000.0]
     w = v.copy()
     w[FREE.index("e_r")] *= 1000.0
-    a, b = Likelihood(model), Likelihood(other)
+    a, b = Likelihood(model), Likelihood(scaled)
     n = int(np.isfinite(record.y[:, 1:]).sum())
     moved = replace(record, y=y)
     assert b.value(moved, w) == pytest.approx(a.value(record, v) - n * math.log(1000.0), rel=1e-12)
@@ -300,8 +303,8 @@ def test_units_do_not_matter() -> None:
     np.testing.assert_allclose(gb, ga, rtol=1e-9, atol=1e-9)
 
 
-def test_the_error_of_the_mean_falls_with_the_fourth_power_of_the_step_and_of_the_covariance_with_the_second() -> None:
-    """At the end of two seconds without samples, in steps from 0.2 to 0.025 s."""
+def test_order_of_convergence_is_four_for_the_mean_and_two_for_the_covariance() -> None:
+    """The states are compared at the end of two seconds without samples, for steps from 0.2 to 0.025 s."""
     model, v = turning(), values_of(turning())
     likelihood = Likelihood(model)
 
@@ -318,7 +321,7 @@ def test_the_error_of_the_mean_falls_with_the_fourth_power_of_the_step_and_of_th
     assert (np.log2(errors[40][2:] / errors[80][2:]) > 1.85).all()
 
 
-def test_filter_says_what_the_likelihood_is_made_of() -> None:
+def test_filter_result_contains_the_terms_of_the_likelihood() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     run = likelihood.filter(record, v)
     assert run.value == pytest.approx(likelihood.value(record, v), rel=1e-12)
@@ -327,14 +330,14 @@ def test_filter_says_what_the_likelihood_is_made_of() -> None:
         assert (np.isfinite(a) == there).all()
     parts = -0.5 * (run.eps**2 / run.S + np.log(2 * np.pi * run.S))
     np.testing.assert_allclose(np.nansum(parts, axis=1), run.ll, rtol=1e-10, atol=1e-12)
-    # a single sensor's first output is not corrected by any other
+    # No other output corrects the first output of a single sensor.
     alone = there[:, 1] & ~there[:, 0]
     np.testing.assert_allclose(run.e[alone, 1], run.eps[alone, 1], rtol=1e-12)
     nothing = ~there.any(axis=1)
     np.testing.assert_array_equal(run.x_filt[nothing], run.x_pred[nothing])
     np.testing.assert_allclose(run.P_pred, run.P_pred.swapaxes(1, 2))
     assert (np.linalg.eigvalsh(run.P_filt) > 0).all()
-    np.testing.assert_allclose(run.Phi[-1], np.eye(2), atol=1e-15)  # nothing follows the last row
+    np.testing.assert_allclose(run.Phi[-1], np.eye(2), atol=1e-15)  # No row follows the last row.
     np.testing.assert_allclose(run.R, [v[5] ** 2, v[6] ** 2, v[6] ** 2])
 
 
@@ -349,7 +352,7 @@ def test_initial_state_from_the_first_measurement() -> None:
 
 
 def drifting(unit: float, sd0: float) -> Model:
-    """A position that moves at a speed nobody knows, in metres over ``unit``."""
+    """Return a position that moves at an unknown speed, in metres divided by ``unit``."""
     return plain_model(
         "drift",
         f=lambda x, u, p: {"x": p.V},
@@ -362,8 +365,8 @@ def drifting(unit: float, sd0: float) -> Model:
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3])
-def test_the_first_measurement_is_not_used_twice(unit: float) -> None:
-    """Its start beside a noise of 3 m: the error of a drift is that of a straight line with an offset of its own."""
+def test_first_measurement_is_not_used_twice(unit: float) -> None:
+    """The start has a noise of 3 m. The error of the drift must be that of a straight line with its own offset."""
     t, rng, z = 1.0 * np.arange(60), np.random.default_rng(0), []
     empty = np.zeros((t.size, 0))
     line = 3.0 / unit / np.sqrt(np.sum((t - t.mean()) ** 2))
@@ -376,9 +379,11 @@ def test_the_first_measurement_is_not_used_twice(unit: float) -> None:
     assert np.std(z) == pytest.approx(1.0, abs=0.25)
 
 
-def test_a_good_sensor_leaves_the_start_as_the_model_has_it() -> None:
-    """And so does a start that is known exactly, whatever the sensor; an angle's noise does not see its wrap, nor the
-    noise of a boat under way its irregular samples."""
+def test_accurate_sensor_keeps_the_initial_standard_deviation_of_the_model() -> None:
+    """The same holds for an exactly known start, whatever the sensor.
+
+    The noise estimate ignores the wrap of an angle and the irregular samples of a moving boat.
+    """
     rng = np.random.default_rng(0)
     t = np.cumsum(rng.choice([0.1, 0.2, 1.0], 400))
     empty = np.zeros((t.size, 0))
@@ -399,8 +404,8 @@ def test_a_good_sensor_leaves_the_start_as_the_model_has_it() -> None:
     assert start(0.05, 0.1, heading) == pytest.approx(0.25, rel=0.2)
 
 
-def test_a_first_measurement_that_is_late_tells_less_of_the_start() -> None:
-    """By how far its output moves meanwhile; what sd0 does to the value stays its derivative."""
+def test_late_first_measurement_informs_the_start_less() -> None:
+    """The variance grows by the motion of the output meanwhile. The derivative to sd0 stays correct."""
     record, v, at = turning_record(), values_of(turning()), FREE.index("sd0")
     psi, r = turning().states
     measured = replace(turning(), states=(psi, replace(r, from_output="gyro")))

@@ -1,4 +1,4 @@
-"""The likelihood in use: threads, a machine without llvmlite, records that do not fit, parameters that diverge."""
+"""Tests of the likelihood in use: threads, a machine without llvmlite, invalid records and diverging parameters."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from tests.ident.toys import turning, turning_record, values_of
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r", "psi0", "sd0")
 
 
-def test_headings_may_be_written_with_any_number_of_turns() -> None:
+def test_full_turns_in_headings_do_not_change_the_likelihood() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     turned = record.y + [[2 * np.pi, 0.0, 0.0]] * np.random.default_rng(0).integers(-3, 4, (record.n_rows, 1))
     assert likelihood.value(replace(record, y=turned), v) == pytest.approx(likelihood.value(record, v), rel=1e-9)
 
 
-def test_a_divergent_parameter_gives_nan() -> None:
+def test_diverging_parameter_gives_nan() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     v[0] = 1e-6
     assert not math.isfinite(likelihood.value(record, v))
@@ -33,7 +33,7 @@ def test_a_divergent_parameter_gives_nan() -> None:
     assert not np.isfinite(likelihood.scores(record, v, FREE).gradient).all()
 
 
-def test_threads_do_not_disturb_each_other() -> None:
+def test_parallel_threads_give_the_results_of_one_thread() -> None:
     likelihood, v = Likelihood(turning()), values_of(turning())
     records = [turning_record(seed, 400) for seed in range(4)]
     alone = [likelihood.scores(r, v, FREE).gradient for r in records]
@@ -52,7 +52,7 @@ def test_threads_do_not_disturb_each_other() -> None:
     assert not wrong
 
 
-def test_without_llvmlite_it_is_slow_but_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_llvmlite_the_results_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     record, v = turning_record(n_rows=25), values_of(turning())
     likelihood = Likelihood(turning())
     wanted = likelihood.value(record, v), likelihood.gradient(record, v)[1], likelihood.scores(record, v, FREE)
@@ -66,7 +66,7 @@ def test_without_llvmlite_it_is_slow_but_the_same(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(slow.scores(record, v, FREE).information, wanted[2].information, rtol=1e-9, atol=1e-9)
 
 
-def test_records_that_do_not_fit_are_named() -> None:
+def test_invalid_records_are_named_in_errors() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
     partly = record.y.copy()
     partly[5] = [np.nan, 0.1, np.nan]
@@ -85,15 +85,15 @@ def test_records_that_do_not_fit_are_named() -> None:
         likelihood.value(record, v[:-1])
 
 
-def test_columns_are_found_by_name() -> None:
+def test_outputs_are_found_by_name_in_any_order() -> None:
     likelihood, record, v = Likelihood(turning()), turning_record(), values_of(turning())
-    other = replace(record, y=record.y[:, [2, 0, 1]], outputs=("second", "psi", "gyro"))
-    assert likelihood.value(other, v) == likelihood.value(record, v)
+    permuted = replace(record, y=record.y[:, [2, 0, 1]], outputs=("second", "psi", "gyro"))
+    assert likelihood.value(permuted, v) == likelihood.value(record, v)
 
 
 @pytest.mark.parametrize("process_noise", [True, False])
-def test_the_gradient_of_a_model_whose_rates_do_not_depend_on_its_state(process_noise: bool) -> None:
-    """Nothing of the state is kept for the adjoint of such a step."""
+def test_gradient_of_a_model_whose_rates_do_not_depend_on_its_state(process_noise: bool) -> None:
+    """The adjoint of this step stores no state."""
     model = plain_model(
         "integrator",
         f=lambda x, u, p: {"a": p.k * u.w},

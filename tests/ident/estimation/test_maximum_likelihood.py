@@ -1,4 +1,4 @@
-"""Estimates of known truths, and what is said where the data do not tell."""
+"""Tests of maximum likelihood fits: estimates of known truths, and flags for parameters that the data do not inform."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def found() -> Fit:
     return fit(turning().with_free(FREE), records(), start={"m": 15.0, "d": 2.0, "q": 0.1})
 
 
-def test_the_truth_is_within_its_errors(found: Fit) -> None:
+def test_truth_is_within_the_standard_errors(found: Fit) -> None:
     assert found.converged
     assert found.names == ("m", "d", "dd", "q", "e_psi", "e_r", "bias@0", "bias@1", "bias@2")
     truth = turning().values
@@ -47,7 +47,7 @@ def test_the_truth_is_within_its_errors(found: Fit) -> None:
     assert not found.flags
 
 
-def test_a_search_that_diverges_names_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_diverging_search_names_its_records(monkeypatch: pytest.MonkeyPatch) -> None:
     def diverging(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError("SVD did not converge")
 
@@ -56,8 +56,8 @@ def test_a_search_that_diverges_names_its_records(monkeypatch: pytest.MonkeyPatc
         fit(turning().with_free(FREE), records(2))
 
 
-def test_a_shared_parameter_at_its_bound_stays_there_whatever_the_number_of_records() -> None:
-    """The mean of six equal values at a bound is outside by rounding."""
+def test_shared_parameter_stays_at_its_bound_for_any_number_of_records() -> None:
+    """The mean of six equal values at a bound is outside the bound by rounding."""
     bounded = replace(turning().parameter("m"), bounds=(18.6, 60.0), value=30.0)
     model = turning().replace_parameters(bounded).with_free(("m",))
     for n in (2, 6):
@@ -66,7 +66,7 @@ def test_a_shared_parameter_at_its_bound_stays_there_whatever_the_number_of_reco
         )
 
 
-def test_it_is_a_maximum(found: Fit) -> None:
+def test_estimate_is_a_maximum(found: Fit) -> None:
     likelihood = Likelihood(turning())
     total = sum(likelihood.value(r, v) for r, v in zip(records(), found.record_values, strict=True))
     assert total == pytest.approx(found.log_likelihood, rel=1e-12)
@@ -77,17 +77,17 @@ def test_it_is_a_maximum(found: Fit) -> None:
             assert sum(likelihood.value(r, v) for r, v in zip(records(), moved, strict=True)) < total
 
 
-def test_coverage_of_the_standard_errors() -> None:
+def test_standard_errors_cover_the_truth() -> None:
     z = []
     for seed in range(24):
-        one = fit(turning().with_free(FREE), [turning_record(100 + seed, 400)])
-        z.append([(one.estimate(n)[0] - turning().values[n]) / one.estimate(n)[1] for n in FREE])
+        fitted = fit(turning().with_free(FREE), [turning_record(100 + seed, 400)])
+        z.append([(fitted.estimate(n)[0] - turning().values[n]) / fitted.estimate(n)[1] for n in FREE])
     assert 0.75 < np.std(z) < 1.25
     assert (np.abs(np.mean(z, axis=0)) < 4 / math.sqrt(24)).all()
 
 
-def test_what_is_considered_goes_into_the_errors_and_into_nothing_else() -> None:
-    """The estimates follow a considered parameter as those of a fit follow that is made with another value of it."""
+def test_considered_parameter_changes_only_the_standard_errors() -> None:
+    """The estimates depend on a considered parameter as in a fit with another value of this parameter."""
     names, sd = ("m", "d", "bias"), 0.6
 
     def fitted(model: Model) -> Fit:
@@ -109,10 +109,10 @@ def test_what_is_considered_goes_into_the_errors_and_into_nothing_else() -> None
     np.testing.assert_allclose(roots[0] @ roots[0].T, roots[1] @ roots[1].T)
 
 
-def test_what_is_considered_can_be_given_and_freed() -> None:
+def test_considered_parameter_can_be_given_and_freed() -> None:
     p = Parameter("k", 0.0, prior=(0.0, 1e-3), free=False, considered=True)
-    given = p.known(0.0, 0.01, ParameterOrigin.PRIOR)
-    assert (given.considered, given.free, given.prior) == (True, False, (0.0, 0.01))
+    widened = p.known(0.0, 0.01, ParameterOrigin.PRIOR)
+    assert (widened.considered, widened.free, widened.prior) == (True, False, (0.0, 0.01))
     assert not p.known(0.002, 0.0, ParameterOrigin.GIVEN).considered
     model = replace(turning(), parameters=(*turning().parameters, p))
     assert model.considered == ("k",)
@@ -123,13 +123,13 @@ def test_what_is_considered_can_be_given_and_freed() -> None:
             replace(p, **wrong)
 
 
-def test_threads_do_not_change_the_result(found: Fit) -> None:
+def test_number_of_threads_does_not_change_the_result(found: Fit) -> None:
     start = {"m": 15.0, "d": 2.0, "q": 0.1}
     alone = fit(turning().with_free(FREE), records(), settings=SearchSettings(threads=1), start=start)
     np.testing.assert_allclose(alone.values, found.values, rtol=1e-9)
 
 
-def test_a_prior_is_weighed_against_the_data() -> None:
+def test_prior_and_data_are_weighted_by_their_information() -> None:
     model = turning().with_free(("m",))
     free = fit(model, records(1))
     value, error = free.estimate("m")
@@ -142,7 +142,7 @@ def test_a_prior_is_weighed_against_the_data() -> None:
     assert weighed.log_posterior < weighed.log_likelihood < free.log_likelihood
 
 
-def test_a_parameter_at_its_bound_has_no_error() -> None:
+def test_parameter_at_its_bound_has_no_standard_error() -> None:
     d = replace(turning().parameter("d"), bounds=(0.0, 1.5), value=1.0)
     bounded = fit(turning().with_free(FREE).replace_parameters(d), records(1))
     value, error = bounded.estimate("d")
@@ -153,7 +153,7 @@ def test_a_parameter_at_its_bound_has_no_error() -> None:
 
 
 def redundant() -> Model:
-    """Only ratios of m, d and gain are seen, and `nothing` is not used at all."""
+    """Return a model in which only ratios of m, d and gain are identifiable and `nothing` is unused."""
     return plain_model(
         "redundant",
         f=lambda x, u, p: {"r": (p.gain * u.N - p.d * x.r) / p.m},
@@ -172,21 +172,21 @@ def redundant() -> Model:
     )
 
 
-def test_what_the_data_do_not_tell_is_named() -> None:
+def test_unidentified_parameters_and_combinations_are_flagged() -> None:
     record = turning_record(0, 400)
     record = replace(record, y=record.y[:, 1:2], outputs=("y",))
     result = fit(redundant(), [record])
     assert result.converged
-    said = dict(result.flags)
-    assert "do not depend" in said["nothing"]
+    flags = dict(result.flags)
+    assert "do not depend" in flags["nothing"]
     combination = "not identified: the data do not depend on the joint change +1 ln m +1 ln d +1 ln gain"
-    assert said["m"] == said["d"] == said["gain"] == combination
+    assert flags["m"] == flags["d"] == flags["gain"] == combination
     for name in ("m", "d", "gain", "nothing"):
         assert math.isnan(result.estimate(name)[1])
     assert result.estimate("q")[1] > 0
 
 
-def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
+def test_absent_noise_goes_to_zero_and_is_flagged() -> None:
     record = turning_record(0, 400)
     quiet = replace(
         turning(),
@@ -216,9 +216,12 @@ def test_noise_that_is_not_there_goes_to_zero_and_is_flagged() -> None:
     assert result.estimate("q2")[0] < 0.01
 
 
-def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
-    """Uncertain by 8.5 orders more than the sensor: the shorter form loses some of the difference to rounding, and 3 %
-    of the error. At nine orders Joseph's form converges on one processor and not on the next."""
+def test_joseph_form_is_accurate_for_an_uncertain_start() -> None:
+    """The start is 8.5 orders of magnitude more uncertain than the sensor. The shorter form loses part of the
+    difference to rounding, and 3 % of the error.
+
+    At nine orders, Joseph's form converges on some processors only.
+    """
 
     def slide(sd0: float) -> Model:
         return plain_model(
@@ -244,7 +247,7 @@ def test_josephs_form_survives_a_start_that_is_hardly_known() -> None:
     assert joseph.estimate("d")[1] == pytest.approx(known.estimate("d")[1], rel=0.01)
 
 
-def test_a_record_that_cannot_be_evaluated_names_itself() -> None:
+def test_record_that_cannot_be_evaluated_is_named() -> None:
     model = turning().with_free(FREE)
     with pytest.raises(ValueError, match="record run 0: the likelihood of model turning cannot be evaluated"):
         fit(model, records(2), start={"m": 1e-7})
@@ -267,7 +270,7 @@ def test_progress_is_reported() -> None:
     assert seen[-1][1] > seen[0][1]
 
 
-def test_climbing_takes_over_where_scoring_stands_still() -> None:
+def test_lbfgsb_refines_a_search_in_which_scoring_stops() -> None:
     problem = Problem(Likelihood(turning()), records(1), FREE, 1)
     z = problem.start
     z[0] += 0.4
@@ -277,7 +280,7 @@ def test_climbing_takes_over_where_scoring_stands_still() -> None:
     assert top.at.value == pytest.approx(best.at.value, abs=1e-3)
 
 
-def test_gradient_of_the_posterior_agrees_between_adjoint_and_tangents() -> None:
+def test_posterior_gradients_of_adjoint_and_tangents_are_equal() -> None:
     m = replace(turning().parameter("m"), prior=(8.0, 1.0))
     problem = Problem(Likelihood(turning().replace_parameters(m)), records(2), FREE, 2)
     z = problem.start + 0.1
@@ -288,7 +291,7 @@ def test_gradient_of_the_posterior_agrees_between_adjoint_and_tangents() -> None
     np.testing.assert_allclose(gradient, at.gradient, rtol=1e-8, atol=1e-7)
 
 
-def test_only_the_record_whose_own_coordinate_moves_is_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_record_of_a_moved_per_record_parameter_is_evaluated_again(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
     value = Likelihood.value
 
@@ -306,30 +309,30 @@ def test_only_the_record_whose_own_coordinate_moves_is_evaluated_again(monkeypat
 
 
 def quadratic(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """A concave bowl with its top at (1, -2), a wall of NaN beyond 3."""
+    """A concave bowl with its top at (1, -2). Values beyond 3 are NaN."""
     H = np.array([[2.0, 0.6], [0.6, 1.0]])
     d = z - np.array([1.0, -2.0])
     value = float("nan") if z[0] > 3 else -0.5 * d @ H @ d
     return fisher_scoring.Evaluation(value, -H @ d, H, np.zeros(2))
 
 
-def test_scoring_stays_inside_bounds_and_away_from_nan() -> None:
+def test_scoring_stays_inside_bounds_and_avoids_nan() -> None:
     loose = fisher_scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.zeros(2, dtype=bool))
     top = fisher_scoring.maximise(quadratic, np.array([2.9, 50.0]), loose, max_iterations=60, tolerance=1e-10)
     np.testing.assert_allclose(top.z, [1.0, -2.0], atol=1e-4)
     tight = replace(loose, low=np.array([-INF, -1.0]))
     top = fisher_scoring.maximise(quadratic, np.array([0.0, 5.0]), tight, max_iterations=30, tolerance=1e-12)
-    np.testing.assert_allclose(top.z, [0.7, -1.0], atol=1e-5)  # the top of the bowl along the bound
+    np.testing.assert_allclose(top.z, [0.7, -1.0], atol=1e-5)  # This is the maximum of the bowl along the bound.
 
 
 def shallow(z: np.ndarray) -> fisher_scoring.Evaluation:
-    """The top is at 10 in z[0]; z[1], a logarithm that the data hardly inform, asks for a step of -100000."""
+    """The maximum is at 10 in z[0]. The data hardly inform the logarithm z[1], so its step would be -100000."""
     H = np.diag([4.0, 1e-9])
     value = -2.0 * (z[0] - 10.0) ** 2 - 1e-4 * z[1]
     return fisher_scoring.Evaluation(float(value), np.array([-4.0 * (z[0] - 10.0), -1e-4]), H, np.zeros(2))
 
 
-def test_a_logarithm_without_information_does_not_hold_up_the_rest() -> None:
+def test_logarithm_without_information_does_not_block_the_search() -> None:
     bounds = fisher_scoring.Bounds(np.full(2, -INF), np.full(2, INF), np.array([False, True]))
     z = np.zeros(2)
     step = fisher_scoring.solve_step(shallow(z), shallow(z).hessian, z, bounds, 0.0)
@@ -338,11 +341,11 @@ def test_a_logarithm_without_information_does_not_hold_up_the_rest() -> None:
     assert top.z[0] == pytest.approx(10.0, abs=1e-2)
 
 
-def test_best_start_finds_the_hill() -> None:
+def test_best_start_finds_the_maximum() -> None:
     assert best_start(turning(), records(1), {"m": [1.0, 4.0, 10.0, 30.0], "d": [4.0, 40.0]}) == {"m": 10.0, "d": 4.0}
 
 
-def test_values_of_models_are_left_alone() -> None:
+def test_fit_does_not_change_the_values_of_its_model() -> None:
     model = turning()
     before = values_of(model)
     fit(model.with_free(("m",)), records(1))

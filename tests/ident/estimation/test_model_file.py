@@ -1,4 +1,6 @@
-"""model.toml: what was fitted comes back, effects and tables too; a damaged file ends in one line."""
+"""Tests of model.toml: a fitted model is restored with its effects and curves, and a damaged file gives a one-line
+error.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ VALIDITY = {"u": (-0.2, 1.3), "n_left": (-1.0, 1.0)}
 
 @pytest.fixture(scope="module")
 def found() -> Fit:
-    """A short fit of few parameters: only the file matters here."""
+    """Return a short fit of few parameters. Only the model file matters here."""
     channels = channels_of(sail(boat_with(None, 1), 40.0, 1)[0])
     model = horizontal_model(sensors=("attitude", "gyro", "position")).with_free(["m_r", "d_rr", "d_vv", "V_x", "V_y"])
     runs = [build_record(model, channels, name=f"run {a:g}", t_from=a, t_to=a + 20.0) for a in (0.0, 20.0)]
@@ -40,7 +42,7 @@ def found() -> Fit:
 
 
 def with_model(found: Fit, model: Model) -> Fit:
-    """As if nothing had been estimated: the values are those of the model."""
+    """Return the fit with another model and without estimated parameters."""
     none, square = np.zeros(0), np.zeros((0, 0))
     return replace(found, model=model, parameters=(), values=none, errors=none, correlation=square, flags=())
 
@@ -56,7 +58,7 @@ def rates(model: Model) -> np.ndarray:
     return VectorisedModel(model)(x, u, np.array(list(model.values.values())))
 
 
-def test_a_fitted_model_comes_back(tmp_path: Path, found: Fit) -> None:
+def test_fitted_model_is_restored(tmp_path: Path, found: Fit) -> None:
     found = replace(found, inflation=np.where(np.array(found.names) == "m_r", 2.5, 1.0))
     back = load_model(saved(tmp_path / "model.toml", found))
     assert back.inflation == {"m_r": 2.5}
@@ -79,7 +81,7 @@ def test_a_fitted_model_comes_back(tmp_path: Path, found: Fit) -> None:
 
 
 @pytest.mark.parametrize("propulsion", ["shaft", "force"])
-def test_effects_come_back_with_their_values(tmp_path: Path, found: Fit, propulsion: str) -> None:
+def test_effects_are_restored_with_their_values(tmp_path: Path, found: Fit, propulsion: str) -> None:
     model = with_disturbances(horizontal_model(propulsion))  # type: ignore[arg-type]
     chosen = [e for e in catalogue().values() if model.accepts(e)]
     assert len(chosen) > 15
@@ -94,7 +96,7 @@ def test_effects_come_back_with_their_values(tmp_path: Path, found: Fit, propuls
 
 
 @pytest.mark.parametrize("variable", ["u", "psi", "u, r", "n_diff", "t"])
-def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, variable: str) -> None:
+def test_nonparametric_effects_are_restored_with_their_span(tmp_path: Path, found: Fit, variable: str) -> None:
     effect = nonparametric_effect(horizontal_model(), ForceCurve("X", *variable.split(", ")), SPAN)
     model = horizontal_model() + effect
     model = model.with_values({p.name: 0.3 * (k + 1) for k, p in enumerate(effect.parameters)})
@@ -102,15 +104,16 @@ def test_unknown_tables_come_back_with_their_span(tmp_path: Path, found: Fit, va
     back = load_model(path).model
     np.testing.assert_allclose(rates(back), rates(model), rtol=1e-12)
     assert back.effects[0].span == SPAN
-    again = load_model(saved(tmp_path / "again.toml", with_model(found, back))).model  # by a command that only refits
+    # A command that only refits the model writes it again.
+    again = load_model(saved(tmp_path / "again.toml", with_model(found, back))).model
     np.testing.assert_allclose(rates(again), rates(model), rtol=1e-12)
     assert back.effects[0].parameters[0].prior == effect.parameters[0].prior
     assert (back.effects[0].kind, back.effects[0].curve) == (effect.kind, effect.curve)
 
 
-@pytest.mark.parametrize("what", ["payload", "thrust", "d_uu"])
-def test_differences_between_runs_come_back(tmp_path: Path, found: Fit, what: str) -> None:
-    effect = between_runs_effect(found.model, what)
+@pytest.mark.parametrize("difference", ["payload", "thrust", "d_uu"])
+def test_differences_between_runs_are_restored(tmp_path: Path, found: Fit, difference: str) -> None:
+    effect = between_runs_effect(found.model, difference)
     name = effect.parameters[0].name
     model = (found.model + effect).with_values({name: 0.2})
     path = saved(tmp_path / "model.toml", with_model(found, model))
@@ -121,7 +124,7 @@ def test_differences_between_runs_come_back(tmp_path: Path, found: Fit, what: st
     assert np.abs(rates(model) - rates(model.with_values({name: 0.0}))).max() > 1e-4
 
 
-def test_responses_to_inputs_come_back(tmp_path: Path, found: Fit) -> None:
+def test_responses_to_inputs_are_restored(tmp_path: Path, found: Fit) -> None:
     for effect in input_response_effects(horizontal_model()):
         model = horizontal_model() + effect
         model = model.with_values({p.name: 0.3 for p in effect.parameters if p.transform == "none"})
@@ -130,8 +133,8 @@ def test_responses_to_inputs_come_back(tmp_path: Path, found: Fit) -> None:
         assert back.values == pytest.approx(model.values)
 
 
-def test_responses_in_another_unit_are_refused(tmp_path: Path, found: Fit) -> None:
-    """Coefficients in N of a part of the thrust are not those of newtons."""
+def test_responses_in_another_unit_are_rejected(tmp_path: Path, found: Fit) -> None:
+    """The coefficients of a share of the thrust are not coefficients in newtons."""
     model = horizontal_model("force") + input_response_effects(horizontal_model("force"))[0]
     path = saved(tmp_path / "model.toml", with_model(found, model))
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
@@ -143,8 +146,8 @@ def test_responses_in_another_unit_are_refused(tmp_path: Path, found: Fit) -> No
         load_model(path)
 
 
-def test_a_large_boats_effect_comes_back_with_its_bounds_and_states(tmp_path: Path, found: Fit) -> None:
-    """400 kg swing in a boat of 1 t; the catalogue's bounds are those of a boat of 37 kg."""
+def test_effect_of_a_large_boat_is_restored_with_its_bounds_and_states(tmp_path: Path, found: Fit) -> None:
+    """A mass of 400 kg swings in a boat of 1 t. The bounds of the catalogue are for a boat of 37 kg."""
     boat = horizontal_model("force").with_values({"m_u": 1000.0, "m_r": 2000.0})
     model = boat
     for name in ("pendulum", "force-lag"):
@@ -153,13 +156,14 @@ def test_a_large_boats_effect_comes_back_with_its_bounds_and_states(tmp_path: Pa
     back = load_model(saved(tmp_path / "model.toml", with_model(found, model))).model
     assert back.parameter("m_p") == model.parameter("m_p")
     assert [s.sd0 for s in back.states] == [s.sd0 for s in model.states]
-    full = model.with_values({"m_p": model.parameter("m_p").bounds[1], "m_u": 990.0})  # the boat turns out lighter
+    full = model.with_values({"m_p": model.parameter("m_p").bounds[1], "m_u": 990.0})  # The refitted boat is lighter.
     again = load_model(saved(tmp_path / "again.toml", with_model(found, full))).model
     assert again.values["m_p"] > 800.0
-    assert [(s.sd0, s.noise) for s in again.states] == [(s.sd0, s.noise) for s in model.states]  # of what it began with
+    # The states keep the scale of the original model.
+    assert [(s.sd0, s.noise) for s in again.states] == [(s.sd0, s.noise) for s in model.states]
 
 
-def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
+def test_model_in_user_code_is_restored(tmp_path: Path, found: Fit) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
         "from dataclasses import replace\nfrom seatrial.ident.models import yaw_model\n"
@@ -172,7 +176,7 @@ def test_a_model_of_ones_own_comes_back(tmp_path: Path, found: Fit) -> None:
     assert [s.name for s in back.states] == ["r"]
 
 
-def test_what_is_considered_comes_back(tmp_path: Path, found: Fit) -> None:
+def test_considered_parameters_are_restored(tmp_path: Path, found: Fit) -> None:
     arm = replace(horizontal_model().parameter("y_left"), prior=(-0.15, 0.01), considered=True)
     for p in (arm, replace(arm, considered=False)):
         model = with_disturbances(horizontal_model()).replace_parameters(p)
@@ -181,12 +185,17 @@ def test_what_is_considered_comes_back(tmp_path: Path, found: Fit) -> None:
         assert back.parameter("y_left").prior == p.prior
 
 
-def test_priors_come_back(tmp_path: Path, found: Fit) -> None:
-    """Those that a user gave, and those of an effect for a large boat; disturbance forces get their size anew."""
+def test_priors_are_restored(tmp_path: Path, found: Fit) -> None:
+    """This covers priors of the user and of an effect for a large boat. The priors of disturbance forces are scaled
+    again.
+    """
     size = VesselScale(20.0, 3.0)
     model = with_disturbances(horizontal_model()) + scale_priors(catalogue()["yaw-bias"], size)
-    given = replace(model.parameter("m_r"), prior=(600.0, 50.0)), replace(model.parameter("d_u"), prior=(0.5, 2.0))
-    model = rescale(model.replace_parameters(*given), size)
+    given_priors = (
+        replace(model.parameter("m_r"), prior=(600.0, 50.0)),
+        replace(model.parameter("d_u"), prior=(0.5, 2.0)),
+    )
+    model = rescale(model.replace_parameters(*given_priors), size)
     path = saved(tmp_path / "model.toml", with_model(found, model))
     back = load_model(path).model
     unexplained = {"q_X", "q_Y", "q_N", "tau_b"}
@@ -254,7 +263,7 @@ def value_beyond_bounds(document: tomlkit.TOMLDocument) -> None:
         (prior(-30.0, 2.0), "m_u: its prior [-30, 2] needs"),
     ],
 )
-def test_a_damaged_file_is_one_line(tmp_path: Path, found: Fit, damage: object, says: str) -> None:
+def test_damaged_file_gives_a_one_line_error(tmp_path: Path, found: Fit, damage: object, says: str) -> None:
     path = saved(tmp_path / "model.toml", found)
     document = tomlkit.parse(path.read_text(encoding="utf-8"))
     damage(document)  # type: ignore[operator]
@@ -266,7 +275,7 @@ def test_a_damaged_file_is_one_line(tmp_path: Path, found: Fit, damage: object, 
 
 
 @pytest.mark.parametrize("rate", ["0.0", "-1", "nan", "inf", "[1]"])
-def test_a_rate_is_a_positive_number(tmp_path: Path, found: Fit, rate: str) -> None:
+def test_sensor_rate_must_be_a_positive_number(tmp_path: Path, found: Fit, rate: str) -> None:
     path = saved(tmp_path / "model.toml", found, rates={"gyro": 10.0})
     path.write_text(path.read_text(encoding="utf-8").replace("gyro = 10.0", f"gyro = {rate}"), encoding="utf-8")
     with pytest.raises(SeatrialError, match=r"model\.toml: not a complete model: "):
@@ -274,7 +283,7 @@ def test_a_rate_is_a_positive_number(tmp_path: Path, found: Fit, rate: str) -> N
 
 
 @pytest.mark.parametrize("content", [b"format = ", b"\xff\xfe\x00", b"", b"[[parameter]]\n" * 3])
-def test_what_is_no_toml_is_one_line(tmp_path: Path, content: bytes) -> None:
+def test_file_that_is_not_toml_gives_a_one_line_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "model.toml"
     path.write_bytes(content)
     with pytest.raises(SeatrialError, match=r"model\.toml: ") as problem:
@@ -284,18 +293,18 @@ def test_what_is_no_toml_is_one_line(tmp_path: Path, content: bytes) -> None:
         load_model(tmp_path / "absent.toml")
 
 
-def test_any_cut_of_the_file_is_one_line_or_a_whole_model(tmp_path: Path, found: Fit) -> None:
+def test_truncated_file_gives_a_one_line_error_or_a_complete_model(tmp_path: Path, found: Fit) -> None:
     path = saved(tmp_path / "model.toml", found)
     text = path.read_text(encoding="utf-8")
     rng = np.random.default_rng(1)
     for cut in rng.integers(0, len(text), 60):
         path.write_text(text[:cut], encoding="utf-8")
-        with contextlib.suppress(SeatrialError):  # nothing else may come out
+        with contextlib.suppress(SeatrialError):  # No other error is allowed.
             assert isinstance(load_model(path).model, Model)
 
 
 @pytest.mark.parametrize("text", ["a = {" * 9000, "a = " + "[" * 50_000, "a = " + "9" * 20_000])
-def test_what_is_too_deep_or_too_long_is_one_line(tmp_path: Path, text: str) -> None:
+def test_file_that_is_nested_too_deeply_or_too_long_gives_a_one_line_error(tmp_path: Path, text: str) -> None:
     (tmp_path / "model.toml").write_text(text, encoding="utf-8")
     with pytest.raises(SeatrialError, match="nested too deeply") as refused:
         load_model(tmp_path / "model.toml")
@@ -303,8 +312,8 @@ def test_what_is_too_deep_or_too_long_is_one_line(tmp_path: Path, text: str) -> 
     assert load_curve(tmp_path / "model.toml") is None
 
 
-def test_a_folder_and_a_result_are_no_model(tmp_path: Path) -> None:
-    """Each gets one line that names the file to give."""
+def test_folder_and_result_file_are_rejected_as_a_model(tmp_path: Path) -> None:
+    """Each error is one line and names the file to give."""
     (tmp_path / "vehicle").mkdir()
     with pytest.raises(SeatrialError, match=r"vehicle: is a folder; give the model in it: .*vehicle/model\.toml$"):
         load_model(tmp_path / "vehicle")

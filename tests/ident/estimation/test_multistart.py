@@ -1,4 +1,7 @@
-"""A shaft heard of every two seconds: a long delay and a quick shaft say nearly what a short one and a slow do."""
+"""Tests of multistart on a shaft speed that is reported every two seconds.
+
+A long delay with a fast shaft and a short delay with a slow shaft then fit almost equally well.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +17,21 @@ TAU, POLE = 0.3, 2.2
 
 
 def polled(seed: int) -> Record:
-    """Steps every eight seconds or so, and news every two to three, the first soon after a step."""
+    """Return a record with steps about every eight seconds and reports every two to three seconds, the first soon after
+    a step.
+    """
     rng = np.random.default_rng(seed)
     t_cmd = np.cumsum(rng.uniform(6.0, 10.0, 60))
     level = rng.uniform(-0.7, 0.7, 60)
     t = np.sort(np.concatenate([np.cumsum(rng.uniform(2.0, 3.0, 190)), t_cmd + rng.uniform(0.9, 1.6, 60)]))
     n, shaft, last = np.zeros(t.size), 0.0, 0.0
     switches = np.concatenate([t_cmd + TAU, [1e9]])
-    k, told = 0, 0.0
+    k, commanded = 0, 0.0
     for i, now in enumerate(t):
         while switches[k] < now:
-            shaft = told + (shaft - told) * np.exp(-POLE * (switches[k] - last))
-            last, told, k = switches[k], level[k], k + 1
-        shaft = told + (shaft - told) * np.exp(-POLE * (now - last))
+            shaft = commanded + (shaft - commanded) * np.exp(-POLE * (switches[k] - last))
+            last, commanded, k = switches[k], level[k], k + 1
+        shaft = commanded + (shaft - commanded) * np.exp(-POLE * (now - last))
         last, n[i] = now, shaft
     model = thruster_model("slow", force=False)
     channels = delayed_channels(Channel(np.append(0.0, t_cmd), np.append(0.0, level)), delay_step(model))
@@ -34,7 +39,7 @@ def polled(seed: int) -> Record:
     return build_record(model, channels, rate=20.0)
 
 
-def test_the_highest_top_is_found_from_a_lower_one() -> None:
+def test_highest_maximum_is_found_from_a_lower_one() -> None:
     model, record = thruster_model("slow", force=False), polled(1)
 
     def refit(start: dict[str, float]) -> Fit:
@@ -48,7 +53,7 @@ def test_the_highest_top_is_found_from_a_lower_one() -> None:
     assert best.model.values["a"] == pytest.approx(POLE, rel=0.15)
 
 
-def test_starts_are_apart_from_the_fit_and_from_each_other() -> None:
+def test_starts_differ_from_the_fit_and_from_each_other() -> None:
     model, record = thruster_model("slow", force=False), polled(2)
     top = fit(model, [record], start={"tau": TAU, "a": POLE})
     delays = [top.model.values["tau"], *[s["tau"] for s in alternative_starts(top, [record])]]
@@ -56,7 +61,7 @@ def test_starts_are_apart_from_the_fit_and_from_each_other() -> None:
     assert np.diff(np.sort(delays)).min() > 0.25
 
 
-def test_only_links_that_poll_have_several() -> None:
+def test_only_models_of_polled_links_have_several_starts() -> None:
     assert thruster_model("slow").start_grid is not None
     assert thruster_model("0.11").start_grid is not None
     assert thruster_model().start_grid is None

@@ -1,4 +1,4 @@
-"""Output error against simulation, finite differences and the spread of its estimates."""
+"""Tests of output error against simulation, finite differences and the spread of its estimates."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ OUTPUT_ERROR = EstimationOptions(method="output-error")
 
 
 def steps(n_rows: int = 600, seed: int = 0) -> Record:
-    """A yaw experiment without measurements yet: moments that change every three seconds."""
+    """Return a yaw experiment without measurements. The moment changes every three seconds."""
     t = np.arange(n_rows) * 0.1
     u = np.repeat(np.random.default_rng(seed).uniform(-8, 8, n_rows // 30 + 1), 30)[:n_rows, None]
     return Record("steps", t, u, u, np.full((n_rows, 1), np.nan), ("N",), ("r",))
 
 
-def test_simulation_agrees_with_scipy() -> None:
+def test_simulation_equals_scipy() -> None:
     record, model = turning_record(), turning()
     p = model.values
     x0 = np.array([3.0, 0.4])
@@ -47,7 +47,7 @@ def test_simulation_agrees_with_scipy() -> None:
     np.testing.assert_allclose(simulated.y[:, 2], 2 * simulated.x[:, 1] + 0.1 * record.u[:, 0])
 
 
-def test_likelihood_is_that_of_the_simulations_errors() -> None:
+def test_likelihood_equals_that_of_the_simulation_errors() -> None:
     record, model = turning_record(), turning()
     v = values_of(model)
     e = record.y - simulate(model, record, v).y
@@ -74,14 +74,14 @@ def test_sensitivities_to_parameters_and_initial_state_are_exact() -> None:
         d[column] = 1e-5
         wanted = (likelihood.value(record, v + d) - likelihood.value(record, v - d)) / 2e-5
         assert scores.gradient[i] == pytest.approx(wanted, rel=1e-5, abs=1e-4), name
-    # the information of the mean's parameters is that of the outputs' sensitivities over the noise
+    # The information of the dynamics is the product of the output sensitivities over the noise variance.
     d = np.zeros(v.size)
     d[0] = 1e-4
     sensitivity = (simulate(model, record, v + d).y - simulate(model, record, v - d).y) / 2e-4
     assert scores.information[0, 0] == pytest.approx(float(np.sum(sensitivity**2)) / v[4] ** 2, rel=1e-6)
 
 
-def test_errors_are_the_spread_of_the_estimates() -> None:
+def test_standard_errors_equal_the_spread_of_the_estimates() -> None:
     model = yaw_model().with_values({"e_r": 0.02})
     record, rng, z = steps(), np.random.default_rng(1), []
     clean = simulate(model, record, x0=np.zeros(1)).y
@@ -90,7 +90,7 @@ def test_errors_are_the_spread_of_the_estimates() -> None:
         noisy = replace(record, y=clean + 0.02 * rng.normal(size=clean.shape))
         found = fit(model, [noisy], OUTPUT_ERROR, start={"m_r": 7.0, "d_rr": 10.0})
         assert found.converged
-        assert "s_r" not in found.names  # output error knows no process noise
+        assert "s_r" not in found.names  # Output error has no process noise.
         names = ("m_r", "d_r", "d_rr", "e_r")
         z.append([(found.estimate(n)[0] - model.values[n]) / found.estimate(n)[1] for n in names])
     assert (np.abs(np.mean(z, axis=0)) < 4 / np.sqrt(40)).all()
@@ -98,8 +98,10 @@ def test_errors_are_the_spread_of_the_estimates() -> None:
 
 
 @pytest.mark.study
-def test_the_sandwich_sees_coloured_residuals() -> None:
-    """With process noise in the data, output error's own errors are too small; the robust ones are not."""
+def test_robust_errors_cover_coloured_residuals() -> None:
+    """The data have process noise, so the plain standard errors of output error are too small. The robust ones are
+    not.
+    """
     model = yaw_model().with_values({"e_r": 0.005})
     model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
     record, rng, z, robust = steps(4800), np.random.default_rng(2), [], []
@@ -119,8 +121,8 @@ def test_the_sandwich_sees_coloured_residuals() -> None:
     assert 0.6 < np.std(robust) < 1.5
 
 
-def test_a_noisy_first_sample_is_not_the_start() -> None:
-    """The start is estimated with the rest, and errors hold; taken for exact, the whole record carries its noise."""
+def test_initial_state_is_estimated_and_not_taken_from_a_noisy_first_sample() -> None:
+    """The errors then cover the truth. If the first sample were exact, its noise would affect the whole record."""
     model = turning().with_values({"e_psi": 0.05, "e_r": 0.05}).with_free(("d", "dd", "e_psi", "e_r"))
     record, rng, z = turning_record(n_rows=400), np.random.default_rng(3), []
     model = replace(
@@ -131,13 +133,13 @@ def test_a_noisy_first_sample_is_not_the_start() -> None:
         clean = simulate(model, record, x0=np.array([3.0, rng.normal(0.0, 0.3)])).y
         noisy = np.where(seen, clean + noise * rng.normal(size=clean.shape), np.nan)
         found = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, start={"d": 6.0, "dd": 3.0})
-        given = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, SearchSettings(initial_state="given"))
+        fixed_start = fit(model, [replace(record, y=noisy)], OUTPUT_ERROR, SearchSettings(initial_state="given"))
         assert "x0_psi@0" in found.names
-        assert "x0_psi@0" not in given.names
+        assert "x0_psi@0" not in fixed_start.names
         z.append(
             [
                 [(f.estimate(n)[0] - model.values[n]) / f.estimate(n)[1] for n in ("d", "dd", "e_r")]
-                for f in (found, given)
+                for f in (found, fixed_start)
             ]
         )
     spread = np.sqrt(np.mean(np.square(z), axis=0))
@@ -146,7 +148,7 @@ def test_a_noisy_first_sample_is_not_the_start() -> None:
 
 
 @pytest.mark.parametrize("initial_state", ["free", "given"])
-def test_outliers_are_allowed_whatever_the_start(initial_state: Literal["free", "given"]) -> None:
+def test_outlier_model_works_with_free_and_given_initial_states(initial_state: Literal["free", "given"]) -> None:
     model = turning().with_free(("d", "dd", "e_psi", "e_r"))
     model = replace(
         model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "") for s in model.states)
@@ -157,8 +159,8 @@ def test_outliers_are_allowed_whatever_the_start(initial_state: Literal["free", 
     assert found.converged
 
 
-def test_starts_of_each_record_begin_at_its_first_samples() -> None:
-    """Headings on both sides of pi: a search from one start for all would end a turn off in one of them."""
+def test_initial_state_of_each_record_starts_at_its_first_samples() -> None:
+    """The headings lie on both sides of pi. A search from one common start would be a full turn off in one record."""
     model = turning().with_free(("d",))
     model = replace(
         model, states=tuple(replace(s, x0=0.0, from_output="psi" if s.name == "psi" else "") for s in model.states)
@@ -166,24 +168,24 @@ def test_starts_of_each_record_begin_at_its_first_samples() -> None:
     records = [turning_record(k, name=f"run {k}") for k in range(2)]
     shifted = replace(records[1], y=records[1].y - [1.5, 0.0, 0.0])
     found = fit(model, [records[0], shifted], OUTPUT_ERROR)
-    one, two = found.estimate("x0_psi", 0)[0], found.estimate("x0_psi", 1)[0]
+    first, second = found.estimate("x0_psi", 0)[0], found.estimate("x0_psi", 1)[0]
     assert found.converged
-    assert abs((one - np.nanmean(records[0].y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
-    assert abs((two - np.nanmean(shifted.y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
-    again = fit(model, [records[0], shifted], OUTPUT_ERROR, start={"x0_psi@0": one, "x0_psi@1": two})
+    assert abs((first - np.nanmean(records[0].y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    assert abs((second - np.nanmean(shifted.y[:4, 0]) + np.pi) % (2 * np.pi) - np.pi) < 0.3
+    again = fit(model, [records[0], shifted], OUTPUT_ERROR, start={"x0_psi@0": first, "x0_psi@1": second})
     assert again.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-4)
 
 
-def test_a_start_that_is_known_stays_and_a_guess_is_a_prior() -> None:
+def test_known_initial_state_is_fixed_and_an_uncertain_one_becomes_a_prior() -> None:
     known = replace(turning(), states=tuple(replace(s, sd0=0.0, x0=0.2, from_output="") for s in turning().states))
     assert with_free_initial_states(known, []) == (known, {})
     guessed = replace(turning(), states=(turning().states[0], replace(turning().states[1], x0=0.2, sd0="sd0")))
     model, begin = with_free_initial_states(guessed, [])
     assert (model.parameter("x0_r").prior, begin) == ((0.2, 0.3), {})
-    assert "x0_psi" not in model.values  # a parameter of the model's own already
+    assert "x0_psi" not in model.values  # The initial state is already a parameter of the model.
 
 
-def test_a_method_that_there_is_not() -> None:
+def test_unknown_method_is_rejected() -> None:
     wrong: Any = "PE"
     with pytest.raises(ValueError, match="'PE'"):
         EstimationOptions(method=wrong)
@@ -191,7 +193,7 @@ def test_a_method_that_there_is_not() -> None:
         SearchSettings(initial_state=wrong)
 
 
-def test_predictions_ahead_are_pieces_of_a_simulation() -> None:
+def test_predictions_over_several_steps_are_parts_of_a_simulation() -> None:
     model, record = turning(), turning_record()
     simulated = simulate(model, record)
     for steps in (1, 7):
@@ -202,7 +204,7 @@ def test_predictions_ahead_are_pieces_of_a_simulation() -> None:
         np.testing.assert_allclose(ahead.x, simulated.x[end], rtol=1e-12, atol=1e-12)
 
 
-def test_one_step_from_filtered_states_is_the_filters_prediction() -> None:
+def test_one_step_prediction_from_filtered_states_is_that_of_the_filter() -> None:
     model, record = turning(), turning_record()
     run = Likelihood(model).filter(record, values_of(model))
     end = np.arange(1, record.n_rows)
@@ -219,6 +221,6 @@ def test_initial_states_become_parameters() -> None:
         with_initial_state(turning(), ["q"])
 
 
-def test_output_error_has_no_filter() -> None:
+def test_output_error_rejects_filtering() -> None:
     with pytest.raises(ValueError, match="output error has no filter"):
         output_error(turning()).filter(turning_record(), values_of(turning()))

@@ -1,4 +1,4 @@
-"""The errors of the parameters in the band of a simulation: by brute force, and whether the band then covers."""
+"""Tests of the parameter uncertainty in the band of a simulation: Monte Carlo variance and coverage of the band."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from tests.ident.toys import turning, turning_record
 FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
 
 
-def test_it_is_the_variance_over_drawn_parameters() -> None:
-    """Of a nonlinear model, positive parameters by their logarithm."""
+def test_prediction_variance_equals_that_over_drawn_parameters() -> None:
+    """The model is nonlinear. Positive parameters are drawn by their logarithms."""
     record = turning_record(3, 400)
     found = fit(turning().with_free(FREE), [record])
     likelihood, known = Likelihood(found.model), 150
@@ -47,8 +47,8 @@ def test_it_is_the_variance_over_drawn_parameters() -> None:
     np.testing.assert_allclose(np.sqrt(added[-100:]) / drawn, 1.0, atol=0.2)
 
 
-def test_a_block_begins_as_it_says() -> None:
-    """A state that no measurement gives, in a block from the middle of a run."""
+def test_block_starts_with_its_own_initial_state() -> None:
+    """An unmeasured state starts in a block from the middle of a run."""
     model = plain_model(
         "behind",
         f=lambda x, u, p: {"n": 0.02 * (1.0 - x.n), "v": p.k * x.n - x.v},
@@ -66,12 +66,12 @@ def test_a_block_begins_as_it_says() -> None:
     found, values, likelihood = fit(model, [run]), np.array([1.0, 0.02]), Likelihood(model)
     block = replace(run.part(30.0, 60.0), start={"n": (float(n[300]), 1e-3), "v": (float(n[300]), 0.1)})
     added = prediction_variance(parameter_uncertainty(found), model, block, values, 150, likelihood)
-    # k n / 1: its sensitivity is n, about a half at the end
+    # The output is k n / 1. Its sensitivity is n, about one half at the end.
     assert np.sqrt(added[-1, 0]) == pytest.approx(found.errors[0] * n[-1], rel=0.1)
 
 
-def test_it_is_infinite_where_a_prediction_runs_away_within_its_error() -> None:
-    """Without a bare numerical warning, which pytest takes for an error."""
+def test_variance_is_infinite_if_a_prediction_diverges_within_the_parameter_error() -> None:
+    """No numerical warning may appear, because pytest treats warnings as errors."""
     model = plain_model(
         "grows",
         f=lambda x, u, p: {"v": p.k * x.v},
@@ -92,7 +92,7 @@ def test_it_is_infinite_where_a_prediction_runs_away_within_its_error() -> None:
     assert (added[-100:] == np.inf).all()
 
 
-def test_noise_and_what_has_no_error_is_left_out() -> None:
+def test_noise_parameters_and_parameters_without_errors_are_left_out() -> None:
     model = turning().with_free(FREE)
     records = [turning_record(seed, 200, f"run {seed}") for seed in range(2)]
     found = fit(model, records)
@@ -105,8 +105,10 @@ def test_noise_and_what_has_no_error_is_left_out() -> None:
     np.testing.assert_array_equal(free.sd, simulation_run(nothing.model, records[0], values).sd)
 
 
-def test_bands_of_a_model_from_little_data_cover_only_with_it() -> None:
-    """Fitted to four seconds, shown forty others: the process noise alone is far from the errors."""
+def test_bands_of_a_model_from_little_data_cover_only_with_parameter_uncertainty() -> None:
+    """The models are fitted to four seconds and predict forty other records. The process noise alone is far too
+    small.
+    """
     inside: dict[bool, list[np.ndarray]] = {False: [], True: []}
     for seed in range(40):
         found = fit(slider(), [slide(500 + seed, 40)], settings=SearchSettings(threads=1))

@@ -1,4 +1,4 @@
-"""A mass does not depend on how many rows a second its sensors are averaged to: inputs go through the same average."""
+"""Tests of the prefilter: inputs are averaged like outputs, so that masses do not depend on the row rate."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ SIDES = ((1, "left"), (2, "right"))
 
 
 @pytest.mark.parametrize(("ahrs", "esc"), [pytest.param(100.0, 200.0, marks=pytest.mark.study), (50.0, 25.0)])
-def test_a_quiet_boat_is_not_found_heavier_than_it_is(ahrs: float, esc: float) -> None:
-    """With shaft speeds at the rows and accelerations over blocks of 0.1 s it was, by 0.45 and 0.24 %."""
+def test_mass_of_a_boat_with_quiet_sensors_is_unbiased(ahrs: float, esc: float) -> None:
+    """With shaft speeds at the rows and accelerations averaged over 0.1 s, the masses were 0.45 and 0.24 % too
+    large.
+    """
     boat = draw_boat(1004, [QUIET])
     gear = DeviceSpecs({"ahrs": ahrs}, {"gnss": 5.0}, (), tuple(EscSpec("esc", k, esc, name=s) for k, s in SIDES))
     t, n = make_mission("mixed", 300.0, 1104).setpoints()
@@ -37,17 +39,18 @@ def test_a_quiet_boat_is_not_found_heavier_than_it_is(ahrs: float, esc: float) -
 
 MASSES = {"m_u": 36.0, "m_v": 45.0, "m_r": 9.0}
 TRUTH = {**MASSES, "d_u": 3.0, "d_v": 30.0, "d_r": 8.0, "d_uu": 25.0, "d_vv": 60.0, "d_rr": 6.0}
-ARM, STEP = 0.15, 0.005  # m, s
+ARM, STEP = 0.15, 0.005  # Units: m, s
 
 
 def pushed(seconds: float, seed: int) -> dict[str, Channel]:
-    """A boat under thrusts that are told and jump every 1 to 6 s, integrated with Runge-Kutta; seen at 100 and 5 Hz,
-    with a tenth of the usual noise."""
+    """Simulate a boat under known thrusts that jump every 1 to 6 s, by Runge-Kutta. The sensors run at 100 and 5 Hz and
+    have a tenth of the usual noise.
+    """
     rng, rows = np.random.default_rng(seed), round(seconds / STEP)
     starts = STEP * np.round(np.cumsum(rng.uniform(1.0, 6.0, rows)) / STEP)
-    told = rng.uniform(-20.0, 30.0, (rows, 2))
+    levels = rng.uniform(-20.0, 30.0, (rows, 2))
     t = np.arange(rows) * STEP
-    force = told[np.searchsorted(starts, t + STEP / 2)]
+    force = levels[np.searchsorted(starts, t + STEP / 2)]
 
     def rate(x: np.ndarray, f: np.ndarray) -> np.ndarray:
         p, (psi, u, v, r) = TRUTH, x[2:]
@@ -73,12 +76,12 @@ def pushed(seconds: float, seed: int) -> dict[str, Channel]:
     found = {n: Channel(t[every[n]], value[every[n]]) for n, value in true.items()}
     found = {n: Channel(c.t, c.value + 0.1 * noise[n] * rng.normal(size=c.t.size)) for n, c in found.items()}
     begins = np.append(0.0, starts[starts < seconds])
-    return found | {f"f_{side}": Channel(begins, told[: begins.size, k]) for k, side in enumerate(("left", "right"))}
+    return found | {f"f_{side}": Channel(begins, levels[: begins.size, k]) for k, side in enumerate(("left", "right"))}
 
 
 @pytest.mark.study
-def test_thrusts_that_jump_are_averaged_as_well() -> None:
-    """Blocks with a jump in them made the mass 8 % too large, 6 standard errors."""
+def test_thrusts_with_jumps_are_averaged() -> None:
+    """Averaging blocks that contain a jump made the mass 8 % too large, which is 6 standard errors."""
     fit = fit_nominal_model(horizontal_model("force", hold="zero"), [LogSegment("mission", pushed(200.0, 1))], []).fit
     for name, true in TRUTH.items():
         value, error = fit.estimate(name)
@@ -86,9 +89,10 @@ def test_thrusts_that_jump_are_averaged_as_well() -> None:
         assert name == "d_u" or abs(value / true - 1.0) < 0.01, (name, value / true - 1.0)
 
 
-def test_where_the_accelerometer_is_not_averaged_thrusts_are_not() -> None:
-    """For a while the fastest sensor decided, whichever it was: with accelerations at 10 Hz the mass was 3 % too small,
-    6 standard errors."""
+def test_thrusts_are_not_averaged_if_the_accelerometer_is_not() -> None:
+    """Formerly the fastest sensor of any kind decided. With accelerations at 10 Hz, the mass was 3 % too small, which
+    is 6 standard errors.
+    """
     channels = pushed(100.0, 1)
     channels |= {n: Channel(channels[n].t[::10], channels[n].value[::10]) for n in ("ax", "ay")}
     fit = fit_nominal_model(horizontal_model("force", hold="zero"), [LogSegment("mission", channels)], []).fit

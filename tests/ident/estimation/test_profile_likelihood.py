@@ -1,4 +1,4 @@
-"""Profile likelihoods against closed forms, against refits, and at bounds."""
+"""Tests of profile likelihoods against closed forms, against refits, and at bounds."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
 
 
 def scatter(*, logarithmic: bool = True) -> Model:
-    """A constant measured with noise: mean and standard deviation of a normal sample."""
+    """Return a model of a constant measured with noise: the mean and standard deviation of a normal sample."""
     return plain_model(
         "scatter",
         f=lambda x, u, p: {"a": 0.0 * x.a},
@@ -59,7 +59,7 @@ def few() -> tuple[Fit, Record]:
 
 
 @pytest.mark.parametrize("method", ["prediction-error", "output-error"])
-def test_a_small_normal_sample_has_its_textbook_intervals(method: str) -> None:
+def test_profile_of_a_small_normal_sample_equals_the_closed_form(method: str) -> None:
     record = sample()
     found = fit(scatter(), [record], EstimationOptions(method=method))
     y, n = record.y[:, 0], record.n_rows
@@ -74,65 +74,65 @@ def test_a_small_normal_sample_has_its_textbook_intervals(method: str) -> None:
     assert spread.low == pytest.approx(optimize.brentq(excess, 0.2 * s, s), rel=2e-3)
     assert spread.high == pytest.approx(optimize.brentq(excess, s, 5 * s), rel=2e-3)
     assert spread.wald_low == pytest.approx(s * math.exp(-1.95996 / math.sqrt(2 * n)), rel=1e-3)
-    assert spread.high > 1.02 * spread.wald_high  # nine samples: the likelihood is not quadratic
+    assert spread.high > 1.02 * spread.wald_high  # With nine samples, the likelihood is not quadratic.
     mean = profile(found, [record], "mean")
     np.testing.assert_allclose(mean.drop, n / 2 * np.log1p(((mean.grid - y.mean()) / s) ** 2), atol=1e-4)
     half = s * math.sqrt(math.exp(2 * DROP_95 / n) - 1)
     assert (mean.low, mean.high) == pytest.approx((y.mean() - half, y.mean() + half), rel=2e-3)
 
 
-def test_every_point_is_a_refit() -> None:
+def test_every_point_of_a_profile_is_a_refit() -> None:
     records = [turning_record(seed, 400) for seed in range(2)]
     found = fit(turning().with_free(FREE), records)
-    one = profile(found, records, "dd")
-    assert one.drop.max() > DROP_95
-    assert one.drop.min() == 0.0
-    assert (np.diff(one.grid) > 0).all()
-    assert one.grid.size <= 13
-    for value, drop in list(zip(one.grid, one.drop, strict=True))[::3]:
+    curve_dd = profile(found, records, "dd")
+    assert curve_dd.drop.max() > DROP_95
+    assert curve_dd.drop.min() == 0.0
+    assert (np.diff(curve_dd.grid) > 0).all()
+    assert curve_dd.grid.size <= 13
+    for value, drop in list(zip(curve_dd.grid, curve_dd.drop, strict=True))[::3]:
         fixed = replace(found.model.parameter("dd"), value=float(value), free=False)
         again = fit(found.model.replace_parameters(fixed), records)
         assert found.log_posterior - again.log_posterior == pytest.approx(drop, abs=5e-3)
-    assert one.low == pytest.approx(one.wald_low, abs=0.2 * found.estimate("dd")[1])
+    assert curve_dd.low == pytest.approx(curve_dd.wald_low, abs=0.2 * found.estimate("dd")[1])
     own = profile(found, records, "bias@1")
     assert own.low < found.estimate("bias", 1)[0] < own.high
 
 
-def test_a_parameter_at_its_bound_has_one_side() -> None:
+def test_profile_of_a_parameter_at_its_bound_has_one_side() -> None:
     record = turning_record(0, 400)
     d = replace(turning().parameter("d"), bounds=(0.0, 1.5), value=1.0)
     found = fit(turning().with_free(FREE).replace_parameters(d), [record])
-    one = profile(found, [record], "d")
-    assert one.grid[-1] == one.high == one.value == 1.5
-    assert 0 < one.low < 1.5
-    assert math.isnan(one.wald_low)
-    assert one.notes == ("upper side: at its bound",)
-    near = replace(d, bounds=(3.0, 50.0), value=4.0)  # within a standard error of the estimate
+    profiled = profile(found, [record], "d")
+    assert profiled.grid[-1] == profiled.high == profiled.value == 1.5
+    assert 0 < profiled.low < 1.5
+    assert math.isnan(profiled.wald_low)
+    assert profiled.notes == ("upper side: at its bound",)
+    near = replace(d, bounds=(3.0, 50.0), value=4.0)  # The bound is within a standard error of the estimate.
     found = fit(turning().with_free(FREE).replace_parameters(near), [record])
-    one = profile(found, [record], "d")
-    assert one.low == one.grid[0] == 3.0
-    assert 0 < one.drop[0] < DROP_95 < one.drop[-1]
-    assert one.notes == ("lower side: reaches its bound",)
+    profiled = profile(found, [record], "d")
+    assert profiled.low == profiled.grid[0] == 3.0
+    assert 0 < profiled.drop[0] < DROP_95 < profiled.drop[-1]
+    assert profiled.notes == ("lower side: reaches its bound",)
 
 
-def test_what_the_data_do_not_limit_is_open() -> None:
-    """Process noise that is not there: its logarithm may go down for ever."""
+def test_profile_is_open_if_the_data_set_no_limit() -> None:
+    """The process noise is zero, so its logarithm has no lower limit."""
     record = sample(60)
     walk = replace(
         scatter(),
         states=(State("a", noise="q", x0="mean", sd0=0.0),),
         parameters=(*scatter().parameters, Parameter("q", 0.3, transform="log")),
     )
-    one = profile(fit(walk, [record]), [record], "q")
-    assert math.isnan(one.low)
-    assert one.high > one.value
-    (note,) = one.notes
+    profiled = profile(fit(walk, [record]), [record], "q")
+    assert math.isnan(profiled.low)
+    assert profiled.high > profiled.value
+    (note,) = profiled.notes
     assert note.startswith("lower side: the data set no limit; the search ended at ")
-    assert float(note.rpartition(" ")[2]) == pytest.approx(one.grid[0], rel=1e-3)
+    assert float(note.rpartition(" ")[2]) == pytest.approx(profiled.grid[0], rel=1e-3)
 
 
 def curve(mean: Callable[[Any], Any], *parameters: Parameter) -> Model:
-    """A constant that is a function of parameters, measured with noise."""
+    """Return a model of a constant that is a function of parameters, measured with noise."""
     return plain_model(
         "curve",
         f=lambda x, u, p: {"a": 0.0 * x.a},
@@ -145,7 +145,9 @@ def curve(mean: Callable[[Any], Any], *parameters: Parameter) -> Model:
 
 
 def scattered(mean: float, s: float, n: int = 9) -> tuple[Record, float]:
-    """Samples of that mean and standard deviation, and how far a mean may be from it before the data object."""
+    """Return samples with the given mean and standard deviation, and the half width of the profile interval of the
+    mean.
+    """
     y = np.random.default_rng(1).normal(0.0, 1.0, n)
     y = (mean + s * (y - y.mean()) / y.std())[:, None]
     record = Record("few", 0.1 * np.arange(n), np.zeros((n, 0)), np.zeros((n, 0)), y, (), ("y",))
@@ -153,42 +155,43 @@ def scattered(mean: float, s: float, n: int = 9) -> tuple[Record, float]:
 
 
 @pytest.mark.parametrize(("power", "start"), [(2, 0.01), (2, 3.0), (6, 0.2)])
-def test_a_parameter_without_slope_at_its_estimate_has_its_interval(power: int, start: float) -> None:
-    """An even power, best at zero: neither gradient nor information there."""
+def test_parameter_without_slope_at_its_estimate_has_an_interval(power: int, start: float) -> None:
+    """The output is an even power with its optimum at zero, where gradient and information are zero."""
     record, half = scattered(0.0, 1.0)
     found = fit(curve(lambda p: p.b**power, Parameter("b", start)), [record])
-    one = profile(found, [record], "b")
+    profiled = profile(found, [record], "b")
     end = half ** (1 / power)
-    assert (one.low, one.high) == (pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
-    assert one.notes == ()
-    assert one.grid.size <= 33
+    assert (profiled.low, profiled.high) == (pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
+    assert profiled.notes == ()
+    assert profiled.grid.size <= 33
 
 
-def test_one_of_two_that_only_their_sum_is_known_of_goes_as_far_as_the_other_can() -> None:
+def test_interval_of_one_term_of_an_identified_sum_is_limited_by_the_bounds_of_the_other() -> None:
     record, half = scattered(0.7, 0.02)
     model = curve(lambda p: p.b1 + p.b2, Parameter("b1", 0.5), Parameter("b2", 0.3, bounds=(0.0, 5.0)))
     found = fit(model, [record])
-    one = profile(found, [record], "b1")
-    assert (one.low, one.high) == (pytest.approx(-4.3 - half, rel=1e-3), pytest.approx(0.7 + half, abs=0.004))
-    assert one.drop.max() < 4 * DROP_95  # what only closed a bracket is not drawn
-    other = profile(found, [record], "b2")
-    assert (other.low, other.high) == (0.0, 5.0)
-    assert other.notes == ("lower side: reaches its bound", "upper side: reaches its bound")
+    first = profile(found, [record], "b1")
+    assert (first.low, first.high) == (pytest.approx(-4.3 - half, rel=1e-3), pytest.approx(0.7 + half, abs=0.004))
+    assert first.drop.max() < 4 * DROP_95  # Points that only closed a bracket are not drawn.
+    second = profile(found, [record], "b2")
+    assert (second.low, second.high) == (0.0, 5.0)
+    assert second.notes == ("lower side: reaches its bound", "upper side: reaches its bound")
 
 
-def test_where_the_likelihood_is_not_a_number_it_says_so() -> None:
+def test_profile_reports_where_the_likelihood_is_not_a_number() -> None:
     record, half = scattered(0.2, 1.0)
-    one = profile(fit(curve(lambda p: np.sqrt(p.b), Parameter("b", 0.5)), [record]), [record], "b")
-    assert math.isnan(one.low)
-    assert one.high == pytest.approx((0.2 + half) ** 2, rel=0.01)
-    (note,) = one.notes
+    profiled = profile(fit(curve(lambda p: np.sqrt(p.b), Parameter("b", 0.5)), [record]), [record], "b")
+    assert math.isnan(profiled.low)
+    assert profiled.high == pytest.approx((0.2 + half) ** 2, rel=0.01)
+    (note,) = profiled.notes
     assert note.startswith("lower side: the likelihood cannot be evaluated beyond ")
     assert float(note.rpartition(" ")[2]) == pytest.approx(0.0, abs=0.02)
 
 
-@pytest.mark.parametrize(("y", "z", "s"), [(-1.0, -0.3, 1.5), (-0.8, -0.3, 1.2)])  # the second leaps over the summit
-def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: float) -> None:
-    """Two summits, the fit on the lower one; between them the likelihood drops by less than 1.92."""
+# The second case jumps over the maximum.
+@pytest.mark.parametrize(("y", "z", "s"), [(-1.0, -0.3, 1.5), (-0.8, -0.3, 1.2)])
+def test_better_optimum_found_by_the_profile_replaces_the_estimate(y: float, z: float, s: float) -> None:
+    """The likelihood has two maxima, and the fit is at the lower one. Between them it drops by less than 1.92."""
     model = plain_model(
         "summits",
         f=lambda x, u, p: {"a": 0.0 * x.a},
@@ -200,16 +203,16 @@ def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: floa
     )
     few, _ = scattered(y, s)
     record = replace(few, y=np.hstack([few.y, few.y[::-1] - y + z]), outputs=("y", "z"))
-    found, other = (fit(model, [record], start={"b": b}) for b in (0.9, -0.9))
+    found, global_fit = (fit(model, [record], start={"b": b}) for b in (0.9, -0.9))
     assert found.converged
-    assert other.converged
-    assert found.estimate("b")[0] > 0.6 > -0.7 > other.estimate("b")[0]
-    one, same = (profile(f, [record], "b") for f in (found, other))
-    assert one.value == pytest.approx(same.value, abs=1e-3)
-    assert (one.low, one.high) == pytest.approx((same.low, same.high), rel=0.02)
-    assert one.drop.min() == 0.0
-    gain = other.log_likelihood - found.log_likelihood
-    assert one.notes == (
+    assert global_fit.converged
+    assert found.estimate("b")[0] > 0.6 > -0.7 > global_fit.estimate("b")[0]
+    profiled, same = (profile(f, [record], "b") for f in (found, global_fit))
+    assert profiled.value == pytest.approx(same.value, abs=1e-3)
+    assert (profiled.low, profiled.high) == pytest.approx((same.low, same.high), rel=0.02)
+    assert profiled.drop.min() == 0.0
+    gain = global_fit.log_likelihood - found.log_likelihood
+    assert profiled.notes == (
         f"a better fit was found during the search, by {gain:.2g} in log-likelihood; the profile is of that fit: "
         "fit again from there",
     )
@@ -217,16 +220,18 @@ def test_a_better_optimum_on_the_way_takes_its_place(y: float, z: float, s: floa
 
 
 @pytest.mark.parametrize("name", ["c2", *(pytest.param(name, marks=pytest.mark.study) for name in ("c1", "d"))])
-def test_beside_and_along_a_plateau(name: str) -> None:
-    """The end of the dead zone stands between two set-points; nothing tells where, so nothing may follow it."""
+def test_profiles_beside_and_along_a_flat_interval(name: str) -> None:
+    """The end of the dead zone lies between two set-points. The data do not locate it, so no other parameter may depend
+    on it.
+    """
     found, record = steps(0.07), stepped_record(0.07)
-    one = profile(found, [record], name)
+    profiled = profile(found, [record], name)
     value, error = found.estimate(name)
-    assert one.low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
-    assert one.high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
+    assert profiled.low == pytest.approx(value - 1.96 * error, abs=0.2 * error)
+    assert profiled.high == pytest.approx(value + 1.96 * error, abs=0.2 * error)
 
 
-def test_what_was_not_estimated_is_named(few: tuple[Fit, Record]) -> None:
+def test_parameter_that_was_not_estimated_is_rejected(few: tuple[Fit, Record]) -> None:
     found, record = few
     with pytest.raises(ValueError, match="no profile of sonar: the fit did not estimate it; it estimated mean, e"):
         profile(found, [record], "sonar")
@@ -242,17 +247,18 @@ def test_what_was_not_estimated_is_named(few: tuple[Fit, Record]) -> None:
         check_names(turning().with_free(("m",)), ["d"], 1)
 
 
-def test_one_parameter_alone(few: tuple[Fit, Record]) -> None:
+def test_profile_of_the_only_parameter(few: tuple[Fit, Record]) -> None:
     record = few[1]
     model = scatter().with_values({"e": 1.0}).with_free(("mean",))
-    one = profile(fit(model, [record]), [record], "mean")
-    assert (one.low, one.high) == pytest.approx((one.wald_low, one.wald_high), rel=1e-4)  # quadratic, known noise
-    assert output_error(model).value(record, np.array([one.high, 1.0])) == pytest.approx(
-        output_error(model).value(record, np.array([one.value, 1.0])) - DROP_95, abs=1e-4
+    profiled = profile(fit(model, [record]), [record], "mean")
+    # The noise is known, so the likelihood is quadratic.
+    assert (profiled.low, profiled.high) == pytest.approx((profiled.wald_low, profiled.wald_high), rel=1e-4)
+    assert output_error(model).value(record, np.array([profiled.high, 1.0])) == pytest.approx(
+        output_error(model).value(record, np.array([profiled.value, 1.0])) - DROP_95, abs=1e-4
     )
 
 
-def test_the_report_draws_it(few: tuple[Fit, Record], tmp_path: Path) -> None:
+def test_report_draws_profiles(few: tuple[Fit, Record], tmp_path: Path) -> None:
     both: list[Profile] = [profile(few[0], [few[1]], n) for n in ("e", "mean")]
     both.append(replace(both[1], name="half<b>", low=float("nan"), wald_low=float("nan"), notes=("lower side: open",)))
     bare = from_json(json.dumps(shortened(thruster())).encode())

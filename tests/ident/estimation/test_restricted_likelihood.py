@@ -1,4 +1,4 @@
-"""Noise by restricted likelihood: the textbook's n - 1, and no bias left where maximum likelihood has one."""
+"""Tests of noise by restricted likelihood: the n - 1 of the textbook, and the removed bias of maximum likelihood."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FREE = ("m", "d", "dd", "bias", "q", "e_psi", "e_r")
 
 
 def lines() -> Model:
-    """A constant and a slope in time, measured with noise."""
+    """Return a model of a constant and a slope in time, measured with noise."""
     return plain_model(
         "lines",
         f=lambda x, u, p: {"t": 1.0},
@@ -39,17 +39,17 @@ def sample(n: int) -> Record:
 
 
 @pytest.mark.parametrize("n", [15, 150])
-def test_the_variance_is_divided_by_what_is_left_of_the_samples(n: int) -> None:
+def test_variance_is_divided_by_the_residual_degrees_of_freedom(n: int) -> None:
     record = sample(n)
     plain, found = (fit(lines(), [record], EstimationOptions(reml=r)) for r in (False, True))
     ratio = found.estimate("e")[0] / plain.estimate("e")[0]
-    assert ratio == pytest.approx(np.sqrt(n / (n - 2)), abs=3.0 / n**2)  # one step
+    assert ratio == pytest.approx(np.sqrt(n / (n - 2)), abs=3.0 / n**2)  # The estimate is one step from the maximum.
     assert found.estimate("mean")[0] == pytest.approx(plain.estimate("mean")[0], abs=1e-4)
     assert found.log_likelihood == plain.log_likelihood
-    assert found.gradient_norm < 2.0 / n  # of the restricted likelihood
+    assert found.gradient_norm < 2.0 / n  # The gradient is that of the restricted likelihood.
 
 
-def test_dynamics_that_are_known_take_nothing() -> None:
+def test_known_dynamics_take_no_degrees_of_freedom() -> None:
     known = lines().with_free(["e"])
     plain, found = (fit(known, [sample(20)], EstimationOptions(reml=r)) for r in (False, True))
     np.testing.assert_array_equal(found.values, plain.values)
@@ -57,7 +57,7 @@ def test_dynamics_that_are_known_take_nothing() -> None:
     assert not turning().noise_parameters & {"m", "d", "dd", "bias"}
 
 
-def test_the_memory_of_a_disturbance_belongs_to_the_noise() -> None:
+def test_correlation_time_of_a_disturbance_is_a_noise_parameter() -> None:
     found = thruster_model(n_delays=9).noise_parameters
     assert {"tau_f", "q_f", "s_n", "e_n", "e_f"} <= found
     assert not found & {"a", "tau", "c1", "c2", "bias"}
@@ -66,8 +66,8 @@ def test_the_memory_of_a_disturbance_belongs_to_the_noise() -> None:
     assert not full.noise_parameters & {"m_u", "d_u", "d_uu", "m_v", "d_v", "m_r", "d_r", "d_rr", "V_x", "V_y"}
 
 
-def test_one_step_leads_to_the_top_of_the_restricted_likelihood() -> None:
-    """Several records, each with a bias of its own: its gradient is gone, and so it is from the other side."""
+def test_one_step_reaches_the_maximum_of_the_restricted_likelihood() -> None:
+    """There are several records, each with its own bias. The gradient vanishes, also from a start on the other side."""
     records = [turning_record(seed, 300, f"run {seed}") for seed in range(2)]
     plain, found = (fit(turning().with_free(FREE), records, EstimationOptions(reml=r)) for r in (False, True))
     assert plain.gradient_norm < 1e-2
@@ -87,23 +87,23 @@ def test_output_error_has_no_process_noise_to_restrict() -> None:
     np.testing.assert_array_equal(found.values, plain.values)
 
 
-def test_the_process_noise_of_short_missions_has_no_bias_left() -> None:
+def test_process_noise_of_short_missions_is_unbiased() -> None:
     case, n = make_case("surge", seconds=80.0), 60
     truth = np.array(list(case.model.values.values()))
     rngs = [np.random.default_rng([5, k]) for k in range(n)]
     _, y = simulate_stochastic(case.model, case.inputs, np.tile(truth, (n, 1)), rngs)
-    records = [make_record(case, one, f"run {k}") for k, one in enumerate(y)]
+    records = [make_record(case, outputs, f"run {k}") for k, outputs in enumerate(y)]
     bias = {}
     for restricted in (False, True):
         fits = [fit(case.model, [r], EstimationOptions(reml=restricted), SearchSettings(threads=1)) for r in records]
         error = np.log([f.estimate("s_u")[0] / case.model.values["s_u"] for f in fits])
         bias[restricted] = error.mean() / error.std(ddof=1)
     assert bias[False] < -0.4
-    assert abs(bias[True]) < 0.35  # known to 0.13
+    assert abs(bias[True]) < 0.35  # The bias is known to 0.13.
 
 
 def scaled() -> Model:
-    """A force and a mass with one scale between them, which a faint prior alone tells."""
+    """Return a model whose force and mass share a scale that only a weak prior determines."""
     return plain_model(
         "scaled",
         f=lambda x, u, p: {"v": (p.c * u.n - p.d * x.v) / p.m},
@@ -121,7 +121,7 @@ def scaled() -> Model:
     )
 
 
-def test_noise_is_not_restricted_along_what_the_data_hardly_see() -> None:
+def test_noise_is_not_restricted_along_an_unidentified_direction() -> None:
     rng, t = np.random.default_rng(2), 0.1 * np.arange(300)
     u = np.repeat(rng.uniform(-1, 1, 15), 20)[:, None]
     v = np.zeros(300)
@@ -131,7 +131,7 @@ def test_noise_is_not_restricted_along_what_the_data_hardly_see() -> None:
     plain, found = (fit(scaled(), [record], EstimationOptions(reml=r)) for r in (False, True))
     for name in ("m", "c"):
         value, error = plain.estimate(name)
-        assert error > value  # the scale is not known
+        assert error > value  # The scale is unknown.
         assert abs(found.estimate(name)[0] - value) < 0.5 * error
     ratio, known = plain.model.values["c"] / plain.model.values["m"], found.model.values["c"] / found.model.values["m"]
     assert known == pytest.approx(ratio, rel=0.02)

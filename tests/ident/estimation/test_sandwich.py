@@ -1,4 +1,4 @@
-"""Errors that allow for coloured residuals: right where blocks can tell, withheld where they cannot."""
+"""Tests of robust standard errors: correct for coloured residuals, and omitted if the record has too few blocks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ N = 4000
 
 
 def coloured(keep: float, seed: int, n: int = N) -> np.ndarray:
-    """First-order noise of unit variance."""
+    """Return first-order noise of unit variance."""
     white = np.random.default_rng(seed).standard_normal(n + 500)
     return np.asarray(lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], white)[500:])
 
@@ -37,7 +37,9 @@ def known_of(information: np.ndarray) -> Uncertainty:
 
 
 def regression(keep: float, seed: int) -> tuple[float, float]:
-    """Error of a regression with noise that remembers, on an input that does, over its plain and its robust error."""
+    """Return the error of a regression over its plain and its robust standard error. Noise and input are
+    autocorrelated.
+    """
     A = np.column_stack([np.ones(N), coloured(keep, 1000 + seed)])
     e = coloured(keep, seed)
     information = A.T @ A
@@ -48,20 +50,22 @@ def regression(keep: float, seed: int) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8, 0.95])
-def test_intervals_cover_whatever_the_residuals_remember(keep: float) -> None:
+def test_robust_intervals_cover_for_any_autocorrelation(keep: float) -> None:
     plain, robust = np.array([regression(keep, k) for k in range(300)]).T
     assert 0.90 < np.mean(np.abs(robust) < 1.96) < 0.99
     assert np.mean(np.abs(plain) < 1.96) > 0.9 or keep > 0.0
     assert np.mean(np.abs(plain) < 1.96) < 0.7 or keep < 0.9
 
 
-@pytest.mark.parametrize("sd", [0.01, 0.05, 1.0])  # of the prior: all of what is known, as much as the data, nothing
-def test_what_a_prior_does_not_know_is_in_the_errors_too(sd: float) -> None:
+# Standard deviations of the prior: it dominates, it equals the data, it is negligible.
+@pytest.mark.parametrize("sd", [0.01, 0.05, 1.0])
+def test_robust_errors_include_the_uncertainty_of_a_prior(sd: float) -> None:
     found = []
     for seed in range(100):
         A, e = np.column_stack([np.ones(N), coloured(0.9, 1000 + seed)]), coloured(0.9, seed)
         prior = np.array([0.0, sd**-2])
-        offset = np.array([0.0, sd * np.random.default_rng(seed).standard_normal()])  # of its mean
+        # This is the error of the mean of the prior.
+        offset = np.array([0.0, sd * np.random.default_rng(seed).standard_normal()])
         x = np.linalg.solve(A.T @ A + np.diag(prior), A.T @ e + prior * offset)
         zero = np.zeros(2)
         free = Bounds(zero - np.inf, zero + np.inf, zero > 0)
@@ -71,7 +75,7 @@ def test_what_a_prior_does_not_know_is_in_the_errors_too(sd: float) -> None:
     assert 0.90 < np.mean(np.abs(found) < 1.96) < 0.99
 
 
-def test_a_record_no_longer_than_its_memory_has_no_error() -> None:
+def test_record_shorter_than_its_autocorrelation_time_has_no_error() -> None:
     walk = np.cumsum(np.random.default_rng(4).standard_normal(N))
     rows = (walk - walk.mean())[:, None]
     assert np.isnan(sandwich(known_of(np.array([[float(N)]])), [([0], rows)], np.ones(1), np.zeros(1)).errors).all()
@@ -84,15 +88,15 @@ def sparse(x: np.ndarray, every: int) -> np.ndarray:
 
 
 def scores_error(scores: list[np.ndarray]) -> Sandwich:
-    """Of a mean of unit information a sample, from its scores."""
+    """Return the robust error of a mean from its scores. Each sample has unit information."""
     n = sum(np.count_nonzero(s) for s in scores)
     rows = [([0], s[:, None]) for s in scores]
     return sandwich(known_of(np.array([[float(n)]])), rows, np.ones(1), np.zeros(1))
 
 
 @pytest.mark.parametrize("every", [1, 2, 5, 10])
-def test_a_slow_sensor_has_the_errors_of_its_samples(every: int) -> None:
-    """Between its samples rows are empty: these are no white noise."""
+def test_slow_sensor_has_the_errors_of_its_samples(every: int) -> None:
+    """The rows between its samples are empty. They must not count as white noise."""
     dense = scores_error([coloured(0.9, 1)]).errors
     np.testing.assert_allclose(scores_error([sparse(coloured(0.9, 1), every)]).errors, dense, rtol=0.1)
     assert dense == pytest.approx(np.sqrt(19.0 / N), rel=0.35)
@@ -102,8 +106,8 @@ def test_a_slow_sensor_has_the_errors_of_its_samples(every: int) -> None:
     assert (short.p < 0.001).all()
 
 
-def test_a_weak_long_correlation_is_in_the_errors_or_withholds_them() -> None:
-    """A tenth of the variance is correlated over 200 rows: it is nine tenths of that of the mean."""
+def test_weak_long_correlation_is_included_or_the_errors_are_omitted() -> None:
+    """A tenth of the variance is correlated over 200 rows. It causes nine tenths of the variance of the mean."""
     n, found, least, withheld = 60_000, [], [], []
     for seed in range(20):
         x = np.sqrt(0.1) * coloured(0.99, seed, n) + np.sqrt(0.9) * coloured(0.0, 100 + seed, n)
@@ -119,15 +123,15 @@ def test_a_weak_long_correlation_is_in_the_errors_or_withholds_them() -> None:
 
 
 @pytest.mark.parametrize(("n", "every"), [(60, 10), (300, 1), (300, 10), (3000, 1)])
-def test_white_scores_are_hardly_ever_said_to_remember(n: int, every: int) -> None:
+def test_white_scores_are_rarely_called_autocorrelated(n: int, every: int) -> None:
     found = [scores_error([sparse(np.random.default_rng(k).normal(size=n), every)]) for k in range(300)]
     assert np.mean([np.isnan(f.errors[0]) for f in found]) < 0.03
     assert np.sqrt(np.nanmean([f.errors[0] ** 2 for f in found])) == pytest.approx(n**-0.5, rel=0.08)
     assert np.mean([f.p[0] < 0.01 for f in found]) < 0.03
 
 
-def test_many_records_are_blocks_themselves() -> None:
-    """Of random walks, each of another record, no length of blocks within one would do."""
+def test_many_records_are_used_as_blocks() -> None:
+    """The records are independent random walks, so no block length within a record would be long enough."""
     walks = [np.cumsum(np.random.default_rng(k).standard_normal(200)) for k in range(30)]
     sums = np.array([w.sum() for w in walks])
     rows = [([0], (w - sums.mean() / 200)[:, None]) for w in walks]
@@ -135,7 +139,7 @@ def test_many_records_are_blocks_themselves() -> None:
     assert error == pytest.approx(np.sqrt(30) * sums.std(ddof=1) / 100.0, rel=0.15)
 
 
-def test_errors_are_the_larger_and_correlations_stay() -> None:
+def test_larger_error_is_used_and_correlations_are_kept() -> None:
     known = known_of(np.array([[2.0, 1.0], [1.0, 2.0]]))
     wider = widened(known, known.errors * np.array([3.0, 0.5]))
     np.testing.assert_allclose(wider.errors, known.errors * [3.0, 1.0])
@@ -157,7 +161,7 @@ def line() -> Model:
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.8])
-def test_a_fit_to_coloured_residuals_says_so_and_has_their_errors(keep: float) -> None:
+def test_fit_with_coloured_residuals_is_flagged_and_has_robust_errors(keep: float) -> None:
     empty = np.zeros((N, 0))
     model = line()
     record = Record("one", 0.1 * np.arange(N), empty, empty, coloured(keep, 3)[:, None], (), ("y",))
@@ -170,8 +174,8 @@ def test_a_fit_to_coloured_residuals_says_so_and_has_their_errors(keep: float) -
     assert (found.errors[:2] > 2.0 * plain.errors[:2]).all() == found.coloured
 
 
-def test_a_fit_whose_residuals_remember_too_long_says_so() -> None:
-    """Its errors are those of the longest blocks, and flagged."""
+def test_fit_with_too_long_autocorrelation_is_flagged() -> None:
+    """Its errors are those of the longest blocks."""
     empty = np.zeros((600, 0))
     y = 0.7 * coloured(0.98, 4, 600) + 0.7 * coloured(0.0, 5, 600)
     record = Record("one", 0.1 * np.arange(600), empty, empty, y[:, None], (), ("y",))

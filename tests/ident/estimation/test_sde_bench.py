@@ -1,4 +1,4 @@
-"""Side by side with ctsmTMB 1.1.1 on two stochastic differential equations that a third program simulated."""
+"""Comparison with ctsmTMB 1.1.1 on two stochastic differential equations that a third program simulated."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tests.machine import cpu_seconds
 from tests.measured.data import measured
 
 pytestmark = pytest.mark.measured
-# estimate, standard error and what half a unit of the last printed digit is
+# Estimate, standard error, and half a unit of the last printed digit.
 YAW = {
     "m_r": (9.692, 0.069, 5e-4),
     "d_r": (4.217, 0.104, 5e-4),
@@ -44,7 +44,7 @@ HORIZONTAL = {
 
 
 def known_start(model: Model) -> Model:
-    """x0 = 0 and P0 = 1e-4 I, as the peer had it."""
+    """Return the model with x0 = 0 and P0 = 1e-4 I, as in the other program."""
     return replace(model, states=tuple(replace(s, from_output="", x0=0.0, sd0=0.01) for s in model.states))
 
 
@@ -68,7 +68,7 @@ def horizontal_case() -> tuple[Model, Record]:
     return model, Record("horizontal", t, u, u, y, ("X", "N"), ("psi", "r", "x", "y"))
 
 
-def test_yaw_reaches_the_peers_optimum() -> None:
+def test_yaw_fit_reaches_the_optimum_of_ctsmtmb() -> None:
     model, record = yaw_case()
     found = fit(model, [record])
     assert found.converged
@@ -79,7 +79,7 @@ def test_yaw_reaches_the_peers_optimum() -> None:
         assert got_error == pytest.approx(error, rel=0.1), name
 
 
-def test_horizontal_reaches_the_peers_optimum() -> None:
+def test_horizontal_fit_reaches_the_optimum_of_ctsmtmb() -> None:
     model, record = horizontal_case()
     found = fit(model, [record])
     assert found.converged
@@ -89,7 +89,7 @@ def test_horizontal_reaches_the_peers_optimum() -> None:
     for name, (value, error, digit) in HORIZONTAL.items():
         got, got_error = found.estimate(name)
         assert abs(got - value) < 0.1 * error + digit, name
-        if name != "d_v":  # the peer's is with d_vv free; ours is with it at its bound, where it is
+        if name != "d_v":  # Here d_vv is at its bound. In the other program d_vv is free, so the errors of d_v differ.
             assert got_error == pytest.approx(error, rel=0.1), name
 
 
@@ -113,7 +113,8 @@ def test_speed_of_one_evaluation() -> None:
         ("scores", likelihood.scores),
     ):
         call(record, v)
-        assert cpu_seconds(partial(call, record, v), 0.1) < 0.1, name  # `python -m benchmarks --only sde` prints them
+        # `python -m benchmarks --only sde` prints the times.
+        assert cpu_seconds(partial(call, record, v), 0.1) < 0.1, name
 
 
 def test_cold_run_from_process_start_to_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -122,7 +123,7 @@ def test_cold_run_from_process_start_to_result(tmp_path: Path, capsys: pytest.Ca
         "model, record = horizontal_case()\n"
         "print(fit(model, [record], start={'m_u': 60.0, 'd_v': 30.0}).log_likelihood)"
     )
-    horizontal_case()  # skips, with the reason, where the data are not
+    horizontal_case()  # This call skips the test if the data are absent.
     environment = {**os.environ, "SEATRIAL_CACHE": str(tmp_path)}
     root = Path(__file__).parents[3]
     took = []
@@ -141,4 +142,4 @@ def test_cold_run_from_process_start_to_result(tmp_path: Path, capsys: pytest.Ca
         assert float(done.stdout) == pytest.approx(119375.396, abs=0.01)
     with capsys.disabled():
         print(f"\nprocess start to result: cold {took[0]:.1f} s, then {took[1]:.1f} s")
-    assert took[0] < 30.0  # 5 s on an idle machine
+    assert took[0] < 30.0  # An idle machine needs 5 s.

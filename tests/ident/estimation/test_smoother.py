@@ -1,4 +1,4 @@
-"""The smoother against the joint Gaussian of all states and against its own promises."""
+"""Tests of the smoother against the joint Gaussian of all states, and of its own invariants."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ from tests.machine import cpu_seconds
 
 
 def of_rows(whole: Covariances) -> Callable[[slice], Covariances]:
-    """What a filter result wants of covariances that are there."""
+    """Return a function that gives the covariances of the requested rows, as a filter result needs it."""
     return lambda rows: Covariances(*(a[rows] for a in whole))
 
 
 def chain(still: bool = False) -> Model:
-    """Position, velocity and an offset: linear, nilpotent. ``still``: an offset that is known and does not move."""
+    """Return a linear, nilpotent model of position, velocity and offset. With ``still``, the offset is known and
+    constant.
+    """
     return plain_model(
         "chain",
         f=lambda x, u, p: {"a": x.b, "b": u.w, "c": 0.0},
@@ -78,7 +80,7 @@ def test_smoothed_states_are_the_conditional_mean_of_the_joint_gaussian(still: b
         np.testing.assert_allclose(found.lag_one[k], wanted, rtol=1e-8, atol=1e-10)
 
 
-def test_covariances_stay_positive_and_below_the_filters() -> None:
+def test_covariances_are_positive_and_not_larger_than_the_filters() -> None:
     record, model = turning_record(3, 400), turning()
     run = Likelihood(model).filter(record, values_of(model))
     found = smooth(run)
@@ -94,8 +96,8 @@ def test_states_without_variance_keep_their_values() -> None:
     np.testing.assert_array_equal(found.sd[:, 2], 0.0)
 
 
-def test_a_singular_covariance_is_no_obstacle() -> None:
-    """Two states that are one and the same."""
+def test_singular_covariance_is_handled() -> None:
+    """Two states are identical."""
     model, record = chain(), chain_record()
     run = Likelihood(model).filter(record, values_of(model))
 
@@ -125,19 +127,19 @@ def test_six_thousand_rows_of_fifteen_states_take_less_than_a_second() -> None:
     P_pred[1:] = Phi[:-1] @ P_filt[:-1] @ Phi[:-1].swapaxes(1, 2) + 0.1 * np.eye(n)
     x = rng.normal(size=(n_rows, n))
     y = np.empty((n_rows, 1))
-    given = of_rows(Covariances(P_pred, P_filt, Phi))
-    run = FilterResult(np.arange(n_rows) * 0.1, x, x, given, y, y[0], y, y, y[:, 0])
+    covariances = of_rows(Covariances(P_pred, P_filt, Phi))
+    run = FilterResult(np.arange(n_rows) * 0.1, x, x, covariances, y, y[0], y, y, y[:, 0])
     assert cpu_seconds(lambda: smooth(run), 1.0) < 1.0
 
 
-def test_the_means_alone_are_those_of_the_whole_smoother() -> None:
+def test_smoothed_means_alone_equal_those_of_the_full_smoother() -> None:
     model, record = turning(), turning_record()
     run = Likelihood(model).filter(record, values_of(model))
     np.testing.assert_allclose(smoothed_mean(run), smooth(run).x, rtol=1e-9, atol=1e-11)
 
 
 @pytest.mark.parametrize("piece", [7, 64])
-def test_a_long_record_is_smoothed_in_pieces(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_record_smoothed_in_pieces_gives_the_same_result(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
     model, record = turning(), turning_record()
     assert record.n_rows % piece
     whole = Likelihood(model).filter(record, values_of(model))

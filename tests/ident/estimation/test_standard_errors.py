@@ -1,4 +1,6 @@
-"""Standard errors beside a neighbour at its bound: neither conditional on it nor blind to it."""
+"""Tests of standard errors beside a parameter at its bound. They are neither conditional on the bound nor unaware of
+it.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,17 @@ BOUNDS = Bounds(np.array([-np.inf, 0.0]), np.full(2, np.inf), np.zeros(2, dtype=
 
 
 def assessed(correlation: float, free: tuple[float, float]) -> tuple[np.ndarray, Uncertainty]:
-    """The estimate, and what is said of it, where the likelihood of two parameters of unit variance has its top at
-    ``free`` and the second is bounded by zero."""
+    """Return the estimate and its assessed uncertainty.
+
+    Two parameters of unit variance have their maximum of likelihood at ``free``. The second is bounded below by zero.
+    """
     information = np.linalg.inv([[1.0, correlation], [correlation, 1.0]])
     z = np.array(free) if free[1] > 0 else np.array([free[0] - correlation * free[1], 0.0])
     at = Evaluation(0.0, information @ (np.array(free) - z), information, np.zeros(2))
     return z, assess(at, z, BOUNDS, ("a", "b"), np.ones(2), np.zeros(2))
 
 
-def test_a_bound_that_is_just_reached_widens_as_if_it_were_not_there() -> None:
+def test_bound_that_is_just_reached_gives_the_error_without_the_bound() -> None:
     _, found = assessed(0.95, (3.0, 0.0))
     assert found.errors[0] == pytest.approx(1.0)
     assert np.isnan(found.errors[1])
@@ -31,30 +35,30 @@ def test_a_bound_that_is_just_reached_widens_as_if_it_were_not_there() -> None:
     )
 
 
-def test_a_step_that_ends_on_a_bound_but_for_its_rounding_is_at_it() -> None:
-    """3 + (0.1 - 3) is not 0.1."""
+def test_value_at_a_bound_except_for_rounding_counts_as_at_the_bound() -> None:
+    """In floating point, 3 + (0.1 - 3) is not 0.1."""
     bounds, z = Bounds(np.array([0.1, -np.inf]), np.array([np.inf, 0.7]), np.zeros(2, dtype=bool)), np.array([0.0, 0.7])
     z[0] = 3.0 + (0.1 - 3.0)
     assert z[0] > 0.1
     at = Evaluation(0.0, np.array([-1.0, 1.0]), np.eye(2), np.zeros(2))
     assert bounds.held(z, at.gradient).all()
     found = assess(at, z, bounds, ("a", "b"), np.ones(2), np.zeros(2))
-    assert [what for _, what in found.flags] == ["at its bound", "at its bound"]
+    assert [flag for _, flag in found.flags] == ["at its bound", "at its bound"]
     assert np.isfinite(found.limits).all()
 
 
-def test_the_harder_it_is_pushed_against_the_less_it_widens() -> None:
+def test_error_widens_less_the_stronger_the_bound_is_active() -> None:
     errors, limits = zip(
         *[(f.errors[0], f.limits[1]) for f in (assessed(0.95, (3.0, b))[1] for b in (-0.5, -3, -30))], strict=True
     )
     assert 1.0 > errors[0] > errors[1] > errors[2]
     assert errors[2] == pytest.approx(np.sqrt(1 - 0.95**2), abs=0.01)
-    # drop of the profile: ((d - b)^2 - b^2) / 2 = 1.92
+    # The drop of the profile is ((d - b)^2 - b^2) / 2 = 1.92.
     assert limits[0] == pytest.approx(-0.5 + np.sqrt(0.5**2 + 3.8415), abs=1e-3)
     assert assessed(0.95, (3.0, -30.0))[1].flags == (("b", "at its bound"),)
 
 
-def test_a_neighbour_that_does_not_matter_or_is_inside_changes_nothing() -> None:
+def test_uncorrelated_bound_or_interior_neighbour_changes_nothing() -> None:
     assert assessed(0.3, (3.0, 0.0))[1].flags == (("b", "at its bound"),)
     _, found = assessed(0.95, (3.0, 0.5))
     assert found.errors == pytest.approx([1.0, 1.0])
@@ -64,8 +68,8 @@ def test_a_neighbour_that_does_not_matter_or_is_inside_changes_nothing() -> None
 
 @pytest.mark.parametrize("correlation", [-0.97, -0.6])
 @pytest.mark.parametrize("true_b", [0.0, 0.5, 1.3, 3.0])
-def test_intervals_cover_wherever_the_truth_lies(correlation: float, true_b: float) -> None:
-    """Given the bound, those of the neighbour would cover 82 % in the worst of these cases."""
+def test_intervals_cover_for_any_position_of_the_truth(correlation: float, true_b: float) -> None:
+    """Conditional on the bound, the intervals of the other parameter would cover 82 % in the worst case."""
     rng, n, hits = np.random.default_rng(7), 600, np.zeros(2)
     root = np.linalg.cholesky([[1.0, correlation], [correlation, 1.0]])
     for _ in range(n):
@@ -79,7 +83,7 @@ def test_intervals_cover_wherever_the_truth_lies(correlation: float, true_b: flo
 
 @pytest.mark.parametrize("size", [np.ones(6), np.array([1.0, 2.0, 0.5, 3.0, 1.0, 0.01])])
 @pytest.mark.parametrize(
-    ("unseen", "said"),
+    ("unseen", "flagged_with"),
     [
         (
             [[1, -1, 0, 0, 0, 0], [0, 0, 1, 2, 0, 0]],
@@ -88,12 +92,15 @@ def test_intervals_cover_wherever_the_truth_lies(correlation: float, true_b: flo
         ([[1, 1, 1, 0, 0, 0], [0, 0, 0, 0, 1, -1], [0, 0, 0, 0, 0, 1]], {n: {"a", "b", "c"} for n in "abc"}),
     ],
 )
-def test_each_combination_that_is_not_seen_is_named_by_itself(
-    unseen: list[list[int]], said: dict[str, set[str]], size: np.ndarray
+def test_each_unidentified_combination_is_named_separately(
+    unseen: list[list[int]], flagged_with: dict[str, set[str]], size: np.ndarray
 ) -> None:
-    """Eigenvectors of a null space of several dimensions are any mixture; what is said must not depend on it."""
+    """Eigenvectors of a null space with several dimensions are arbitrary mixtures. The flags must not depend on
+    them.
+    """
     rng = np.random.default_rng(5)
-    J = np.linalg.svd(np.array(unseen) * size)[2][len(unseen) :] * size  # nothing but the unseen gives J z = 0
+    # Only the unidentified directions give J z = 0.
+    J = np.linalg.svd(np.array(unseen) * size)[2][len(unseen) :] * size
     J = rng.standard_normal((9, len(J))) @ J
     information = J.T @ J
     free = Bounds(np.full(6, -np.inf), np.full(6, np.inf), np.zeros(6, dtype=bool))
@@ -111,15 +118,15 @@ def test_each_combination_that_is_not_seen_is_named_by_itself(
         for name, text in found.flags
         if text.startswith("not identified")
     }
-    assert combinations == said
+    assert combinations == flagged_with
     lost = {name for name, _ in found.flags}
     assert np.isnan(found.errors).tolist() == [name in lost for name in "abcdef"]
-    if "d" in said:
+    if "d" in flagged_with:
         assert dict(found.flags)["d"].endswith("the joint change +0.5 c +1 d")
 
 
-def test_the_share_of_a_prior_is_that_of_what_the_data_tell() -> None:
-    """What is considered makes the errors larger, and no prior stronger."""
+def test_prior_weight_is_relative_to_the_information_of_the_data() -> None:
+    """A considered parameter makes the errors larger, but no prior stronger."""
     at = Evaluation(0.0, np.zeros(2), np.diag([100.0, 1.0]), np.zeros(2))
     prior, considered = np.array([10.0, 0.0]), np.array([[30.0], [0.0]])
     found = assess(at, np.ones(2), BOUNDS, ("a", "b"), np.ones(2), prior, considered)

@@ -1,4 +1,4 @@
-"""The scale of forces: units of ratios, their errors, and what is said where knowledge contradicts itself."""
+"""Tests of the scale of forces: units of ratios, their errors, and warnings about contradicting priors."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_units_of_ratios(unit: str, thrust: str, both: str) -> None:
     assert ThrustScale(GIVEN, GIVEN).unit(unit) == unit
 
 
-def test_what_nobody_gave_is_left_to_the_data() -> None:
+def test_unknown_thrust_and_arms_are_free_parameters() -> None:
     posed = free_unknown_scale(horizontal_model())
     assert [posed.parameter(n).free for n in ("c1", "c2", "y_arm")] == [False, True, True]
     assert posed.parameter("c2").prior == (0.0, pytest.approx(4.005))
@@ -73,8 +73,8 @@ def fitted() -> Fit:
     return fit(model, [record])
 
 
-def test_the_error_of_a_ratio_knows_of_the_thrust_s_own(fitted: Fit) -> None:
-    """Against draws of the estimates from their distribution."""
+def test_error_of_a_ratio_includes_the_error_of_the_thrust(fitted: Fit) -> None:
+    """The reference is a set of draws of the estimates from their distribution."""
     reported = ReportedEstimates(fitted)
     draws = np.random.default_rng(0).multivariate_normal(fitted.values, fitted.covariance, 200_000)
     thrust = fitted.estimate("c1")[0] + draws[:, fitted.names.index("c2")]
@@ -84,27 +84,29 @@ def test_the_error_of_a_ratio_knows_of_the_thrust_s_own(fitted: Fit) -> None:
         value, error = reported.estimate(p)
         assert value == pytest.approx(ratio.mean(), rel=1e-3)
         assert error == pytest.approx(ratio.std(), rel=0.02)
-    value, error = reported.estimate(fitted.model.parameter("c1"))  # fixed, but its ratio is not
+    value, error = reported.estimate(fitted.model.parameter("c1"))  # The parameter c1 is fixed, but its ratio is not.
     ratio = fitted.estimate("c1")[0] / thrust
     assert (value, error) == (pytest.approx(ratio.mean(), rel=1e-3), pytest.approx(ratio.std(), rel=0.02))
     np.testing.assert_allclose(np.diag(reported.correlation), 1.0)
 
 
-def test_an_estimate_far_from_its_prior_is_found(fitted: Fit) -> None:
+def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     assert contradicted_priors(fitted) == []
     i = fitted.names.index("m_u")
     value, _ = fitted.estimate("m_u")
-    usual = replace(fitted.parameters[i], prior=(0.7 * value, 0.06 * value))  # a positive one goes by its logarithm
+    # The distance of a positive parameter is measured in its logarithm.
+    usual = replace(fitted.parameters[i], prior=(0.7 * value, 0.06 * value))
     parameters = tuple(usual if k == i else p for k, p in enumerate(fitted.parameters))
-    assert contradicted_priors(replace(fitted, parameters=parameters)) == []  # the structure's own: nobody said it
-    told = replace(usual, origin=ParameterOrigin.PRIOR)
-    parameters = tuple(told if k == i else p for k, p in enumerate(fitted.parameters))
+    # A built-in prior is not reported. Only a prior of the user is.
+    assert contradicted_priors(replace(fitted, parameters=parameters)) == []
+    user_prior = replace(usual, origin=ParameterOrigin.PRIOR)
+    parameters = tuple(user_prior if k == i else p for k, p in enumerate(fitted.parameters))
     ((p, _, widths),) = contradicted_priors(replace(fitted, parameters=parameters))
     assert (p.name, widths) == ("m_u", pytest.approx(np.log(1 / 0.7) * 0.7 / 0.06, rel=0.2))
 
 
-def test_a_yaw_inertia_below_a_bar_between_the_thrusters_cannot_be(fitted: Fit) -> None:
-    assert least_yaw_inertia(fitted) is None  # nobody gave thrust and arms
+def test_yaw_inertia_has_a_lower_limit_from_the_thruster_positions(fitted: Fit) -> None:
+    assert least_yaw_inertia(fitted) is None  # Thrust and arms are unknown.
     names = ("c1", "c2", "y_left", "y_right")
     known = [replace(fitted.model.parameter(n), origin=GIVEN, free=False) for n in names]
     sure = replace(fitted, model=fitted.model.replace_parameters(*known))

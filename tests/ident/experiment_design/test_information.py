@@ -1,4 +1,4 @@
-"""Fisher information in batches: against the filter's own, finite differences, and the spread of estimates."""
+"""Tests of Fisher information in batches: against the filter, finite differences, and the spread of estimates."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ HULL = ("m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr")
 
 
 def boat_inputs(seconds: float, n: int = 1, seed: int = 1, step: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
-    """Times, and shaft speeds (n_rows, 2, n) in steps of 3 s with corners rounded off by the rows."""
+    """Return times, and shaft speeds (n_rows, 2, n) with steps every 3 s. The rows interpolate the steps."""
     t = np.arange(round(seconds / step) + 1) * step
     levels = np.random.default_rng(seed).uniform(-0.5, 1.0, (int(seconds // 3) + 1, 2, n))
     return t, levels[(t // 3.0).astype(int)]
@@ -37,7 +37,7 @@ def predicted_measurements(model: Model, t: np.ndarray, u: np.ndarray, values: n
     return simulate(model, record, values).y
 
 
-def test_output_error_is_the_expected_curvature_by_finite_differences() -> None:
+def test_output_error_information_equals_finite_differences() -> None:
     model = horizontal_model(sensors=("attitude", "gyro", "position"), current=False)
     t, u = boat_inputs(12.0)
     (F,) = Experiments(model, HULL, t, process_noise=False)(u).information
@@ -57,7 +57,7 @@ def test_output_error_is_the_expected_curvature_by_finite_differences() -> None:
     np.testing.assert_allclose(F, G @ G.T, rtol=2e-3, atol=1e-4 * np.abs(F).max() * 1e-3)
 
 
-def test_prediction_error_is_that_of_the_filter_without_what_tells_of_noise() -> None:
+def test_prediction_error_information_equals_that_of_the_filter_without_noise_terms() -> None:
     model = horizontal_model()
     t, u = boat_inputs(40.0, 3)
     every = {"position": 2, "ground_velocity": 5}
@@ -71,8 +71,10 @@ def test_prediction_error_is_that_of_the_filter_without_what_tells_of_noise() ->
         assert np.linalg.eigvalsh(full - found.information[k])[0] > -1e-6 * np.abs(full).max()
 
 
-def test_an_angle_a_named_initial_state_and_linear_inputs() -> None:
-    """A model with everything that the horizontal one has not: x0 and sd0 by name, an output that sees the input."""
+def test_information_with_angles_named_initial_states_and_linear_inputs() -> None:
+    """The model has features that the horizontal model lacks: x0 and sd0 by name, and an output that contains the
+    input.
+    """
     model = turning()
     t = np.arange(0.0, 20.0, 0.1)
     u = 4.0 * np.sin(t + 0.1 * t**2)[:, None]
@@ -84,7 +86,7 @@ def test_an_angle_a_named_initial_state_and_linear_inputs() -> None:
     np.testing.assert_allclose(errors_of(F), errors_of(expected), rtol=0.01)
 
 
-def test_lanes_do_not_mix_and_a_shared_input_is_the_same_as_copies() -> None:
+def test_lanes_are_independent_and_a_shared_input_equals_copies() -> None:
     model = horizontal_model(current=False)
     t, u = boat_inputs(10.0, 11)
     rng = np.random.default_rng(2)
@@ -104,7 +106,7 @@ def test_lanes_do_not_mix_and_a_shared_input_is_the_same_as_copies() -> None:
         batch(u, values[:5])
 
 
-def test_extremes_are_those_of_the_simulation() -> None:
+def test_extremes_equal_those_of_the_simulation() -> None:
     model = horizontal_model(current=False)
     t, u = boat_inputs(15.0)
     found = Experiments(model, HULL, t)
@@ -115,7 +117,7 @@ def test_extremes_are_those_of_the_simulation() -> None:
     assert high[0, found.extremes.index("speed2")] == pytest.approx((x[:, 3] ** 2 + x[:, 4] ** 2).max())
 
 
-def test_a_thrust_that_is_held_is_held_in_the_design_too() -> None:
+def test_zero_hold_of_a_thrust_is_kept() -> None:
     model, t = surge_model("force", "both"), np.arange(0.0, 20.0, 0.2)
     u = np.where((t // 3).astype(int) % 2 == 0, 30.0, -40.0)[:, None]
     found = Experiments(model, ("m_u", "d_uu"), t)
@@ -125,16 +127,17 @@ def test_a_thrust_that_is_held_is_held_in_the_design_too() -> None:
     np.testing.assert_allclose(high[0, :2], x.max(axis=0), atol=1e-9)
 
 
-def test_a_boat_that_diverges_has_no_information() -> None:
+def test_diverging_boat_has_no_information() -> None:
     model = horizontal_model(current=False).with_values({"m_u": 1e-3, "d_uu": 1e3})
     t, u = boat_inputs(10.0)
     assert not np.isfinite(Experiments(model, HULL, t, process_noise=False)(u).information).all()
 
 
-def test_the_bound_is_the_spread_of_estimates() -> None:
-    """Gauss-Newton estimates of 200 noisy records of a surge run scatter as the information says."""
+def test_bound_equals_the_spread_of_estimates() -> None:
+    """Gauss-Newton estimates of 200 noisy records of a surge run have the covariance of the information."""
     model = surge_model("force", "both").with_values({"d_u": 5.0})
-    model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))  # a known initial state
+    # The initial state is known.
+    model = replace(model, states=tuple(replace(s, from_output="") for s in model.states))
     t = np.arange(0.0, 40.0, 0.2)
     u = np.where((t // 8).astype(int) % 2 == 0, 60.0, -20.0)[:, None]
     free = ("m_u", "d_u", "d_uu")
@@ -152,7 +155,7 @@ def test_the_bound_is_the_spread_of_estimates() -> None:
     assert np.all(np.abs(ratio - 1.0) < 0.2), ratio
 
 
-def test_segments_that_turn_inform_of_turning() -> None:
+def test_turning_segments_inform_yaw_parameters() -> None:
     model = horizontal_model(sensors=("attitude", "gyro", "position", "ground_velocity"))
     rng = np.random.default_rng(3)
     t = np.arange(0.0, 60.0, 0.1)
@@ -172,8 +175,8 @@ def test_segments_that_turn_inform_of_turning() -> None:
     np.testing.assert_allclose(straight.information + turning_.information, whole, rtol=1e-9)
 
 
-def test_errors_allow_for_correlated_residuals_and_priors_do_not() -> None:
-    """A prior is as good as before, however much the residuals are correlated."""
+def test_correlated_residuals_increase_the_errors_but_not_those_of_priors() -> None:
+    """The information of a prior does not depend on the correlation of residuals."""
     model = surge_model("shaft", "speed")
     model = model.replace_parameters(replace(model.parameter("d_u"), prior=(5.0, 1.0)))
     t = np.arange(0.0, 20.05, 0.1)
@@ -183,20 +186,20 @@ def test_errors_allow_for_correlated_residuals_and_priors_do_not() -> None:
     (larger,) = segment_information(model, [record], names, inflation={"m_u": 1.5, "d_u": 1.5})
     np.testing.assert_allclose(larger.information, plain.information / 2.25)
     assert larger.whole[0] > 1.2 * plain.whole[0]
-    assert plain.whole[1] < larger.whole[1] < 1.0  # the prior's
+    assert plain.whole[1] < larger.whole[1] < 1.0  # This limit is the standard deviation of the prior.
 
 
 @pytest.mark.parametrize("seconds", [19.0, 21.0, 41.0, 600.0])
-def test_a_record_that_is_shorter_than_a_segment_is_one(seconds: float) -> None:
+def test_record_shorter_than_a_segment_is_one_segment(seconds: float) -> None:
     model = surge_model("shaft", "speed")
     t = np.arange(0.0, 20.05, 0.1)
     record = planned_record(model, t, np.sign(np.sin(t))[:, None])
-    (one,) = segment_information(model, [record], ("m_u", "d_uu"), seconds=seconds)
-    assert (one.t_from, one.t_to) == (0.0, pytest.approx(20.0))
-    assert np.isfinite(one.whole).all()
+    (segment,) = segment_information(model, [record], ("m_u", "d_uu"), seconds=seconds)
+    assert (segment.t_from, segment.t_to) == (0.0, pytest.approx(20.0))
+    assert np.isfinite(segment.whole).all()
 
 
-def test_priors_and_what_nothing_tells_of() -> None:
+def test_prior_information_and_errors_of_unidentified_parameters() -> None:
     model = horizontal_model()
     current = prior_information([model.parameter("V_x"), model.parameter("m_u")])
     np.testing.assert_allclose(current, np.diag([4.0, 0.0]))
@@ -206,11 +209,12 @@ def test_priors_and_what_nothing_tells_of() -> None:
     assert np.isinf(errors_of(singular)).all()
     apart = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 1.0, 1.0]])
     np.testing.assert_allclose(errors_of(apart), [1.0, np.inf, np.inf])
-    through = np.array([[2.0, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])  # the sum of the others is not known
+    # Only the sum of the other two is unidentified.
+    through = np.array([[2.0, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
     np.testing.assert_allclose(errors_of(through), [1.0, np.inf, np.inf])
 
 
-def test_initial_states_may_be_parameters() -> None:
+def test_initial_states_can_be_parameters() -> None:
     model = with_initial_state(surge_model("force", "position"), ["u"])
     t = np.arange(0.0, 20.0, 0.1)
     u = np.full((t.size, 1), 20.0)

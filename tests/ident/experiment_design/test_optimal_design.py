@@ -1,4 +1,4 @@
-"""Designed missions: known optima, limits, what they promise and what repeats deliver, and what tells effects apart."""
+"""Tests of designed missions: known optima, limits, predicted errors against repeats, and discrimination of effects."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def boat_task(seconds: float = 100.0, n_steps: int = 20, **how) -> DesignProblem
 
 
 def gain_and_offset() -> Model:
-    """y = a n + b: the best inputs are the extremes, half of the time each; det = N^2 then."""
+    """Return the model y = a n + b. The best inputs are the extremes for half of the time each; the determinant is then
+    N^2.
+    """
     return plain_model(
         "line",
         f=lambda x, u, p: {"z": 0.0},
@@ -54,7 +56,7 @@ def gain_and_offset() -> Model:
     )
 
 
-def test_the_optimum_of_a_straight_line_is_half_at_each_end() -> None:
+def test_optimum_for_a_straight_line_is_half_at_each_extreme() -> None:
     task = DesignProblem(gain_and_offset(), StepInput(6, 1, 40.0, 0.4, 0.4), rates={"meter": 2.5}, grid=0.4)
     fast = replace(task)
     object.__setattr__(fast, "actuation", replace(task.actuation, pole=np.inf))
@@ -67,24 +69,26 @@ def test_the_optimum_of_a_straight_line_is_half_at_each_end() -> None:
     assert made.errors["a"] == pytest.approx(1 / np.sqrt(n), rel=0.02)
 
 
-def test_the_same_seed_makes_the_same_design_and_the_search_beats_chance() -> None:
-    one, two = (design(boat_task(seed=4), evaluations=600) for _ in range(2))
-    np.testing.assert_array_equal(one.levels, two.levels)
-    np.testing.assert_array_equal(one.durations, two.durations)
-    task = one.task
+def test_design_is_reproducible_and_better_than_random_inputs() -> None:
+    first, second = (design(boat_task(seed=4), evaluations=600) for _ in range(2))
+    np.testing.assert_array_equal(first.levels, second.levels)
+    np.testing.assert_array_equal(first.durations, second.durations)
+    task = first.task
     value, _ = task.judge(task.commands(task.steps.random(64, np.random.default_rng(9))))
-    assert one.value > value.max() + 0.5
-    assert set(one.predicted) == set(task.observed_parameters)
+    assert first.value > value.max() + 0.5
+    assert set(first.predicted) == set(task.observed_parameters)
     for (
         name
-    ) in task.observed_parameters:  # all sensors at 10 Hz, noise unknown: a little other than the search's own bound
-        assert one.predicted[name] == pytest.approx(one.errors[name], rel=0.05)
+        # All sensors run at 10 Hz, and the noise is unknown. The prediction may differ slightly from the bound in the
+        # search.
+    ) in task.observed_parameters:
+        assert first.predicted[name] == pytest.approx(first.errors[name], rel=0.05)
 
 
 LIMITS = DesignLimits(area=(40.0, 30.0), speed=1.1, energy=0.5)
 
 
-def test_limits_are_kept() -> None:
+def test_design_respects_all_limits() -> None:
     belief = ParameterPrior(("d_v", "d_r", "m_r"), 0.05)
     made = design(boat_task(50.0, 10, slew=2.0, limits=LIMITS, prior_distribution=belief, seed=2), evaluations=800)
     task, command = made.task, made.command
@@ -109,7 +113,7 @@ def test_limits_are_kept() -> None:
     assert free.value > made.value
 
 
-def test_what_cannot_be_kept_is_one_line() -> None:
+def test_impossible_limits_give_a_one_line_error() -> None:
     with pytest.raises(SeatrialError, match=r"--area 1x1 .*give more room"):
         design(boat_task(30.0, 6, limits=DesignLimits(area=(1.0, 1.0))), evaluations=600)
     with pytest.raises(SeatrialError, match="do not fit"):
@@ -137,7 +141,7 @@ def test_chosen_parameters_and_earlier_logs_change_the_design() -> None:
     assert np.isinf(again.before["m_u"])
 
 
-def test_a_robust_design_is_better_on_average() -> None:
+def test_robust_design_is_better_on_average() -> None:
     task = boat_task(
         40.0, 8, prior_distribution=ParameterPrior(("m_u", "m_v", "m_r", "d_v", "d_r", "d_rr", "d_uu"), 0.25), seed=3
     )
@@ -147,7 +151,7 @@ def test_a_robust_design_is_better_on_average() -> None:
     assert value[1] > value[0] + 0.05
 
 
-def test_rivals_are_worse_in_the_form_of_the_thesis() -> None:
+def test_design_is_better_than_baseline_signals() -> None:
     task = boat_task(200.0, 40, process_noise=False, seed=1)
     made = design(task, evaluations=2500)
     found = baseline_signals(task, n=4)
@@ -159,7 +163,7 @@ def test_rivals_are_worse_in_the_form_of_the_thesis() -> None:
     assert all(len(r.values) == 4 and r.value == pytest.approx(r.values.max()) for r in found.values())
 
 
-def test_steps_round_trip_and_keep_to_their_frame() -> None:
+def test_steps_are_encoded_and_decoded_within_their_bounds() -> None:
     steps = StepInput(7, 2, 33.0, 1.4, 0.2, n_max=0.6)
     z = np.clip(steps.random(50, np.random.default_rng(1)), steps.low, steps.high)
     levels, durations = steps.unpack(z)
@@ -171,8 +175,8 @@ def test_steps_round_trip_and_keep_to_their_frame() -> None:
 
 
 @pytest.mark.parametrize(("n_steps", "seconds", "shortest"), [(100, 40.0, 0.35), (20, 12.0, 0.5), (2, 10.0, 5.0)])
-def test_no_step_is_shorter_than_asked_for(n_steps: int, seconds: float, shortest: float) -> None:
-    """Also where the shortest is no multiple of the grid, and the steps just fit."""
+def test_no_step_is_shorter_than_requested(n_steps: int, seconds: float, shortest: float) -> None:
+    """This also holds if the shortest step is not a multiple of the grid and the steps just fit."""
     steps = StepInput(n_steps, 1, seconds, shortest, 0.2)
     _, durations = steps.unpack(steps.random(20, np.random.default_rng(1)))
     assert durations.min() >= shortest - 1e-9
@@ -181,13 +185,13 @@ def test_no_step_is_shorter_than_asked_for(n_steps: int, seconds: float, shortes
         StepInput(n_steps + 1, 1, seconds, shortest, 0.2)
 
 
-def test_a_shortest_step_between_two_rows_is_refused_by_what_it_becomes() -> None:
+def test_shortest_step_between_two_rows_is_reported_as_rounded() -> None:
     with pytest.raises(SeatrialError, match=r"10 steps of at least 1\.2 s \(1\.1 s in steps of 0\.2 s\) do not fit"):
         StepInput(10, 2, 11.0, 1.1, 0.2)
 
 
-def test_many_commands_are_judged_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the same result, whatever is held at once; hundreds of starts on close rows were gigabytes."""
+def test_many_commands_are_evaluated_in_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result does not depend on the batch size. Hundreds of starts on close rows needed gigabytes."""
     task = DesignProblem(gain_and_offset(), StepInput(4, 1, 10.0, 1.0, GRID), robust=2)
     command = task.commands(task.steps.random(7, np.random.default_rng(2)))
     at_once = task.judge(command)
@@ -195,8 +199,8 @@ def test_many_commands_are_judged_a_few_at_a_time(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(task.judge(command), at_once)
 
 
-def test_a_search_judges_only_what_can_be_better(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The design is the same as with all limits and criteria; what cannot win costs half or nothing."""
+def test_search_evaluates_only_candidates_that_can_be_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The design equals that with all limits and criteria. A candidate that cannot win costs half or nothing."""
     task = DesignProblem(
         horizontal_model(), StepInput(8, 2, 40.0, 1.0, GRID, n_max=0.6), limits=DesignLimits(area=(12.0, 12.0))
     )
@@ -210,31 +214,33 @@ def test_a_search_judges_only_what_can_be_better(monkeypatch: pytest.MonkeyPatch
         assert (found[merit <= least] <= least).all()
 
 
-def test_levels_are_rounded_to_what_the_mission_may_have() -> None:
-    """A mission whose level is 0.667 of an n_max of 0.6667 is refused by whoever reads it."""
+def test_levels_are_rounded_within_the_limit_of_the_mission() -> None:
+    """A mission reader rejects a level of 0.667 if n_max is 0.6667."""
     task = DesignProblem(gain_and_offset(), StepInput(4, 1, 10.0, 1.0, GRID, n_max=0.6667))
     made = design(task, evaluations=500)
     assert np.abs(made.levels).max() == 0.6667
     within = replace(made, task=replace(task, validity={"n_cmd": (-0.6, 0.6), "other": (0.0, 1.0)}))
     beyond = replace(made, task=replace(task, validity={"n_cmd": (-0.1, 0.4)}))
     assert beyond_validity(within) == []
-    (told,) = beyond_validity(beyond)
-    assert re.fullmatch(r"n_cmd -0.6\d* to 0.6\d* \(fitted on -0.1 to 0.4\)", told)
+    (warning,) = beyond_validity(beyond)
+    assert re.fullmatch(r"n_cmd -0.6\d* to 0.6\d* \(fitted on -0.1 to 0.4\)", warning)
 
 
-def test_a_robust_criterion_is_a_mean_of_numbers_and_so_is_that_of_the_baselines() -> None:
-    """What diverges in a sample is a violation, not -1e9 of a mean; a nominal criterion is no baseline for a mean."""
+def test_robust_criterion_of_designs_and_baselines_is_a_mean_of_finite_values() -> None:
+    """A sample that diverges is a violation; it must not add -1e9 to the mean. Baselines are compared by the same
+    mean.
+    """
     task = DesignProblem(follower(1.0), StepInput(4, 1, 10.0, 1.0, GRID), robust=2)
     command = task.commands(task.steps.random(3, np.random.default_rng(1)))
     task.__dict__["_robust_samples"] = np.array([[0.5, 0.1], [2.0, 0.1]])
     u = task.actuation.inputs(command)
-    alone = [task.values(u, np.tile(one, (3, 1))) for one in task._robust_samples]
+    alone = [task.values(u, np.tile(baseline, (3, 1))) for baseline in task._robust_samples]
     value, violation = task.judge(command)
     np.testing.assert_allclose(value, np.mean(alone, axis=0))
     assert not violation.any()
-    for one in baseline_signals(task, n=2).values():
-        assert one.value == pytest.approx(float(task.judge(one.command[:, :, None])[0][0]))
-    task.__dict__["_robust_samples"] = np.array([[0.5, 0.1], [0.01, 0.1]])  # rows of twenty time constants
+    for baseline in baseline_signals(task, n=2).values():
+        assert baseline.value == pytest.approx(float(task.judge(baseline.command[:, :, None])[0][0]))
+    task.__dict__["_robust_samples"] = np.array([[0.5, 0.1], [0.01, 0.1]])  # The rows are twenty time constants apart.
     value, violation = task.judge(command)
     np.testing.assert_allclose(value, alone[0])
     np.testing.assert_allclose(violation, 0.5)
@@ -242,7 +248,7 @@ def test_a_robust_criterion_is_a_mean_of_numbers_and_so_is_that_of_the_baselines
         design(task, evaluations=500)
 
 
-def test_other_boats_are_drawn_from_what_is_believed_within_the_bounds() -> None:
+def test_boats_are_sampled_from_the_prior_within_the_bounds() -> None:
     task = DesignProblem(follower(1.0), StepInput(4, 1, 10.0, 1.0, GRID))
     command = {"design": task.commands(task.steps.random(1, np.random.default_rng(1)))[:, :, 0]}
     box, known = (
@@ -256,8 +262,8 @@ def test_other_boats_are_drawn_from_what_is_believed_within_the_bounds() -> None
     assert drawn.min() == 0.0 < drawn.max()
 
 
-def test_errors_that_correlated_residuals_made_larger_stay_so() -> None:
-    """The same mission again makes them smaller by a root of two, not by what the information alone promises."""
+def test_inflated_errors_of_earlier_logs_are_kept() -> None:
+    """Repeating the mission reduces the inflated errors by the root of two, not to the bound of the information."""
     task = DesignProblem(follower(1.0), StepInput(4, 1, 10.0, 1.0, GRID))
     levels, durations = task.steps.unpack(task.steps.random(1, np.random.default_rng(1)))
     command = task.finer.actuation.limited(levels, durations)[:, :, 0]
@@ -269,7 +275,7 @@ def test_errors_that_correlated_residuals_made_larger_stay_so() -> None:
     np.testing.assert_allclose(again.information(u), task.information(u) / 9.0)
 
 
-def test_slew_and_shaft_against_a_plain_loop() -> None:
+def test_slew_limit_and_shaft_lag_equal_a_plain_loop() -> None:
     t = np.arange(0.0, 12.0, 0.1)
     actuation = ThrusterResponse(horizontal_model(current=False), t, slew=0.8)
     levels = np.array([[[1.0], [-1.0]], [[-0.5], [0.2]], [[0.1], [1.0]]])
@@ -285,8 +291,8 @@ def test_slew_and_shaft_against_a_plain_loop() -> None:
 
 
 @pytest.mark.parametrize("rate", [1.0, 3.0, 4.0, 6.0, 7.0, 8.0, 10.0, 15.0])
-def test_a_sensor_counts_with_the_rate_that_was_asked_for(rate: float) -> None:
-    """On rows that it does not fit, too, and what others count does not change with it."""
+def test_sensor_has_the_weight_of_its_requested_rate(rate: float) -> None:
+    """This also holds for a rate that does not fit the rows. The weights of the other sensors do not change."""
     task = boat_task(rates={"position": rate})
     for on in (task, task.finer):
         observed = on.observed(task.model)
@@ -297,7 +303,7 @@ def test_a_sensor_counts_with_the_rate_that_was_asked_for(rate: float) -> None:
                 assert mean == pytest.approx(task.model.values[o.noise] ** 2 / asked)
 
 
-def test_the_error_of_a_gain_goes_with_the_root_of_the_rate() -> None:
+def test_error_of_a_gain_falls_with_the_root_of_the_rate() -> None:
     steps = StepInput(6, 1, 40.0, 0.4, 0.4)
     levels, durations = steps.unpack(steps.random(1, np.random.default_rng(2)))
     error = {}
@@ -336,7 +342,7 @@ def test_inputs_of_other_models() -> None:
     np.testing.assert_allclose(u[20:, names.index("n_left~3")], u[17:-3, names.index("n_left")], atol=1e-12)
 
 
-def test_random_sequences_have_their_bandwidth() -> None:
+def test_baseline_signals_have_their_bandwidth() -> None:
     t, rng = np.arange(0.0, 600.0, 0.2), np.random.default_rng(1)
     binary = prbs(t, 5.0, 2, 0.7, rng)
     assert set(np.unique(binary)) == {-0.7, 0.7}
@@ -353,17 +359,17 @@ def small_design() -> Design:
 
 
 @pytest.mark.study
-def test_repeats_deliver_what_the_design_predicted() -> None:
+def test_repeats_have_the_predicted_errors() -> None:
     found = repeat_design(small_design(), 24, seed=3)
-    assert [one.name for one in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
-    for one in found:
-        assert one.n >= 22
-        assert one.outliers <= 2
-        # nine at a time: an interval for each that misses one in a thousand
-        df = one.n - one.outliers - 1
-        assert 0.0005 < stats.chi2.cdf(df * one.ratio**2, df) < 0.9995, one
-    assert 0.88 < np.mean([one.coverage for one in found]) < 0.99
-    assert np.mean([one.ratio for one in found]) == pytest.approx(1.0, abs=0.15)
+    assert [repeated.name for repeated in found] == ["m_u", "m_v", "m_r", "d_u", "d_v", "d_r", "d_uu", "d_vv", "d_rr"]
+    for repeated in found:
+        assert repeated.n >= 22
+        assert repeated.outliers <= 2
+        # Nine intervals are tested. Each misses once in a thousand.
+        df = repeated.n - repeated.outliers - 1
+        assert 0.0005 < stats.chi2.cdf(df * repeated.ratio**2, df) < 0.9995, repeated
+    assert 0.88 < np.mean([repeated.coverage for repeated in found]) < 0.99
+    assert np.mean([repeated.ratio for repeated in found]) == pytest.approx(1.0, abs=0.15)
 
 
 def late(model: Model, name: str) -> Model:
@@ -371,7 +377,7 @@ def late(model: Model, name: str) -> Model:
 
 
 @pytest.mark.study
-def test_delay_and_lag_are_told_apart_better_than_by_random_missions() -> None:
+def test_designed_mission_discriminates_delay_and_lag_better_than_random_missions() -> None:
     task = boat_task(20.0, 8)
     a, b = late(task.model, "delay"), late(task.model, "lag")
     found = discriminate(a, b, task, evaluations=500)
@@ -385,8 +391,8 @@ def test_delay_and_lag_are_told_apart_better_than_by_random_missions() -> None:
         discriminate(a, late(horizontal_model(sensors=("gyro",), current=False), "lag"), task)
 
 
-def test_the_separation_is_what_a_fit_of_the_wrong_one_loses() -> None:
-    """T is twice the gain in log-likelihood of the right model over the wrong one, refitted, on undisturbed data."""
+def test_separation_equals_the_loss_of_a_fit_of_the_wrong_model() -> None:
+    """T is twice the gain in log-likelihood of the right model over the refitted wrong model, on undisturbed data."""
     base = horizontal_model(sensors=("attitude", "gyro", "position"), current=False)
     task = DesignProblem(base, StepInput(6, 2, 20.0, 1.0, 0.1), grid=0.1)
     a, b = late(base, "delay"), late(base, "lag")
@@ -406,7 +412,7 @@ def test_the_separation_is_what_a_fit_of_the_wrong_one_loses() -> None:
     assert 2 * (exact - fitted.log_likelihood) == pytest.approx(apart, rel=0.1)
 
 
-def test_the_band_of_the_track_is_that_of_the_sampled_boats() -> None:
+def test_band_of_the_track_equals_that_of_sampled_boats() -> None:
     made = small_design()
     track = predicted_track(made)
     assert track is not None

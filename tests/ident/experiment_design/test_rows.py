@@ -1,4 +1,4 @@
-"""Rows of a design: as close as the quickest state needs, and nothing that diverges passes for a result."""
+"""Tests of the rows of a design: they resolve the fastest state, and a diverging simulation is an error."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def task_of(model: Model, grid: float) -> DesignProblem:
     return DesignProblem(model, StepInput(4, 1, 10.0, 1.0, GRID), grid=grid)
 
 
-def test_rows_are_as_close_as_the_quickest_state_needs() -> None:
-    """A Runge-Kutta step of fourth order is stable up to 2.785 times the time constant."""
+def test_row_spacing_resolves_the_fastest_state() -> None:
+    """A fourth-order Runge-Kutta step is stable up to 2.785 times the time constant."""
     slow, quick, mixed = np.array([[1.0, 0.1]]), np.array([[0.06, 0.1]]), np.array([[1.0, 0.1], [0.06, 0.1]])
     model = follower(1.0)
     assert row_spacing([(model, slow)], GRID) == GRID
@@ -31,18 +31,21 @@ def test_rows_are_as_close_as_the_quickest_state_needs() -> None:
     lagged = (boat + catalogue()["lag"]).with_values({"T_lag": 0.06})
     assert row_spacing([(boat, values_of(boat)[None])], GRID) == GRID
     assert row_spacing([(lagged, values_of(lagged)[None])], GRID) == pytest.approx(GRID / 3)
-    both = (boat + catalogue()["delay"] + catalogue()["lag"]).with_values({"T_lag": 0.05})  # copies 0.1 s apart
+    # The delayed inputs are 0.1 s apart.
+    both = (boat + catalogue()["delay"] + catalogue()["lag"]).with_values({"T_lag": 0.05})
     spacing = row_spacing([(both, values_of(both)[None])], GRID)
-    assert spacing == pytest.approx(0.05)  # half of a copy's, for a pole of 20/s
-    driven = horizontal_model("command")  # copies of its commands are 0.05 s apart
+    assert spacing == pytest.approx(0.05)  # Half of the spacing of the delayed inputs, for a pole of 20/s.
+    driven = horizontal_model("command")  # The delayed commands are 0.05 s apart.
     assert row_spacing([(driven, values_of(driven)[None])], GRID) == pytest.approx(0.05)
 
 
-def test_what_diverges_is_an_error() -> None:
-    """On rows of twenty time constants: the criterion was -1e9, and T infinite and so clear."""
-    one, two = follower(0.01), follower(0.01, 2)
+def test_diverging_design_is_an_error() -> None:
+    """The rows were twenty time constants apart. The criterion was -1e9, and an infinite T counted as a clear
+    separation.
+    """
+    first_order, second_order = follower(0.01), follower(0.01, 2)
     with pytest.raises(SeatrialError, match=r"informs all of T.*diverges on rows of 0\.2 s"):
-        design(task_of(one, 0.2), evaluations=500)
+        design(task_of(first_order, 0.2), evaluations=500)
     command = np.where(np.arange(51)[:, None] % 10 < 5, 1.0, -1.0)
     with pytest.raises(SeatrialError, match=r"follower1 and follower2 cannot be compared: .* rows of 0\.2 s"):
-        separation(one, two, task_of(one, 0.2), command)
+        separation(first_order, second_order, task_of(first_order, 0.2), command)

@@ -1,4 +1,4 @@
-"""Where boats may get: the kernels' extents against plain simulation, process noise against another integrator."""
+"""Tests of the extent of tracks: the kernels against plain simulation, and process noise against another integrator."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ SECONDS, N = 60.0, 200
 
 
 def circles() -> tuple[DesignProblem, Array]:
-    """A boat that turns to one side, then to the other: inputs (n_rows, n_inputs, 1)."""
+    """Return the inputs (n_rows, n_inputs, 1) of a boat that turns to one side and then to the other, with their
+    task.
+    """
     task = DesignProblem(
         horizontal_model(current=False), StepInput(4, 2, SECONDS, 1.0, GRID), prior_distribution=ParameterPrior((), 0.0)
     )
@@ -41,7 +43,7 @@ def circles() -> tuple[DesignProblem, Array]:
     return task, task.actuation.inputs(task.actuation.limited(levels, np.full((4, 1), SECONDS / 4)))
 
 
-def test_without_noise_it_is_a_plain_simulation() -> None:
+def test_extent_without_noise_equals_a_plain_simulation() -> None:
     task, u = circles()
     reach = TrackExtent(task.model, task.t, values_of(task.model)[None], [1])
     low, high = reach(np.repeat(u, 3, axis=2))
@@ -51,8 +53,8 @@ def test_without_noise_it_is_a_plain_simulation() -> None:
         np.testing.assert_allclose(side[:, 0, :6], np.tile(found, (3, 1)), atol=1e-8)
 
 
-def test_the_inputs_of_a_command_model_are_not_copied_for_each_boat() -> None:
-    """Dozens of delayed inputs for each of 25 boats took ten times as long as the simulation, and gigabytes."""
+def test_inputs_of_a_command_model_are_not_copied_for_each_boat() -> None:
+    """Copies of dozens of delayed inputs for 25 boats took ten times as long as the simulation, and gigabytes."""
     model = horizontal_model("command")
     t = np.arange(400) * 0.05
     task = DesignProblem(model, StepInput(4, 2, 20.0, 1.0, GRID), grid=0.05)
@@ -72,7 +74,7 @@ def test_the_inputs_of_a_command_model_are_not_copied_for_each_boat() -> None:
         np.testing.assert_allclose(side.reshape(expected.shape), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_noise_spreads_the_boats_as_another_integrator_does() -> None:
+def test_process_noise_spreads_the_boats_like_another_integrator() -> None:
     task, u = circles()
     boats = np.tile(values_of(task.model), (N + 1, 1))
     reach = TrackExtent(task.model, task.t, boats, [1])
@@ -83,37 +85,37 @@ def test_noise_spreads_the_boats_as_another_integrator_does() -> None:
     for column, name in enumerate(s.name for s in task.model.states):
         for ours, theirs in ((low, noisy.min(axis=1)), (high, noisy.max(axis=1))):
             mean, sd = theirs[:, column].mean(), theirs[:, column].std()
-            if sd < 2e-3:  # the start is an extreme of most boats, and what is left has long tails
+            if sd < 2e-3:  # The start is an extreme of most boats, and the rest of the distribution has long tails.
                 continue
-            # four standard errors of the difference of two means, and of the ratio of two spreads
+            # Four standard errors of the difference of two means, and of the ratio of two standard deviations.
             assert abs(ours[:, column].mean() - mean) < 4 * sd * np.sqrt(2 / N) + 1e-9, name
             assert ours[:, column].std() == pytest.approx(sd, rel=4 / np.sqrt(N), abs=1e-9), name
-    assert low[:, 0].std() > 0.5  # m: it matters
+    assert low[:, 0].std() > 0.5  # The spread [m] is relevant.
 
 
-def test_the_same_seed_draws_the_same_and_the_first_boat_is_left_alone() -> None:
+def test_seed_determines_the_noise_and_the_first_boat_has_none() -> None:
     task, u = circles()
     boats = np.tile(values_of(task.model), (4, 1))
-    one, two, other = (TrackExtent(task.model, task.t, boats, [seed]) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one.noise, two.noise)
-    assert not one.noise[:, :, 0].any()
-    assert np.abs(one.noise - other.noise)[:, :, 1:].min() > 0.0
+    first, same_seed, another_seed = (TrackExtent(task.model, task.t, boats, [seed]) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.noise, same_seed.noise)
+    assert not first.noise[:, :, 0].any()
+    assert np.abs(first.noise - another_seed.noise)[:, :, 1:].min() > 0.0
     model, names = with_noise_inputs(task.model)
     assert names == ["u", "v", "r"]
     assert [i.name for i in model.inputs] == ["n_left", "n_right", "w_u", "w_v", "w_r"]
-    many = np.concatenate([u] * 40, axis=2)  # more than are simulated together
-    low, _ = one(many)
+    many = np.concatenate([u] * 40, axis=2)  # This is more than one batch of boats.
+    low, _ = first(many)
     np.testing.assert_array_equal(low, np.repeat(low[:1], 40, axis=0))
 
 
-def test_a_current_carries_them_off() -> None:
+def test_current_moves_the_boats() -> None:
     model = horizontal_model()
     boats = np.tile(values_of(model), (400, 1))
     found = in_current(model, boats, 0.2, np.random.default_rng(1))
     at = [[p.name for p in model.parameters].index(n) for n in ("V_x", "V_y")]
     speed = np.hypot(*found[:, at].T)
     assert 0.19 < speed.max() <= 0.2
-    assert speed.mean() == pytest.approx(0.2 * 2 / 3, rel=0.1)  # of a disc
+    assert speed.mean() == pytest.approx(0.2 * 2 / 3, rel=0.1)  # This is the mean radius of a uniform disc.
     assert np.abs(found[:, at].mean(axis=0)).max() < 0.02
     np.testing.assert_array_equal(np.delete(found, at, axis=1), np.delete(boats, at, axis=1))
     assert in_current(model, boats, 0.0, np.random.default_rng(1)) is boats
@@ -125,8 +127,8 @@ def test_a_current_carries_them_off() -> None:
     np.testing.assert_allclose(drifted, np.abs(found[1:3][:, at]) * 299 * GRID, atol=1.5)
 
 
-def test_the_area_holds_the_rest_before_and_the_coasting_after() -> None:
-    """A current takes the boat along for the whole mission, and thrust ends with the steps, not with the motion."""
+def test_area_covers_the_rest_before_and_the_coasting_after() -> None:
+    """A current moves the boat during the whole mission. Thrust ends with the steps, but the motion continues."""
     model = horizontal_model().with_values({"s_u": 1e-9, "s_v": 1e-9, "s_r": 1e-9})
     limits = DesignLimits(area=(9.0, 9.0), current=0.2)
     task = DesignProblem(
@@ -144,8 +146,8 @@ def test_the_area_holds_the_rest_before_and_the_coasting_after() -> None:
     assert abs(u[-1]) < 1e-9
 
 
-def test_noise_and_current_cost_room() -> None:
-    """The violation of an area grows with what is not known, so that a design that keeps to it stays inside."""
+def test_noise_and_current_increase_the_area_violation() -> None:
+    """The violation grows with the uncertainty, so a design without violation stays inside the area."""
     belief, area = ParameterPrior(("d_v",), 0.02), (8.0, 8.0)
     steps = StepInput(8, 2, SECONDS, 1.0, GRID)
     calm = horizontal_model().with_values({"s_u": 1e-6, "s_v": 1e-6, "s_r": 1e-6})
@@ -160,7 +162,7 @@ def test_noise_and_current_cost_room() -> None:
     assert broken[2].sum() > broken[1].sum() + 0.1
 
 
-def test_a_model_without_process_noise_has_no_inputs_for_it() -> None:
+def test_model_without_process_noise_has_no_noise_inputs() -> None:
     model = surge_model("force", "position").with_values({})
     quiet, names = with_noise_inputs(
         type(model)(

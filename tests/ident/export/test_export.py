@@ -1,4 +1,6 @@
-"""Exported models equal the model: every target, every effect, at random points; and what their headers say."""
+"""Tests of exported models: they equal the model for every target and effect at random points, and their headers are
+right.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ from tests.ident.exported import ALONE, MODELS, compare, moved, points, run_c, r
 from tests.test_docs import ROOT, blocks
 
 
-# Each model with one of the two contents; `make study` runs the other one, too.
+# Each model with one of the two contents. `make study` also runs the other one.
 @pytest.mark.parametrize(
     ("name", "nuisance"),
     [
@@ -41,7 +43,7 @@ from tests.test_docs import ROOT, blocks
         for nuisance in (False, True)
     ],
 )
-def test_python_and_casadi_equal_the_model(name: str, nuisance: bool, tmp_path: Path) -> None:
+def test_python_and_casadi_exports_equal_the_model(name: str, nuisance: bool, tmp_path: Path) -> None:
     model = moved(MODELS[name], 1)
     for target, run in (("python", run_python), ("casadi", run_casadi)):
         functions, space = run(export(saved(model), target, nuisance=nuisance), tmp_path)
@@ -51,7 +53,7 @@ def test_python_and_casadi_equal_the_model(name: str, nuisance: bool, tmp_path: 
         compare(model, functions, list(c.values), nuisance)
 
 
-# What the models with every effect cannot have, and one of every other kind; `make study` runs the others, too.
+# Effects that the models with every effect cannot have, and one of every other kind. `make study` also runs the others.
 KINDS_ALONE = {
     *("compass-filtered", "compass-motor", "velocity-point", "lever-arm-attitude", "mount-attitude"),
     *("delay", "lag", "battery-sag", "waves", "tether"),
@@ -59,12 +61,12 @@ KINDS_ALONE = {
 
 
 def some(names: Iterable[str], kept: set[str]) -> list[Any]:
-    """Of these names, all but a few for `make study`."""
+    """Return test parameters of these names. All names that are not in `kept` run only with `make study`."""
     return [pytest.param(name, marks=[pytest.mark.study] * (name not in kept)) for name in names]
 
 
 @pytest.mark.parametrize("name", some(ALONE, KINDS_ALONE))
-def test_every_effect_alone(name: str, tmp_path: Path) -> None:
+def test_export_of_every_effect_alone(name: str, tmp_path: Path) -> None:
     model = moved(ALONE[name], 2)
     for target, run in (("python", run_python), ("casadi", run_casadi)):
         compare(model, run(export(saved(model), target), tmp_path)[0], list(content(saved(model)).values), False)
@@ -73,7 +75,7 @@ def test_every_effect_alone(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", some(MODELS, {*MODELS} - {"force with every effect", "without sway"}))
-def test_c_equals_the_model(name: str, tmp_path: Path) -> None:
+def test_c_export_equals_the_model(name: str, tmp_path: Path) -> None:
     model = moved(MODELS[name], 3)
     c = content(saved(model))
     functions, defaults = run_c(export(saved(model), "c"), tmp_path, c.name)
@@ -100,8 +102,8 @@ def test_ros2_values_are_exact(name: str) -> None:
         assert table.get("validity", {}) == ({"u": [-0.5, 1.2]} if "u" in c.states else {})
 
 
-def test_a_step_is_the_engines_own() -> None:
-    """What the exported step does is what the fit assumed."""
+def test_exported_step_equals_that_of_the_engine() -> None:
+    """The exported step must equal the step that the fit used."""
     model = moved(ALONE["pendulum"], 6)
     functions, _ = run_python(export(saved(model), "python"), Path())
     x, u = points(model, 2)
@@ -112,7 +114,7 @@ def test_a_step_is_the_engines_own() -> None:
     np.testing.assert_allclose(functions[2](x[1], u[1], 0.1, list(content(saved(model)).values)), ran.x[1], rtol=1e-11)
 
 
-def test_parameters_can_be_replaced_and_are_the_boats() -> None:
+def test_exported_parameters_can_be_replaced_and_contain_no_noise() -> None:
     text = export(saved(with_disturbances(horizontal_model())), "python")
     _, space = run_python(text, Path())
     x, u = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0], [0.5, 0.5]
@@ -124,13 +126,13 @@ def test_parameters_can_be_replaced_and_are_the_boats() -> None:
 
 @pytest.mark.parametrize("name", some(("as fitted", "shaft with every effect"), {"as fitted"}))
 @pytest.mark.parametrize("target", TARGETS)
-def test_the_same_model_is_the_same_text(target: str, name: str) -> None:
+def test_export_is_reproducible(target: str, name: str) -> None:
     model = MODELS[name]
     assert export(saved(model), target) == export(saved(replace(model)), target)
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_the_header_says_what_a_reader_needs(target: str) -> None:
+def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
     model = with_disturbances(horizontal_model())
     for name in ("delay", "battery-sag", "current-drift"):
         model = model + catalogue()[name]
@@ -155,8 +157,8 @@ def test_the_header_says_what_a_reader_needs(target: str) -> None:
     assert "0.025 s ago" in export(saved(thruster_model()), target)
 
 
-def test_unexplained_forces_left_out_are_process_noise_of_the_same_strength() -> None:
-    """The speed of a free body pushed by the force for a while spreads like the white noise that replaces it."""
+def test_omitted_disturbance_forces_become_process_noise_of_the_same_strength() -> None:
+    """A free body that is pushed by the force for a long time has the same spread of speed as with the white noise."""
     model = with_disturbances(horizontal_model(current=False))
     c = content(saved(model))
     q, tau, m = (model.values[n] for n in ("q_X", "tau_b", "m_u"))
@@ -171,14 +173,17 @@ def test_unexplained_forces_left_out_are_process_noise_of_the_same_strength() ->
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_errors_that_last_are_in_the_noise_of_their_outputs(target: str) -> None:
-    """Of an estimator and, on the bench, of the force: with their stationary variance, and for how long they last."""
+def test_correlated_errors_are_in_the_noise_of_their_outputs(target: str) -> None:
+    """The errors of an estimator, and of the force on a bench, are included with their stationary variance. The header
+    contains their correlation times.
+    """
     model = horizontal_model(sensors=("attitude", "gyro", "position"))
     model = (model + estimator_error([s.name for s in model.sensors])).with_values({"e_xy": 0.001, "A_xy": 0.2})
     noise = dict(zip(content(saved(model)).outputs, content(saved(model)).output_noise, strict=True))
     assert noise["x"] == noise["y"] == pytest.approx(math.hypot(0.001, 0.2))
     v = model.values
-    turn = v["A_r"] * v["tau_psi"] * math.sqrt(v["tau_r"] / (v["tau_r"] + v["tau_psi"]))  # the gyro's, integrated
+    # The integrated error of the gyro.
+    turn = v["A_r"] * v["tau_psi"] * math.sqrt(v["tau_r"] / (v["tau_r"] + v["tau_psi"]))
     assert noise["psi"] == pytest.approx(math.hypot(v["e_psi"], v["A_psi"], turn))
     assert noise["r"] == pytest.approx(math.hypot(v["e_r"], v["A_r"]))
     assert "psi (3 s), r (0.1 s), x (3 s), y (3 s)." in " ".join(export(saved(model), target).split())
@@ -189,8 +194,10 @@ def test_errors_that_last_are_in_the_noise_of_their_outputs(target: str) -> None
     assert force == pytest.approx(math.hypot(values["e_f"], values["q_f"] * math.sqrt(values["tau_f"] / 2)))
 
 
-def test_errors_that_drive_each_other_are_as_large_as_their_simulation() -> None:
-    """Of an estimator with velocities: its accelerations end in its position. Euler's method, at any heading."""
+def test_coupled_estimator_errors_have_the_size_of_their_simulation() -> None:
+    """In an estimator with velocities, the acceleration error is integrated into the position. The reference is Euler's
+    method.
+    """
     model = horizontal_model(sensors=("attitude", "position", "ground_velocity"))
     model = model + estimator_error([s.name for s in model.sensors])
     v = {"tau_axy": 8.0, "tau_vxy": 2.0, "tau_xy": 4.0, "A_axy": 0.1, "A_vxy": 0.03, "A_xy": 0.2}
@@ -205,7 +212,7 @@ def test_errors_that_drive_each_other_are_as_large_as_their_simulation() -> None
             for e, driven, name, w in zip((a, speed, place), (0.0, a, speed), ("axy", "vxy", "xy"),
                                           rng.normal(size=(3, 4000)), strict=True)
         )  # fmt: skip
-    gain, area = 1.0, 0.0  # under the autocovariance: half of the spectral density at zero
+    gain, area = 1.0, 0.0  # Area under the autocovariance: half of the spectral density at zero.
     for name in ("xy", "vxy", "axy"):
         gain *= v[f"tau_{name}"]
         area += gain**2 * v[f"A_{name}"] ** 2 / v[f"tau_{name}"]
@@ -214,8 +221,8 @@ def test_errors_that_drive_each_other_are_as_large_as_their_simulation() -> None
     assert c.lasting["x"] == pytest.approx(area / place.var(), rel=0.06)
 
 
-def test_a_sideslip_that_is_left_out_is_noise_of_both_axes() -> None:
-    """A filter may head anywhere: all of it east, as at a heading of zero, would take the north for exact."""
+def test_omitted_sideslip_is_noise_of_both_axes() -> None:
+    """A filter may have any heading. With all noise in east, as at heading zero, north would be treated as exact."""
     model = nomoto_model(sampled=True)
     c, values = content(saved(model)), model.values
     diffusion, spread = values["q_v"] * values["tau_v"], values["q_v"] * math.sqrt(values["tau_v"] / 2)
@@ -229,22 +236,22 @@ def test_a_sideslip_that_is_left_out_is_noise_of_both_axes() -> None:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_what_is_right_as_a_ratio_only_is_said_to_be(target: str) -> None:
+def test_unknown_thrust_is_stated_in_the_header(target: str) -> None:
     model = horizontal_model()
     text = export(saved(model), target)
     assert "The thrust was not given: masses, damping and forces are right as ratios to c1 + c2 only" in text
     assert "The arms were not given" in text
     assert "[N] built-in, thrust" in text
-    given = (
+    known = (
         model.parameter(n).known(v, 0.0, ParameterOrigin.GIVEN)
         for n, v in (("c1", 40.0), ("y_left", -0.2), ("y_right", 0.2))
     )
-    text = export(saved(model.replace_parameters(*given)), target)
+    text = export(saved(model.replace_parameters(*known)), target)
     assert "Nobody" not in text
     assert "[N] given, thrust" in text
 
 
-def test_offsets_of_a_measured_attitude_are_left_out_like_all_others() -> None:
+def test_offsets_of_a_measured_attitude_are_omitted_like_all_others() -> None:
     model = with_disturbances(kinematic_model(yaw=True))
     assert content(saved(model)).states == ("x", "y", "u", "v", "r")
     text = export(saved(model), "python")
@@ -254,13 +261,13 @@ def test_offsets_of_a_measured_attitude_are_left_out_like_all_others() -> None:
     assert {"bias_psi", "bias_r", "bias_ax"} <= set(content(saved(model), nuisance=True).states)
 
 
-def test_identifiers_are_valid_and_different() -> None:
+def test_identifiers_are_valid_and_unique() -> None:
     names = identifiers(["n~3", "n_ago_3", "2fast", "u\u2080 x", "", "n_ago_3"])
     assert [prefix(n) for n in ("odd boat 2!", "2", "__", "a__b")] == ["odd_boat_2", "model_2", "model", "a_b"]
     assert names == ("n_ago_3", "n_ago_3_2", "_2fast", "u__x", "_", "n_ago_3_3")
 
 
-def test_what_cannot_be_written_is_said() -> None:
+def test_operation_that_cannot_be_exported_is_reported() -> None:
     strange = plain_model(
         "strange",
         f=lambda x, u, p: {"a": ca.erfinv(x.a)},
@@ -275,7 +282,7 @@ def test_what_cannot_be_written_is_said() -> None:
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_the_command(target: str, tmp_path: Path) -> None:
+def test_export_command(target: str, tmp_path: Path) -> None:
     source, out = tmp_path / "model.toml", tmp_path / "out"
     source.write_text(blocks(ROOT / "docs/formats/model.md", "toml")[0], encoding="utf-8")
     words = ["export", str(source), "--to", target, "--name", "my-boat"]
@@ -287,7 +294,7 @@ def test_the_command(target: str, tmp_path: Path) -> None:
     assert "35.53" in shown.stdout
 
 
-def test_the_command_names_a_file_that_is_no_model(tmp_path: Path) -> None:
+def test_export_command_rejects_a_file_that_is_not_a_model(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("{}", encoding="utf-8")
     done = CliRunner().invoke(ident, ["export", str(tmp_path / "result.json"), "--to", "c"])
     assert isinstance(done.exception, SeatrialError)

@@ -1,4 +1,4 @@
-"""Sensors with outliers: the density, the filter's update for it, and estimates with and without outliers."""
+"""Tests of sensors with outliers: the density, the filter update, and estimates with and without outliers."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ def normal(z: float) -> float:
     return float(np.exp(-z * z / 2) / np.sqrt(2 * np.pi))
 
 
-def test_the_density_is_one_and_its_information_is_what_it_says() -> None:
-    beyond = outlier_density.SHARE * 2 / np.pi * np.arctan(outlier_density.WIDTH / EDGES[-1])  # of the Cauchy part
+def test_density_is_normalised_and_its_information_is_right() -> None:
+    # This is the probability of the Cauchy part beyond the last edge.
+    beyond = outlier_density.SHARE * 2 / np.pi * np.arctan(outlier_density.WIDTH / EDGES[-1])
     assert mean_of(lambda z: 1.0, density) + beyond == pytest.approx(1.0, abs=1e-9)
     assert mean_of(lambda z: outlier_density.score(z) ** 2, density) == pytest.approx(
         outlier_density.INFORMATION[0], abs=1e-6
@@ -51,7 +52,7 @@ def test_the_density_is_one_and_its_information_is_what_it_says() -> None:
     assert scale / 2 == pytest.approx(outlier_density.INFORMATION[1], abs=1e-6)
 
 
-def test_score_and_slope_are_derivatives() -> None:
+def test_score_and_its_slope_are_derivatives() -> None:
     z = np.concatenate([np.linspace(-8, 8, 81), [12.0, 35.0, -400.0, 1e7]])
     e = 1e-5 * np.maximum(1.0, np.abs(z))
     first = -(outlier_density.log_density(z + e) - outlier_density.log_density(z - e)) / (2 * e)
@@ -62,7 +63,7 @@ def test_score_and_slope_are_derivatives() -> None:
     assert abs(outlier_density.score(1e7)) < 1e-6
 
 
-def test_little_is_lost_on_normal_noise() -> None:
+def test_efficiency_on_normal_noise_is_high() -> None:
     """Asymptotic efficiency of an M-estimator, A^2 / (B I), of the mean and of the scale."""
     slope, square = (
         mean_of(outlier_density.score_slope, normal),
@@ -71,12 +72,12 @@ def test_little_is_lost_on_normal_noise() -> None:
     assert slope**2 / square > 0.99
     by_scale = mean_of(lambda z: z * outlier_density.score(z) + z * z * outlier_density.score_slope(z), normal)
     assert by_scale**2 / mean_of(lambda z: (z * outlier_density.score(z) - 1) ** 2, normal) / 2 > 0.98
-    # scale within half that
+    # The scale is right to half of that.
     assert mean_of(lambda z: z * outlier_density.score(z), normal) == pytest.approx(1.0, abs=0.01)
 
 
 def level() -> Model:
-    """A constant that is measured."""
+    """Return a model of a measured constant."""
     return plain_model(
         "level",
         f=lambda x, u, p: {"a": 0.0 * x.a},
@@ -89,8 +90,8 @@ def level() -> Model:
 
 
 @pytest.mark.parametrize("y", [0.6, 2.5, 3.4, 4.0, 9.0, -30.0])
-def test_the_update_is_the_posterior_of_the_mixture(y: float) -> None:
-    """Mean and variance of the state given one sample, by quadrature over the noise that the density stands for."""
+def test_update_is_the_posterior_of_the_mixture(y: float) -> None:
+    """The reference is the mean and variance of the state after one sample, by quadrature over the noise mixture."""
     model = outlier_density.with_outlier_model(level())
     nothing = np.zeros((2, 0))
     record = Record("one", np.array([0.0, 0.1]), nothing, nothing, np.array([[y], [np.nan]]), (), ("y",))
@@ -100,7 +101,7 @@ def test_the_update_is_the_posterior_of_the_mixture(y: float) -> None:
     share = outlier_density.SHARE / (np.pi * outlier_density.WIDTH) / (1 + (z / outlier_density.WIDTH) ** 2)
     good = (1 - outlier_density.SHARE) * normal(z) / ((1 - outlier_density.SHARE) * normal(z) + share)
     K = 0.7**2 / S
-    kept = 2 * z / (outlier_density.WIDTH**2 + z * z)  # a wild sample tells next to nothing
+    kept = 2 * z / (outlier_density.WIDTH**2 + z * z)  # An outlier gives almost no information.
     means = np.array([K * np.sqrt(S) * z, K * np.sqrt(S) * kept])
     within = 0.7**2 - K * 0.7**2 * np.array(
         [1.0, 2 * (outlier_density.WIDTH**2 - z * z) / (outlier_density.WIDTH**2 + z * z) ** 2]
@@ -114,8 +115,10 @@ def test_the_update_is_the_posterior_of_the_mixture(y: float) -> None:
 
 
 def spoiled(record: Record, seed: int, share: float = 0.01, column: int = 0, noise: float = 0.02) -> Record:
-    """A part of one output's samples moved by 10 to 60 standard deviations; never the first ten, while the filter
-    does not know yet where it is."""
+    """Move a share of the samples of one output by 10 to 60 standard deviations.
+
+    The first ten samples stay, because the filter is not initialised yet.
+    """
     rng, y = np.random.default_rng(seed), record.y.copy()
     there = np.flatnonzero(np.isfinite(y[:, column]))
     hit = rng.choice(there[10:], max(int(share * there.size), 1), replace=False)
@@ -144,15 +147,15 @@ def test_gradient_and_tangents_are_exact(process_noise: bool) -> None:
         assert gradient[i] == pytest.approx((4 * central(1e-4) - central(2e-4)) / 3, rel=1e-5, abs=1e-4)
 
 
-def test_both_forms_of_the_covariance_agree() -> None:
+def test_both_covariance_updates_give_the_same_value() -> None:
     model, record = outlier_density.with_outlier_model(turning()), spoiled(turning_record(), 2, 0.05)
-    one, other = (Likelihood(model, joseph=j).value(record, values_of(model)) for j in (False, True))
-    assert one == pytest.approx(other, rel=1e-11)
+    short, joseph = (Likelihood(model, joseph=j).value(record, values_of(model)) for j in (False, True))
+    assert short == pytest.approx(joseph, rel=1e-11)
 
 
 @pytest.fixture(scope="module")
 def pairs() -> list[tuple[Fit, Fit]]:
-    """Plain and robust fits of the same clean data."""
+    """Return plain and robust fits of the same clean data."""
     model = turning().with_free(FREE)
     found = []
     for seed in range(10):
@@ -161,8 +164,8 @@ def pairs() -> list[tuple[Fit, Fit]]:
     return found
 
 
-def test_efficiency_without_outliers(pairs: list[tuple[Fit, Fit]]) -> None:
-    """The difference to an efficient estimate has the variance that was lost (Hausman 1978)."""
+def test_robust_fit_is_efficient_without_outliers(pairs: list[tuple[Fit, Fit]]) -> None:
+    """The difference to an efficient estimate has the variance that the robust estimate lost (Hausman 1978)."""
     z = np.array([(robust_.values - plain.values) / plain.errors for plain, robust_ in pairs])
     assert (z**2).mean() < 0.05
     ratio = np.array([robust_.errors / plain.errors for plain, robust_ in pairs])
@@ -195,10 +198,10 @@ def test_outliers_are_ignored_and_counted() -> None:
         [line, *_] = outlier_density.outlier_notes(found.model, [many], [np.isfinite(record.y)])
         assert "too many for outliers: the model lacks an effect" in line
     assert np.mean(inside) > 0.97
-    assert broken == 6  # without it they do harm: the test can fail
+    assert broken == 6  # Without the outlier model the outliers bias the fit, so this test can fail.
 
 
-def test_one_wild_sample_of_any_size_does_not_matter() -> None:
+def test_single_outlier_of_any_size_has_no_influence() -> None:
     model = turning().with_free(FREE)
     record = turning_record(7, 600)
     at = np.flatnonzero(np.isfinite(record.y[:, 1]))[40]
@@ -209,12 +212,12 @@ def test_one_wild_sample_of_any_size_does_not_matter() -> None:
     assert np.abs(z).max() < 0.5
 
 
-def test_a_record_does_not_start_from_an_outlier() -> None:
-    """States that start from a measurement take the first that agrees with its neighbours."""
+def test_initial_state_is_not_taken_from_an_outlier() -> None:
+    """States that start from a measurement take the first sample that agrees with its neighbours."""
     heading = replace(turning().states[0], from_output="psi")
     model = replace(turning(), states=(heading, turning().states[1]))
     y = np.full((8, 3), np.nan)
-    y[:, 0] = [0.1, 3.10, 3.12, 3.14, -3.12, -3.10, -3.08, -3.06]  # a wild one, then a turn through pi
+    y[:, 0] = [0.1, 3.10, 3.12, 3.14, -3.12, -3.10, -3.08, -3.06]  # One outlier, then a turn through pi.
     t = 0.1 * np.arange(8)
     record = Record("start", t, np.zeros((8, 1)), np.zeros((8, 1)), y, ("N",), ("psi", "gyro", "second"))
     assert Preparer(model)(record).first[0] == 0.1
@@ -225,7 +228,7 @@ def test_a_record_does_not_start_from_an_outlier() -> None:
 
 @pytest.fixture(scope="module")
 def uncertain() -> tuple[Model, Record, Fit]:
-    """A heading that starts from the compass and is hardly known before it, a record, and its fit."""
+    """Return a model with an uncertain initial heading from the compass, a record, and its fit."""
     heading = replace(turning().states[0], from_output="psi", sd0=1.0)
     model = replace(turning(), states=(heading, turning().states[1])).with_free(FREE)
     record = turning_record(11, 600)
@@ -233,10 +236,10 @@ def uncertain() -> tuple[Model, Record, Fit]:
 
 
 @pytest.mark.parametrize("hit", [(0,), (1,), (2,), (3,), (4,), (0, 1), (0, 2), (0, 4)])
-def test_outliers_among_the_first_samples_do_not_matter(
+def test_outliers_among_the_first_samples_have_no_influence(
     uncertain: tuple[Model, Record, Fit], hit: tuple[int, ...]
 ) -> None:
-    """While nothing is known an outlier looks likely: taken in full, it would make outliers of the good ones."""
+    """While the state is uncertain, an outlier looks likely. If it were used, good samples would look like outliers."""
     model, record, clean = uncertain
     y, rows = record.y.copy(), np.flatnonzero(np.isfinite(record.y[:, 0]))[list(hit)]
     y[rows, 0] += 0.5 * np.array([1.0, 1.7])[: len(hit)]
@@ -251,8 +254,8 @@ def test_outliers_among_the_first_samples_do_not_matter(
     assert found.n_measured == int(np.isfinite(y).sum()) - (hit[0] == 0) * (2 if hit == (0, 1) else 1)
 
 
-def test_a_sample_at_the_start_is_left_as_a_whole() -> None:
-    """One output of two is wild: the sensor's sample says nothing of either; a sensor without outliers is believed."""
+def test_sample_with_an_outlier_at_the_start_is_left_out_completely() -> None:
+    """If one output of two is an outlier, the complete sample is dropped. A sensor without an outlier model is used."""
     record = turning_record(11, 600)
     first = np.flatnonzero(np.isfinite(record.y[:, 1]))[0]
     y = record.y.copy()
@@ -267,7 +270,7 @@ def test_a_sample_at_the_start_is_left_as_a_whole() -> None:
 
 
 def test_good_samples_at_the_start_are_kept() -> None:
-    """Noise, steady and accelerated motion, coarse resolution, a turn through pi, too few samples."""
+    """The cases are noise, steady and accelerated motion, coarse resolution, a turn through pi, and too few samples."""
     rng, t = np.random.default_rng(3), 0.1 * np.arange(200)
     noise = rng.standard_normal((300, 200))
     for moved in (0.0 * t, 50.0 * t, 20.0 * t**2, 20.0 * np.sin(2.0 * t), np.cumsum(noise[0])):
@@ -279,19 +282,22 @@ def test_good_samples_at_the_start_are_kept() -> None:
     assert _agreeing(t, np.append(9.0, np.round(0.3 * noise[0][1:])), False) == 1
 
 
-def test_an_unknown_sensor_is_named() -> None:
+def test_unknown_sensor_is_rejected() -> None:
     with pytest.raises(KeyError, match="no sensor 'sonar'; it has compass, gyros"):
         outlier_density.with_outlier_model(turning(), ["sonar"])
 
 
 @pytest.mark.study
-def test_gnss_with_one_per_cent_of_gross_outliers() -> None:
-    """A boat of the mocks: wild positions change nothing but the count; without --robust the noise swallows them."""
+def test_gnss_with_one_percent_of_gross_outliers() -> None:
+    """On a simulated boat, outliers in position change only their count. Without --robust, they increase the noise
+    estimate.
+    """
     recording, _ = sail(boat_with(None, 3), 200, 1)
     clean = channels_of(recording)
     rng, spoilt = np.random.default_rng(1), dict(clean)
     n = clean["x"].t.size
-    hit = np.append(0, rng.choice(np.arange(5, n), n // 100, replace=False))  # the first position of all, too
+    # The very first position is an outlier, too.
+    hit = np.append(0, rng.choice(np.arange(5, n), n // 100, replace=False))
     for name in ("x", "y"):
         value = clean[name].value.copy()
         value[hit] += rng.choice([-1, 1], hit.size) * rng.uniform(10, 60, hit.size) * 0.15
@@ -305,7 +311,7 @@ def test_gnss_with_one_per_cent_of_gross_outliers() -> None:
     notes = dict(line.split(": ", 1) for line in stage.outlier_notes)
     for name in ("x", "y"):
         counted = int(notes[name].split()[0])
-        assert hit.size - 2 <= counted <= hit.size + 1  # the first is before the record begins
+        assert hit.size - 2 <= counted <= hit.size + 1  # The first outlier is before the start of the record.
     assert int(notes["psi"].split()[0]) <= 3
     harmed = fit_nominal_model(model, [LogSegment("run", spoilt)], [])
     assert harmed.fit.estimate("e_xy")[0] > 3 * plain.fit.estimate("e_xy")[0]

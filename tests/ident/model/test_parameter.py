@@ -1,4 +1,4 @@
-"""A parameter's value and its bounds."""
+"""Tests of the value of a parameter and its bounds."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ MEMORY = Parameter("tau_b", 1.5, "s", transform="log", bounds=(0.2, 60.0))
 
 
 @pytest.mark.parametrize("n", range(1, 65))
-def test_a_mean_of_values_at_a_bound_stands_on_it(n: int) -> None:
-    """Of six times 0.2 the mean is 0.19999999999999998."""
+def test_mean_of_values_at_a_bound_is_at_the_bound(n: int) -> None:
+    """The floating-point mean of six times 0.2 is 0.19999999999999998."""
     low, high = MEMORY.bounds
     for bound in (low, high):
         value = MEMORY.at(np.full(n, bound).mean()).value
@@ -21,11 +21,11 @@ def test_a_mean_of_values_at_a_bound_stands_on_it(n: int) -> None:
 
 
 @pytest.mark.parametrize("value", [0.2 - 1e-6, 60.1, -1e-12])
-def test_what_is_truly_outside_is_an_error(value: float) -> None:
+def test_value_outside_its_bounds_is_an_error(value: float) -> None:
     with pytest.raises(ValueError, match="tau_b"):
         MEMORY.at(value)
 
 
-def test_a_bound_of_nought_has_no_rounding() -> None:
+def test_bound_of_zero_allows_no_rounding() -> None:
     with pytest.raises(ValueError, match="outside its bounds"):
         Parameter("d_u", -1e-300, bounds=(0.0, np.inf))

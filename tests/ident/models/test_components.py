@@ -1,4 +1,4 @@
-"""The antenna of the rig file, a wandering current, an estimator's errors: parts that are known or asked for."""
+"""Tests of the components antenna, wandering current, thrust calibration and estimator error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def outputs(model, x, u):
     return VectorisedModel(model)(x, u, np.array(list(model.values.values())))
 
 
-def test_the_antenna_of_the_rig_is_the_effect_lever_arm_at_a_known_place() -> None:
+def test_antenna_component_equals_the_lever_arm_effect() -> None:
     base = with_disturbances(make_model("horizontal:shaft"))
     arm = catalogue()["lever-arm"]
     x, u = np.random.default_rng(3).normal(size=(20, len(base.states))), np.full((20, 2), 0.4)
@@ -38,18 +38,18 @@ def test_the_antenna_of_the_rig_is_the_effect_lever_arm_at_a_known_place() -> No
     np.testing.assert_allclose(here, outputs(there, x, u), rtol=1e-12)
 
 
-def test_the_rig_file_places_the_antenna_and_leaves_its_error_to_be_found() -> None:
+def test_antenna_position_of_the_rig_file_is_known_and_its_error_is_a_candidate() -> None:
     device = SimpleNamespace(lever_arm_m=(0.4, 0.0, -0.5))
     rig = SimpleNamespace(vehicle={}, thrusters=(), devices=(SimpleNamespace(lever_arm_m=(0.0, 0.0, 0.0)), device))
-    model, said = apply_rig_geometry(make_model("horizontal:shaft"), rig)
-    assert not said
+    model, notes = apply_rig_geometry(make_model("horizontal:shaft"), rig)
+    assert not notes
     assert model.values["antenna_x"] == 0.4
     assert "antenna_x" not in model.free
     assert model.accepts(catalogue()["lever-arm"])
 
 
 @pytest.mark.parametrize(("source", "n_inputs"), [("horizontal:force", 2), ("surge:force:speed", 1)])
-def test_a_factor_of_a_given_thrust_is_as_more_thrust(source: str, n_inputs: int) -> None:
+def test_thrust_calibration_factor_scales_the_thrust(source: str, n_inputs: int) -> None:
     base = make_model(source)
     model = base + thrust_calibration(base, 0.05)
     n = len(base.states)
@@ -61,7 +61,7 @@ def test_a_factor_of_a_given_thrust_is_as_more_thrust(source: str, n_inputs: int
     assert model.parameter("k_thrust").prior == (1.0, 0.05)
 
 
-def test_a_current_that_wanders_makes_the_position_less_certain() -> None:
+def test_wandering_current_makes_the_position_less_certain() -> None:
     still, walk = (
         with_disturbances(make_model(s)) for s in ("horizontal:shaft", "horizontal:shaft:random-walk-current")
     )
@@ -74,12 +74,12 @@ def test_a_current_that_wanders_makes_the_position_less_certain() -> None:
     assert open_ > certain
 
 
-def test_an_option_that_is_not_there_is_one_line() -> None:
+def test_unknown_option_gives_a_one_line_error() -> None:
     with pytest.raises(SeatrialError, match="options of horizontal are shaft, command, force, general"):
         make_model("horizontal:sail")
 
 
-def test_all_come_back_from_a_model_file(tmp_path: Path) -> None:
+def test_components_are_restored_from_a_model_file(tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
     base = make_model("horizontal:shaft:random-walk-current")
     full = with_disturbances(base + antenna(0.3, 0.1) + estimator_error([s.name for s in base.sensors])).with_free(
@@ -93,19 +93,19 @@ def test_all_come_back_from_a_model_file(tmp_path: Path) -> None:
     assert model.values["antenna_x"] == pytest.approx(0.3)
 
 
-def test_the_errors_of_an_estimator_are_gauss_markov_of_the_size_that_it_says() -> None:
-    """Its states are driven by unit noise: the stationary standard deviation of the error has to be A, whatever tau."""
+def test_estimator_errors_have_the_stationary_size_of_their_parameters() -> None:
+    """The states have unit driving noise. The stationary standard deviation of the error must be A for any tau."""
     sensors = ("attitude", "gyro", "position", "body_velocity")
     model = (horizontal_model("shaft", sensors) + estimator_error(sensors)).with_values({"A_xy": 0.3, "tau_xy": 7.0})
     names = [s.name for s in model.states]
-    assert {p.origin for p in model.effects[-1].parameters} == {ParameterOrigin.BUILT_IN}  # nobody gave their priors
+    assert {p.origin for p in model.effects[-1].parameters} == {ParameterOrigin.BUILT_IN}  # The priors are built in.
     k, y = names.index("error_x"), len(names) + [o.name for o in model.outputs].index("x")
     x = np.zeros((2, len(names)))
     x[1, k] = 1.0
     found = outputs(model, x, np.zeros((2, len(model.inputs))))
     decay, gain = found[1, k] - found[0, k], found[1, y] - found[0, y]
     assert decay == pytest.approx(-1 / 7.0)
-    assert gain * np.sqrt(1 / (2 * -decay)) == pytest.approx(0.3)  # the variance of dz = -z/tau dt + dw is tau / 2
+    assert gain * np.sqrt(1 / (2 * -decay)) == pytest.approx(0.3)  # The variance of dz = -z/tau dt + dw is tau / 2.
 
 
 @pytest.mark.parametrize(
@@ -116,9 +116,14 @@ def test_the_errors_of_an_estimator_are_gauss_markov_of_the_size_that_it_says() 
         (("attitude", "accelerometer", "position"), "psi x y"),
     ],
 )
-def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(sensors: tuple[str, ...], wanted: str) -> None:
-    """Against the error equations of a strapdown navigator in the plane: its heading integrates its gyro, its velocity
-    its accelerations turned to the north, its position its velocity; the body's velocity is turned by its heading."""
+def test_estimator_errors_follow_the_error_equations_of_inertial_navigation(
+    sensors: tuple[str, ...], wanted: str
+) -> None:
+    """The reference are the error equations of a strapdown navigator in the plane.
+
+    The heading error integrates the gyro error, the velocity error integrates the accelerations turned to north, and
+    the position error integrates the velocity error. The heading error turns the body velocity.
+    """
     model = horizontal_model("shaft", sensors) + estimator_error(sensors)
     own = [p.name for p in model.effects[-1].parameters]
     apart = dict(zip(own, (0.7, 1.1, 1.3, 1.7, 0.5, 1.9, 2.3, 0.9, 1.5, 3.1), strict=False))
@@ -151,8 +156,8 @@ def test_the_errors_of_an_estimator_are_those_of_inertial_navigation(sensors: tu
         np.testing.assert_allclose(y["u"] + 1j * y["v"], body, atol=1e-12)
 
 
-def test_the_errors_of_an_estimator_begin_with_what_they_integrate() -> None:
-    """By Lyapunov's equation of the chain at its usual values, with the doubt that its correlation times deserve."""
+def test_estimator_errors_start_with_the_errors_that_they_integrate() -> None:
+    """The reference is Lyapunov's equation at the default values. The uncertain correlation times double it."""
     sensors = ("attitude", "gyro", "position", "ground_velocity")
     model = horizontal_model("shaft", sensors) + estimator_error(sensors)
     first = len(model.states) - 8
@@ -164,8 +169,10 @@ def test_the_errors_of_an_estimator_begin_with_what_they_integrate() -> None:
     np.testing.assert_allclose(begins, 2.0 * stationary, rtol=0.05)
 
 
-def test_errors_of_an_older_form_are_named(tmp_path: Path) -> None:
-    """Their A_vxy was that of all of it: read as its own part, a navigation filter would trust what it should not."""
+def test_estimator_errors_in_an_older_format_are_rejected(tmp_path: Path) -> None:
+    """In older files, A_vxy was the size of the total error. Read as its own part, a navigation filter would be
+    overconfident.
+    """
     path, sensors = tmp_path / "model.toml", ("attitude", "gyro", "position", "ground_velocity")
     base = with_disturbances(horizontal_model("shaft", sensors) + estimator_error(sensors)).with_free(["m_r"])
     record = build_record(base, channels_of(sail(boat_with(None, 1), 30.0, 1)[0]))
@@ -177,8 +184,8 @@ def test_errors_of_an_older_form_are_named(tmp_path: Path) -> None:
         load_model(path)
 
 
-def test_whatever_moves_the_water_is_in_the_velocity_over_ground_of_the_body() -> None:
-    """A current that wanders or drifts, by the velocity over ground turned into the body's axes."""
+def test_body_velocity_over_ground_includes_every_current() -> None:
+    """The reference is the velocity over ground, turned into body axes, for a wandering and a drifting current."""
     sensors = ("attitude", "ground_velocity", "body_velocity")
     for part in (current_walk(), catalogue()["current-drift"]):
         model = (horizontal_model("shaft", sensors) + part).with_values({"V_x": 0.2})

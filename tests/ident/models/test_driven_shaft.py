@@ -1,4 +1,4 @@
-"""Boats of which commands alone are logged, from a simulator of their own: shafts are states, and nothing is missing.
+"""Tests of models driven by commands alone, on an independent simulator. The shafts are states.
 
 ``T n' = n_ref(t - tau) - n``, ``f = 12 n|n|``, Runge-Kutta steps of 5 ms, commands held at 5 to 50 Hz.
 """
@@ -20,14 +20,16 @@ from seatrial.ident.models.horizontal import horizontal_model, outside_dead_zone
 from tests.machine import cpu_seconds
 
 Array = NDArray[np.float64]
-DT, ARM, C1 = 0.005, 0.2, 12.0  # s, m, N
+DT, ARM, C1 = 0.005, 0.2, 12.0  # Units: s, m, N
 TRUTH = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.3, "d_u": 2.0, "d_uu": 8.0, "d_v": 10.0, "d_vv": 20.0, "d_r": 1.0}
 TRUTH |= {"d_rr": 1.5}
-CURRENT = np.array([0.05, -0.03])  # m/s
+CURRENT = np.array([0.05, -0.03])  # Unit: m/s
 
 
 def commands(seconds: float, rng: np.random.Generator) -> Array:
-    """Steps of each side, of both, and oscillations, of 1 to 5 s (n, 2), as an operator wants them."""
+    """Return commands (n, 2) of an operator: steps of each side, steps of both sides, and oscillations, each for 1 to 5
+    s.
+    """
     t = DT * np.arange(round(seconds / DT))
     wanted, i = np.zeros((t.size, 2)), 0
     while i < t.size:
@@ -54,7 +56,7 @@ def rates(x: Array, n_ref: Array, T: float) -> Array:
 def sailed(
     seed: int, seconds: float, hertz: float, T: float = 0.25, tau: float = 0.0, dead_zone: float = 0.0
 ) -> dict[str, Channel]:
-    """What the log of a run has: heading, yaw rate and accelerations at 50 Hz, GNSS at 5 Hz, and the commands."""
+    """Return the log of a run: heading, yaw rate and accelerations at 50 Hz, GNSS at 5 Hz, and the commands."""
     rng = np.random.default_rng(seed)
     wanted = commands(seconds, rng)
     n, every = len(wanted), round(1 / hertz / DT)
@@ -98,7 +100,7 @@ def boat() -> Model:
         )),
     ],
 )  # fmt: skip
-def test_commands_alone_give_the_boat_and_its_shafts(hertz: float, T: float, tau: float) -> None:
+def test_boat_and_shafts_are_identified_from_commands_alone(hertz: float, T: float, tau: float) -> None:
     log = sailed(7, 150.0, hertz, T, tau)
     fit = fit_nominal_model(boat(), [LogSegment("run", log)], []).fit
     assert fit.converged
@@ -110,8 +112,10 @@ def test_commands_alone_give_the_boat_and_its_shafts(hertz: float, T: float, tau
 
 
 @pytest.mark.study
-def test_a_dead_zone_ends_where_its_parameter_says() -> None:
-    """Motors that stand below it and turn as told above; from the usual start, 0.03, no command tells the way there."""
+def test_dead_zone_is_estimated() -> None:
+    """The motors do not turn below it. At the initial value of 0.03, the gradient of the dead zone is zero for all
+    commands.
+    """
     end = 0.2
     log = sailed(7, 150.0, 10.0, 0.25, 0.13, end)
     fit = fit_nominal_model(boat(), [LogSegment("run", log)], []).fit
@@ -129,7 +133,7 @@ def test_half_of_a_command_at_the_end_of_its_dead_zone_passes(dead_zone: float) 
     assert float(outside_dead_zone(0.999 * (dead_zone - beyond), dead_zone)) == 0.0
 
 
-def test_no_dead_zone_is_the_command_itself_with_all_derivatives() -> None:
+def test_zero_dead_zone_passes_the_command_with_exact_derivatives() -> None:
     command, zone = ca.SX.sym("command"), ca.SX.sym("zone")
     passed = outside_dead_zone(command, zone)
     both = ca.Function("f", [command, zone], [passed, ca.jacobian(passed, ca.vertcat(command, zone))])
@@ -140,7 +144,7 @@ def test_no_dead_zone_is_the_command_itself_with_all_derivatives() -> None:
 
 
 @pytest.mark.study
-def test_a_boat_that_lacks_nothing_lacks_nothing_where_only_its_commands_are_known() -> None:
+def test_diagnosis_of_a_nominal_boat_with_commands_alone_finds_no_effect() -> None:
     runs = [LogSegment(str(seed), sailed(seed, seconds, 10.0)) for seed, seconds in ((1, 200.0), (101, 120.0))]
     answers: list[Diagnosis] = []
     assert cpu_seconds(lambda: answers.append(diagnose(boat(), runs[:1], runs[1:])), 60.0) < 60.0
@@ -151,6 +155,6 @@ def test_a_boat_that_lacks_nothing_lacks_nothing_where_only_its_commands_are_kno
 
 
 @pytest.mark.study
-def test_rows_do_not_grow_with_the_rate_of_the_commands() -> None:
+def test_number_of_rows_does_not_grow_with_the_command_rate() -> None:
     rows = [build_record(boat(), sailed(7, 150.0, hertz)).n_rows for hertz in (5.0, 50.0)]
     assert rows[1] <= rows[0] + 2

@@ -1,4 +1,6 @@
-"""The model with measured attitude: against the horizontal one, against plain kinematics, and on a boat that rolls."""
+"""Tests of the kinematic model with measured attitude: against the horizontal model, plain kinematics, and a rolling
+boat.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +28,13 @@ OFFSETS = {"bias_psi": 0.0, "bias_r": 0.0}
 
 
 def evaluated(model: Model, x: dict[str, float], u: dict[str, float]) -> tuple[dict[str, float], dict[str, float]]:
-    """Rates and outputs with states and inputs by name."""
+    """Return rates and outputs by name, for states and inputs by name."""
     values = [x[s.name] for s in model.states], [u[i.name] for i in model.inputs], list(model.values.values())
     signals = model.signals(*values)
     return signals.rate, signals.y
 
 
-def test_a_level_boat_is_the_horizontal_model() -> None:
+def test_kinematic_model_of_a_level_boat_equals_the_horizontal_model() -> None:
     rng = np.random.default_rng(1)
     for yaw in (False, True):
         six, three = kinematic_model(yaw=yaw), horizontal_model()
@@ -51,7 +53,7 @@ def test_a_level_boat_is_the_horizontal_model() -> None:
 
 
 def rotation(phi: float, theta: float, psi: float) -> np.ndarray:
-    """Body to NED, as a product of three turns."""
+    """Return the rotation from body to NED as a product of three rotations."""
 
     def turn(axis: int, a: float) -> np.ndarray:
         i, j = [(1, 2), (2, 0), (0, 1)][axis]
@@ -63,18 +65,19 @@ def rotation(phi: float, theta: float, psi: float) -> np.ndarray:
     return turn(2, psi) @ turn(1, theta) @ turn(0, phi)
 
 
-def test_accelerometers_feel_the_motion_over_the_surface_and_gravity() -> None:
-    """Specific force from finite differences of the velocity in NED, the angles moving in time."""
+def test_accelerometers_measure_the_motion_on_the_surface_and_gravity() -> None:
+    """The reference is the specific force from finite differences of the NED velocity, with moving angles."""
     model = kinematic_model()
     x = {"x": 0.0, "y": 0.0, "u": 0.8, "v": -0.15} | OFFSETS
     n = {"n_left": 0.7, "n_right": -0.2}
-    angles, rates = np.array([0.12, -0.07, 2.1]), np.array([0.3, -0.2, 0.4])  # phi, theta, psi and their rates
+    # The angles phi, theta, psi and their rates.
+    angles, rates = np.array([0.12, -0.07, 2.1]), np.array([0.3, -0.2, 0.4])
     omega = body_rates(angles, rates)
 
     def ned(h: float, du: float = 0.0, dv: float = 0.0) -> tuple[np.ndarray, float]:
         R = rotation(*(angles + h * rates))
         u, v = x["u"] + h * du, x["v"] + h * dv
-        w = -(R[2, 0] * u + R[2, 1] * v) / R[2, 2]  # stays on the surface
+        w = -(R[2, 0] * u + R[2, 1] * v) / R[2, 2]  # The boat stays on the surface.
         return R @ [u, v, w], w
 
     u_in = n | dict(zip(("phi", "theta", "psi"), angles, strict=True)) | dict(zip("pqr", omega, strict=True))
@@ -88,14 +91,14 @@ def test_accelerometers_feel_the_motion_over_the_surface_and_gravity() -> None:
 
 
 def body_rates(angles: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """p, q, r from R' dR/dt, by finite differences."""
+    """Return p, q, r from R' dR/dt, by finite differences."""
     h = 1e-6
     R = rotation(*angles)
     S = R.T @ (rotation(*(angles + h * rates)) - rotation(*(angles - h * rates))) / (2 * h)
     return np.array([S[2, 1], S[0, 2], S[1, 0]])
 
 
-def test_a_heading_that_passes_south_is_unwrapped() -> None:
+def test_heading_that_passes_south_is_unwrapped() -> None:
     t = np.arange(0.0, 20.0, 0.1)
     heading = 0.5 * t
     channels = {i.name: Channel(t, np.zeros(t.size)) for i in kinematic_model().inputs}
@@ -107,9 +110,9 @@ def test_a_heading_that_passes_south_is_unwrapped() -> None:
 
 
 @pytest.mark.study
-def test_it_finds_a_boat_that_rolls_where_three_degrees_do_not() -> None:
+def test_kinematic_model_fits_a_rolling_boat_better_than_the_horizontal_model() -> None:
     sailed = sail(printed.TABLE_5["6DOF K"], 240.0, 2)
-    names = [n for n in HULL if n not in ("d_u", "d_uu")]  # those two are vague in so short a mission
+    names = [n for n in HULL if n not in ("d_u", "d_uu")]  # The short mission hardly informs these two parameters.
     worst = {}
     for model in (kinematic_model(yaw=True), horizontal_model()):
         found = fit_nominal_model(model, [LogSegment("mission", sailed.channels)], [], rate=20.0).fit
@@ -119,7 +122,7 @@ def test_it_finds_a_boat_that_rolls_where_three_degrees_do_not() -> None:
     assert worst["horizontal"] > worst["kinematic"]
 
 
-def test_unexplained_forces_are_those_that_it_has() -> None:
+def test_disturbances_act_on_the_states_of_the_kinematic_model() -> None:
     names = {s.name for s in nominal_model(kinematic_model()).states}
     assert {"b_X", "b_Y", "bias_psi", "bias_r", "bias_ax", "bias_ay"} <= names
     assert "b_N" not in names
@@ -128,7 +131,7 @@ def test_unexplained_forces_are_those_that_it_has() -> None:
 
 
 @pytest.mark.parametrize("source", ["kinematic:shaft", "kinematic:force:yaw:no-current"])
-def test_its_name_makes_it_again(source: str) -> None:
+def test_source_name_creates_the_same_model(source: str) -> None:
     model = make_model(source, ["attitude", "gyro", "position", "ground_velocity"])
     assert model.source == source
     wanted = ["position", "ground_velocity"] + (["turn_rate"] if "yaw" in source else [])
@@ -143,7 +146,9 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str]:
     return int(leaving.value.code or 0), capsys.readouterr().err
 
 
-def test_the_command_fits_it_and_the_file_reads_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_vehicle_command_fits_the_kinematic_model_and_its_file_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     boat = boat_with(None, 3)
     log = boat_log(tmp_path / "a.mcap", boat, 120.0, 7, 1)
     words = ("ident", "vehicle", log, "--model", "kinematic:shaft:yaw", "--out", tmp_path)
@@ -152,14 +157,14 @@ def test_the_command_fits_it_and_the_file_reads_back(tmp_path: Path, capsys: pyt
     assert [e.name for e in saved.model.effects] == ["disturbance", "sensor-bias"]
     for name in ("m_u", "m_v", "m_r"):
         assert abs(saved.model.parameter(name).value - truth[name]) < 4 * saved.errors[name], name
-    status, said = run(capsys, "ident", "diagnose", tmp_path / "model.toml", log, "--out", tmp_path / "d")
+    status, error = run(capsys, "ident", "diagnose", tmp_path / "model.toml", log, "--out", tmp_path / "d")
     assert status == 1
-    assert said.startswith("seatrial: model kinematic cannot be diagnosed")
-    status, said = run(capsys, "ident", "vehicle", log, "--model", "kinematic:shaft:pitch", "--out", tmp_path / "p")
-    assert (status, said.count("\n")) == (1, 1)
-    assert "kinematic:shaft|force" in said
+    assert error.startswith("seatrial: model kinematic cannot be diagnosed")
+    status, error = run(capsys, "ident", "vehicle", log, "--model", "kinematic:shaft:pitch", "--out", tmp_path / "p")
+    assert (status, error.count("\n")) == (1, 1)
+    assert "kinematic:shaft|force" in error
 
 
-def test_a_model_without_a_hull_is_not_diagnosed() -> None:
+def test_model_without_a_hull_cannot_be_diagnosed() -> None:
     with pytest.raises(ValueError, match="lacks a hull"):
         diagnose(kinematic_model(), [], [])

@@ -1,4 +1,4 @@
-"""The bench's thruster and the two models of one degree of freedom, on data simulated apart from them."""
+"""Tests of the thruster model and the models of surge and yaw, on independently simulated data."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ from seatrial.ident.models.yaw import yaw_model
 from tests.ident.toys import best_start
 
 A, C1, C2, BIAS = 2.794, 40.05, 1.11, 0.3
-DT = 1e-3  # s, of the simulation: delays and command times are multiples of it
+DT = 1e-3  # Step [s] of the simulation. Delays and command times are multiples of it.
 
 
 def bench(seed: int, tau: float, *, dead_zone: float = 0.0, chirp: bool = False) -> dict[str, Channel]:
-    """A bench run of a minute: random steps at 50 Hz command times, then a chirp; RPM at 25 Hz, force at 80 Hz.
+    """Return a bench run of a minute: random steps with command times at 50 Hz, then a chirp; RPM at 25 Hz, force at 80
+    Hz.
 
-    The shaft is solved exactly between switches; the load cell swings (an Ornstein-Uhlenbeck force).
+    The shaft is solved exactly between switches. The load cell has an Ornstein-Uhlenbeck force.
     """
     rng = np.random.default_rng(seed)
     n_samples = 60_000
@@ -67,8 +68,8 @@ def estimated(channels: dict[str, Channel], free: tuple[str, ...] = (), **grid: 
 
 
 @pytest.mark.parametrize(("seed", "tau"), [(1, 0.184), (2, 0.267), (4, 0.345), (5, 0.018)])
-def test_thruster_and_its_delay_are_found(seed: int, tau: float) -> None:
-    assert tau / DELAY_STEP % 1 > 0.05  # not a multiple of the grid
+def test_thruster_and_its_delay_are_identified(seed: int, tau: float) -> None:
+    assert tau / DELAY_STEP % 1 > 0.05  # The delay is not a multiple of the grid.
     found = estimated(bench(seed, tau))
     assert found.converged
     assert abs(found.estimate("tau")[0] - tau) < 0.002
@@ -77,14 +78,14 @@ def test_thruster_and_its_delay_are_found(seed: int, tau: float) -> None:
         assert abs(value - truth) < 3 * error, name
 
 
-def test_dead_zone_is_found_from_a_chirp() -> None:
+def test_dead_zone_is_identified_from_a_chirp() -> None:
     found = estimated(bench(3, 0.184, dead_zone=0.086, chirp=True), ("d",), d=np.arange(0.0, 0.15, 0.01))
     for name, truth in {"tau": 0.184, "a": A, "c1": C1, "d": 0.086}.items():
         value, error = found.estimate(name)
         assert abs(value - truth) < 4 * error, name
 
 
-def test_delayed_copies_stay_steps() -> None:
+def test_delayed_taps_stay_steps() -> None:
     copies = delayed_channels(Channel(np.array([0.0, 1.0, 1.02]), np.array([0.2, 0.7, -0.4])), 0.05, 3)
     assert list(copies) == ["n_cmd_0", "n_cmd_1", "n_cmd_2"]
     model_times = np.array([0.0, 0.04, 1.0, 1.0499, 1.0501, 1.0699, 1.0701])
@@ -93,7 +94,7 @@ def test_delayed_copies_stay_steps() -> None:
 
 
 @pytest.mark.parametrize("position", [0.0, 0.3, 1.0, 5.5, 11.7, 12.0])
-def test_delay_weights_keep_mean_and_variance(position: float) -> None:
+def test_delay_weights_preserve_mean_and_variance(position: float) -> None:
     weights, at = np.array([float(w) for w in delay_weights(position, 13)]), np.arange(13)
     assert weights.sum() == pytest.approx(1.0)
     assert weights @ at == pytest.approx(position)
@@ -155,7 +156,7 @@ def test_yaw_is_identified(measured: str) -> None:
         assert abs(value - model.values[name]) < 4 * error, name
 
 
-def test_nominal_values_are_the_thesis_tables() -> None:
+def test_nominal_values_are_those_of_the_thesis() -> None:
     table = {"m_u": 37.0, "d_u": 0.2, "d_uu": 25.0, "m_r": 9.69, "d_r": 4.14, "d_rr": 6.23, "a": A, "c1": C1, "c2": C2}
     known = surge_model().values | yaw_model().values | thruster_model().values
     for name, value in table.items():

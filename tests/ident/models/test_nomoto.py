@@ -1,4 +1,4 @@
-"""The Nomoto model: a plant with its own equations, sampled as an autopilot does it, is recovered."""
+"""Tests of the Nomoto model on an independent plant, sampled like an autopilot."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from seatrial.ident.models.nomoto import nomoto_model
 from seatrial.ident.workflows.vehicle_model import considered_notes, with_sampled_inputs
 
 DT = 0.001
-GYRO = 2 * np.pi * 4.0  # rad/s: corner of its filter
-HALF_SPAN = 0.1  # s: a fix is the mean of two of 0.2 s from each other
+GYRO = 2 * np.pi * 4.0  # Corner frequency of the gyro filter [rad/s].
+HALF_SPAN = 0.1  # Half of the time [s] between the two fixes that are averaged.
 TRUTH = {
     "m_u": 10.0, "d_u": 35.0, "K": np.radians(280.0), "lambda_n": 1.0, "K_u": 0.0, "T_r": np.sqrt(2.0) / GYRO,
     "tau_gnss": 0.1, "sigma_gnss": HALF_SPAN,
@@ -32,7 +32,7 @@ TRUTH = {
 
 
 def integral(rate: np.ndarray) -> np.ndarray:
-    """Of a rate that is held for ``DT`` from each of its times."""
+    """Return the integral of a rate that is held for ``DT`` from each of its times."""
     return np.append(0.0, np.cumsum(rate[:-1]) * DT)
 
 
@@ -45,11 +45,12 @@ def tracked_vehicle(
     slide: float = 0.0,
     seed: int = 1,
 ) -> LogSegment:
-    """u' = 3.5 (4 n - u), r = 140 deg/s (n_left - n_right); outputs known ``every`` so many seconds, of commands of
-    this ``slew`` [1/s] that change after each ``hold`` [s]; a gyro behind a filter of 4 Hz, fixes 0.1 s late and
-    smoothed.
+    """Simulate a tracked vehicle: u' = 3.5 (4 n - u), r = 140 deg/s (n_left - n_right).
 
-    ``quiet``: times the usual noise, of all but the gyro; ``slide`` [s]: v' = -u r - v / slide, u' += v r.
+    Outputs are sampled every ``every`` seconds. Commands have the given ``slew`` [1/s] and change after each ``hold``
+    [s]. The gyro has a filter of 4 Hz. Fixes are smoothed and 0.1 s late.
+
+    ``quiet`` scales the noise of all sensors except the gyro. ``slide`` [s] adds v' = -u r - v / slide and u' += v r.
     """
     rng = np.random.default_rng(seed)
     mission = make_mission("mixed", seconds, seed, n_max=0.5)
@@ -68,10 +69,12 @@ def tracked_vehicle(
         v[k] = v[k - 1] * kept - slide * (1.0 - kept) * u[k - 1] * r[k - 1]
     psi = integral(r)
     velocity = {"vx": u * np.cos(psi) - v * np.sin(psi), "vy": u * np.sin(psi) + v * np.cos(psi)}
-    told, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (every, 0.04, 0.2))
-    clock = np.arange(told[0], told[-1], 0.01)
+    output_times, attitude, fixes = (np.arange(0.5, t[-1], step) for step in (every, 0.04, 0.2))
+    clock = np.arange(output_times[0], output_times[-1], 0.01)
     found = {
-        f"n_{side}": Channel(clock, np.interp(clock + 0.005, told, np.interp(told, t, n[:, i])), hold="average")
+        f"n_{side}": Channel(
+            clock, np.interp(clock + 0.005, output_times, np.interp(output_times, t, n[:, i])), hold="average"
+        )
         for i, side in enumerate(("left", "right"))
     }
     ahead, back, _ = cont2discrete(butter(2, GYRO, analog=True), DT, method="zoh")
@@ -87,14 +90,14 @@ def tracked_vehicle(
 
 
 @pytest.mark.study
-def test_a_tracked_vehicle_is_recovered_with_the_delays_of_its_sensors() -> None:
+def test_tracked_vehicle_is_identified_with_its_sensor_delays() -> None:
     model = nomoto_model(current=False, hold="average")
-    given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
-    fit = fit_nominal_model(model.replace_parameters(*given), [tracked_vehicle(90.0)], []).fit
+    fixed = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
+    fit = fit_nominal_model(model.replace_parameters(*fixed), [tracked_vehicle(90.0)], []).fit
     assert fit.converged
     for name, truth in TRUTH.items():
         value, se = fit.estimate(name)
-        if not np.isfinite(se):  # at its bound, which is the truth
+        if not np.isfinite(se):  # The estimate is at its bound, which is the true value.
             assert value == truth, name
             continue
         assert abs(value - truth) < 4.0 * se, (name, value, se)
@@ -103,13 +106,16 @@ def test_a_tracked_vehicle_is_recovered_with_the_delays_of_its_sensors() -> None
 
 
 @pytest.mark.study
-def test_outputs_that_are_known_at_10_hz_are_uncertain_in_time() -> None:
-    """Ramps in stairs of 40 ms: taken for straight lines between their samples (``sigma_n`` nearly zero) they put the
-    mass 9 %, five standard errors, off, and ``sigma_gnss`` to zero; errors are then six times as large."""
+def test_outputs_sampled_at_10_hz_have_uncertain_times() -> None:
+    """The commands are ramps in steps of 40 ms.
+
+    With linear interpolation (``sigma_n`` nearly zero), the mass was 9 %, or five standard errors, wrong, and
+    ``sigma_gnss`` became zero. The standard errors are now six times as large.
+    """
     log = tracked_vehicle(90.0, every=0.1, slew=1.0, hold=0.04, quiet=0.1)
     model = nomoto_model(current=False, sampled=True, hold="average")
-    given = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
-    fit = fit_nominal_model(model.replace_parameters(*given), [log], []).fit
+    fixed = [model.parameter(name).at(value).fixed() for name, value in (("c1", 70.0), ("c2", 0.0))]
+    fit = fit_nominal_model(model.replace_parameters(*fixed), [log], []).fit
     assert fit.converged
     for name in ("m_u", "d_u", "lambda_n", "K", "K_u", "T_r", "tau_gnss", "sigma_gnss"):
         value, se = fit.estimate(name)
@@ -117,12 +123,13 @@ def test_outputs_that_are_known_at_10_hz_are_uncertain_in_time() -> None:
     assert fit.estimate("m_u")[1] < 0.06
 
 
-def test_what_the_model_has_is_no_candidate() -> None:
+def test_effects_that_the_model_contains_are_not_accepted() -> None:
     model = make_model("nomoto")
     assert "lambda_n" in model.values
     assert not model.accepts(catalogue()["thrust-linearity"])
     assert model.accepts(catalogue()["dead-band"])
-    for name in ("delay", "mismatch", "inflow-loss"):  # it has a delay, and neither sides nor a sway of its own
+    # The model has a delay already, and it has neither two sides nor a sway state.
+    for name in ("delay", "mismatch", "inflow-loss"):
         assert not model.accepts(catalogue()[name])
     assert {"V_x", "V_y"} & set(make_model("nomoto:no-current").values) == set()
     with pytest.raises(SeatrialError):
@@ -133,30 +140,30 @@ def test_what_the_model_has_is_no_candidate() -> None:
     ("every", "source"),
     [(0.1, "nomoto:sampled:no-current"), (0.025, "nomoto:sampled:no-current"), (0.01, "nomoto:no-current")],
 )
-def test_it_is_chosen_by_how_often_outputs_are_known(every: float, source: str) -> None:
+def test_sampled_inputs_are_chosen_by_the_output_rate(every: float, source: str) -> None:
     t = np.arange(0.0, 60.0, 0.01)
     channels = {f"n_{side}": Channel(t, np.sin(t), hold="average", sampled=every) for side in ("left", "right")}
-    chosen, said = with_sampled_inputs("nomoto:no-current", [LoadedLog(LogSegment("a", channels), {}, {}, None)])
+    chosen, notes = with_sampled_inputs("nomoto:no-current", [LoadedLog(LogSegment("a", channels), {}, {}, None)])
     assert chosen == source
-    assert len(said) == (source != "nomoto:no-current")
+    assert len(notes) == (source != "nomoto:no-current")
     assert make_model(chosen).source == source
-    assert ("sigma_n" in make_model(chosen).values) == bool(said)
+    assert ("sigma_n" in make_model(chosen).values) == bool(notes)
     assert with_sampled_inputs("horizontal:shaft", [LoadedLog(LogSegment("a", channels), {}, {}, None)])[1] == []
 
 
-def test_what_its_sensors_are_good_for_is_said_and_can_be_given() -> None:
+def test_considered_sensor_errors_are_reported_and_can_be_given() -> None:
     model = nomoto_model()
-    (said,) = considered_notes(model)
-    assert "error of the gyro's scale k_r ± 0.001 (built in), " in said
-    (said,) = considered_notes(set_priors(model, {"k_r": (0.0, 0.01)}))
-    assert "k_r ± 0.01, error of the inputs' time stamps dt_n ± 0.0003 s (built in), " in said
+    (note,) = considered_notes(model)
+    assert "error of the gyro's scale k_r ± 0.001 (built in), " in note
+    (note,) = considered_notes(set_priors(model, {"k_r": (0.0, 0.01)}))
+    assert "k_r ± 0.01, error of the inputs' time stamps dt_n ± 0.0003 s (built in), " in note
     exact, _ = fix_parameters(model, None, dict.fromkeys(model.considered, 0.0))
     assert considered_notes(exact) == considered_notes(make_model("horizontal:shaft")) == []
 
 
 @pytest.mark.parametrize(("name", "like"), [("dt_r", "T_r"), ("dt_gnss", "tau_gnss"), ("dt_n", "tau_n")])
-def test_time_stamps_that_are_off_are_a_delay(name: str, like: str) -> None:
-    """Of the gyro's filter, of the fixes, or of what the inputs drive, here a ramp."""
+def test_time_stamp_error_acts_like_a_delay(name: str, like: str) -> None:
+    """The delay is that of the gyro filter, of the fixes, or of the inputs, which follow a ramp here."""
     model, known = nomoto_model() + current_walk(), {"tau_gnss": 0.2, "T_r": 0.06, "tau_n": 0.01}
     now = {"u": 2.0, "r_gyro": 0.4, "r_gyro_rate": 3.0, "drift_x": 0.3, "drift_y": -0.2}
     x = [now.get(s.name, 0.0) for s in model.states]
@@ -172,7 +179,9 @@ def test_time_stamps_that_are_off_are_a_delay(name: str, like: str) -> None:
 
 
 def signals(model: Model, known: dict[str, float], **values: float) -> Signals:
-    """Of a row: states and inputs, whose past is as they are, by name, and zero where they are not named."""
+    """Return the signals of a row. States and inputs are given by name, and zero if not named. Delayed inputs equal the
+    inputs.
+    """
     model = model.with_values({"tau_gnss": 0.2, "sigma_gnss": 0.05} | values)
     x: list[Any] = [known.get(s.name, 0.0) for s in model.states]
     return model.signals(x, [known.get(i.tap_of or i.name, 0.0) for i in model.inputs], list(model.values.values()))
@@ -183,7 +192,7 @@ STEADY = {"d_u": 0.0, "d_uu": 25.0, "c1": 40.0, "c2": 0.0}
 
 @pytest.mark.parametrize("psi", [0.0, 2.0])
 @pytest.mark.parametrize("drifts", [False, True])
-def test_gnss_sees_a_current_that_moves_as_it_sees_a_constant_one(psi: float, drifts: bool) -> None:
+def test_gnss_measures_a_moving_current_like_a_constant_one(psi: float, drifts: bool) -> None:
     now = {"u": 0.5, "v": 0.1, "psi": psi, "n_left": 0.6, "n_right": 0.3}
     constant = signals(nomoto_model(), now, V_x=0.3, V_y=-0.2)
     if drifts:
@@ -203,8 +212,10 @@ def test_gnss_sees_a_current_that_moves_as_it_sees_a_constant_one(psi: float, dr
         ("turn-loss", {"loss_r": 0.5}, 0.8),
     ],
 )
-def test_a_steady_speed_was_the_same_a_moment_ago(name: str, values: dict[str, float], share: float) -> None:
-    """Also where an effect takes a share of the thrust, which the inputs of then and of now both lack."""
+def test_steady_speed_was_the_same_in_the_past(name: str, values: dict[str, float], share: float) -> None:
+    """This also holds if an effect takes a share of the thrust, which reduces the thrust of past and present inputs
+    equally.
+    """
     u = (2 * 40.0 * 0.6**2 * share / 25.0) ** 0.5
     now = {"u": u, "r": 0.5, "n_left": 0.6, "n_right": 0.6, "work": 1.0}
     s = signals(nomoto_model() + catalogue()[name], now, **STEADY, **values)
@@ -213,9 +224,11 @@ def test_a_steady_speed_was_the_same_a_moment_ago(name: str, values: dict[str, f
     assert s.y["x"] == pytest.approx(-0.2 * u, abs=1e-12)
 
 
-def test_sideslip_costs_speed_and_is_seen_by_gnss() -> None:
-    """A steady circle about the origin, thrust against linear damping and what the slip costs: the velocity points
-    outwards of the heading by atan(tau_s r), and a fix is of where the boat was ``tau_gnss`` ago on that circle."""
+def test_sideslip_reduces_speed_and_appears_in_gnss() -> None:
+    """The boat moves on a steady circle about the origin. Thrust balances linear damping and the loss by sideslip.
+
+    The velocity points outwards of the heading by atan(tau_s r). A fix has the position on the circle ``tau_gnss`` ago.
+    """
     tau, r, age = 0.3, 0.5, 0.2
     u = 40.0 * (0.75**2 + 0.45**2) / (25.0 + 10.0 * tau * r * r)
     course, radius = 0.4 - np.arctan(tau * r), u * np.hypot(1.0, tau * r) / r
@@ -228,13 +241,14 @@ def test_sideslip_costs_speed_and_is_seen_by_gnss() -> None:
     assert s.rate["u"] == pytest.approx(0.0, abs=1e-12)
     assert (s.rate["x"], s.rate["y"]) == pytest.approx((radius * r * np.cos(course), radius * r * np.sin(course)))
     assert (s.y["vx"], s.y["vy"]) == pytest.approx((radius * r * np.cos(before), radius * r * np.sin(before)))
-    # two steps of the midpoint rule: third order in r age / 2
+    # The model takes two steps of the midpoint rule, with an error of third order in r age / 2.
     assert (s.y["x"], s.y["y"]) == pytest.approx((radius * np.sin(before), -radius * np.cos(before)), abs=1e-3 * radius)
 
 
-def test_an_old_fix_has_the_sideslip_of_its_own_time() -> None:
-    """While the sides part at a steady rate: with the yaw rate of now, or of half a step later, the velocity of 0.2 s
-    ago would be 2 to 15 cm/s off."""
+def test_late_fix_has_the_sideslip_of_its_own_time() -> None:
+    """The difference of the sides grows at a steady rate. With the present yaw rate, or that of half a step later, the
+    velocity of 0.2 s ago would be wrong by 2 to 15 cm/s.
+    """
     K, tau, age, now, change = 2.4, 0.3, 0.2, 0.3, 1.0
 
     def turning(t: float, x: np.ndarray) -> list[float]:
@@ -255,12 +269,14 @@ def test_an_old_fix_has_the_sideslip_of_its_own_time() -> None:
 
 
 @pytest.mark.study
-def test_sideslip_is_found_where_it_is_and_only_there() -> None:
-    """A vehicle that slides by 0.05 s of its yaw rate, as boats do that the model takes for ones that do not. It has no
-    memory: where the sway takes 0.15 s and the yaw rate steps, it finds 0.12 s."""
-    given = {"c1": 70.0, "c2": 0.0}
+def test_sideslip_is_identified_only_if_it_exists() -> None:
+    """The vehicle slips by 0.05 s of its yaw rate.
+
+    The effect has no lag. If sway takes 0.15 s and the yaw rate has steps, it estimates 0.12 s.
+    """
+    fixed = {"c1": 70.0, "c2": 0.0}
     model = nomoto_model(current=False, hold="average")
-    model = model.replace_parameters(*(model.parameter(n).at(value).fixed() for n, value in given.items()))
+    model = model.replace_parameters(*(model.parameter(n).at(value).fixed() for n, value in fixed.items()))
     for slide in (0.05, 0.0):
         log = tracked_vehicle(90.0, slide=slide)
         fit = fit_nominal_model(model + catalogue()["sideslip"], [log], []).fit
@@ -272,8 +288,8 @@ def test_sideslip_is_found_where_it_is_and_only_there() -> None:
 
 
 @pytest.mark.parametrize("T_r", [0.05, 0.2])
-def test_the_gyro_is_behind_a_butterworth_filter(T_r: float) -> None:
-    """Its state-space form against scipy's, which knows its corner: delay of slow motion = sqrt(2) / corner."""
+def test_gyro_filter_is_a_butterworth_filter(T_r: float) -> None:
+    """The reference is the filter of SciPy by its corner frequency. The delay of slow motion is sqrt(2) / corner."""
 
     def rates(**now: float) -> list[float]:
         s = signals(nomoto_model(), {"n_left": 0.0, "n_right": 0.0, **now}, T_r=T_r, K=1.0, K_u=0.0, k_3=0.0)
@@ -282,7 +298,7 @@ def test_the_gyro_is_behind_a_butterworth_filter(T_r: float) -> None:
     states = np.column_stack([rates(r_gyro=1.0), rates(r_gyro_rate=1.0)])
     driven = np.array(rates(n_left=1.0, n_right=-1.0))[:, None]
     w = np.array([0.5, 5.0, 25.0, 100.0])
-    mine = [np.linalg.solve(1j * one * np.eye(2) - states, driven)[0, 0] for one in w]
+    mine = [np.linalg.solve(1j * frequency * np.eye(2) - states, driven)[0, 0] for frequency in w]
     _, wanted = freqs_zpk(*butter(2, np.sqrt(2.0) / T_r, analog=True, output="zpk"), w)
     np.testing.assert_allclose(mine, wanted, rtol=1e-9)
     gyro = signals(nomoto_model(), {"n_left": 0.6, "n_right": -0.2, "r_gyro": 0.7}, T_r=T_r)
@@ -292,7 +308,7 @@ def test_the_gyro_is_behind_a_butterworth_filter(T_r: float) -> None:
 
 
 @pytest.mark.parametrize("sampled", [False, True])
-def test_a_thrust_lag_has_states_of_its_own(sampled: bool) -> None:
+def test_thrust_lag_has_its_own_states(sampled: bool) -> None:
     plain = nomoto_model(sampled=sampled)
     now = {"u": 0.5, "n_left": 0.6, "n_right": 0.3, "late_left": 0.4, "late_right": 0.2}
     slow, quick = (signals(plain + catalogue()["lag"], now, T_lag=T) for T in (0.3, 0.0))

@@ -1,4 +1,4 @@
-"""The mocks' plant and ident's model know nothing of each other; with all extras off they are one boat."""
+"""Comparison of the independent plants of mocks and ident. With all extras off, they describe the same boat."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SECONDS = 60.0
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_minute_of_simulationning_agrees_to_a_millimetre(seed: int) -> None:
+def test_simulations_of_a_minute_agree_to_a_millimetre(seed: int) -> None:
     boat = draw_boat(seed)
     plant = BoatPlant(boat, disturbed=False)
     t, n = sail(boat, SECONDS, seed)[1].setpoints()
@@ -37,11 +37,11 @@ def test_a_minute_of_simulationning_agrees_to_a_millimetre(seed: int) -> None:
     record = build_record(model, truth, rate=1 / STEP, max_step=STEP)
     x0 = table[0, 1:7].copy()
     cos, sin = np.cos(x0[2]), np.sin(x0[2])
-    x0[3] -= cos * known["V_x"] + sin * known["V_y"]  # ident's velocities are through the water
+    x0[3] -= cos * known["V_x"] + sin * known["V_y"]  # The velocities of ident are through the water.
     x0[4] -= cos * known["V_y"] - sin * known["V_x"]
     run = simulate(model, record, x0=x0)
     outputs = [o.name for o in model.outputs]
     for name, column in (("x", 1), ("y", 2), ("psi", 3), ("u", 4), ("v", 5), ("r", 6)):
         wanted = np.interp(run.t, table[:, 0], table[:, column])
-        assert np.ptp(wanted) > 0.1, name  # it does go somewhere
+        assert np.ptp(wanted) > 0.1, name  # The boat does move.
         np.testing.assert_allclose(run.y[:, outputs.index(name)], wanted, atol=1e-3, err_msg=name)

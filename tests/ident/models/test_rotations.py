@@ -1,5 +1,8 @@
-"""Lever arm, mounting and wandering current with measured attitude, on a boat that rolls (``tests.ident.rolling``); and
-what a model cannot take into account is said."""
+"""Tests of lever arm, mounting and wandering current with measured attitude, on a boat that rolls
+(``tests.ident.rolling``).
+
+A component that a model cannot include is reported.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,7 @@ def fitted(model: Model, boat: Fitted, seconds: float, seed: int) -> FittedModel
 
 
 @pytest.mark.study
-def test_the_arm_and_the_mounting_are_found_with_the_hull() -> None:
+def test_lever_arm_and_mounting_are_identified_with_the_hull() -> None:
     model = with_effects(make_model("kinematic:shaft:yaw"), ["lever-arm", "mount"])
     assert [e.name for e in model.effects] == ["lever-arm-attitude", "mount-attitude"]
     found = fitted(model, Fitted(ARM, MOUNT), 150.0, 1).fit
@@ -48,12 +51,12 @@ def test_the_arm_and_the_mounting_are_found_with_the_hull() -> None:
 
 
 @pytest.mark.study
-def test_an_arm_that_the_rig_file_gives_is_all_that_was_missing() -> None:
-    """With the height of the antenna, which a boat that rolls feels."""
+def test_lever_arm_of_the_rig_file_explains_the_data() -> None:
+    """The height of the antenna matters, because the boat rolls."""
     boat, fits = Fitted(ARM), {}
     for name, arm in (("whole", ARM), ("no height", (*ARM[:2], 0.0)), ("none", (0.0, 0.0, 0.0))):
-        model, said = apply_rig_geometry(kinematic_model(yaw=True), rig_with(arm))
-        assert not said
+        model, notes = apply_rig_geometry(kinematic_model(yaw=True), rig_with(arm))
+        assert not notes
         fits[name] = fitted(model, boat, 60.0, 2).fit
     assert fits["whole"].log_likelihood > fits["no height"].log_likelihood + 1000.0
     assert fits["no height"].log_likelihood > fits["none"].log_likelihood + 1000.0
@@ -64,7 +67,7 @@ def test_an_arm_that_the_rig_file_gives_is_all_that_was_missing() -> None:
 
 
 @pytest.mark.study
-def test_a_current_that_wanders_is_followed() -> None:
+def test_wandering_current_is_estimated() -> None:
     boat = Fitted(wander=0.01)
     channels, current = sail(boat, 300.0, 3)
     stage = fit_nominal_model(
@@ -84,11 +87,11 @@ def test_a_current_that_wanders_is_followed() -> None:
         assert np.std(smooth - at) < 0.25 * np.std(at)
 
 
-def test_a_level_boat_has_the_arm_and_the_mounting_of_the_horizontal_model() -> None:
+def test_lever_arm_and_mounting_of_a_level_boat_equal_those_of_the_horizontal_model() -> None:
     rng = np.random.default_rng(1)
-    given = {"l_x": 0.4, "l_y": -0.2, "psi_mount": 0.3}
+    values_of_both = {"l_x": 0.4, "l_y": -0.2, "psi_mount": 0.3}
     both = (kinematic_model(yaw=True), horizontal_model())
-    six, three = (with_effects(m, ["lever-arm", "mount"]).with_values(given) for m in both)
+    six, three = (with_effects(m, ["lever-arm", "mount"]).with_values(values_of_both) for m in both)
     six = six.with_values({"l_z": -0.7, "phi_mount": 0.0, "theta_mount": 0.0})
     for _ in range(5):
         x = dict(zip(("x", "y", "psi", "u", "v", "r"), rng.normal(size=6), strict=True))
@@ -110,7 +113,7 @@ def rig_with(arm: tuple[float, float, float]) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("source", "parts", "said"),
+    ("source", "parts", "message"),
     [
         ("kinematic:shaft", ["antenna_x", "antenna_y", "antenna_z"], ""),
         ("horizontal:shaft", ["antenna_x", "antenna_y"], ""),
@@ -120,17 +123,17 @@ def rig_with(arm: tuple[float, float, float]) -> SimpleNamespace:
             "model surge cannot include the lever arm of the rig's antenna (0.5 m ahead, -0.3 m to starboard, "
             "-0.8 m down): it takes x as measured at the origin",
         ),
-        ("yaw:both", [], ""),  # sees no GNSS
+        ("yaw:both", [], ""),  # The yaw model has no GNSS outputs.
     ],
 )
-def test_what_the_rig_says_of_the_antenna_is_in_the_model_or_said(source: str, parts: list[str], said: str) -> None:
+def test_antenna_of_the_rig_is_included_or_reported(source: str, parts: list[str], message: str) -> None:
     model, lines = apply_rig_geometry(make_model(source), rig_with(ARM))
     assert [n for n in model.values if n.startswith("antenna")] == parts
     assert [model.values[n] for n in parts] == list(ARM[: len(parts)])
-    assert lines == ([said] if said else [])
+    assert lines == ([message] if message else [])
 
 
-def test_of_two_antennas_it_is_said_which_is_taken() -> None:
+def test_choice_between_two_antennas_is_reported() -> None:
     rig = rig_with(ARM)
     rig.devices += rig_with((1.0, 0.0, 0.0)).devices
     model, lines = apply_rig_geometry(horizontal_model(), rig)
@@ -142,7 +145,7 @@ def test_of_two_antennas_it_is_said_which_is_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "name", "said"),
+    ("source", "name", "message"),
     [
         (
             "kinematic:shaft",
@@ -163,14 +166,14 @@ def test_of_two_antennas_it_is_said_which_is_taken() -> None:
         ("kinematic:shaft", "mount mount", "--effect mount: model kinematic has it already"),
     ],
 )
-def test_an_effect_that_cannot_be_added_is_one_line(source: str, name: str, said: str) -> None:
+def test_impossible_effect_gives_a_one_line_error(source: str, name: str, message: str) -> None:
     with pytest.raises(SeatrialError) as caught:
         with_effects(make_model(source), name.split())
-    assert str(caught.value).startswith(said)
+    assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 
 
-def test_every_effect_of_a_model_can_be_added_and_those_at_zero_start_off_it() -> None:
+def test_every_accepted_effect_can_be_added_and_starts_away_from_zero() -> None:
     for model in (horizontal_model(), kinematic_model(yaw=True)):
         for name, effect in catalogue().items():
             if model.accepts(effect):
@@ -179,7 +182,7 @@ def test_every_effect_of_a_model_can_be_added_and_those_at_zero_start_off_it() -
 
 
 @pytest.mark.study
-def test_the_command_frees_an_effect_and_the_file_keeps_it(tmp_path: Path) -> None:
+def test_effect_option_frees_an_effect_and_the_model_file_keeps_it(tmp_path: Path) -> None:
     boat = boat_with("lever-arm", 3)
     log = boat_log(tmp_path / "a.mcap", boat, 120.0, 7, 1)
     (effect,) = boat.effects

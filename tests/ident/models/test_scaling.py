@@ -1,4 +1,4 @@
-"""A ferry is diagnosed like a dinghy: priors, steps and disturbance forces go with the size of the boat."""
+"""Tests of scaling: priors, steps and disturbance forces follow the size of the boat."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from seatrial.ident.models.scaling import VesselScale, dimension, rescale, scale
 from tests.ident.carriers import carrier
 from tests.missions import boat_with, channels_of, sail
 
-FERRY = 50.0  # times the mass, inertia, damping and thrust
+FERRY = 50.0  # Factor of mass, inertia, damping and thrust.
 
 
-# Exponents of kg, m and s by hand, of every unit in the catalogue; a radian is none.
+# Exponents of kg, m and s of every unit in the catalogue, written by hand. A radian has no dimension.
 DIMENSIONS = {
     "": (0, 0, 0),
     "rad": (0, 0, 0),
@@ -48,7 +48,7 @@ DIMENSIONS = {
     "kg m/s": (1, 1, -1),
     "kg s/m2": (1, -2, 1),
 }
-# What is not the boat's: of a sensor, a link, a shaft, a bench, the water
+# Parameters that do not scale with the boat, because they belong to a sensor, a link, a shaft, a bench or the water.
 OTHERS = {
     "T_creep",
     "T_cell",
@@ -67,19 +67,20 @@ OTHERS = {
     "V_dy",
     "f_wave",
 }
-LENGTH = 4.0  # times that of the catalogue's boat
+LENGTH = 4.0  # Factor of the length of the catalogue's boat.
 COPY = VesselScale(LENGTH**3, LENGTH)
 
 
 def froude(unit: str) -> float:
-    """The factor of a geometrically similar copy that moves by Froude's law: mass with the cube of its length, time
-    with the root."""
+    """Return the factor of a geometrically similar boat by Froude's law: mass scales with length cubed, time with its
+    root.
+    """
     kg, m, s = DIMENSIONS[unit]
     return float(LENGTH ** (3 * kg + m + s / 2))
 
 
 @pytest.mark.parametrize("name", catalogue())
-def test_a_copy_of_another_length_has_the_factor_of_its_dimension(name: str) -> None:
+def test_scaled_effect_has_the_factor_of_its_dimension(name: str) -> None:
     effect = catalogue()[name]
     large = scale_priors(effect, COPY)
     for p, q in zip(effect.parameters, large.parameters, strict=True):
@@ -90,14 +91,14 @@ def test_a_copy_of_another_length_has_the_factor_of_its_dimension(name: str) -> 
         assert q.bounds == pytest.approx(tuple(factor * z for z in p.bounds)), p.name
         tried = effect.scan.get(p.name, ())
         assert large.scan.get(p.name, ()) == pytest.approx(tuple(factor * z for z in tried)), p.name
-    for one, other in zip(effect.states, large.states, strict=True):
-        for before, after in ((one.sd0, other.sd0), (one.noise, other.noise), (one.x0, other.x0)):
-            factor = 1.0 if isinstance(before, str) else froude(one.unit)
-            assert after == (before if isinstance(before, str) else pytest.approx(factor * before)), one.name
+    for original, scaled in zip(effect.states, large.states, strict=True):
+        for before, after in ((original.sd0, scaled.sd0), (original.noise, scaled.noise), (original.x0, scaled.x0)):
+            factor = 1.0 if isinstance(before, str) else froude(original.unit)
+            assert after == (before if isinstance(before, str) else pytest.approx(factor * before)), original.name
 
 
 @pytest.mark.parametrize("name", catalogue())
-def test_the_catalogues_boat_keeps_every_number(name: str) -> None:
+def test_effects_of_the_reference_boat_are_unchanged(name: str) -> None:
     assert scale_priors(catalogue()[name], size_of(horizontal_model())) == catalogue()[name]
 
 
@@ -105,8 +106,8 @@ def test_the_catalogues_boat_keeps_every_number(name: str) -> None:
     "name",
     [n for n, e in catalogue().items() if "bench" not in e.requires and not OTHERS & {p.name for p in e.parameters}],
 )
-def test_a_copy_moves_like_the_boat(name: str) -> None:
-    """So the units are those of what the effects do with their parameters: N_delta [kg] is of a moment."""
+def test_scaled_model_moves_similarly(name: str) -> None:
+    """This checks the units against the use of the parameters: N_delta [kg] belongs to a moment."""
     rng, effect = np.random.default_rng(1), catalogue()[name]
     small = carrier(effect) + effect
     moved = {p.name: 0.5 * p.prior[1] for p in effect.parameters if p.prior and p.transform != "log"}
@@ -124,8 +125,10 @@ def test_a_copy_moves_like_the_boat(name: str) -> None:
 
 
 @pytest.mark.parametrize("propulsion", ["shaft", "force"])
-def test_the_response_to_an_input_has_its_thrust_once(propulsion: str) -> None:
-    """A drive in newtons is as large as the boat: its coefficients are shares and arms, its states thrusts."""
+def test_input_response_scales_with_the_thrust_once(propulsion: str) -> None:
+    """A drive in newtons already has the size of the boat. Its coefficients are shares and arms, and its states are
+    thrusts.
+    """
     drive = LENGTH**3 if propulsion == "force" else 1.0
     for effect in input_response_effects(horizontal_model(propulsion)):  # type: ignore[arg-type]
         assert effect.curve is not None
@@ -137,7 +140,7 @@ def test_the_response_to_an_input_has_its_thrust_once(propulsion: str) -> None:
         assert [s.sd0 for s in large.states] == pytest.approx([drive * float(s.sd0) for s in effect.states])
 
 
-def test_products_have_the_unit_of_their_coefficient() -> None:
+def test_product_curves_have_the_unit_of_their_coefficient() -> None:
     model = nominal_model(horizontal_model())
     wanted = {
         ("X", "u", "v"): "kg/m",
@@ -146,28 +149,28 @@ def test_products_have_the_unit_of_their_coefficient() -> None:
         ("N", "u", "r"): "kg m",
         ("N", "v", "r"): "kg m",
     }
-    for (force, one, other), unit in wanted.items():
-        effect = nonparametric_effect(model, ForceCurve(force, one, other), (-1.0, 1.0))
+    for (force, first, second), unit in wanted.items():
+        effect = nonparametric_effect(model, ForceCurve(force, first, second), (-1.0, 1.0))
         assert {p.unit for p in effect.parameters} == {unit}
         assert dimension(unit) == DIMENSIONS[unit]
     reading = nonparametric_effect(model, ForceCurve("r", "r"), (-1.0, 1.0))
     changed = scale_priors(reading, COPY).parameters
-    assert changed == reading.parameters  # the errors of a gyro do not know on which boat it is
+    assert changed == reading.parameters  # The errors of a gyro do not depend on the boat.
 
 
-def test_the_size_of_a_boat_is_its_mass_and_its_radius_of_gyration() -> None:
+def test_size_of_a_boat_is_its_mass_and_radius_of_gyration() -> None:
     assert size_of(horizontal_model()) == VesselScale()
     ship = horizontal_model().with_values({"m_u": 37.0 * 8.0, "m_r": 9.69 * 32.0})
     assert astuple(size_of(ship)) == pytest.approx((8.0, 2.0))
 
 
-def test_units_of_diffusions_and_of_ratios_are_read() -> None:
+def test_units_of_diffusions_and_ratios_are_parsed() -> None:
     assert dimension("m/s/sqrt(s)") == (0.0, 1.0, -1.5)
     assert dimension("kg m2/(N m)") == (0.0, 0.0, 2.0)
     assert dimension("V") == (0.0, 0.0, 0.0)
 
 
-def test_resizing_twice_is_resizing_once() -> None:
+def test_rescaling_is_idempotent() -> None:
     model = nominal_model(horizontal_model())
     once = rescale(model, VesselScale(8.0, 30.0))
     assert rescale(once, VesselScale(8.0, 30.0)) == once
@@ -175,7 +178,9 @@ def test_resizing_twice_is_resizing_once() -> None:
 
 
 def _scores(scale: float) -> tuple[dict[str, Score], float]:
-    """Scores of a boat with a yaw bias whose every force is ``scale`` times as large, and its fitted surge mass."""
+    """Return the scores of a boat with a yaw bias, with all forces multiplied by ``scale``, and its fitted surge
+    mass.
+    """
     found = channels_of(sail(boat_with("yaw-bias", 1), 200.0, 101)[0])
     for side in ("left", "right"):
         n = found.pop(f"n_{side}")
@@ -191,14 +196,14 @@ def _scores(scale: float) -> tuple[dict[str, Score], float]:
 
 
 @pytest.mark.study
-def test_the_scores_do_not_depend_on_the_size_of_the_boat() -> None:
-    """The ferry is not announced: the fit starts from the dinghy's masses."""
+def test_scores_are_independent_of_the_size_of_the_boat() -> None:
+    """The size of the large boat is unknown: its fit starts from the masses of the small boat."""
     (small, m_small), (large, m_large) = _scores(1.0), _scores(FERRY)
     assert m_large == pytest.approx(FERRY * m_small, rel=0.01)
     assert small["yaw-bias"].lm > 5
     for name in ("yaw-bias", "lift", "lever-arm", "coulomb", "N(u)"):
         assert large[name].lm == pytest.approx(small[name].lm, rel=0.05, abs=0.3), name
-    # the threshold is that of all tests that were made, of which a scanned candidate has several
+    # The threshold covers all tests that were made. A scanned candidate has several tests.
     once = [score_threshold(s, list(small.values())) for s in small.values()]
     made = [s.threshold for s in small.values()]
     assert all(a >= b for a, b in zip(made, once, strict=True))

@@ -1,4 +1,4 @@
-"""A user's own effects and models: loaded from files, kept by model.toml, wrong ones refused in one line."""
+"""Tests of user effects and models: loaded from files, kept by model.toml, and rejected in one line if wrong."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_effects_of_a_file_are_found_by_name(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("EFFECT = 3\n", "neither EFFECT nor EFFECTS"),
         ("x = 1\n", "neither EFFECT"),
@@ -44,15 +44,15 @@ def test_effects_of_a_file_are_found_by_name(tmp_path: Path) -> None:
         ("a = 1\nb = (\n", r"own\.py:2: cannot be loaded: '\(' was never closed"),
     ],
 )
-def test_a_wrong_file_is_one_line(tmp_path: Path, text: str, said: str) -> None:
+def test_invalid_python_file_gives_a_one_line_error(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "own.py"
     file.write_text(text)
-    with pytest.raises(SeatrialError, match=said) as caught:
+    with pytest.raises(SeatrialError, match=message) as caught:
         load_effects(file)
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+def test_missing_python_file_gives_a_one_line_error(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="no such Python file"):
         load_python(tmp_path / "nowhere.py")
 
@@ -75,18 +75,18 @@ RATE, STATE = 'return {"level": p.k * u.pump - p.c * x.level}', '"", "q"'
 
 
 def refusal(folder: Path, text: str) -> str:
-    """What is said of a tank, without its folder."""
+    """Return the error message for a tank model, without its folder."""
     file = folder / "tank.py"
     file.write_text(text)
     with pytest.raises(SeatrialError) as caught:
         make_model(f"{file}:tank")
-    said = str(caught.value)
-    assert "\n" not in said
-    return said.removeprefix(f"{folder}/")
+    message = str(caught.value)
+    assert "\n" not in message
+    return message.removeprefix(f"{folder}/")
 
 
 @pytest.mark.parametrize(
-    ("rate", "said"),
+    ("rate", "message"),
     [
         ('return {"level": p.k * u.pump - p.cc * x.level}', "tank.py:6: no parameter 'cc'; there is k, c, q, e"),
         ('return {"level": p.k * u.pmp}', "tank.py:6: no input 'pmp'; there is pump"),
@@ -106,13 +106,13 @@ def refusal(folder: Path, text: str) -> str:
         ('return {"level": {}["a"]}', "tank.py:6: KeyError: 'a'"),
     ],
 )
-def test_an_error_in_ones_own_function_is_said_with_its_line(tmp_path: Path, rate: str, said: str) -> None:
+def test_error_in_a_user_function_is_reported_with_its_line(tmp_path: Path, rate: str, message: str) -> None:
     found = refusal(tmp_path, TANK.replace("RATE", rate).replace("STATE", STATE))
-    assert found.startswith(said)
+    assert found.startswith(message)
 
 
 @pytest.mark.parametrize(
-    ("state", "said"),
+    ("state", "message"),
     [
         ('"", "q", x0="lv0"', "x0 of the state level names no parameter: 'lv0'"),
         ('"", "q", sd0="sv0"', "sd0 of the state level names no parameter: 'sv0'"),
@@ -120,12 +120,12 @@ def test_an_error_in_ones_own_function_is_said_with_its_line(tmp_path: Path, rat
         ('"", "q", from_output="gage"', "from_output of the state level names no output: 'gage'; there is gauge"),
     ],
 )
-def test_a_misspelt_name_of_a_state_is_said(tmp_path: Path, state: str, said: str) -> None:
+def test_misspelt_name_in_a_state_is_reported(tmp_path: Path, state: str, message: str) -> None:
     found = refusal(tmp_path, TANK.replace("RATE", RATE).replace("STATE", state))
-    assert found == f"tank.py:11: cannot be loaded: model tank: {said}"
+    assert found == f"tank.py:11: cannot be loaded: model tank: {message}"
 
 
-def test_what_the_advice_says_to_write_goes(tmp_path: Path) -> None:
+def test_recommended_numpy_functions_work(tmp_path: Path) -> None:
     file = tmp_path / "tank.py"
     for rate in (
         "np.where(x.level > 0, p.k, p.c)",
@@ -138,7 +138,7 @@ def test_what_the_advice_says_to_write_goes(tmp_path: Path) -> None:
         assert make_model(f"{file}:tank").name == "tank"
 
 
-def test_an_error_in_ones_own_effect_is_said_with_its_line(tmp_path: Path) -> None:
+def test_error_in_a_user_effect_is_reported_with_its_line(tmp_path: Path) -> None:
     file = tmp_path / "own.py"
     file.write_text(OWN.replace("s.p.weed *", "s.p.wed *"))
     (effect,) = load_effects(file).values()
@@ -158,7 +158,7 @@ role = "output"
 
 
 def decay(path: Path, seed: int) -> dict[str, float]:
-    """A roll that dies out, from its equation, as a CSV with noise; its true parameters."""
+    """Write a noisy roll decay from its equation as CSV. Return its true parameters."""
     truth, step = {"k": 14.0, "d": 0.25, "dd": 0.4}, 1e-3
     phi, p, rows = 0.5, 0.0, []
     rng = np.random.default_rng(seed)
@@ -172,7 +172,7 @@ def decay(path: Path, seed: int) -> dict[str, float]:
     return truth
 
 
-def test_the_decay_test_of_the_how_to_is_fitted_by_its_command(
+def test_decay_test_of_the_how_to_is_fitted_by_its_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -1,5 +1,7 @@
-"""Navigation by a fitted model: what it claims of outages is true in a seeded set of mock missions, whose truth is
-known; what it adds for the parameters' errors is what drawing them gives."""
+"""Tests of navigation by a fitted model on simulated missions with known truth.
+
+The claimed errors of outages must be true, and the effect of parameter errors must equal a Monte Carlo result.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ SEEDS = (1, 2)
 RUNS = (2, 3)
 SECONDS = 300.0
 GAPS = tuple((a, a + 30.0) for a in (45.0, 95.0, 145.0, 195.0, 245.0))
-SURE = 1e-3  # a right navigator fails a test once in a thousand sets; these are seeded
+SURE = 1e-3  # False-alarm rate: a correct navigator fails one set in a thousand. These sets are seeded.
 
 
 @cache
@@ -52,7 +54,7 @@ def mission(seed: int, run: int) -> tuple[Record, Truth]:
 
 
 def truth_at(done: Navigation, truth: Truth) -> Array:
-    """True positions (n_rows, 2) in the frame of the record, whose origin is its first fix."""
+    """Return the true positions (n_rows, 2) in the frame of the record, whose origin is its first fix."""
     t = done.t + float(done.record.meta["t0"])
     place = np.column_stack([np.interp(t, truth["t"], truth[n]) for n in ("x", "y")])
     return np.asarray(place + np.nanmean(done.fixes - place, axis=0))
@@ -60,10 +62,11 @@ def truth_at(done: Navigation, truth: Truth) -> Array:
 
 @cache
 def ends(quiet: float = 1.0) -> tuple[Array, Array, Array, Array]:
-    """Of all outages: squared distances at their ends by the claimed covariances, whether the true place is inside
-    the claimed circle, and the true errors on all rows without GNSS of the filter and of the smoother [m].
+    """Return results of all outages: squared distances at their ends by the claimed covariances, whether the true
+    position is inside the claimed circle, and the errors [m] of filter and smoother on all rows without GNSS.
 
-    ``quiet``: a navigator that takes disturbance forces for so much smaller than they were estimated."""
+    ``quiet`` is the factor of the disturbance forces that the navigator assumes.
+    """
     d2, inside, by_filter, by_smoother = [], [], [], []
     for seed in SEEDS:
         stage = fitted(seed)
@@ -86,29 +89,30 @@ def ends(quiet: float = 1.0) -> tuple[Array, Array, Array, Array]:
 
 
 @pytest.mark.study
-def test_the_true_place_is_inside_what_is_claimed_of_an_outage_as_often_as_is_claimed() -> None:
+def test_claimed_circles_of_outages_cover_the_true_position() -> None:
     d2, inside, _, _ = ends()
     n = len(d2)
     assert n == len(SEEDS) * len(RUNS) * len(GAPS)
     assert stats.binomtest(int(inside.sum()), n, 0.95).pvalue > SURE
-    assert stats.chi2.ppf(SURE / 2, 2 * n) < d2.sum() < stats.chi2.isf(SURE / 2, 2 * n)  # neither too sure nor too shy
+    # The covariances are neither overconfident nor underconfident.
+    assert stats.chi2.ppf(SURE / 2, 2 * n) < d2.sum() < stats.chi2.isf(SURE / 2, 2 * n)
 
 
 @pytest.mark.study
-def test_a_navigator_that_is_too_sure_is_told_from_one_that_is_right() -> None:
+def test_overconfident_navigator_is_found() -> None:
     d2, inside, _, _ = ends(quiet=0.2)
     assert stats.binomtest(int(inside.sum()), len(d2), 0.95).pvalue < SURE
     assert d2.sum() > stats.chi2.isf(SURE / 2, 2 * len(d2))
 
 
 @pytest.mark.study
-def test_the_smoother_is_better_than_the_filter() -> None:
+def test_smoother_is_better_than_the_filter() -> None:
     _, _, by_filter, by_smoother = ends()
     assert np.sqrt(np.mean(by_smoother**2)) < 0.6 * np.sqrt(np.mean(by_filter**2))
 
 
 @pytest.mark.study
-def test_an_outage_of_the_log_itself_is_found_and_judged_by_the_fix_after_it() -> None:
+def test_outage_of_the_log_is_found_and_compared_with_the_next_fix() -> None:
     rows, _ = mission(1, 2)
     gnss = [rows.outputs.index(n) for n in ("x", "y", "vx", "vy")]
     y = rows.y.copy()
@@ -121,7 +125,7 @@ def test_an_outage_of_the_log_itself_is_found_and_judged_by_the_fix_after_it() -
     assert not gap.open
     assert gap.error is not None
     assert gap.allowed is not None
-    assert gap.inside is (gap.error < gap.allowed)  # the noise is round and larger than the ellipse
+    assert gap.inside is (gap.error < gap.allowed)  # The noise is circular and larger than the ellipse.
     assert gap.best is None
     assert tail.open
     assert tail.duration == pytest.approx(10.0, abs=0.3)
@@ -131,11 +135,11 @@ def test_an_outage_of_the_log_itself_is_found_and_judged_by_the_fix_after_it() -
     assert withheld.best is not None
     assert withheld.best.n == 150
     assert end.open
-    assert end.error is not None  # from the last fix withheld
+    assert end.error is not None  # The reference is the last withheld fix.
 
 
-def test_before_the_first_fix_the_place_is_as_uncertain_as_is_claimed() -> None:
-    """Of fixes that are late or withheld from the start: an outage, whose track starts where the boat may have been."""
+def test_claimed_uncertainty_before_the_first_fix_is_right() -> None:
+    """The first fixes are late or withheld. The result is an outage whose track starts at an uncertain position."""
     rows, truth = mission(1, 2)
     done = navigate(fitted(1).fit.model, rows, without_gnss=[(-1.0, 40.0)], known=known(fitted(1)))
     (first,) = gnss_outages(done)
@@ -155,12 +159,12 @@ def test_before_the_first_fix_the_place_is_as_uncertain_as_is_claimed() -> None:
 
 
 @pytest.mark.study
-def test_the_current_is_learnt_on_the_way() -> None:
+def test_current_is_estimated_during_navigation() -> None:
     rows, _ = mission(2, 2)
     done = navigate(fitted(2).fit.model, rows, smoothed=False)
     current = done.current()
     assert current is not None
-    assert current[0, 2] == pytest.approx(0.5, rel=0.05)  # the prior's
+    assert current[0, 2] == pytest.approx(0.5, rel=0.05)  # This is the standard deviation of the prior.
     true = boat_with(None, 2).truth()
     assert (current[-1, 2:] < 0.05).all()
     assert (np.abs(current[-1, :2] - [true["current_n"], true["current_e"]]) < 4 * current[-1, 2:]).all()
@@ -169,20 +173,21 @@ def test_the_current_is_learnt_on_the_way() -> None:
     assert smoothed[0, 2] < 0.01
 
 
-def test_a_model_without_a_current_of_its_own_stays_as_it_is() -> None:
+def test_model_without_a_current_is_unchanged() -> None:
     still = horizontal_model(current=False)
     assert navigator(still) is still
     assert navigate(still, mission(1, 2)[0]).current() is None
 
 
-def test_parameters_errors_add_what_drawing_them_gives() -> None:
+def test_effect_of_parameter_errors_equals_a_monte_carlo_result() -> None:
     stage = fitted(1)
     rows = mission(1, 2)[0].part(0.0, 90.0)
     gap = [(40.0, 70.0)]
-    model, given = stage.fit.model, known(stage)
-    assert given.covariance is not None
-    i, names = given.names.index("m_u"), ("m_u", "d_v")
-    sd = 10.0 * np.sqrt(np.diag(given.covariance))[[i, given.names.index("d_v")]]  # so that they matter
+    model, covariance = stage.fit.model, known(stage)
+    assert covariance.covariance is not None
+    i, names = covariance.names.index("m_u"), ("m_u", "d_v")
+    # The errors are enlarged so that they matter.
+    sd = 10.0 * np.sqrt(np.diag(covariance.covariance))[[i, covariance.names.index("d_v")]]
     wide = ParameterCovariance(names, np.diag(sd**2))
     exact, sure = navigate(model, rows, without_gnss=gap), navigate(model, rows, without_gnss=gap, known=wide)
     rng = np.random.default_rng(5)
@@ -196,7 +201,7 @@ def test_parameters_errors_add_what_drawing_them_gives() -> None:
     assert added > 0.05 * np.diag(exact.predicted.P[k])[:2].sum()
 
 
-def test_the_circle_holds_95_percent() -> None:
+def test_circle_holds_95_percent() -> None:
     z = np.random.default_rng(1).normal(size=(200_000, 2))
     for small in (1.0, 0.5, 0.1, 0.0):
         share = np.mean(np.hypot(z[:, 0], small * z[:, 1]) < circular_error(1.0, small))
@@ -208,7 +213,7 @@ def test_the_circle_holds_95_percent() -> None:
     assert found.major / found.minor == pytest.approx(np.sqrt(10.0))
 
 
-def test_what_cannot_be_navigated_is_said() -> None:
+def test_impossible_navigation_is_rejected() -> None:
     rows = mission(1, 2)[0]
     with pytest.raises(ValueError, match=r"no GNSS position between 500 s and 600 s to withhold"):
         navigate(fitted(1).fit.model, rows, without_gnss=[(500.0, 600.0)])
@@ -221,7 +226,7 @@ def test_what_cannot_be_navigated_is_said() -> None:
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a fitted model and a log that it has not seen."""
+    """Return a folder with a fitted model and a log that the fit did not use."""
     folder = tmp_path_factory.mktemp("navigation")
     boat = boat_with(None, 3)
     boat_log(folder / "fit.mcap", boat, 200.0, 3)
@@ -231,7 +236,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_command_writes_a_table_a_result_and_a_report(logs: Path) -> None:
+def test_navigate_command_writes_a_table_a_result_and_a_report(logs: Path) -> None:
     words = [
         "navigate",
         str(logs / "vehicle/model.toml"),
@@ -276,9 +281,16 @@ def test_the_command_writes_a_table_a_result_and_a_report(logs: Path) -> None:
         (("--gnss-outage", "90:60"), "'90:60': the end is not after the beginning"),
     ],
 )
-def test_a_wrong_stretch_is_one_line(logs: Path, words: tuple[str, ...], message: str) -> None:
-    given = ["navigate", str(logs / "vehicle/model.toml"), str(logs / "log.mcap"), "--out", str(logs / "no"), *words]
-    done = CliRunner().invoke(ident, given)
+def test_invalid_time_interval_gives_a_one_line_error(logs: Path, words: tuple[str, ...], message: str) -> None:
+    arguments = [
+        "navigate",
+        str(logs / "vehicle/model.toml"),
+        str(logs / "log.mcap"),
+        "--out",
+        str(logs / "no"),
+        *words,
+    ]
+    done = CliRunner().invoke(ident, arguments)
     assert done.exit_code != 0
     assert message in f"{done.output} {done.exception}"
     assert not (logs / "no").exists()

@@ -1,4 +1,4 @@
-"""What is said of the worst outage: which fix its error is of."""
+"""Tests of the sentence about the worst outage: the fix that its error refers to."""
 
 from __future__ import annotations
 
@@ -13,6 +13,6 @@ WORST = Outage(
 )  # fmt: skip
 
 
-def test_an_outage_that_never_ends_is_judged_by_its_last_fix() -> None:
+def test_outage_that_never_ends_is_compared_with_its_last_fix() -> None:
     assert "; against the fix then it was 2.3 m off" in navigation_answer([WORST], [])
     assert "; against the last fix withheld it was 2.3 m off" in navigation_answer([replace(WORST, open=True)], [])

@@ -1,4 +1,4 @@
-"""Scaling of symmetric matrices whose entries have different units."""
+"""Tests of the scaling of symmetric matrices whose entries have different units."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def correlation() -> np.ndarray:
     return np.array([[1.0, 0.5, 0.2], [0.5, 1.0, -0.4], [0.2, -0.4, 1.0]])
 
 
-def test_the_scaled_matrix_does_not_depend_on_units(correlation: np.ndarray) -> None:
+def test_scaled_matrix_is_independent_of_units(correlation: np.ndarray) -> None:
     A = correlation * np.outer(SCALE, SCALE)
     scaled, scale = unit_diagonal(A)
     np.testing.assert_allclose(scaled, correlation)
@@ -30,15 +30,15 @@ def test_the_scaled_matrix_does_not_depend_on_units(correlation: np.ndarray) -> 
     np.testing.assert_allclose((V * w) @ V.T * np.outer(scale, scale), A)
 
 
-def test_inverses(correlation: np.ndarray) -> None:
+def test_scaled_inverses_equal_the_inverse(correlation: np.ndarray) -> None:
     A = correlation * np.outer(SCALE, SCALE)
     wanted = np.linalg.inv(correlation) / np.outer(SCALE, SCALE)
     np.testing.assert_allclose(scaled_inverse(A), wanted)
     np.testing.assert_allclose(scaled_pseudo_inverse(A), wanted)
 
 
-def test_a_root_leaves_out_what_has_no_variance() -> None:
-    P = np.outer(SCALE, SCALE)  # of rank one
+def test_covariance_root_omits_directions_without_variance() -> None:
+    P = np.outer(SCALE, SCALE)  # The matrix has rank one.
     L = covariance_root(P, 1e-12)
     assert L.shape == (3, 1)
     np.testing.assert_allclose(L @ L.T, P)

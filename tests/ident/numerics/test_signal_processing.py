@@ -1,4 +1,4 @@
-"""Lags against their difference equation, their fit, steady segments and noise from differences."""
+"""Tests of first-order lags, their fit, steady segments, noise from differences, and rounding steps."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ def by_recursion(f: np.ndarray, hold: Hold, start: Start) -> np.ndarray:
 @pytest.mark.parametrize("hold", ["forward", "backward"])
 @pytest.mark.parametrize("start", ["zero", "steady"])
 @pytest.mark.parametrize("shape", [(50,), (50, 3), (50, 2, 4)])
-def test_a_lag_is_its_difference_equation(hold: Hold, start: Start, shape: tuple[int, ...]) -> None:
+def test_first_order_lag_equals_its_difference_equation(hold: Hold, start: Start, shape: tuple[int, ...]) -> None:
     f = np.random.default_rng(0).normal(size=shape)
     np.testing.assert_allclose(first_order_lag(f, TAU, STEP, hold=hold, start=start), by_recursion(f, hold, start))
 
 
-def test_a_lag_without_time_constant_is_its_input() -> None:
+def test_lag_without_time_constant_equals_its_input() -> None:
     f = np.random.default_rng(0).normal(size=20)
     np.testing.assert_array_equal(first_order_lag(f, 0.0, STEP, hold="backward"), f)
     np.testing.assert_array_equal(first_order_lag(f, 0.0, STEP)[1:], f[:-1])
@@ -74,30 +74,30 @@ def test_noise_from_differences_is_robust() -> None:
     assert noise_from_differences(np.zeros(0)) == 0.0
 
 
-def test_angles_are_wrapped_and_nothing_else() -> None:
+def test_only_angles_are_wrapped() -> None:
     np.testing.assert_allclose(wrap(np.array([3.5, -3.5, 0.1]), True), [3.5 - 2 * np.pi, 2 * np.pi - 3.5, 0.1])
     np.testing.assert_array_equal(wrap(np.array([3.5, -3.5]), False), [3.5, -3.5])
 
 
-def test_an_estimate_does_not_wait_for_scipy() -> None:
-    """Its import would take more than half of the time of a small fit."""
+def test_estimation_does_not_import_scipy() -> None:
+    """The import of SciPy would take more than half of the time of a small fit."""
     program = "import sys; from seatrial.ident.estimation import Likelihood, fit; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
 
 
 @pytest.mark.parametrize("step", [1e-3, 0.01, 0.0111317])
-def test_the_step_of_rounded_values_is_found(step: float) -> None:
+def test_rounding_step_is_found(step: float) -> None:
     x = np.random.default_rng(1).normal(size=400)
     assert rounding_step(step * np.round(x / step)) == pytest.approx(step, rel=1e-6)
     assert rounding_step((step * np.round(x / step)).astype(np.float32).astype(float)) == pytest.approx(step, rel=1e-3)
-    cut = np.trunc(x / step)  # told as the middle of its step, but for zero
+    cut = np.trunc(x / step)  # The value is the middle of its step, except for zero.
     assert rounding_step(step * (cut + 0.5 * np.sign(cut))) == pytest.approx(step, rel=1e-6)
 
 
-def test_values_on_no_grid_have_no_step() -> None:
+def test_values_without_a_grid_have_no_step() -> None:
     rng = np.random.default_rng(2)
     assert rounding_step(rng.normal(size=400)) == 0.0
     assert rounding_step(np.cumsum(rng.normal(size=400))) == 0.0
     assert rounding_step(np.append(0.01 * np.arange(50), 0.123)) == 0.0
     assert rounding_step(np.zeros(100)) == 0.0
-    assert rounding_step(np.array([1.0, 2.0, 4.0, np.nan])) == 0.0  # too few to tell
+    assert rounding_step(np.array([1.0, 2.0, 4.0, np.nan])) == 0.0  # There are too few values.

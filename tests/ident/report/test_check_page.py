@@ -1,4 +1,4 @@
-"""`seatrial check --report`: the answer, its evidence from a real log, and what is missing is left out."""
+"""Tests of `seatrial check --report`: the answer, its evidence from a real log, and missing parts that are left out."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def page(report: CheckReport, logs: list[CheckEvidence], folder: Path, command: 
     return Page((folder / "check.html").read_text(encoding="utf-8"))
 
 
-def test_swapped_sides_are_mirror_images(tmp_path: Path) -> None:
-    """The curves of the page say what the finding says."""
+def test_swapped_sides_have_a_negative_correlation(tmp_path: Path) -> None:
+    """The curves of the page agree with the finding."""
     for case, sign in ((None, 1.0), (CASES[0], -1.0)):
         log = logged(tmp_path / f"{sign:g}.mcap", 3, case, actuators=True)
         curves = {row.title: row for row in log_evidence(log)[0].thrust_response}
@@ -40,20 +40,20 @@ def test_swapped_sides_are_mirror_images(tmp_path: Path) -> None:
         assert np.corrcoef(ahead.measured, ahead.expected)[0, 1] > 0.8
 
 
-def test_a_log_without_a_gyro_has_its_turning_by_heading_or_course(tmp_path: Path) -> None:
+def test_turning_is_shown_by_heading_or_course_without_a_gyro(tmp_path: Path) -> None:
     with open_log(logged(tmp_path / "run.mcap", 3, None, actuators=True)) as log:
         every = channels(log)
         sides = sides_of(log)
-    compass = {n: c for n, c in every.items() if n in ("psi", "x", "y") or n.startswith("n_")}  # GNSS and compass alone
+    compass = {n: c for n, c in every.items() if n in ("psi", "x", "y") or n.startswith("n_")}  # Only GNSS and compass.
     course = {n: c for n, c in compass.items() if n != "psi"}
     by_gyro, by_heading, by_course = (push(c, sides)[0] for c in (every, compass, course))
     assert {row.title for row in (by_gyro, by_heading, by_course)} == {"yaw rate"}
     assert np.corrcoef(by_heading.measured, np.interp(by_heading.t, by_gyro.t, by_gyro.measured))[0, 1] > 0.8
     assert np.isfinite(by_course.measured).all()
-    assert by_course.t.size == by_course.expected.size < by_gyro.t.size  # too slow for a course now and then
+    assert by_course.t.size == by_course.expected.size < by_gyro.t.size  # At low speed there is no course.
 
 
-def test_a_push_is_shown_to_scale_and_through_its_lag() -> None:
+def test_delayed_force_is_scaled_and_lagged_to_the_motion() -> None:
     t = np.arange(0.0, 60.0, 0.1)
     push = np.sign(np.sin(t / 4))
     y = np.zeros(t.size)
@@ -63,8 +63,8 @@ def test_a_push_is_shown_to_scale_and_through_its_lag() -> None:
     assert delayed_forces(-y, push, YAW_LAGS) == pytest.approx(y - 2 * y.mean(), abs=0.02)
 
 
-def test_a_command_is_drawn_as_it_was_held() -> None:
-    """One command for 50 s and then hundreds: thinned corners were joined by a slope over the 50 s."""
+def test_command_is_drawn_as_held() -> None:
+    """One command holds for 50 s, followed by hundreds. Thinned corners were joined by a slope over the 50 s."""
     t = np.concatenate([[0.0], 50.0 + 0.02 * np.arange(2000)])
     n = np.concatenate([[0.8], np.sin(0.5 * t[1:])])
     for limit in (600, 10_000):
@@ -74,14 +74,14 @@ def test_a_command_is_drawn_as_it_was_held() -> None:
         assert np.interp(t[101::100] + 0.01, x, y) == pytest.approx(n[101::100], abs=0.12)
 
 
-def test_the_page_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = logged(tmp_path / "run.mcap", 3, CASES[5], actuators=True)  # a GNSS that comes late
+def test_check_page_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = logged(tmp_path / "run.mcap", 3, CASES[5], actuators=True)  # The GNSS is late.
     out = tmp_path / "reports" / "check.html"
     with pytest.raises(SystemExit) as left:
         command_line.main(["check", str(log), "--report", str(out)])
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     assert left.value.code == 1
-    assert f"report: {out}" in told.out
+    assert f"report: {out}" in captured.out
     found = Page(out.read_text(encoding="utf-8"))
     assert found.headings() == EVIDENCE
     assert "run.mcap cannot be trusted yet: " in found.words
@@ -93,20 +93,21 @@ def test_the_page_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert out.stat().st_size < 8_000_000
 
 
-def test_logs_have_a_tab_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_log_has_a_tab(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = [str(logged(tmp_path / f"{name}.mcap", seed, None, actuators=True)) for name, seed in (("a", 3), ("b", 4))]
     with pytest.raises(SystemExit) as left:
         command_line.main(["check", *logs, "--report", str(tmp_path / "check.html"), "--json"])
     assert left.value.code == 0
-    told = capsys.readouterr()
-    assert json.loads(told.out)["format"] == "seatrial-check 1"  # the line about the report is not in it
+    captured = capsys.readouterr()
+    # The line about the report is not part of the JSON output.
+    assert json.loads(captured.out)["format"] == "seatrial-check 1"
     found = Page((tmp_path / "check.html").read_text(encoding="utf-8"))
     assert "is in order" in found.words
     assert len(found.figures()) == 10
     assert sum(attrs.get("role") == "tab" for _, attrs in found.tags) == 10
 
 
-def test_the_page_of_a_rig_with_a_mission(tmp_path: Path) -> None:
+def test_check_page_of_a_rig_with_a_mission(tmp_path: Path) -> None:
     found = page(page_examples.check(), [page_examples.checked_log()], tmp_path, "seatrial check")
     assert found.headings() == ["mission", *EVIDENCE]
     words = " ".join(found.words.split())
@@ -114,7 +115,7 @@ def test_the_page_of_a_rig_with_a_mission(tmp_path: Path) -> None:
     assert "Predicted by the design, by model horizontal" in words
 
 
-def test_the_answer_is_one_sentence() -> None:
+def test_answer_is_one_sentence() -> None:
     report = page_examples.check()
     rows = report.findings
     ok = tuple(row for row in rows if row.level == "ok")
@@ -130,18 +131,18 @@ def test_the_answer_is_one_sentence() -> None:
     )
 
 
-def test_a_signal_is_named_unless_its_name_is_a_word_of_what_was_found() -> None:
+def test_answer_names_the_signal_unless_the_finding_does() -> None:
     fault = Finding("fault", "angle-in-degrees", "units", "r", "86 rad/s: in deg/s?")
     assert check_answer(CheckReport("a.mcap", (fault,))) == "a.mcap cannot be trusted yet: r, 86 rad/s: in deg/s?"
     swapped = fault._replace(where="a: left and right", text="left and right are swapped")
     assert check_answer(CheckReport("a.mcap", (swapped,))).endswith("yet: left and right are swapped.")
 
 
-def test_what_is_not_there_is_left_out_and_text_is_data(tmp_path: Path) -> None:
+def test_missing_parts_are_left_out_and_text_is_escaped(tmp_path: Path) -> None:
     least = page(CheckReport(HOSTILE, ()), [], tmp_path)
     assert least.headings() == []
     assert HOSTILE in least.words
-    assert len(least.scripts) == 2  # figures and the page's own, without plotly
+    assert len(least.scripts) == 2  # The data of the figures and the script of the page, without plotly.
     whole = page_examples.check()
     assert whole.mission is not None
     bare = replace(whole, mission=replace(whole.mission, track=None))

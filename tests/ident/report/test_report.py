@@ -1,4 +1,4 @@
-"""The report: whole, safe and self-contained whatever the result holds or lacks."""
+"""Tests of the report: complete, safe and self-contained for any content of the result."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def diagnosis() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def small(diagnosis: dict[str, Any]) -> dict[str, Any]:
-    """The same result with short series."""
+    """Return the diagnosis with short series."""
     return shortened(copy.deepcopy(diagnosis))
 
 
 @pytest.fixture(scope="module")
 def page(diagnosis: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> Page:
-    """Its page."""
+    """Return the page of the diagnosis."""
     return Page(written(diagnosis, tmp_path_factory.mktemp("diagnosis")))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_nothing_is_loaded_from_anywhere(kind: str, tmp_path: Path) -> None:
+def test_page_loads_no_external_resource(kind: str, tmp_path: Path) -> None:
     text = written(shortened(KINDS[kind]()), tmp_path)
     page = Page(text)
     loading = {"src", "srcset", "poster", "data", "action", "background", "ping"}
@@ -51,7 +51,7 @@ def test_nothing_is_loaded_from_anywhere(kind: str, tmp_path: Path) -> None:
     assert "@import" not in style
 
 
-def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tmp_path: Path) -> None:
+def test_only_plotly_and_the_script_of_the_page_may_run(small: dict[str, Any], tmp_path: Path) -> None:
     page = Page(written(small, tmp_path))
     running = [text for attrs, text in page.scripts if attrs.get("type") != "application/json"]
     assert len([text for text in running if "* plotly.js (cartesian - minified) v" in text]) == 1
@@ -78,7 +78,7 @@ def test_one_plotly_and_only_the_known_scripts_may_run(small: dict[str, Any], tm
         ("navigation", ["outages", "navigation", "run", "notes", "made"]),
     ],
 )
-def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tmp_path: Path) -> None:
+def test_every_section_with_data_is_present(kind: str, sections: list[str], tmp_path: Path) -> None:
     page = Page(written(shortened(KINDS[kind]()), tmp_path))
     assert page.headings() == sections
     places = [attrs["id"] for tag, attrs in page.tags if tag == "div" and attrs.get("class") == "plot"]
@@ -87,7 +87,7 @@ def test_every_section_that_has_data_is_there(kind: str, sections: list[str], tm
     assert len(ids) == len(set(ids))
 
 
-def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page) -> None:
+def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page) -> None:
     words = " ".join(page.words.split())
     start = words.index(diagnosis["answer"])
     first = words[: words.index("Predicted 10 s ahead against measured", start)]
@@ -98,7 +98,7 @@ def test_the_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: 
     assert "72 %" in first
 
 
-def test_figures_are_json_of_sound_arrays(page: Page) -> None:
+def test_figures_are_json_with_valid_arrays(page: Page) -> None:
     figures = page.figures()
     traces = [trace for figure in figures.values() for trace in figure["data"]]
     sizes = [len(numbers(trace["x"])) for trace in traces]
@@ -107,11 +107,11 @@ def test_figures_are_json_of_sound_arrays(page: Page) -> None:
     assert max(sizes) <= 3100
 
 
-def test_angles_are_wrapped_and_their_lines_break_where_they_jump(page: Page) -> None:
+def test_angles_are_wrapped_and_their_lines_break_at_jumps(page: Page) -> None:
     figures = page.figures()
     firsts = {name: (f["layout"].get("annotations") or [{}])[0].get("text", "") for name, f in figures.items()}
     headings = [figures[name] for name, title in firsts.items() if "Heading" in title and "fit" in title]
-    assert len(headings) == 4  # predicted and simulated, two records
+    assert len(headings) == 4  # Predicted and simulated, for two records.
     for figure in headings:
         assert figure["layout"]["yaxis"]["range"] == pytest.approx([-180.0, 180.0])
         for trace in figure["data"]:
@@ -122,7 +122,7 @@ def test_angles_are_wrapped_and_their_lines_break_where_they_jump(page: Page) ->
                 assert np.nanmax(np.abs(np.diff(y))) < 90
 
 
-def test_a_simulation_that_diverged_is_cut_and_said(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+def test_diverged_simulation_is_cut_and_reported(diagnosis: dict[str, Any], tmp_path: Path) -> None:
     result = copy.deepcopy(diagnosis)
     [row] = [t for t in result["traces"] if t["record"] == "afternoon" and t["channel"] == "x"]
     row["model"] = [y if k < 400 else 1e6 * (k - 400) for k, y in enumerate(row["model"])]
@@ -137,7 +137,7 @@ def test_a_simulation_that_diverged_is_cut_and_said(diagnosis: dict[str, Any], t
     assert max(np.nanmax(y) for y in drawn) < 1e4
 
 
-def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) -> None:
+def test_page_of_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) -> None:
     many = copy.deepcopy(diagnosis)
     for key in ("traces", "residuals", "residual_forces", "inputs", "track", "cross"):
         many[key] = [{**row, "record": f"{row['record']} {i}"} for i in range(3) for row in diagnosis[key]]
@@ -146,7 +146,7 @@ def test_a_long_result_stays_small(diagnosis: dict[str, Any], tmp_path: Path) ->
 
 
 def hostile(value: Any) -> Any:
-    """Every text of a result replaced, but those that say what is what."""
+    """Replace every text of a result, except the keys that select its type."""
     if isinstance(value, dict):
         keep = ("format", "kind", "role", "method", "attribution", "verdict", "outcome")
         return {k: v if k in keep else hostile(v) for k, v in value.items()}
@@ -156,7 +156,7 @@ def hostile(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_text_from_a_log_is_data(kind: str, tmp_path: Path) -> None:
+def test_text_from_a_log_is_escaped(kind: str, tmp_path: Path) -> None:
     result = hostile(shortened(KINDS[kind]()))
     if "errors" in result:
         result["errors"]["estimation"]["simulation"] = {HOSTILE: {"before": 2.0, "after": 1.0, "unit": HOSTILE}}
@@ -172,7 +172,7 @@ def test_text_from_a_log_is_data(kind: str, tmp_path: Path) -> None:
 
 
 def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Every key of a result, and of the first row of every list in it."""
+    """Return the path of every key of a result, including the first row of every list."""
     if isinstance(value, dict):
         return [p for key, item in value.items() for p in [(*path, key), *places(item, (*path, key))]]
     if isinstance(value, list) and value and isinstance(value[0], dict):
@@ -181,8 +181,10 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
 
 
 def changed(result: dict[str, Any], changes: list[tuple[tuple[Any, ...], Any]]) -> dict[str, Any]:
-    """A result with values replaced, the rest of it shared; KeyError takes the key away; what is gone already stays
-    so."""
+    """Return a copy of a result with replaced values.
+
+    The value KeyError removes the key. Paths that do not exist any more are skipped.
+    """
     new = copy.copy(result)
     for path, value in changes:
         owner: Any = new
@@ -207,16 +209,17 @@ def refusal(result: dict[str, Any]) -> str:
     return ""
 
 
-# `share`: of the places below the first level, drawn by a seed, a page each.
+# `share` is the share of keys below the first level that are tested, drawn by a seed. Each needs one page.
 @pytest.mark.parametrize("share", [0.05, pytest.param(0.2, marks=pytest.mark.study)])
 @pytest.mark.parametrize("kind", ["diagnosis", "thruster"])
-def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
+def test_missing_numbers_are_left_out_and_invalid_values_are_named(
     kind: str, share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("seatrial.ident.report.page.PLOTLY", "report.js")  # not 1.5 MB for each of many pages
+    # Without this, each of many pages would have 1.5 MB.
+    monkeypatch.setattr("seatrial.ident.report.page.PLOTLY", "report.js")
     result = shortened(KINDS[kind]())
     every, n_drawn, rng = places(result), 0, np.random.default_rng(7)
-    poor = [value for value in POOR if value == value]  # JSON knows no NaN
+    poor = [value for value in POOR if value == value]  # JSON has no NaN.
     some = {path: poor if len(path) == 1 else [poor[rng.integers(len(poor))]] for path in every}
     some = {path: values for path, values in some.items() if len(path) == 1 or rng.random() < share}
     for path, value in ((path, value) for path, values in some.items() for value in values):
@@ -230,7 +233,7 @@ def test_what_has_no_number_is_left_out_and_what_is_wrong_is_named(
     assert n_drawn > len(some) / 8
 
 
-def test_the_least_result_is_a_page(tmp_path: Path) -> None:
+def test_minimal_result_gives_a_page(tmp_path: Path) -> None:
     static = {key: [] for key in ("n", "force", "sd", "n_model", "force_model", "force_sd")}
     made = {"created": "", "seatrial": "", "command": ""}
     least = made | {"kind": "thrust_curve", "answer": "Nothing.", "static": static}
@@ -240,7 +243,7 @@ def test_the_least_result_is_a_page(tmp_path: Path) -> None:
     assert printed(least).split() == ["Nothing."]
 
 
-def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
+def test_terminal_shows_the_key_figures(diagnosis: dict[str, Any]) -> None:
     text = printed(diagnosis)
     lines = text.splitlines()
     assert len(lines) <= 42
@@ -250,7 +253,7 @@ def test_the_terminal_has_the_key_figures(diagnosis: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("fit", ["before", "after"])
-def test_a_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[str, Any], tmp_path: Path) -> None:
+def test_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[str, Any], tmp_path: Path) -> None:
     result = shortened(copy.deepcopy(diagnosis)) | {"answer": "The fit did not converge: it stopped."}
     if fit == "after":
         result["fit"]["converged"] = False
@@ -264,25 +267,25 @@ def test_a_fit_that_did_not_converge_has_no_headline(fit: str, diagnosis: dict[s
     assert not loaded(result).converged
 
 
-def test_the_terminal_says_the_units_of_outages() -> None:
+def test_terminal_shows_the_units_of_outages() -> None:
     words = " ".join(printed(KINDS["navigation"]()).split())
     assert "from [s] for [s] 95 % radius [m] error [m] allowed [m]" in words
 
 
-def test_what_an_estimate_must_not_be_read_without_comes_before_it() -> None:
-    told = {
+def test_important_warnings_come_before_the_answer() -> None:
+    changes = {
         "answer": "Done.",
         "warnings": [
             {"code": "arm-unknown", "text": "Nobody gave the arms."},
             {"code": "stuck-sensor", "text": "gauge: a stuck sensor?"},
         ],
     }
-    words = printed(KINDS["thruster"]() | told)
+    words = printed(KINDS["thruster"]() | changes)
     assert words.index("⚠ Nobody gave the arms.") < words.index("⚠ gauge: a stuck sensor?")
     assert words.index("⚠ gauge") < words.index("Done.")
 
 
-def test_a_flag_wraps_and_the_numbers_do_not() -> None:
+def test_flag_wraps_and_numbers_do_not() -> None:
     flag = "not identified: the data do not depend on the joint change -1 c1 +1 c2 and of five more that go with them"
     result = shortened(KINDS["thruster"]())
     row = {"name": "c1", "meaning": "", "value": 0.45, "se": 0.031, "unit": "m", "free": True, "flag": flag}
@@ -293,7 +296,7 @@ def test_a_flag_wraps_and_the_numbers_do_not() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_an_effect_that_was_removed_again_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:
+def test_removed_effect_is_not_shown_as_added(small: dict[str, Any], tmp_path: Path) -> None:
     result = copy.deepcopy(small)
     name = result["rounds"][0]["chosen"]
     gone = {"name": name, "title": name, "validation_gain": 1.0, "t": 0.3, "prediction": None}
@@ -309,7 +312,7 @@ def test_an_effect_that_was_removed_again_is_not_shown_as_added(small: dict[str,
     assert "This effect was removed again" in words
 
 
-def test_errors_that_are_statistical_only_are_marked_on_the_page_too(small: dict[str, Any], tmp_path: Path) -> None:
+def test_statistical_errors_are_marked_on_the_page(small: dict[str, Any], tmp_path: Path) -> None:
     result = copy.deepcopy(small)
     for only in (False, True):
         result["fit"]["scale"] = {"statistical_only": only}
@@ -318,7 +321,7 @@ def test_errors_that_are_statistical_only_are_marked_on_the_page_too(small: dict
         assert ("± s.e. (statistical only)" in Page(written(result, folder)).words) is only
 
 
-def test_a_parameter_of_one_run_names_it_and_comes_last(tmp_path: Path) -> None:
+def test_per_record_parameter_names_its_run_and_comes_last(tmp_path: Path) -> None:
     result = shortened(KINDS["thruster"]())
     row = {"meaning": "current", "value": 0.1, "se": 0.01, "unit": "m/s", "free": True}
     rows = [row | {"name": "V_x", "record": run} for run in ("run1", "run2")]
@@ -331,7 +334,7 @@ def test_a_parameter_of_one_run_names_it_and_comes_last(tmp_path: Path) -> None:
     assert "V_x" not in cards
 
 
-def test_the_terminal_has_the_intervals_that_were_asked_for() -> None:
+def test_terminal_shows_profile_intervals() -> None:
     row: dict[str, Any] = {"name": "psi_0", "unit": "rad", "value": 0.1, "low": 0.05, "high": None}
     row |= {"wald_low": 0.04, "wald_high": 0.2}
     row |= {"grid": [0.05, 0.1], "drop": [1.92, 0.0], "notes": ["upper side: no end"]}
@@ -340,7 +343,7 @@ def test_the_terminal_has_the_intervals_that_were_asked_for() -> None:
     assert line == "psi_0 5.73 2.86 to open 2.29 to 11.5 deg upper side: no end"
 
 
-def test_a_name_that_says_it_all_is_not_said_twice() -> None:
+def test_label_does_not_repeat_the_signal_name() -> None:
     assert formatting.named("voltage_left") == "voltage left"
     assert formatting.named("n_left") == "shaft speed left n_left"
 
@@ -358,7 +361,7 @@ def test_a_name_that_says_it_all_is_not_said_twice() -> None:
         (None, None, "–"),
     ],
 )
-def test_the_standard_error_sets_the_digits(value: float | None, se: float | None, shown: str) -> None:
+def test_standard_error_sets_the_digits(value: float | None, se: float | None, shown: str) -> None:
     assert formatting.with_error(value, se) == shown
 
 

@@ -1,4 +1,4 @@
-"""Every kind of page in headless Chromium: drawn without complaint, no wider than a telephone, printed, zoomed."""
+"""Tests of every kind of page in headless Chromium: drawn without errors, not wider than a phone, and printable."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ import pytest
 from tests.ident.pages import PAGES, Page, browser, chromium
 
 pytestmark = [browser, pytest.mark.slow]
-WIDTH, HEIGHT = 390, 30_000  # CSS pixels of a telephone; all of a page is in sight, where figures are drawn
-# In a frame, shown at a twentieth of its size: Chromium's own window is never narrower than 500, which is wider than a
-# telephone, and to paint millions of pixels takes long.
+# Width of a phone in CSS pixels. The height shows the whole page, because figures are drawn when visible.
+WIDTH, HEIGHT = 390, 30_000
+# The page is in a frame at a twentieth of its size. The window of Chromium is never narrower than 500 pixels, which is
+# wider than a phone, and painting millions of pixels is slow.
 FRAME = """<!doctype html><style>iframe { position: absolute; top: 0; transform: scale(0.05); transform-origin: 0 0 }
 </style><body><script>
 addEventListener("load", () => setTimeout(() => {
@@ -32,11 +33,11 @@ addEventListener("load", () => setTimeout(() => {
   }
 }, 3000));
 </script>"""
-TRIES = 3  # a busy machine may run out the browser's virtual time before its first frame
+TRIES = 3  # On a busy machine, the virtual time of the browser may end before its first frame.
 
 
 class Drawn(NamedTuple):
-    """A page in a frame: the width that it has, that it needs, and of its first figure; its text when it is drawn."""
+    """A page drawn in a frame: its width, the width that it needs, the width of its first figure, and its text."""
 
     wide: int
     needed: int
@@ -46,7 +47,7 @@ class Drawn(NamedTuple):
 
 @cache
 def seen(kind: str) -> tuple[Path, Drawn, str]:
-    """A page, what a browser made of it, and what it said."""
+    """Return a page, its drawing by the browser, and the messages of the browser."""
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     page, frame = folder / f"{kind}.html", folder / "frame.html"
@@ -54,11 +55,11 @@ def seen(kind: str) -> tuple[Path, Drawn, str]:
     frame.write_text(f'{FRAME}<iframe src="{page.name}" width="{WIDTH}" height="{HEIGHT}"></iframe>', encoding="utf-8")
     for _ in range(TRIES):
         run = chromium(folder, "--window-size=500,1600", "--dump-dom", frame.as_uri())
-        told = re.search(r'<pre title="(\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
-        if told:
+        match = re.search(r'<pre title="(\d+) (\d+) (\d+)">(.*?)</pre>', run.stdout, re.DOTALL)
+        if match:
             break
-    assert told, run.stderr
-    wide, needed, plot, text = told.groups()
+    assert match, run.stderr
+    wide, needed, plot, text = match.groups()
     return page, Drawn(int(wide), int(needed), int(plot), unescape(text)), run.stderr
 
 
@@ -66,9 +67,9 @@ KINDS = [kind if kind in ("diagnosis", "check") else pytest.param(kind, marks=py
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_browser_draws_every_figure_without_complaint(kind: str) -> None:
-    _, drawing, said = seen(kind)
-    assert "CONSOLE" not in said, said
+def test_browser_draws_every_figure_without_errors(kind: str) -> None:
+    _, drawing, messages = seen(kind)
+    assert "CONSOLE" not in messages, messages
     text = drawing.text
     page = Page(text)
     drawn = [attrs for _, attrs in page.tags if "js-plotly-plot" in str(attrs.get("class"))]
@@ -78,15 +79,15 @@ def test_a_browser_draws_every_figure_without_complaint(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_report_is_wider_than_a_telephone(kind: str) -> None:
+def test_no_report_is_wider_than_a_phone(kind: str) -> None:
     _, page, _ = seen(kind)
     assert page.wide <= WIDTH
-    assert page.needed <= page.wide  # else it has to be scrolled sideways
+    assert page.needed <= page.wide  # Otherwise the page must be scrolled sideways.
     assert 200 < page.plot < page.wide
 
 
 @pytest.mark.parametrize(("kind", "most"), [pytest.param("noise", 6, marks=pytest.mark.study), ("check", 8)])
-def test_a_report_prints(kind: str, most: int, tmp_path: Path) -> None:
+def test_report_can_be_printed(kind: str, most: int, tmp_path: Path) -> None:
     pdf = tmp_path / "report.pdf"
     chromium(tmp_path, f"--print-to-pdf={pdf}", "--no-pdf-header-footer", seen(kind)[0].as_uri())
     content = pdf.read_bytes()

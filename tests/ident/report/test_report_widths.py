@@ -1,4 +1,4 @@
-"""Where a report has little room: a terminal of 80 columns, a tab."""
+"""Tests of a report in limited width: a terminal of 80 columns, and a tab."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from seatrial.ident.report.record_tabs import RecordTab
 from tests.ident.pages import KINDS, printed
 
 
-def test_a_long_warning_leaves_the_numbers_their_room() -> None:
+def test_long_warning_does_not_break_the_numbers() -> None:
     result = KINDS["thruster"]()
     rows = result["fit"]["parameters"]
     rows[0]["flag"] = "its error is 2.3 times as large because the other may leave its bound"
@@ -16,6 +16,6 @@ def test_a_long_warning_leaves_the_numbers_their_room() -> None:
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_a_log_that_is_called_by_its_role_is_named_once() -> None:
+def test_log_named_like_its_role_is_named_once() -> None:
     assert RecordTab("validation", "validation").title == "validation"
     assert RecordTab("morning", "estimation").title == "estimation · morning"

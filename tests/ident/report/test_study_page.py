@@ -1,4 +1,4 @@
-"""The page of a study: every number against what is wanted, and what misses stands out."""
+"""Tests of the page of a study: every number is compared with its aim, and misses are highlighted."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from tests.ident.pages import Page, numbers
 SVG = "{http://www.w3.org/2000/svg}"
 
 
-def test_what_misses_stands_out(tmp_path: Path) -> None:
+def test_misses_are_highlighted(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
     write_study_page(page_examples.study(), page_examples.AIMS, path)
     page = Page(path.read_text(encoding="utf-8"))
     assert page.headings() == ["study-surge", "study-yaw", "study-none", "made"]
     styles = [str(attrs.get("class")) for tag, attrs in page.tags if tag == "td"]
-    assert {style for style in styles if "bad" in style} == {"bad wide"}  # a sentence, in a row of numbers
+    # This cell contains a sentence in a row of numbers.
+    assert {style for style in styles if "bad" in style} == {"bad wide"}
     words = " ".join(page.words.split())
     assert "in 93 % to 97 % of the fits" in words
     assert "No replicate can be evaluated." in words
     assert "−0.170 ± 0.040" in words
     assert "89.0 (87.0 to 91.0) %" in words
     figures = list(page.figures().values())
-    assert len(figures) == 6  # bias, variance and coverage of each study
+    assert len(figures) == 6  # Bias, variance and coverage of each study.
     symbols = [figure["data"][0]["marker"]["symbol"] for figure in figures]
     assert symbols[:3] == [["circle", "circle"]] * 3
     assert symbols[3:] == [["circle", "diamond-open"], ["circle", "circle"], ["diamond", "circle"]]
@@ -39,14 +40,15 @@ def test_what_misses_stands_out(tmp_path: Path) -> None:
     assert coverage["layout"]["yaxis"]["ticktext"] == ["d_v", "s_u"]
 
 
-def test_the_picture_has_a_mark_for_every_number_and_the_bands() -> None:
+def test_picture_has_a_mark_for_every_number_and_its_bands() -> None:
     fine, poor, _ = page_examples.study().studies
     drawn = ElementTree.fromstring(picture(fine, page_examples.AIMS))
-    assert len(drawn.findall(f"{SVG}circle")) == 2 * 3 + 1  # and the key's
+    assert len(drawn.findall(f"{SVG}circle")) == 2 * 3 + 1  # One more mark is in the key.
     assert len(drawn.findall(f"{SVG}path")) == 2
     drawn = ElementTree.fromstring(picture(poor, page_examples.AIMS))
     fills = [path.get("fill") for path in drawn.findall(f"{SVG}path")]
-    assert sorted(fills) == ["#D55E00", "#D55E00", "#ffffff", "#ffffff"]  # one surely, one perhaps, and the key
+    # One certain miss, one possible miss, and the key.
+    assert sorted(fills) == ["#D55E00", "#D55E00", "#ffffff", "#ffffff"]
     dashed = [line for line in drawn.findall(f"{SVG}line") if line.get("stroke-dasharray")]
     assert len(dashed) == 2 * 3
     words = [text.text for text in drawn.findall(f"{SVG}text")]
@@ -54,7 +56,7 @@ def test_the_picture_has_a_mark_for_every_number_and_the_bands() -> None:
     assert {"bias, standard deviations", "variance / bound", "coverage of 95 % intervals, %"} < set(words)
 
 
-def test_the_bands_of_chance_hold_what_chance_makes() -> None:
+def test_chance_bands_cover_random_statistics() -> None:
     rng, n = np.random.default_rng(3), 200
     z = rng.normal(size=(4000, n))
     found = {

@@ -1,4 +1,4 @@
-"""A result is filled from what was computed: nothing is filtered, simulated or fitted while it is built and written."""
+"""Tests that a result is filled from computed values: building and writing it runs no filter, simulation or fit."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ def no_more_computing(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(place, refuse)
 
 
-def test_a_vehicles_result(segments: list[LogSegment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_vehicle_result_needs_no_computation(
+    segments: list[LogSegment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     model = with_outlier_model(horizontal_model())
     stage = fit_nominal_model(model, segments[:1], segments[1:])
     evaluation = evaluate(stage)
@@ -58,7 +60,9 @@ def test_a_vehicles_result(segments: list[LogSegment], tmp_path: Path, monkeypat
         evaluate(stage)
 
 
-def test_a_diagnosis(segments: list[LogSegment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_diagnosis_result_needs_no_computation(
+    segments: list[LogSegment], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = diagnose(horizontal_model(), segments[:1], segments[1:], max_effects=1)
     evaluation = evaluate_diagnosis(found)
     no_more_computing(monkeypatch)

@@ -1,4 +1,4 @@
-"""Results as JSON: seven digits, null for what is no number; what was written is read again."""
+"""Tests of results as JSON: seven digits, null for values that are not finite, and a complete round trip."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ EXAMPLES = {"diagnosis": report_example.diagnosis, "thruster": report_example_be
 
 
 def written(value: Any) -> Any:
-    """An array as a result's JSON has it."""
+    """Return an array as in the JSON of a result."""
     row = InputTrace(record="", name="", unit="", t=np.zeros_like(value), value=value)
     return json.loads(to_json(row))["value"]
 
 
-def test_an_array_is_written_as_its_numbers_are_one_by_one() -> None:
+def test_array_is_written_like_its_single_numbers() -> None:
     rng = np.random.default_rng(0)
     value = rng.normal(size=(40, 25)) * 10.0 ** rng.integers(-30, 30, (40, 25))
     value[0, :4] = [0.0, -0.0, np.nan, np.inf]
@@ -36,20 +36,20 @@ def test_an_array_is_written_as_its_numbers_are_one_by_one() -> None:
     assert max(map(len, numbers)) == len("0.1234567")
 
 
-def test_a_number_is_written_with_seven_digits_or_not_at_all() -> None:
+def test_number_is_written_with_seven_digits_or_null() -> None:
     row = ParameterRow(name="m", meaning="", unit="kg", value=np.float64(1 / 3), se=float("nan"), free=True)
     assert json.loads(to_json(row))["value"] == 0.3333333
     assert json.loads(to_json(row))["se"] is None
 
 
-def test_an_origin_is_written_to_the_millimetre() -> None:
+def test_origin_is_written_to_the_millimetre() -> None:
     origin = FrameOrigin(latitude=37.812345678, longitude=-122.478255123, log="run")
     log = LogSummary(path="", sha256="", role="estimation", name="run", duration=1.0, origin=origin)
     assert json.loads(to_json(log))["origin"] == {"latitude": 37.812345678, "longitude": -122.478255123, "log": "run"}
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)
-def test_what_was_written_is_read_again(kind: str, tmp_path: Path) -> None:
+def test_result_is_read_as_written(kind: str, tmp_path: Path) -> None:
     result = from_json(json.dumps(EXAMPLES[kind]()).encode())
     write_result(result, tmp_path / "result.json")
     again = read_result(tmp_path / "result.json")
@@ -67,7 +67,7 @@ def test_what_was_written_is_read_again(kind: str, tmp_path: Path) -> None:
         ({"kind": "thurster"}, "Invalid value 'thurster' - at `$.kind`"),
     ],
 )
-def test_what_is_wrong_is_named(change: dict[str, Any], words: str, tmp_path: Path) -> None:
+def test_invalid_content_is_named(change: dict[str, Any], words: str, tmp_path: Path) -> None:
     path = tmp_path / "result.json"
     path.write_text(json.dumps(shortened(report_example_bench.thruster()) | change), encoding="utf-8")
     with pytest.raises(SeatrialError) as caught:
@@ -76,14 +76,14 @@ def test_what_is_wrong_is_named(change: dict[str, Any], words: str, tmp_path: Pa
     assert words in str(caught.value)
 
 
-def test_curves_over_each_other_are_of_one_length() -> None:
+def test_curves_of_one_figure_must_have_one_length() -> None:
     result = shortened(report_example_bench.thruster())
     result["traces"][0]["t"].pop()
     with pytest.raises(msgspec.ValidationError, match=r"must be of one length.*traces"):
         from_json(json.dumps(result).encode())
 
 
-def test_a_file_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+def test_missing_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="No such file"):
         read_result(tmp_path / "no.json")
     result = from_json(json.dumps(shortened(report_example_bench.thruster())).encode())

@@ -1,4 +1,4 @@
-"""Results as files: what is written is read again, and what is misspelt, missing or mistyped is an error."""
+"""Tests of the result types: a complete round trip, and errors for misspelt, missing or mistyped keys."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXAMPLES: dict[str, Callable[[], Result]] = {
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)
-def test_what_is_written_is_read_again(kind: str) -> None:
+def test_result_is_read_as_written(kind: str) -> None:
     written = to_json(EXAMPLES[kind]())
     assert json.loads(written)["kind"] == kind
     found = from_json(written)
@@ -43,24 +43,24 @@ def test_what_is_written_is_read_again(kind: str) -> None:
         (lambda row: row.update(psd=3.0), "psd"),
     ],
 )
-def test_a_key_that_is_wrong_is_an_error_with_its_path(
+def test_invalid_key_is_an_error_with_its_path(
     tmp_path: Path, change: Callable[[dict[str, Any]], None], path: str
 ) -> None:
     content = json.loads(to_json(report_example_bench.noise()))
     change(content["noise"][1])
     (tmp_path / "result.json").write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(SeatrialError, match=path) as said:
+    with pytest.raises(SeatrialError, match=path) as error:
         read_result(tmp_path / "result.json")
-    assert "noise" in str(said.value)
+    assert "noise" in str(error.value)
 
 
-def test_a_result_cannot_be_changed() -> None:
+def test_result_cannot_be_changed() -> None:
     result = report_example_bench.noise()
     with pytest.raises(AttributeError):
         result.answer = "another"  # type: ignore[misc]
 
 
-def test_no_number_is_null_and_seven_digits_are_kept() -> None:
+def test_value_that_is_not_finite_is_null_and_seven_digits_are_kept() -> None:
     whole = report_example_bench.noise()
     psd = np.array([np.nan, np.inf, 1.0 / 3.0])
     row = msgspec.structs.replace(whole.noise[0], psd=psd, white=2.0 / 3.0)

@@ -1,4 +1,4 @@
-"""Sentences on the prediction and on the residuals: certain of what was tested, and of no more."""
+"""Tests of the sentences on prediction and residuals: they state only what was tested."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ from seatrial.ident.validation.whiteness import Whiteness
 from tests.ident.toys import turning, turning_record
 
 
-def test_a_dead_zone_is_told_as_far_as_it_was_tried() -> None:
-    """Steps of 20 % and more with a ramp to each know nothing of less."""
+def test_dead_zone_is_stated_down_to_the_smallest_tested_command() -> None:
+    """Steps of 20 % and more, reached by ramps, give no information about smaller commands."""
     n = np.repeat([0.0, 0.1, 0.2, -0.2, 0.5, 0.0], [50, 1, 50, 50, 50, 50])[:, None]
     t = 0.02 * np.arange(len(n))
     tried = smallest_command([Record("bench", t, n, n, np.zeros((len(n), 0)), ("n_cmd_0",), ())])
@@ -66,29 +66,29 @@ def test_a_dead_zone_is_told_as_far_as_it_was_tried() -> None:
         assert says in thruster_answer(fitted, has_force=False, smallest=tried)
 
 
-def test_a_finding_of_many_logs_is_said_once() -> None:
-    one = LogFinding(level="warning", code="channel-smoothed", check="noise", where="psi", text="it is smooth")
+def test_finding_of_many_logs_is_reported_once() -> None:
+    finding = LogFinding(level="warning", code="channel-smoothed", check="noise", where="psi", text="it is smooth")
     logs = [
-        LogSummary(path=f"{k}.mcap", sha256="", role="estimation", name=str(k), duration=1.0, findings=(one,))
+        LogSummary(path=f"{k}.mcap", sha256="", role="estimation", name=str(k), duration=1.0, findings=(finding,))
         for k in range(11)
     ]
-    (said,) = check_warnings(Provenance(created="", seatrial="", command="", logs=tuple(logs)))
-    assert said.code == "log-check"
-    assert said.text.startswith("0.mcap, 1.mcap, 2.mcap")
-    assert "more: psi: it is smooth [channel-smoothed]" in said.text
+    (warning,) = check_warnings(Provenance(created="", seatrial="", command="", logs=tuple(logs)))
+    assert warning.code == "log-check"
+    assert warning.text.startswith("0.mcap, 1.mcap, 2.mcap")
+    assert "more: psi: it is smooth [channel-smoothed]" in warning.text
 
 
 @pytest.mark.parametrize(
     ("level", "code", "n"), [("fault", "sensor-late", 1), ("warning", "sensor-late", 0), ("fault", "two-sensors", 0)]
 )
-def test_a_late_sensor_names_the_parameters_that_it_biases(level: str, code: str, n: int) -> None:
-    one = LogFinding(level=level, code=code, check="late", where="vx", text="velocity comes 0.88 s after heading")
-    log = LogSummary(path="a.mcap", sha256="", role="estimation", name="a", duration=1.0, findings=(one,))
+def test_late_sensor_warning_names_the_biased_parameters(level: str, code: str, n: int) -> None:
+    finding = LogFinding(level=level, code=code, check="late", where="vx", text="velocity comes 0.88 s after heading")
+    log = LogSummary(path="a.mcap", sha256="", role="estimation", name="a", duration=1.0, findings=(finding,))
     made = Provenance(created="", seatrial="", command="", logs=(log,))
     model = horizontal_model("shaft")
-    said = late_sensor_warnings(made, model.replace_parameters(model.parameter("d_u").fixed()))
-    assert len(said) == n
-    for warning in said:
+    warnings = late_sensor_warnings(made, model.replace_parameters(model.parameter("d_u").fixed()))
+    assert len(warnings) == n
+    for warning in warnings:
         assert warning.code == "late-sensor-bias"
         assert "m_u, m_v, m_r" in warning.text
         assert "d_u," not in warning.text
@@ -141,13 +141,13 @@ CHANNELS = st.dictionaries(st.sampled_from(sorted(NAMES)), st.tuples(RATIOS, RAT
 
 
 def in_order(numbers: tuple[float, float, float], known: bool) -> tuple[float, float, float]:
-    """Ratio, low, high."""
+    """Return ratio, low and high."""
     low, ratio, high = sorted(numbers)
     return (ratio, low, high) if known else (ratio, float("nan"), float("nan"))
 
 
 @given(st.tuples(RATIOS, RATIOS, RATIOS), CHANNELS, st.booleans(), st.sampled_from([1.0, 2.5, 10.0]))
-def test_no_sentence_says_falls_where_the_yardstick_does_not_fall_beyond_its_interval(
+def test_sentence_reports_a_change_only_beyond_its_interval(
     numbers: tuple[float, float, float],
     channels: dict[str, tuple[float, float, float]],
     known: bool,
@@ -174,7 +174,7 @@ def test_no_sentence_says_falls_where_the_yardstick_does_not_fall_beyond_its_int
     assert sentence.startswith(f"{horizon:g} s ahead on validation data, all channels: ")
 
 
-def test_a_change_is_said_with_its_interval_and_its_channels() -> None:
+def test_change_is_reported_with_its_interval_and_channels() -> None:
     change = PredictionChange(
         role="validation", ratio=0.58, low=0.54, high=0.63, verdict="fell", better=("psi", "x"), worse=("ax",)
     )
@@ -199,7 +199,7 @@ def test_a_change_is_said_with_its_interval_and_its_channels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "text"),
     [
         (99.4, "99"),
         (99.6, "100"),
@@ -210,12 +210,12 @@ def test_a_change_is_said_with_its_interval_and_its_channels() -> None:
         (0.0312, "0.031"),
     ],
 )
-def test_a_number_in_a_sentence_has_two_digits_and_no_exponent_below_a_hundred(value: float, said: str) -> None:
-    assert format_number(value) == said
+def test_number_in_a_sentence_has_two_digits_and_no_exponent_below_a_hundred(value: float, text: str) -> None:
+    assert format_number(value) == text
 
 
 @pytest.mark.parametrize(("horizon", "words"), [(10.0, "10 s"), (1.0, "1 s"), (2.5, "2.5 s")])
-def test_the_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
+def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     far = {n: ErrorComparison(after=e, unit="", spread=1.0) for n, e in (("x", 0.01), ("ax", 0.9))}
     errors = Errors(estimation=ErrorTable(one_step={}, horizon=far, simulation={}))
     fitted = PredictionFit(role="estimation", fit=0.905, low=0.88, high=0.92)
@@ -230,22 +230,24 @@ def test_the_fit_of_all_channels_comes_first(horizon: float, words: str) -> None
     )
 
 
-def test_nothing_tested_is_not_white() -> None:
+def test_untested_residuals_are_not_called_white() -> None:
     assert said([], []) == (
         "There are too few samples to test whether the residuals are white: the test takes 60 samples of a channel."
     )
     assert said([0.4], [], "xy") == f"{WHITE} (too few samples to test: y)."
 
 
-def test_many_tests_are_weighed_together() -> None:
+def test_many_tests_are_corrected_for_their_number() -> None:
     assert said([0.004] + [0.5] * 7, [("n", 0.002)] + [("n", 0.5)] * 15) == f"{WHITE}."
     assert said([0.004], []).startswith("The residuals are not white")
     assert said([0.5], [("n", 0.002)]).startswith("The residuals are correlated with the inputs")
     assert said([1e-5] + [0.5] * 7, []).startswith("The residuals are not white")
 
 
-def test_how_much_of_an_input_is_left_is_said_and_nothing_is_promised() -> None:
-    """A long record shows correlations that do not matter, and the noise of a filter is no lack of the model."""
+def test_correlation_with_an_input_is_quantified() -> None:
+    """A long record shows correlations that do not matter. Autocorrelated noise of a filter does not prove a missing
+    effect.
+    """
     known = said([0.5], [("n", 1e-9), ("m", 1e-5), ("k", 0.5)], correlations=[0.04, 0.071, 0.3], searchable=True)
     assert known == (
         "The residuals are correlated with the inputs (correlation up to 0.071, north): run `seatrial ident "
@@ -255,7 +257,7 @@ def test_how_much_of_an_input_is_left_is_said_and_nothing_is_promised() -> None:
     assert said([1e-9], []).endswith(": an effect is missing, or the noise of a sensor is autocorrelated.")
 
 
-def test_an_input_that_is_a_measurement_is_no_proof() -> None:
+def test_correlation_with_a_measured_input_is_reported_separately() -> None:
     assert "correlated with phi and theta, which the model takes as measured" in said(
         [0.5], [("theta", 1e-9), ("phi", 1e-9)]
     )
@@ -263,8 +265,8 @@ def test_an_input_that_is_a_measurement_is_no_proof() -> None:
 
 
 @pytest.mark.study
-def test_the_right_model_is_called_so() -> None:
-    """At the truth, eight channels with two inputs: each sentence may be wrong in 1 %."""
+def test_residuals_of_the_right_model_are_called_white() -> None:
+    """The parameters are true, with eight channels and two inputs. Each sentence may be wrong in 1 %."""
     case, trials = make_case("horizontal"), 60
     values = np.tile(list(case.model.values.values()), (trials, 1))
     _, y = simulate_stochastic(case.model, case.inputs, values, [np.random.default_rng([9, k]) for k in range(trials)])
@@ -277,7 +279,8 @@ def test_the_right_model_is_called_so() -> None:
         cross = [row for r in found for row in cross_rows(r)]
         answers.append(vehicle_answer(None, errors, 10.0, residuals, cross, searchable=False))
     assert len(residuals) == 8
-    assert sum(not a.startswith(WHITE) for a in answers) <= 4  # 1.2 expected; more have one chance in 150
+    # On average 1.2 are expected. More than four have a chance of one in 150.
+    assert sum(not a.startswith(WHITE) for a in answers) <= 4
 
 
 def constant() -> Record:
@@ -287,7 +290,7 @@ def constant() -> Record:
     return replace(record, y=y)
 
 
-def test_a_sensor_that_is_stuck_is_named() -> None:
+def test_stuck_sensor_is_reported() -> None:
     record = constant()
     (line,) = stuck_sensors([record])
     n = int(np.isfinite(record.y[:, 0]).sum())
@@ -296,7 +299,7 @@ def test_a_sensor_that_is_stuck_is_named() -> None:
     assert stuck_sensors([turning_record(n_rows=200)]) == []
 
 
-def test_channels_of_which_nothing_can_be_told_are_left_out() -> None:
+def test_channels_without_information_are_left_out() -> None:
     model, record = turning(), turning_record(n_rows=200)
     eps = np.random.default_rng(0).normal(size=record.y.shape)
     eps[:, 0] = 0.0
@@ -306,7 +309,7 @@ def test_channels_of_which_nothing_can_be_told_are_left_out() -> None:
     assert {r.channel for r in found} == {c.channel for r in found for c in r.inputs} == kept
 
 
-def test_outliers_that_are_drawn_are_said() -> None:
+def test_outliers_are_reported() -> None:
     model, record = turning(), turning_record(n_rows=300)
     eps = np.random.default_rng(0).normal(size=record.y.shape)
     eps[[20, 60, 90], 1] = (16.0, -9.0, 6.5)
@@ -320,20 +323,20 @@ def test_outliers_that_are_drawn_are_said() -> None:
 
 
 @pytest.mark.parametrize(("p", "white"), [(0.007, True), (0.004, False)])
-def test_both_tests_together_are_at_one_per_cent(p: float, white: bool) -> None:
+def test_both_whiteness_tests_together_have_a_level_of_one_percent(p: float, white: bool) -> None:
     none = np.empty(0)
     for tests in ((p, 0.5), (0.5, p)):
         assert Whiteness("x", 9, 0.0, 1.0, none, 0.1, *tests, none, none, 0.5, 0, 2.0).white == white
 
 
-def test_a_fit_that_stopped_short_has_no_other_answer() -> None:
+def test_fit_that_did_not_converge_has_no_other_answer() -> None:
     found = fit(turning().with_free(("m", "d")), [turning_record(n_rows=300)], start={"m": 15.0})
     assert not_converged(found) is None
     short = replace(
         found, converged=False, message="stopped after 60 iterations; its log-posterior can still rise by 667"
     )
-    said = not_converged(short)
-    assert said is not None
-    assert said.startswith(
+    answer = not_converged(short)
+    assert answer is not None
+    assert answer.startswith(
         "The fit did not converge: it stopped after 60 iterations; its log-posterior can still rise by 667. Do not"
     )

@@ -1,4 +1,6 @@
-"""The Monte Carlo study: its simulation against known truths, its arithmetic on made-up rows, and its command."""
+"""Tests of the Monte Carlo study: its simulation against known truths, its statistics on artificial rows, and its
+command.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,7 @@ def values_of(model: Model, n: int = 1) -> np.ndarray:
 
 
 def drifting() -> Model:
-    """An Ornstein-Uhlenbeck state that is integrated, and pushed."""
+    """Return a model of an Ornstein-Uhlenbeck state with an input, and its integral."""
     return plain_model(
         "drifting",
         f=lambda x, u, p: {"v": (u.w - x.v) / p.tau, "s": x.v},
@@ -55,7 +57,9 @@ def drifting() -> Model:
 
 
 def test_simulated_noise_has_the_variance_of_the_equation() -> None:
-    """Ornstein-Uhlenbeck: mean, stationary variance, and that of its integral (Gardiner 2009, 3.8.4)."""
+    """Check mean and stationary variance of an Ornstein-Uhlenbeck process and the variance of its integral (Gardiner
+    2009, 3.8.4).
+    """
     model, t, n = drifting(), np.arange(0.0, 12.05, 0.1), 1500
     inputs = SampledInputs.linear(t, np.ones((t.size, 1)))
     rngs = [np.random.default_rng([1, k]) for k in range(n)]
@@ -74,8 +78,8 @@ def test_simulated_noise_has_the_variance_of_the_equation() -> None:
 
 
 @pytest.mark.parametrize("name", ["surge", "yaw", "horizontal", "kinematic"])
-def test_without_noise_it_is_the_engines_simulation(name: str) -> None:
-    """Two integrators that have nothing in common."""
+def test_simulation_without_noise_equals_that_of_the_engine(name: str) -> None:
+    """The two integrators are independent."""
     case = make_case(name, seconds=40.0)
     model = case.model.with_values({p: 1e-12 for p in case.model.values if p[:2] in ("s_", "e_")})
     still = [replace(s, noise=s.noise if isinstance(s.noise, str) else 0.0) for s in model.states]
@@ -96,7 +100,7 @@ def test_without_noise_it_is_the_engines_simulation(name: str) -> None:
     np.testing.assert_allclose(y[0], engine.y, atol=1e-3)
 
 
-def test_a_replicate_does_not_depend_on_its_neighbours() -> None:
+def test_replicate_is_independent_of_the_other_replicates() -> None:
     case = make_case("yaw", seconds=60.0)
     together, alone = run_replicates(case, [0, 1, 2], 7), run_replicates(case, [2], 7)
     assert together[2]["k"] == 2
@@ -106,7 +110,7 @@ def test_a_replicate_does_not_depend_on_its_neighbours() -> None:
 
 
 @pytest.mark.study
-def test_estimates_of_the_models_own_data_are_right_and_output_errors_are_not() -> None:
+def test_prediction_error_estimates_are_right_and_output_error_estimates_are_not() -> None:
     case = make_case("yaw", seconds=120.0)
     right = {j.name: j for j in summarise(run_replicates(case, range(80), 3))}
     for name in ("m_r", "d_r", "d_rr"):
@@ -120,8 +124,8 @@ def test_estimates_of_the_models_own_data_are_right_and_output_errors_are_not() 
     assert {"variance", "coverage"} <= set(wrong["m_r"].misses)
 
 
-def test_what_is_considered_is_drawn_for_each_replicate() -> None:
-    """Else no study of a fit with such a parameter could be right: it would find its errors many times too large."""
+def test_considered_parameter_is_drawn_for_each_replicate() -> None:
+    """Otherwise a study of a fit with this parameter would find its errors many times too large."""
     case = make_case("yaw", free=("m_r", "d_r"), seconds=60.0)
     d_rr = case.model.parameter("d_rr")
     d_rr = replace(d_rr, bounds=(-INF, INF), considered=True, prior=(d_rr.value, 3.0))
@@ -148,19 +152,19 @@ def made_up(d: np.ndarray, se: float, bound: float = 1.0) -> list[Row]:
 
 
 @pytest.mark.study
-def test_output_error_holds_where_nothing_disturbs_the_boat(tmp_path: Path) -> None:
-    """With the first sample taken for the exact start, three of four intervals missed."""
+def test_output_error_covers_without_process_noise(tmp_path: Path) -> None:
+    """If the first sample was taken as the exact start, three of four intervals missed the truth."""
     request = study.StudyRequest(["surge"], 60, 1, tmp_path, "output-error", truth={"s_u": 1e-9, "d_u": 8.4}, jobs=1)
     result = study.run_studies(request, "test", QUIET)
-    (one,) = result.studies
-    assert [p.name for p in one.parameters] == ["m_u", "d_u", "d_uu", "e_x"]
-    for p in one.parameters:
+    (part,) = result.studies
+    assert [p.name for p in part.parameters] == ["m_u", "d_u", "d_uu", "e_x"]
+    for p in part.parameters:
         assert p.n == 60
         assert p.coverage_high > 0.95, p.name
         assert p.ratio_low < 1.1, p.name
 
 
-def test_the_numbers_of_a_study() -> None:
+def test_statistics_of_a_study() -> None:
     d = np.array([-1.0, 0.0, 1.0, 2.0, 3.0])
     (j,) = summarise([*made_up(d, 1.0, 2.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}])
     assert (j.name, j.n, j.at_bound) == ("a", 5, 0)
@@ -169,7 +173,8 @@ def test_the_numbers_of_a_study() -> None:
     assert j.ratio == pytest.approx(2.5)
     assert j.bound_ratio == pytest.approx(2.5 / 4)
     assert j.coverage == pytest.approx(3 / 5)
-    assert j.coverage_interval == pytest.approx((0.1466, 0.9473), abs=1e-3)  # Clopper and Pearson's table
+    # The interval is from the table of Clopper and Pearson.
+    assert j.coverage_interval == pytest.approx((0.1466, 0.9473), abs=1e-3)
     assert j.ratio_interval == pytest.approx((2.5 * 4 / 11.143, 2.5 * 4 / 0.4844), rel=1e-3)
     assert j.bound_interval == pytest.approx((0.625 * 4 / 11.143, 0.625 * 4 / 0.4844), rel=1e-3)
     assert j.misses == ("bias (chance?)", "variance (chance?)", "coverage (chance?)")
@@ -178,8 +183,8 @@ def test_the_numbers_of_a_study() -> None:
     assert (found.replicates, found.failed, found.unconverged) == (7, 1, 1)
 
 
-def test_fits_that_failed_or_did_not_converge_are_in_the_verdict() -> None:
-    """Statistics of what is left may look as wanted."""
+def test_failed_and_unconverged_fits_are_in_the_verdict() -> None:
+    """The statistics of the remaining fits may look right."""
     result = page_examples.study()
     fine, _, none = result.studies
     for failed, unconverged, says in (
@@ -187,20 +192,20 @@ def test_fits_that_failed_or_did_not_converge_are_in_the_verdict() -> None:
         (0, 1, "surge, 500 replicates, of which 1 did not converge: 2 of 2 parameters meet the aims"),
         (50, 300, "of which 50 failed and 300 did not converge: too many for a verdict."),
     ):
-        one = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
-        assert says in study.study_answer(one)
-        text = study_as_text(msgspec.structs.replace(result, studies=(one,)))
+        part = msgspec.structs.replace(fine, failed=failed, unconverged=unconverged)
+        assert says in study.study_answer(part)
+        text = study_as_text(msgspec.structs.replace(result, studies=(part,)))
         assert ("left out of the table: " in text) == bool(failed + unconverged)
     assert study.study_answer(none) == "none: no replicate can be judged: 1 did not converge."
 
 
-def test_a_result_goes_with_every_wing_that_a_study_runs() -> None:
-    """Of a wing that was left out, samples of another code were mixed without a warning."""
+def test_hash_of_a_study_covers_all_code_that_it_runs() -> None:
+    """If a package was left out, samples of different code were mixed without a warning."""
     names = {path.name for path in hashed_files()}
     assert {"thrust_history.py", "sensor_noise.py", "optimal_design.py", "likelihood.py"} <= names
 
 
-def test_what_misses_beyond_chance_is_said() -> None:
+def test_misses_beyond_chance_are_reported() -> None:
     rng = np.random.default_rng(4)
     (fine,) = summarise(made_up(rng.normal(size=20_000), 1.0))
     assert fine.misses == ()
@@ -208,9 +213,12 @@ def test_what_misses_beyond_chance_is_said() -> None:
     assert poor.misses == ("bias", "variance", "coverage")
 
 
-def test_an_estimate_at_its_bound_has_a_one_sided_interval() -> None:
-    """Normal estimates of a truth 1.3 standard deviations above a bound: the interval of those at it ends at 1.96 less
-    what they were drawn in by, and so it is judged."""
+def test_estimate_at_its_bound_has_a_one_sided_interval() -> None:
+    """The estimates are normal, and the truth is 1.3 standard deviations above a bound.
+
+    The one-sided interval of an estimate at the bound ends where the likelihood drops by 1.92, and the study counts its
+    coverage.
+    """
     rng, rows = np.random.default_rng(2), []
     for free in rng.normal(size=4000):
         stuck = free < -1.3
@@ -229,11 +237,11 @@ def test_an_estimate_at_its_bound_has_a_one_sided_interval() -> None:
     (j,) = summarise(rows)
     assert (j.n, j.at_bound) == (4000, sum(r["se"]["a"] is None for r in rows))
     assert j.misses == ()
-    assert j.ratio < 0.95  # what is reported is not the variance of an estimate that is drawn in
+    assert j.ratio < 0.95  # The reported variance is not that of an estimate that is clipped.
 
 
-def test_the_least_variance_near_a_bound_is_that_of_a_truncated_normal() -> None:
-    """Beside a bound 1.3 standard deviations away; far from it, it is the bound of Cramer and Rao."""
+def test_least_variance_near_a_bound_is_that_of_a_clipped_normal() -> None:
+    """The bound is 1.3 standard deviations away. Far from a bound, the least variance is the Cramér-Rao bound."""
     P = np.array([[1.0, -0.9], [-0.9, 1.0]])
     bounds = Bounds(np.array([-np.inf, 0.0]), np.full(2, np.inf), np.zeros(2, dtype=bool))
     taken = [
@@ -249,7 +257,7 @@ def test_the_least_variance_near_a_bound_is_that_of_a_truncated_normal() -> None
 
 
 @pytest.mark.study
-def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_study_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case, out = make_case("surge", seconds=60.0), tmp_path / "surge.jsonl"
     first = study.run_study(case, 4, 2, out, jobs=1)
     lines = out.read_text().splitlines()
@@ -266,12 +274,12 @@ def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.Monkey
     for a, b in zip(first, again, strict=True):
         assert a["d"] == pytest.approx(b["d"], abs=1e-9)
     done.clear()
-    study.run_study(case, 4, 3, out, jobs=1)  # another seed is another study
+    study.run_study(case, 4, 3, out, jobs=1)  # Another seed is another study.
     assert done == [0, 1, 2, 3]
 
 
-def test_a_study_that_is_killed_leaves_what_it_has_done(tmp_path: Path) -> None:
-    """Lines come within seconds, not when a hundred replicates are done."""
+def test_killed_study_keeps_finished_replicates(tmp_path: Path) -> None:
+    """Lines are written within seconds, not only after a hundred replicates."""
     out = tmp_path / "yaw.jsonl"
     words = ["ident", "study", "yaw", "--replicates", "2000", "--jobs", "1", "--out", str(tmp_path)]
     running = subprocess.Popen([sys.executable, "-m", "seatrial", *words], stderr=subprocess.DEVNULL)
@@ -287,12 +295,12 @@ def test_a_study_that_is_killed_leaves_what_it_has_done(tmp_path: Path) -> None:
     found = study.read_replicates(out)
     assert 1 <= len(found) < 20
     assert [r["k"] for r in found] == list(range(len(found)))
-    told = Kept()
-    study.run_study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=told)
-    assert told.lines == [f"yaw: {len(found)} replicates exist already"]
+    reporter = Kept()
+    study.run_study(make_case("yaw"), len(found), 1, out, jobs=1, reporter=reporter)
+    assert reporter.lines == [f"yaw: {len(found)} replicates exist already"]
 
 
-def test_tasks_are_sized_by_the_time_they_take() -> None:
+def test_tasks_are_sized_by_their_duration() -> None:
     def sizes(simulation: float, fit: float) -> list[int]:
         pace, found = study._Pace(range(200)), []
         for task in pace.tasks():
@@ -302,15 +310,15 @@ def test_tasks_are_sized_by_the_time_they_take() -> None:
         assert sum(found) == 200
         return found
 
-    assert sizes(1.0, 1.5)[:4] == [1, 2, 4, 6]  # 10 s each
+    assert sizes(1.0, 1.5)[:4] == [1, 2, 4, 6]  # Each task takes 10 s.
     assert set(sizes(1.0, 1000.0)) == {1}
     assert sizes(0.1, 0.001)[:6] == [1, 2, 4, 8, 16, study.BATCH]
-    assert sizes(20.0, 2.0)[3:6] == [8, 10, 10]  # one at a time would be ten times the simulations
+    assert sizes(20.0, 2.0)[3:6] == [8, 10, 10]  # Tasks of one replicate would need ten times as many simulations.
 
 
 @pytest.mark.parametrize("backend", ["threading", "multiprocessing"])
-def test_any_backend_of_joblib_does_it(backend: str, tmp_path: Path) -> None:
-    """One gives results as they come, the other when a wave is done."""
+def test_study_runs_on_any_joblib_backend(backend: str, tmp_path: Path) -> None:
+    """One backend returns results as they come, the other after each batch."""
     import joblib
 
     case = make_case("surge", seconds=30.0)
@@ -330,18 +338,18 @@ def test_cases_and_their_options() -> None:
     assert make_case("surge", bounded=False).model.parameter("d_u").bounds[0] == -np.inf
 
 
-def test_it_is_the_estimator_of_the_commands_unless_told_otherwise(tmp_path: Path) -> None:
+def test_study_uses_the_estimator_of_the_commands_by_default(tmp_path: Path) -> None:
     for name in ("surge", "yaw", "horizontal", "kinematic"):
         case = make_case(name, seconds=20.0)
         assert case.reml
         assert case.model.second_order
-    noise = make_case("noise", seconds=20.0)  # as `ident noise`
+    noise = make_case("noise", seconds=20.0)  # The defaults are those of `ident noise`.
     assert not noise.reml
     assert not noise.model.second_order
     how = {"first": {"mean_order": 1}, "both": {}, "plain": {"reml": False, "mean_order": 1}}
     cases = {name: make_case("surge", seconds=60.0, **flags) for name, flags in how.items()}
     done = {name: study.run_study(case, 3, 1, tmp_path / "one.jsonl", jobs=1) for name, case in cases.items()}
-    assert len((tmp_path / "one.jsonl").read_text().splitlines()) == 9  # none was taken for another
+    assert len((tmp_path / "one.jsonl").read_text().splitlines()) == 9  # No study was resumed as another.
     s_u = {name: [r["d"]["s_u"] for r in rows] for name, rows in done.items()}
     assert all(a > b + 0.01 for a, b in zip(s_u["first"], s_u["plain"], strict=True))
     d_u = {name: [r["d"]["d_u"] for r in rows] for name, rows in done.items()}
@@ -352,8 +360,8 @@ def test_it_is_the_estimator_of_the_commands_unless_told_otherwise(tmp_path: Pat
 
 
 @pytest.mark.study
-def test_noise_at_rest_and_measured_attitude_can_be_studied() -> None:
-    """Estimates of the data of each model itself are about the truth, and their intervals hold it."""
+def test_studies_of_noise_and_kinematic_models() -> None:
+    """The data come from each model itself. The estimates are unbiased, and their intervals cover the truth."""
     for name, n, seconds in (("noise", 40, 100.0), ("kinematic", 12, 120.0)):
         case = make_case(name, seconds=seconds)
         rows = run_replicates(case, range(n), 3)
@@ -366,8 +374,8 @@ def test_noise_at_rest_and_measured_attitude_can_be_studied() -> None:
             assert j.bound_interval[0] < 1.2, j.name
 
 
-def test_the_attitude_of_a_case_is_that_of_its_rates() -> None:
-    """Euler's angles integrated from the body rates (Fossen 2011, eq. 2.28)."""
+def test_attitude_of_a_case_is_the_integral_of_its_rates() -> None:
+    """Euler angles are integrated from the body rates (Fossen 2011, eq. 2.28)."""
     case = make_case("kinematic", seconds=60.0)
     t, u = case.inputs.t, case.inputs.u
     phi, theta, psi, p, q, r = u[:, 2:].T
@@ -382,7 +390,7 @@ def test_the_attitude_of_a_case_is_that_of_its_rates() -> None:
     assert np.ptp(psi) > 1.0
 
 
-def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_study_command_writes_result_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["ident", "study", "surge", "--replicates", "6", "--seconds", "60", "--jobs", "1", "--out", str(tmp_path)]
     outputs, page = [], tmp_path / "docs/study.md"
     for more in ([], ["--docs", str(page)]):
@@ -403,8 +411,8 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
     assert drawn == (tmp_path / "pictures/study-surge.svg").read_text()
     result = json.loads((tmp_path / "result.json").read_text())
     assert (result["kind"], result["seed"]) == ("study", 1)
-    (one,) = result["studies"]
-    assert [p["name"] for p in one["parameters"]] == ["m_u", "d_u", "d_uu", "s_u", "e_x"]
+    (part,) = result["studies"]
+    assert [p["name"] for p in part["parameters"]] == ["m_u", "d_u", "d_uu", "s_u", "e_x"]
     assert len((tmp_path / "surge.jsonl").read_text().splitlines()) == 6
 
 
@@ -417,7 +425,7 @@ def test_the_command_writes_result_and_page(tmp_path: Path, capsys: pytest.Captu
         ("surge --free nothing", "has no parameter 'nothing'"),
     ],
 )
-def test_what_cannot_be_done_is_one_line(
+def test_impossible_study_gives_a_one_line_error(
     words: str, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as leaving:
@@ -429,7 +437,7 @@ def test_what_cannot_be_done_is_one_line(
 
 
 @pytest.mark.parametrize("jobs", ["0", "-2"])
-def test_a_number_of_processes_is_one_or_all(
+def test_number_of_processes_is_positive_or_minus_one(
     jobs: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(SystemExit) as leaving:
@@ -444,8 +452,8 @@ def test_a_number_of_processes_is_one_or_all(
     assert asked == [-1, -1, 3]
 
 
-def test_the_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On threads in place of a cluster, and with fewer replicates."""
+def test_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The snippet runs on threads instead of a cluster, and with fewer replicates."""
     text = (Path(__file__).parents[3] / "docs/how-to/study.md").read_text(encoding="utf-8")
     own, block = re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     file = (Path(__file__).parents[3] / "docs/examples/own_study.py").read_text(encoding="utf-8")
@@ -462,7 +470,7 @@ def test_the_snippet_of_the_how_to_runs(tmp_path: Path, monkeypatch: pytest.Monk
     assert (tmp_path / "mine.jsonl").exists()
 
 
-def test_make_study_and_its_page_have_every_model() -> None:
+def test_make_study_and_its_page_cover_every_model() -> None:
     root = Path(__file__).parents[3]
     recipe = (root / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
     words = next(line for line in recipe if " ident study " in line).split()
@@ -477,6 +485,6 @@ def test_make_study_and_its_page_have_every_model() -> None:
         assert f"; {replicates} replicates, 0 failed, " in section
         assert f"](pictures/study-{name}.svg)" in section
         drawn = (page.parent / f"pictures/study-{name}.svg").read_text(encoding="utf-8")
-        told = re.findall(r"^\| (\w+) \| \d", section, re.MULTILINE)
-        assert set(told) == set(make_case(name, seconds=20.0).model.free)
-        assert all(f">{parameter}</text>" in drawn for parameter in told)
+        listed = re.findall(r"^\| (\w+) \| \d", section, re.MULTILINE)
+        assert set(listed) == set(make_case(name, seconds=20.0).model.free)
+        assert all(f">{parameter}</text>" in drawn for parameter in listed)

@@ -1,4 +1,4 @@
-"""Studies of the user's own: of a fitted model.toml, and of a Case in a Python file."""
+"""Tests of user studies: of a fitted model.toml, and of a Case in a Python file."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ number = 3
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    """A surge model as a fit of one simulated replicate writes it."""
+    """Return a saved surge model, fitted to one simulated replicate."""
     case = surge_case(120.0)
     rng = np.random.default_rng(1)
     values = np.array([list(case.model.values.values())])
@@ -51,7 +51,7 @@ def saved(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_fitted_model_is_studied_within_the_ranges_of_its_inputs(saved: Path, tmp_path: Path) -> None:
+def test_fitted_model_is_studied_within_the_ranges_of_its_inputs(saved: Path, tmp_path: Path) -> None:
     case = make_case(str(saved), seconds=60.0)
     assert case.name == "surge-boat"
     assert case.inputs.t[-1] == pytest.approx(60.0)
@@ -62,8 +62,10 @@ def test_a_fitted_model_is_studied_within_the_ranges_of_its_inputs(saved: Path, 
     assert np.array_equal(case.inputs.u, again.inputs.u)
 
 
-def test_a_delay_is_told_by_rows_at_the_copies_of_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Copies 0.05 s apart in rows of 0.1 s were every second one, twice, and nothing told the delay between."""
+def test_rows_match_the_delayed_inputs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """With delayed inputs 0.05 s apart and rows of 0.1 s, only every second input was distinct, and no data informed
+    the delay between.
+    """
     model = horizontal_model("command").with_values({"tau_n": 0.2})
     ranges = {"n_cmd_left": (-0.5, 1.0), "n_cmd_right": (-0.5, 1.0)}
     monkeypatch.setattr(cases, "load_model", lambda _: SavedModel(model, {}, ranges))
@@ -79,34 +81,34 @@ def test_a_delay_is_told_by_rows_at_the_copies_of_the_command(monkeypatch: pytes
     }
 
 
-def test_a_fitted_model_is_studied_as_it_was_fitted(saved: Path) -> None:
+def test_fitted_model_is_studied_with_its_own_estimator(saved: Path) -> None:
     case = make_case(str(saved), seconds=60.0)
     assert not case.reml
     assert case.model.second_order
-    told = make_case(str(saved), seconds=60.0, reml=True, mean_order=1)
-    assert told.reml
-    assert not told.model.second_order
+    overridden = make_case(str(saved), seconds=60.0, reml=True, mean_order=1)
+    assert overridden.reml
+    assert not overridden.model.second_order
     text = saved.read_text(encoding="utf-8")
     saved.write_text(text.replace("second_order = true", "reml = true"), encoding="utf-8")
-    other = make_case(str(saved), seconds=60.0)
-    assert other.reml
-    assert not other.model.second_order
+    restricted = make_case(str(saved), seconds=60.0)
+    assert restricted.reml
+    assert not restricted.model.second_order
 
 
-def test_a_case_of_ones_own_is_studied_as_the_commands_fit(tmp_path: Path) -> None:
+def test_user_case_is_studied_with_the_estimator_of_the_commands(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(OWN, encoding="utf-8")
     case = make_case(f"{tmp_path / 'mine.py'}:mine")
     assert case.reml
     assert case.model.second_order
 
 
-def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
+def test_changed_file_is_another_study(tmp_path: Path) -> None:
     file, out = tmp_path / "mine.py", tmp_path / "out"
     for text, resumed in ((OWN, False), (OWN, True), (OWN + "# changed\n", False)):
         file.write_text(text, encoding="utf-8")
-        told = Kept()
-        result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", told)
-        assert any("exist already" in line for line in told.lines) is resumed
+        reporter = Kept()
+        result = study.run_studies(study.StudyRequest([f"{file}:mine"], 3, 1, out, jobs=1), "", reporter)
+        assert any("exist already" in line for line in reporter.lines) is resumed
     (part,) = result.studies
     assert part.model == "mine"
     assert {p.name: p.truth for p in part.parameters}["d_u"] == 6.0
@@ -123,14 +125,14 @@ def test_a_changed_file_is_another_study(tmp_path: Path) -> None:
         ("boat", "no study of 'boat': there are surge"),
     ],
 )
-def test_what_is_no_case_is_said(source: str, says: str, tmp_path: Path) -> None:
+def test_source_without_a_case_is_rejected(source: str, says: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(OWN, encoding="utf-8")
     with pytest.raises(SeatrialError, match=says):
         make_case(source.format(file=file))
 
 
-def test_an_input_without_a_range_is_said(saved: Path) -> None:
+def test_input_without_a_range_is_rejected(saved: Path) -> None:
     name = surge_model().inputs[0].name
     saved.write_text(saved.read_text(encoding="utf-8").replace(f"{name} = [-30.0, 80.0]", ""), encoding="utf-8")
     with pytest.raises(SeatrialError, match=rf"no range of the input '{name}' under \[validity\]"):

@@ -1,4 +1,4 @@
-"""Any start within a factor of two reaches the same optimum: on simulated missions of the study's models."""
+"""Test that every start within a factor of two reaches the same optimum, on simulated missions of the study models."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from seatrial.ident.estimation.stochastic_simulation import simulate_stochastic
 from seatrial.ident.studies.cases import make_case
 from seatrial.ident.studies.monte_carlo import make_record
 
-CLOSE = 1e-3  # of the log-likelihood
+CLOSE = 1e-3  # Difference of the log-likelihood.
 CASES = (("surge", 300), ("thruster", 50), ("yaw", 300), ("horizontal", 200))
 LONG = [pytest.param(*case, 50, marks=pytest.mark.study) for case in CASES]
 

@@ -1,4 +1,4 @@
-"""On a mock truth errors are as large as the model claims; models that claim too little or too much are told."""
+"""Tests of calibration: right on a simulated boat, and overconfident or underconfident models are found."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ from tests.missions import boat_with, channels_of, sail
 
 @cache
 def stage() -> FittedModel:
-    """A boat without a hidden effect: fitted to one mission, shown another."""
+    """Return a model of a boat without a hidden effect, fitted to one mission and validated on another."""
     runs = [
         LogSegment(name, channels_of(sail(boat_with(None, 2), 250.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
     ]
     return fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
 
 
-def with_values(one: FittedModel, factors: dict[str, float]) -> FittedModel:
-    """The stage with some of the model's parameters multiplied."""
-    names = [p.name for p in one.model.parameters]
+def with_values(fitted: FittedModel, factors: dict[str, float]) -> FittedModel:
+    """Return the fitted model with some parameters multiplied."""
+    names = [p.name for p in fitted.model.parameters]
 
     def view(old: RecordEvaluation) -> RecordEvaluation:
         values = old.values * [factors.get(n, 1.0) for n in names]
         return replace(old, values=values)
 
-    return replace(one, validation=tuple(view(v) for v in one.validation))
+    return replace(fitted, validation=tuple(view(v) for v in fitted.validation))
 
 
 def validated(judged: PredictionEvaluation) -> ByHorizon[Mapping[str, Calibration]]:
@@ -57,7 +57,7 @@ def validated(judged: PredictionEvaluation) -> ByHorizon[Mapping[str, Calibratio
 
 
 @pytest.mark.study
-def test_the_bands_are_right_where_the_model_is() -> None:
+def test_right_model_is_calibrated() -> None:
     judged = evaluate(stage())
     found = validated(judged)
     for kind in (found.one_step, found.horizon):
@@ -74,7 +74,7 @@ def test_the_bands_are_right_where_the_model_is() -> None:
 
 
 @pytest.mark.study
-def test_too_little_noise_is_overconfident_at_once() -> None:
+def test_too_little_sensor_noise_is_overconfident_one_step_ahead() -> None:
     judged = evaluate(with_values(stage(), {"e_xy": 0.5, "e_psi": 0.5}))
     found = validated(judged).one_step
     assert {n for n, c in found.items() if c.verdict == "overconfident"} >= {"x", "y", "psi"}
@@ -96,7 +96,7 @@ def test_too_much_noise_is_underconfident() -> None:
     assert found.one_step["x"].inside_50 > 0.6
 
 
-def test_a_forecast_is_the_filter_without_samples() -> None:
+def test_forecast_equals_the_filter_without_samples() -> None:
     model, record = turning(), turning_record()
     values, likelihood = values_of(model), Likelihood(model)
     run = likelihood.filter(record, values)
@@ -108,7 +108,7 @@ def test_a_forecast_is_the_filter_without_samples() -> None:
     np.testing.assert_allclose(P[1:], blind.P_pred[41:71], rtol=1e-9, atol=1e-15)
 
 
-def test_the_interval_of_the_scale_holds_for_errors_that_hang_together() -> None:
+def test_interval_of_the_scale_covers_for_correlated_errors() -> None:
     rng, hits, n_sets = np.random.default_rng(3), 0, 300
     for _ in range(n_sets):
         z = np.zeros(400)
@@ -126,7 +126,7 @@ def test_the_interval_of_the_scale_holds_for_errors_that_hang_together() -> None
     assert effective_sample_size(np.ones(100)) < 4
 
 
-def test_a_single_experiment_says_little() -> None:
+def test_single_experiment_has_insufficient_data() -> None:
     rng = np.random.default_rng(1)
     drift, quick = np.full(500, 1.9), 1.9 * rng.normal(size=500)
     apart = pooled_calibration([{"slow": drift, "quick": quick}])
@@ -136,9 +136,9 @@ def test_a_single_experiment_says_little() -> None:
     assert calibration_test([np.full(5, np.nan)]) is None
 
 
-def test_a_prediction_that_diverged_is_not_right_until_it_broke() -> None:
+def test_diverged_prediction_is_overconfident() -> None:
     z = np.random.default_rng(0).normal(size=300)
-    diverged, unmeasured = (np.append(z, np.full(300, what)) for what in (np.inf, np.nan))
+    diverged, unmeasured = (np.append(z, np.full(300, filling)) for filling in (np.inf, np.nan))
     for parts in ([{"x": diverged}], [{"x": z}, {"x": np.full(9, np.inf)}]):
         for together in (False, True):
             found = pooled_calibration(parts, together=together)["x"]
@@ -146,8 +146,8 @@ def test_a_prediction_that_diverged_is_not_right_until_it_broke() -> None:
     assert pooled_calibration([{"x": unmeasured}])["x"].verdict == "right"
 
 
-def test_a_simulation_that_diverged_is_not_calibrated() -> None:
-    """v' = 0.3 v^2 + u leaves every bound in finite time: rows without a measurement stay without an error."""
+def test_diverged_simulation_is_overconfident() -> None:
+    """The state v' = 0.3 v^2 + u diverges in finite time. Rows without a measurement have no error."""
     model = plain_model(
         "runaway",
         f=lambda x, u, p: {"v": 0.3 * x.v * x.v + u.c},
@@ -177,6 +177,6 @@ def verdict_of(scale: float, n: int) -> str:
     return found.verdict
 
 
-def test_ten_percent_are_forgiven() -> None:
+def test_scale_within_ten_percent_is_accepted() -> None:
     found = [verdict_of(s, 5000) for s in (0.8, 0.95, 1.05, 1.3)]
     assert found == ["underconfident", "right", "right", "overconfident"]

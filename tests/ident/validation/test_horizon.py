@@ -1,4 +1,4 @@
-"""--horizon, and whether bands on the bench are right: through the commands, and on data of the model's own making."""
+"""Tests of --horizon and of the bands on the bench, by the commands and on data simulated by the model."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 @pytest.mark.study
-def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list[Path], tmp_path: Path) -> None:
-    said = done("thruster", *bench, "--out", tmp_path).output
+def test_thruster_is_validated_one_second_ahead_and_calibrated(bench: list[Path], tmp_path: Path) -> None:
+    output = done("thruster", *bench, "--out", tmp_path).output
     result = result_of(tmp_path)
     assert result["horizon_seconds"] == thruster_model().horizon == 1.0
-    assert re.search(r"1 s ahead +one step ahead +simulation", said)
+    assert re.search(r"1 s ahead +one step ahead +simulation", output)
     errors, calibrated = result["errors"]["estimation"], result["calibration"]["estimation"]
     assert list(errors) == list(calibrated) == KINDS
     for kind in KINDS:
@@ -77,7 +77,7 @@ def test_a_thruster_is_judged_a_second_ahead_and_its_bands_are_right(bench: list
 
 
 @pytest.mark.study
-def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) -> None:
+def test_errors_on_the_bench_cover_all_logs(bench: list[Path], tmp_path: Path) -> None:
     done("thruster", *bench, "--horizon", 0.5, "--out", tmp_path)
     result = result_of(tmp_path)
     assert result["horizon_seconds"] == 0.5
@@ -92,15 +92,15 @@ def test_errors_on_the_bench_are_of_all_logs(bench: list[Path], tmp_path: Path) 
 
 
 @pytest.mark.study
-def test_the_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> None:
+def test_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> None:
     errors = {}
     for words, horizon in (([], 10.0), (["--horizon", 4], 4.0)):
-        said = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path, "--force").output
+        output = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path, "--force").output
         result = result_of(tmp_path)
         assert result["horizon_seconds"] == horizon
         assert result["answer"].startswith(f"{horizon:g} s ahead on validation data, all channels: fit ")
         assert 0.0 < result["prediction"]["low"] < result["prediction"]["fit"] < result["prediction"]["high"] < 1.0
-        assert f"{horizon:g} s ahead" in said
+        assert f"{horizon:g} s ahead" in output
         page = (tmp_path / "report.html").read_text(encoding="utf-8")
         assert f"{horizon:g} s ahead" in page
         assert f"{14 - horizon:g} s ahead" not in page
@@ -129,7 +129,7 @@ def test_the_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -
     assert set(result["calibration"]["validation"]) == set(KINDS)
 
 
-def test_no_prediction_goes_further_than_the_logs(boat: list[Path], bench: list[Path], tmp_path: Path) -> None:
+def test_horizon_longer_than_the_logs_is_rejected(boat: list[Path], bench: list[Path], tmp_path: Path) -> None:
     for words in (["vehicle", boat[0], "--validate", boat[1]], ["thruster", bench[0]]):
         failed = CliRunner().invoke(ident, [*map(str, words), "--horizon", "500", "--out", str(tmp_path)])
         assert isinstance(failed.exception, SeatrialError)
@@ -138,7 +138,7 @@ def test_no_prediction_goes_further_than_the_logs(boat: list[Path], bench: list[
     assert CliRunner().invoke(ident, ["vehicle", str(boat[0]), "--horizon", "0"]).exit_code == 2
 
 
-def test_the_notes_say_the_horizon() -> None:
+def test_notes_contain_the_horizon() -> None:
     row = CalibrationRow(
         n=9,
         n_effective=9.0,
@@ -158,8 +158,8 @@ def test_the_notes_say_the_horizon() -> None:
 
 
 @pytest.mark.study
-def test_on_the_benchs_own_data_the_bands_are_right() -> None:
-    """At the truth: every verdict is right, and the intervals of the scale hold it in 95 of 100 runs."""
+def test_calibration_is_right_on_simulated_bench_data() -> None:
+    """At the true parameters, every verdict is right, and the intervals of the scale cover it in 95 of 100 runs."""
     case, trials = make_case("thruster"), 30
     values = np.tile(list(case.model.values.values()), (trials, 1))
     _, y = simulate_stochastic(case.model, case.inputs, values, [np.random.default_rng([7, k]) for k in range(trials)])
@@ -176,7 +176,7 @@ def test_on_the_benchs_own_data_the_bands_are_right() -> None:
     assert {c.verdict for c in found} == {"right"}
     assert stats.binomtest(sum(c.low < 1 < c.high for c in found), len(found), 0.95).pvalue > 1e-3
     assert np.mean([c.inside_50 for c in found]) == pytest.approx(0.5, abs=0.01)
-    # too little process noise shows after a second, and a horizon of a row or two is thinned to what can be computed
+    # Too little process noise appears after a second. A horizon of one or two rows is thinned to limit the computation.
     p = p * [0.2 if q.name == "s_n" else 1.0 for q in case.model.parameters]
     run = likelihood.filter(record, p)
     poor, near = (
@@ -188,11 +188,11 @@ def test_on_the_benchs_own_data_the_bands_are_right() -> None:
 
 
 @pytest.mark.study
-def test_errors_over_a_longer_horizon_are_drawn_in_longer_blocks() -> None:
+def test_longer_horizon_uses_longer_blocks() -> None:
     runs = [
         LogSegment(name, channels_of(sail(boat_with(None, 2), 150.0, k, run=k)[0])) for k, name in enumerate("ab", 1)
     ]
     stage = fit_nominal_model(horizontal_model(), runs[:1], runs[1:])
-    far, near = (prediction_changes(one, one) for one in (evaluate(stage, 60.0), evaluate(stage)))
+    far, near = (prediction_changes(evaluated, evaluated) for evaluated in (evaluate(stage, 60.0), evaluate(stage)))
     assert near["validation"].channels["psi"].low == pytest.approx(1.0)
-    assert np.isnan(far["validation"].channels["psi"].low)  # 90 s of errors are not four blocks of 120 s
+    assert np.isnan(far["validation"].channels["psi"].low)  # Errors over 90 s do not fill four blocks of 120 s.

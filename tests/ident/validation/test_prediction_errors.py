@@ -1,4 +1,6 @@
-"""Prediction errors: one step, over a horizon and in simulation, against the model's own equations solved elsewhere."""
+"""Tests of prediction errors: one step ahead, over a horizon and in simulation, against independently solved
+equations.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ VALUES = values_of(MODEL)
 
 
 def solved(record: Record, x: np.ndarray, first: int, last: int) -> np.ndarray:
-    """The slider's state at row ``last`` from ``x`` at row ``first``, its input held over each row."""
+    """Return the slider's state at row ``last`` from ``x`` at row ``first``. The input is held over each row."""
     for k in range(first, last):
         w = record.u[k, 0]
         span = (record.t[k], record.t[k + 1])
@@ -39,7 +41,7 @@ def solved(record: Record, x: np.ndarray, first: int, last: int) -> np.ndarray:
     return x
 
 
-def test_one_step_errors_are_the_innovations() -> None:
+def test_one_step_errors_equal_the_innovations() -> None:
     record, model = turning_record(), turning()
     run = Likelihood(model).filter(record, values_of(model))
     found = one_step_errors(model, record, run)
@@ -55,7 +57,7 @@ def test_one_step_errors_are_the_innovations() -> None:
 
 
 @pytest.mark.parametrize("seconds", [10.0, 1.5])
-def test_what_is_ahead_is_the_equation_solved_from_the_filtered_state(seconds: float) -> None:
+def test_horizon_prediction_equals_the_solution_from_the_filtered_state(seconds: float) -> None:
     record = slide(1, 300)
     run = Likelihood(MODEL).filter(record, VALUES)
     found = horizon_errors(MODEL, record, VALUES, run.x_filt, seconds)
@@ -72,13 +74,13 @@ def test_what_is_ahead_is_the_equation_solved_from_the_filtered_state(seconds: f
             assert found["place"].e[at] == pytest.approx(record.y[last, 1] - x[0], abs=1e-6)
 
 
-def test_a_simulation_knows_only_its_first_seconds() -> None:
+def test_simulation_uses_only_its_first_seconds_of_measurements() -> None:
     record = slide(2, 400)
     free = simulation_run(MODEL, record, VALUES)
     blind = record.t > WARM_UP
-    other = record.y.copy()
-    other[blind] += 5.0
-    np.testing.assert_array_equal(simulation_run(MODEL, replace(record, y=other), VALUES).y, free.y)
+    changed = record.y.copy()
+    changed[blind] += 5.0
+    np.testing.assert_array_equal(simulation_run(MODEL, replace(record, y=changed), VALUES).y, free.y)
     assert free.errors["speed"].t[0] > WARM_UP
     last = int(np.flatnonzero(~blind)[-1])
     run = Likelihood(MODEL).filter(replace(record, y=np.where(blind[:, None], np.nan, record.y)), VALUES)
@@ -89,8 +91,8 @@ def test_a_simulation_knows_only_its_first_seconds() -> None:
     assert free.errors["speed"].spread == pytest.approx(seen[np.isfinite(seen)].std())
 
 
-def test_a_simulation_goes_no_faster_than_the_boat_when_its_heading_is_lost() -> None:
-    """Of the cosine of a heading that is spread over the whole circle a series of second order makes any speed."""
+def test_simulated_speed_stays_bounded_if_the_heading_is_lost() -> None:
+    """With a heading spread over the whole circle, the second-order series of its cosine can give any speed."""
     model = plain_model(
         "adrift",
         f=lambda x, u, p: {"x": np.cos(x.psi), "psi": p.turn},
@@ -106,18 +108,19 @@ def test_a_simulation_goes_no_faster_than_the_boat_when_its_heading_is_lost() ->
     bent = replace(model, second_order=True)
     free = simulation_run(bent, record, values_of(bent), Likelihood(bent))
     assert np.abs(np.diff(free.y[:, 0])).max() < 0.11
-    assert free.errors["x"].rms < 25.0  # a circle of 10 m, its centre off by the last heading that was seen
+    # The boat moves on a circle of 10 m. The last measured heading shifts its centre.
+    assert free.errors["x"].rms < 25.0
 
 
-def test_the_band_of_a_simulation_covers() -> None:
-    """Over many runs 95 % of the errors lie within 1.96 of their standard deviations, near and far."""
+def test_band_of_a_simulation_covers_the_errors() -> None:
+    """Over many runs, 95 % of the errors lie within 1.96 standard deviations, at all times."""
     inside = []
     for seed in range(40):
         record = slide(100 + seed, 400)
         free = simulation_run(MODEL, record, VALUES, Likelihood(MODEL))
         rows = np.flatnonzero((record.t > WARM_UP) & np.isfinite(record.y[:, 1]))
         inside.append(np.abs(record.y[rows] - free.y[rows]) < 1.96 * free.sd[rows])
-    rate = np.mean(inside, axis=0)  # (rows, channels)
+    rate = np.mean(inside, axis=0)  # Dimensions: rows, channels.
     assert rate.mean() == pytest.approx(0.95, abs=0.03)
     assert rate[-5:].mean() == pytest.approx(0.95, abs=0.06)
 
@@ -132,7 +135,7 @@ def test_angles_are_wrapped() -> None:
     assert np.abs(free.errors["psi"].e).max() <= np.pi
 
 
-def test_pooled_errors_keep_records_apart_in_time() -> None:
+def test_pooled_errors_keep_records_separate_in_time() -> None:
     a = PredictionErrors(np.array([1.0, 2.0]), np.array([3.0, 4.0]), np.array([1.0, -1.0]))
     b = PredictionErrors(np.array([0.5, 1.5]), np.array([0.0, 0.0]), np.array([3.0, -3.0]))
     found = pooled_errors([{"x": a, "r": b}, {"x": b}])
@@ -145,11 +148,11 @@ def test_pooled_errors_keep_records_apart_in_time() -> None:
 
 
 def moving_average(rng: np.random.Generator, n: int, width: int) -> np.ndarray:
-    """Errors that are correlated for as long as a horizon of ``width`` samples lasts."""
+    """Return errors that are correlated over a horizon of ``width`` samples."""
     return np.convolve(rng.normal(size=n + width - 1), np.full(width, width**-0.5), "valid")
 
 
-def test_the_interval_of_a_change_covers_where_errors_are_correlated_over_the_horizon() -> None:
+def test_interval_of_a_change_covers_for_errors_correlated_over_the_horizon() -> None:
     covered: dict[str, list[bool]] = {"all": [], "x": [], "r": []}
     for seed in range(300):
         rng = np.random.default_rng(seed)
@@ -168,7 +171,7 @@ def test_the_interval_of_a_change_covers_where_errors_are_correlated_over_the_ho
         assert 0.90 < np.mean(inside) < 0.98, name
 
 
-def test_a_change_of_the_prediction_errors_is_of_all_channels() -> None:
+def test_prediction_change_covers_all_channels() -> None:
     rng, t = np.random.default_rng(1), np.arange(0.0, 400.0, 0.5)
     old = {name: PredictionErrors(t, rng.normal(size=t.size)) for name in ("x", "y", "r")}
     new = {n: PredictionErrors(t, k * old[n].e) for n, k in (("x", 0.5), ("y", 0.5), ("r", 2.0))}
@@ -179,15 +182,15 @@ def test_a_change_of_the_prediction_errors_is_of_all_channels() -> None:
     assert found.channels["r"].after == pytest.approx(2 * old["r"].rms)
     same = prediction_change(old, old, 10.0)
     assert (same.ratio, same.low, same.high, same.verdict) == (1.0, 1.0, 1.0, "unchanged")
-    # of other starts the common times are compared, and a channel that one model lacks is not
+    # If the starts differ, the common times are compared. A channel that one model lacks is left out.
     later = {n: PredictionErrors(e.t[100:], e.e[100:]) for n, e in new.items() if n != "y"}
     shifted = prediction_change(old, later, 10.0)
     assert set(shifted.channels) == {"x", "r"}
     assert shifted.ratio == pytest.approx(1.0)
 
 
-def test_records_are_compared_with_themselves() -> None:
-    """A record that one model could not be evaluated on moves no other; nor does a channel that ends later."""
+def test_records_are_compared_only_with_themselves() -> None:
+    """A record that one model cannot evaluate does not change the comparison, nor does a channel that ends later."""
     t = 0.1 * np.arange(600)
 
     def errors(seed: int, scale: float) -> dict[str, PredictionErrors]:
@@ -196,14 +199,18 @@ def test_records_are_compared_with_themselves() -> None:
     hard, easy = errors(1, 10.0), errors(2, 1.0)
     late = PredictionErrors(t + 2.0, easy["x"].e)
     for after in ({"hard": hard, "easy": easy}, {"easy": easy}, {"hard": {**hard, "late": late}, "easy": easy}):
-        for one, other in ((after, {"easy": easy}), ({"easy": easy}, after), (after, {"hard": hard, "easy": easy})):
-            found = prediction_change_by_record(one, other, 1.0)
+        for before_errors, after_errors in (
+            (after, {"easy": easy}),
+            ({"easy": easy}, after),
+            (after, {"hard": hard, "easy": easy}),
+        ):
+            found = prediction_change_by_record(before_errors, after_errors, 1.0)
             assert (found.ratio, found.verdict, set(found.channels)) == (1.0, "unchanged", {"x"})
     assert prediction_change_by_record({"a": easy, "b": hard}, {"b": errors(1, 5.0)}, 1.0).ratio == pytest.approx(0.5)
     assert np.isnan(prediction_change_by_record({"a": easy}, {"b": easy}, 1.0).ratio)
 
 
-def test_no_verdict_without_an_interval_or_a_change_that_can_be_written() -> None:
+def test_no_verdict_without_an_interval_or_a_visible_change() -> None:
     t = np.arange(0.0, 60.0, 0.5)
     e = PredictionErrors(t, np.random.default_rng(1).normal(size=t.size))
     short = prediction_change({"x": e}, {"x": PredictionErrors(t, 0.1 * e.e)}, 10.0)
@@ -215,7 +222,7 @@ def test_no_verdict_without_an_interval_or_a_change_that_can_be_written() -> Non
     assert np.isnan(prediction_change({}, {}, 10.0).ratio)
 
 
-def test_a_diverged_prediction_is_an_error_and_not_left_out() -> None:
+def test_diverged_prediction_counts_as_an_error() -> None:
     t = np.arange(0.0, 400.0, 0.5)
     e = np.random.default_rng(1).normal(size=t.size)
     lost = np.where(t % 20.0 < 1.0, np.inf, 0.5 * e)
@@ -224,9 +231,10 @@ def test_a_diverged_prediction_is_an_error_and_not_left_out() -> None:
     assert found.verdict == "rose"
 
 
-def test_no_channel_is_lost_by_the_choice_of_prediction_starts() -> None:
-    """Sensors on odd rows, and on every third: each is predicted at its own samples, at most a row more than the
-    horizon later."""
+def test_all_channels_are_predicted_for_any_sample_rows() -> None:
+    """One sensor has samples on odd rows, another on every third. Each is predicted at its own samples, at most one row
+    later than the horizon.
+    """
     record = slide(1, 600)
     rows = np.arange(record.n_rows)
     odd = replace(record, y=np.column_stack([record.y[:, 0], np.where(rows % 2, 0.1, np.nan)]))

@@ -1,4 +1,4 @@
-"""Tests of whiteness and of correlation with inputs: their size on white noise, their power on what is not."""
+"""Tests of whiteness and of correlation with inputs: their size on white noise, and their power on coloured noise."""
 
 from __future__ import annotations
 
@@ -13,34 +13,37 @@ T = 0.1 * np.arange(N)
 
 
 def bounds(p: float) -> tuple[float, float]:
-    """Where the rate of N_SETS trials of probability p lies with 99.9 %."""
+    """Return the interval that holds the rate of N_SETS trials of probability p with probability 99.9 %."""
     low, high = stats.binom.interval(0.999, N_SETS, p)
     return low / N_SETS, high / N_SETS
 
 
 @pytest.fixture(scope="module")
 def white() -> np.ndarray:
-    """p values (n, 3) on white noise: Ljung-Box, cumulative periodogram, normality; and the largest |acf|."""
+    """Return p values (n, 3) on white noise (Ljung-Box, cumulative periodogram, normality) and the share of
+    correlations beyond the band.
+    """
     rng = np.random.default_rng(1)
     found = [whiteness_test("x", T, rng.normal(size=N)) for _ in range(N_SETS)]
     return np.array([[w.ljung_box, w.periodogram, w.normal, np.mean(np.abs(w.acf) > w.band)] for w in found])
 
 
 @pytest.mark.parametrize("test", [0, 1, 2])
-def test_p_values_on_white_noise_are_as_rare_as_they_say(white: np.ndarray, test: int) -> None:
+def test_p_values_on_white_noise_have_their_level(white: np.ndarray, test: int) -> None:
     for level in (0.05, 0.3):
         low, high = bounds(level)
         rate = float(np.mean(white[:, test] < level))
         assert rate <= high
-        assert rate >= (low if test != 1 else 0.4 * low)  # the periodogram's is asymptotic and a little timid
+        # The test of the periodogram is asymptotic and slightly conservative.
+        assert rate >= (low if test != 1 else 0.4 * low)
 
 
-def test_the_band_holds_nineteen_of_twenty_correlations_of_white_noise(white: np.ndarray) -> None:
+def test_band_covers_nineteen_of_twenty_correlations_of_white_noise(white: np.ndarray) -> None:
     assert white[:, 3].mean() == pytest.approx(0.05, abs=0.01)
 
 
 @pytest.mark.parametrize("phi", [0.2, -0.2])
-def test_an_ar_1_is_rejected(phi: float) -> None:
+def test_ar_1_process_is_rejected(phi: float) -> None:
     rng = np.random.default_rng(2)
     found = [whiteness_test("x", T, signal.lfilter([1.0], [1.0, -phi], rng.normal(size=N))) for _ in range(100)]
     assert np.mean([w.ljung_box < 0.01 for w in found]) > 0.9
@@ -49,7 +52,7 @@ def test_an_ar_1_is_rejected(phi: float) -> None:
     assert np.mean([w.acf[0] for w in found]) == pytest.approx(phi, abs=0.01)
 
 
-def test_a_wave_shows_in_the_cumulative_periodogram_where_it_is() -> None:
+def test_wave_is_found_in_the_cumulative_periodogram_at_its_frequency() -> None:
     rng = np.random.default_rng(3)
     e = rng.normal(size=N) + 0.6 * np.sin(2 * np.pi * 0.7 * T)
     w = whiteness_test("ax", T, e)
@@ -63,19 +66,19 @@ def test_a_wave_shows_in_the_cumulative_periodogram_where_it_is() -> None:
     assert w.sd == pytest.approx(e.std())
 
 
-def test_normality_is_rejected_for_heavy_tails_and_not_asked_of_few() -> None:
+def test_normality_is_rejected_for_heavy_tails_and_not_tested_on_few_samples() -> None:
     rng = np.random.default_rng(4)
     assert whiteness_test("x", T, rng.standard_t(3, N)).normal < 1e-6
     assert np.isnan(whiteness_test("x", T[:19], rng.normal(size=19), n_lags=5).normal)
 
 
 def steps(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """An input that holds for two seconds, on its own clock of 50 Hz, from 5 s before the innovations."""
+    """Return an input that holds for two seconds, at 50 Hz, starting 5 s before the innovations."""
     t_u = np.arange(-5.0, T[-1], 0.02)
     return t_u, rng.uniform(-1, 1, 200)[((t_u + 5.0) / 2.0).astype(int)]
 
 
-def test_cross_correlation_bands_hold_for_independent_innovations() -> None:
+def test_cross_correlation_bands_cover_for_independent_innovations() -> None:
     rng = np.random.default_rng(5)
     z, p = [], []
     for _ in range(N_SETS):
@@ -100,9 +103,11 @@ LIVELY = {
 @pytest.mark.parametrize(
     ("kind", "trials"), [("chirp", 500), *(pytest.param(kind, 2500, marks=pytest.mark.study) for kind in LIVELY)]
 )
-def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str, trials: int) -> None:
-    """Whether 31 lags are 31 looks or three hangs on the input: no bolder than by a quarter, no more than four times
-    too careful, and chance on top of either."""
+def test_p_value_of_a_correlation_with_an_input_has_its_level(kind: str, trials: int) -> None:
+    """The input decides whether 31 lags are 31 tests or three.
+
+    The false-alarm rate may be a quarter too high or four times too low, plus chance.
+    """
     rng = np.random.default_rng(8)
     p = np.array([
         cross_correlation("r", T, rng.normal(size=N), "n", T, LIVELY[kind](rng, N)).p for _ in range(trials)
@@ -114,7 +119,7 @@ def test_a_correlation_with_an_input_is_as_rare_as_its_p_says(kind: str, trials:
 
 @pytest.mark.parametrize("n", [60, *(pytest.param(n, marks=pytest.mark.study) for n in (80, 200, 1000))])
 @pytest.mark.study
-def test_short_channels_are_not_found_coloured_more_often(n: int) -> None:
+def test_short_channels_have_the_same_false_alarm_rate(n: int) -> None:
     rng, trials = np.random.default_rng(n), 2000
     found = [whiteness_test("x", T[:n], rng.normal(size=n)) for _ in range(trials)]
     for level in (0.01, 0.05):
@@ -124,16 +129,16 @@ def test_short_channels_are_not_found_coloured_more_often(n: int) -> None:
     assert np.mean([not w.white for w in coloured]) > 0.7
 
 
-def test_what_an_input_leaves_in_the_innovations_is_found_at_its_lag() -> None:
+def test_response_to_an_input_is_found_at_its_lag() -> None:
     rng = np.random.default_rng(6)
     t_u, _ = steps(rng)
-    u = rng.normal(size=t_u.size // 5 + 1).repeat(5)[: t_u.size]  # holds for 0.1 s: a lag can be told
+    u = rng.normal(size=t_u.size // 5 + 1).repeat(5)[: t_u.size]  # The input holds for 0.1 s, so its lag can be found.
     e = rng.normal(size=N) + 0.3 * np.interp(T - 0.7, t_u, u)
     c = cross_correlation("ax", T, e, "n_left", t_u, u)
     assert c.p < 1e-6
     assert c.lags[np.argmax(c.z)] == pytest.approx(0.7, abs=0.11)
     assert (c.channel, c.input) == ("ax", "n_left")
-    later = cross_correlation("ax", T, np.interp(T + 1.0, t_u, u), "n_left", t_u, u)  # what comes after is no cause
+    later = cross_correlation("ax", T, np.interp(T + 1.0, t_u, u), "n_left", t_u, u)  # A later input is not a cause.
     assert later.p > 1e-3
 
 
@@ -146,8 +151,10 @@ ALL = [pytest.param(kind, c, 600, marks=pytest.mark.study) for kind in ("chirp",
 @pytest.mark.parametrize(
     ("kind", "colour", "trials"), [("chirp", "slow", 200), ("long holds", "oscillating", 200), *ALL]
 )
-def test_innovations_that_remember_know_an_input_as_rarely_as_p_says(kind: str, colour: str, trials: int) -> None:
-    """As those of a receiver that wanders do, or of an estimator: taken for white, they know every input."""
+def test_p_value_with_autocorrelated_innovations_has_its_level(kind: str, colour: str, trials: int) -> None:
+    """The innovations of a drifting receiver or of an estimator are autocorrelated. If they were treated as white,
+    every input would be significant.
+    """
     rng = np.random.default_rng(9)
     e = signal.lfilter([1.0], COLOURS[colour], rng.normal(size=(trials, N + 200)))[:, 200:]
     found = [cross_correlation("r", T, own, "n", T, LIVELY[kind](rng, N)) for own in e]
@@ -157,7 +164,7 @@ def test_innovations_that_remember_know_an_input_as_rarely_as_p_says(kind: str, 
     assert 0.6 < z.std() < 1.25
 
 
-def test_what_an_input_leaves_is_found_in_innovations_that_remember_too() -> None:
+def test_response_to_an_input_is_found_in_autocorrelated_innovations() -> None:
     rng = np.random.default_rng(10)
     u = rng.choice([-1.0, 1.0], N // 5).repeat(5)
     e = signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=N)) + 1.5 * np.interp(T - 0.7, T, u)
@@ -166,20 +173,20 @@ def test_what_an_input_leaves_is_found_in_innovations_that_remember_too() -> Non
     assert c.lags[np.argmax(c.z)] == pytest.approx(0.7, abs=0.11)
 
 
-def test_the_coefficient_of_correlation_is_that_of_numpy() -> None:
+def test_correlation_coefficient_equals_numpy() -> None:
     rng = np.random.default_rng(11)
     e, u = rng.normal(size=(2, N))
     c = cross_correlation("r", T, e + 0.2 * u, "n", T, u)
     assert c.largest == pytest.approx(abs(np.corrcoef(e + 0.2 * u, u)[0, 1]), abs=1e-6)
 
 
-def test_an_autoregression_is_that_of_its_filter() -> None:
+def test_autoregression_recovers_the_filter() -> None:
     e = signal.lfilter([1.0], [1.0, -0.5, 0.3], np.random.default_rng(12).normal(size=20_000))
     np.testing.assert_allclose(autoregression(e), [0.5, -0.3], atol=0.03)
     assert autoregression(np.random.default_rng(13).normal(size=2000)).size == 0
 
 
-def test_an_input_that_does_not_move_says_nothing() -> None:
+def test_constant_input_gives_no_correlation() -> None:
     c = cross_correlation("r", T, np.random.default_rng(7).normal(size=N), "n", T, np.full(N, 0.3))
     assert not c.z.any()
     assert c.p == 1.0

@@ -1,4 +1,4 @@
-"""`seatrial ident information`: the stretches that tell of a parameter are those in which it was excited."""
+"""Tests of `seatrial ident information`: a segment informs the parameters that it excites."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def write_model(path: Path) -> Path:
 
 
 def write_run(path: Path, seed: int) -> Path:
-    """At rest, straight ahead at two speeds, then turning to both sides: recorded with the names of the steps."""
+    """Record a run at rest, straight ahead at two speeds, and turning to both sides, with the names of the steps."""
     t = np.array([0.0, 30.0, 45.0, *np.arange(60.0, SECONDS, 5.0)])
     turns = [[0.5 + 0.3 * (-1) ** k, 0.5 - 0.3 * (-1) ** k] for k in range(t.size - 3)]
     readings = simulate(
@@ -100,13 +100,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as left:
         command_line.main(["ident", "information", *map(str, words)])
-    said = capsys.readouterr()
-    return int(left.value.code or 0), said.out, said.err
+    captured = capsys.readouterr()
+    return int(left.value.code or 0), captured.out, captured.err
 
 
-def test_results_are_replaced_only_where_that_is_said(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_results_are_replaced_only_with_force(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = tmp_path / "out/result.json"
     before.parent.mkdir()
     before.write_text("mine", encoding="utf-8")
@@ -119,9 +117,7 @@ def test_results_are_replaced_only_where_that_is_said(
     assert before.read_text(encoding="utf-8") != "mine"
 
 
-def test_of_a_window_only_its_segments_are_told(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_time_window_limits_the_segments(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     window = ("--from", 30, "--to", 60)
     status, _, err = run(capsys, folder / "model.toml", folder / "one.mcap", *window, "--out", tmp_path / "out")
     assert status == 0, err
@@ -129,12 +125,16 @@ def test_of_a_window_only_its_segments_are_told(
     rows = [(row["what"], round(row["t_from"]), round(row["t_to"])) for row in result["information"]["segments"]]
     assert rows == [("straight ahead", 30, 60)]
     for words in ((30, 30), (30, 20), ("nan", 40)):
-        given = ("--from", words[0], "--to", words[1])
-        assert run(capsys, folder / "model.toml", folder / "one.mcap", *given, "--out", tmp_path / "no")[0] == 2
+        window_options = ("--from", words[0], "--to", words[1])
+        assert (
+            run(capsys, folder / "model.toml", folder / "one.mcap", *window_options, "--out", tmp_path / "no")[0] == 2
+        )
 
 
-def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    status, said, err = run(capsys, folder / "model.toml", folder / "one.mcap", "--out", tmp_path / "out")
+def test_segments_inform_the_parameters_that_they_excite(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, output, err = run(capsys, folder / "model.toml", folder / "one.mcap", "--out", tmp_path / "out")
     assert status == 0, err
     result: dict[str, Any] = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
     part = result["information"]
@@ -146,7 +146,7 @@ def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: 
     at = {name: k for k, name in enumerate(part["names"])}
     infinite = float("inf")
     weights = {row["what"]: [infinite if w is None else w for w in row["weight"]] for row in rows}
-    assert max(weights["static"]) < 1.25  # a boat at rest drifts in the current, and tells next to nothing
+    assert max(weights["static"]) < 1.25  # A boat at rest drifts in the current and gives almost no information.
     assert max(rest["lost"]) < 0.35
     assert weights["straight ahead"][at["d_uu"]] > 1.3
     assert weights["turns"][at["d_rr"]] > 5.0 > weights["straight ahead"][at["d_rr"]]
@@ -155,8 +155,8 @@ def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: 
         assert row["se"] > 0
         assert row["what"] in ("turns", "straight ahead")
     assert "turns" in result["answer"] or "Only" in result["answer"]
-    assert re.search(r"one, 60 to 90 s \(turns\)", said)
-    assert "Information of these logs" in said
+    assert re.search(r"one, 60 to 90 s \(turns\)", output)
+    assert "Information of these logs" in output
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     titles = ("Information in logs", "Information of these logs", "Segment by segment")
     for words in (*titles, "heatmap", "depends most on"):
@@ -164,7 +164,7 @@ def test_what_was_excited_is_what_is_told(folder: Path, tmp_path: Path, capsys: 
     assert "Inputs" in page
 
 
-def test_two_logs_of_the_same_leave_none_indispensable(
+def test_no_segment_of_two_equal_logs_is_indispensable(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "two.mcap").write_bytes((folder / "one.mcap").read_bytes())
@@ -175,7 +175,7 @@ def test_two_logs_of_the_same_leave_none_indispensable(
     assert part["names"] == ["m_r", "d_rr"]
     assert [row["record"] for row in part["segments"]] == ["one", "one", "two", "two"]
     for row in part["segments"]:
-        # without its stretch in one log the same is still there in the other: at most half of the information goes
+        # Without a segment of one log, the other log still has it. At most half of the information is lost.
         assert all(1.0 <= w < np.sqrt(2.0) + 1e-3 for w in row["weight"])
 
 
@@ -186,7 +186,7 @@ def test_two_logs_of_the_same_leave_none_indispensable(
         (("--parameters", "c1"), "no free parameter 'c1'"),
     ],
 )
-def test_what_is_wrong_is_one_line(
+def test_invalid_parameter_gives_a_one_line_error(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], says: str
 ) -> None:
     status, _, err = run(capsys, folder / "model.toml", folder / "one.mcap", *words, "--out", tmp_path / "out")
@@ -196,7 +196,7 @@ def test_what_is_wrong_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_stretch_is_named_by_the_step_that_fills_it() -> None:
+def test_segment_is_named_by_its_longest_step() -> None:
     steps = ((0.0, "static"), (10.0, "steps"), (40.0, "zigzag"), (90.0, "steps"))
     assert _longest(steps, 0.0, 15.0) == "static"
     assert _longest(steps, 5.0, 60.0) == "steps"
@@ -205,7 +205,7 @@ def test_a_stretch_is_named_by_the_step_that_fills_it() -> None:
     assert _longest(((50.0, "late"),), 0.0, 10.0) == ""
 
 
-def test_the_answer_says_what_hangs_on_what() -> None:
+def test_answer_names_the_most_informative_segment() -> None:
     row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
                             se=1.0, weight=2.5, alone=None, known=True)  # fmt: skip
     assert _answer([row], 2) == (
@@ -219,8 +219,8 @@ def test_the_answer_says_what_hangs_on_what() -> None:
     assert "--seconds" in _answer([row], 1)
 
 
-def test_a_parameter_that_was_estimated_at_nought_is_known_by_its_error() -> None:
-    """Over its prior, or over five characteristic steps."""
+def test_parameter_estimated_at_zero_is_known_if_its_error_is_small() -> None:
+    """The error is compared with its prior, or with five characteristic steps."""
     model = horizontal_model() + catalogue()["reverse-thrust"]
     p = next(p for p in catalogue()["reverse-thrust"].parameters if p.value == 0.0)
     row = SegmentInformation(record="a", t_from=0.0, t_to=30.0, what="", weight=np.ones(1), lost=np.zeros(1),
@@ -228,11 +228,11 @@ def test_a_parameter_that_was_estimated_at_nought_is_known_by_its_error() -> Non
     for prior, size in ((p.prior or (0.0, 0.3), (p.prior or (0.0, 0.3))[1]), (None, 5.0 * p.step)):
         of_it = model.replace_parameters(dataclasses.replace(p, prior=prior))
         for share, known in ((0.4, True), (0.6, False)):
-            told = InformationSegment("a", 0.0, 30.0, np.eye(1), np.ones(1), np.ones(1), np.array([share * size]))
-            assert _parameter(of_it, p.name, 0, [told], [row]).known == known
+            segment = InformationSegment("a", 0.0, 30.0, np.eye(1), np.ones(1), np.ones(1), np.array([share * size]))
+            assert _parameter(of_it, p.name, 0, [segment], [row]).known == known
 
 
-def test_a_design_is_recommended_only_for_a_model_that_it_takes() -> None:
+def test_design_is_recommended_only_for_models_that_it_supports() -> None:
     row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
                             se=30.0, weight=2.5, alone=None, known=False)  # fmt: skip
     for model, advised in (("horizontal:shaft", True), ("kinematic:shaft", False), ("thruster", False)):

@@ -1,4 +1,4 @@
-"""What the logs have and a model does not take is said, with the reason."""
+"""Tests of the report of signals that the logs have and the model does not use, with the reason."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def log(name: str, *signals: str) -> LoadedLog:
     return LoadedLog(LogSegment(name, dict.fromkeys(signals, C)), {}, {}, None)
 
 
-def test_a_sensor_that_only_a_validation_log_has_is_not_used_unless_its_noise_is_known() -> None:
+def test_sensor_that_only_a_validation_log_has_is_not_used_unless_its_noise_is_known() -> None:
     free = slider().replace_parameters(replace(slider().parameter("e_s"), free=True))
     logs = [log("a", "w", "speed")], [log("b", "w", "speed"), log("c", "w", "speed", "place")]
     (found,) = unused_signals(free, *logs)

@@ -1,4 +1,4 @@
-"""A model.toml of one's own model or effects, used from another folder than it was made in."""
+"""Tests of a model.toml with user code or user effects that is used from another folder."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ def run(*words: object) -> int:
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which the model of the how-to was fitted, by relative paths; elsewhere beside it."""
+    """Fit the model of the how-to guide by relative paths. Return its folder, which has a sibling folder named
+    elsewhere.
+    """
     top = tmp_path_factory.mktemp("lab")
     folder = top / "work"
     folder.mkdir()
@@ -49,12 +51,14 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def copied(work: Path, to: Path) -> Path:
-    """The folder of the fit where the test may spoil it."""
+    """Copy the folder of the fit, so that a test can change it."""
     shutil.copytree(work.parent, to / "lab")
     return to / "lab"
 
 
-def test_it_is_used_from_another_folder(work: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
+def test_model_with_user_code_is_used_from_another_folder(
+    work: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
     monkeypatch.chdir(work.parent / "elsewhere")
     assert run("ident", "export", "../work/out/model.toml", "--to", "python", "-o", "rolling_model.py") == 0
     assert "def step(x, u, dt, p=P)" in Path("rolling_model.py").read_text(encoding="utf-8")
@@ -65,7 +69,7 @@ def test_it_is_used_from_another_folder(work: Path, monkeypatch: pytest.MonkeyPa
     assert table["source_sha256"] == hashlib.sha256((work / "rolling.py").read_bytes()).hexdigest()[:16]
 
 
-def test_it_goes_with_its_file_and_a_changed_one_is_not_run(
+def test_model_moves_with_its_python_file_and_a_changed_file_is_not_run(
     work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lab = copied(work, tmp_path)
@@ -87,7 +91,7 @@ def test_it_goes_with_its_file_and_a_changed_one_is_not_run(
 
 
 def hostile(work: Path, tmp_path: Path, source: str, digest: str | None) -> Path:
-    """A model.toml in a folder of its own that names this source."""
+    """Write a model.toml in its own folder that names this source."""
     folder = tmp_path / "got"
     folder.mkdir(exist_ok=True)
     text = re.sub(r"(?m)^source(_sha256)? =.*\n", "", (work / "out/model.toml").read_text(encoding="utf-8"))
@@ -99,10 +103,10 @@ def hostile(work: Path, tmp_path: Path, source: str, digest: str | None) -> Path
 @pytest.mark.parametrize(
     ("source", "hashed"),
     [
-        ("evil.py:rolling", False),  # beside it, without a hash, as files of before were
+        ("evil.py:rolling", False),  # The file is beside the model and has no hash, as in older model files.
         ("../evil.py:rolling", True),
         ("{tmp}/evil.py:rolling", True),
-        ("link.py:rolling", True),  # a symbolic link in the folder to a file outside
+        ("link.py:rolling", True),  # A symbolic link in the folder leads to a file outside.
         ("linked/evil.py:rolling", True),
         ("evil.py:x:rolling", True),
         ("evil:rolling", True),
@@ -110,7 +114,7 @@ def hostile(work: Path, tmp_path: Path, source: str, digest: str | None) -> Path
         ("thruster:{tmp}/evil.py:rolling", True),
     ],
 )
-def test_python_that_a_model_names_is_not_run_unless_it_is_its_own(
+def test_python_file_of_a_model_is_run_only_if_it_belongs_to_the_model(
     work: Path, tmp_path: Path, source: str, hashed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     evil = f"open({str(tmp_path / 'pwned')!r}, 'w')\n" + (work / "rolling.py").read_text(encoding="utf-8")
@@ -129,7 +133,7 @@ def test_python_that_a_model_names_is_not_run_unless_it_is_its_own(
     assert not (tmp_path / "pwned").exists()
 
 
-def test_effects_that_a_model_names_keep_to_the_same_rule(work: Path, tmp_path: Path) -> None:
+def test_effects_file_of_a_model_is_run_only_if_it_belongs_to_the_model(work: Path, tmp_path: Path) -> None:
     path = hostile(work, tmp_path, "horizontal:shaft", None)
     (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'pwned')!r}, 'w')\n", encoding="utf-8")
     digest = hashlib.sha256((tmp_path / "evil.py").read_bytes()).hexdigest()[:16]
@@ -142,10 +146,10 @@ def test_effects_that_a_model_names_keep_to_the_same_rule(work: Path, tmp_path: 
     assert not (tmp_path / "pwned").exists()
 
 
-def test_code_of_others_is_run_only_after_it_was_trusted_once(
+def test_code_of_others_is_run_only_after_the_user_trusted_it(
     work: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
-    """The author of a folder writes the hash in its model.toml; the reader's own note decides."""
+    """The author of a folder writes the hash in its model.toml. The list of trusted code of the user decides."""
     shutil.copytree(work / "out", tmp_path / "got")
     monkeypatch.setenv("SEATRIAL_KNOWN_CODE", str(tmp_path / "mine/known"))
     export = ("ident", "export", tmp_path / "got/model.toml", "--to", "python")
@@ -153,7 +157,7 @@ def test_code_of_others_is_run_only_after_it_was_trusted_once(
     assert "rolling.py was never run by you before, so it is not run; read it" in capsys.readouterr().err
     assert run(*export, "--trust-code") == 0
     assert run(*export) == 0
-    (tmp_path / "mine/known").chmod(0o666)  # anybody may have written it
+    (tmp_path / "mine/known").chmod(0o666)  # Other users can write this file.
     assert run(*export) == 1
     (tmp_path / "mine/known").chmod(0o600)
     with (tmp_path / "got/rolling.py").open("a", encoding="utf-8") as file:
@@ -161,7 +165,7 @@ def test_code_of_others_is_run_only_after_it_was_trusted_once(
     assert run(*export) == 1
 
 
-def test_bytecode_beside_the_file_is_not_taken_for_it(work: Path, tmp_path: Path) -> None:
+def test_bytecode_beside_the_python_file_is_not_run(work: Path, tmp_path: Path) -> None:
     shutil.copytree(work / "out", tmp_path / "got")
     real = tmp_path / "got/rolling.py"
     evil = tmp_path / "evil.py"
@@ -176,18 +180,18 @@ def test_bytecode_beside_the_file_is_not_taken_for_it(work: Path, tmp_path: Path
     assert not (tmp_path / "pwned").exists()
 
 
-def test_code_is_run_where_the_command_line_says_so(work: Path, tmp_path: Path, capsys: Said) -> None:
+def test_foreign_code_is_run_with_the_option_trust_code(work: Path, tmp_path: Path, capsys: Said) -> None:
     path = hostile(work, tmp_path, f"{work}/rolling.py:rolling", None)
     assert run("ident", "export", path, "--to", "python") == 1
     assert "--trust-code" in capsys.readouterr().err
     assert run("ident", "export", path, "--to", "python", "--trust-code") == 0
-    assert run("ident", "export", path, "--to", "python") == 1  # it was for that command alone
+    assert run("ident", "export", path, "--to", "python") == 1  # The option applies to that command only.
 
 
-def test_effects_of_ones_own_are_found_from_anywhere_and_stay_with_the_model(
+def test_user_effects_are_found_from_any_folder_and_stay_with_the_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
-    """Also by a diagnosis that is told of no file, after one that was."""
+    """A diagnosis without --effects still finds them if an earlier diagnosis had the option."""
 
     def diagnosed(model: str, out: str, more: Sequence[str] = ()) -> dict[str, object]:
         words = ("ident", "diagnose", model, "a.mcap", "--validate", "b.mcap", "--max-effects", 1, "--out", out)

@@ -1,4 +1,4 @@
-"""`seatrial ident noise` on logs with known noise, and on measured sensors at rest."""
+"""Tests of `seatrial ident noise` on logs with known noise and on measured sensors at rest."""
 
 from __future__ import annotations
 
@@ -33,7 +33,9 @@ def run(*words: str, status: int = 0) -> None:
 
 @pytest.fixture
 def still(tmp_path: Path) -> Path:
-    """A log: r white 0.01 and walk 0.002, psi across the half turn, smooth filtered, dead constant."""
+    """Return a log with four signals: r has white noise 0.01 and random walk 0.002, psi crosses the half turn, smooth
+    is filtered, and dead is constant.
+    """
     rng = np.random.default_rng(0)
     n = 4000
     r = 0.01 * rng.normal(size=n) + 0.002 * np.sqrt(0.05) * np.cumsum(rng.normal(size=n))
@@ -55,9 +57,9 @@ def read(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
                     for c in table["channel"]}  # fmt: skip
 
 
-def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_known_noise_is_estimated(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("ident", "noise", still, "--out", tmp_path / "noise")
-    said = " ".join(capsys.readouterr().out.split())
+    output = " ".join(capsys.readouterr().out.split())
     result, channels = read(tmp_path / "noise")
     assert set(channels) == {"r", "psi", "smooth"}
     for name, white, walk in (("r", 0.01, 0.002), ("psi", 0.05, 0.0)):
@@ -68,9 +70,9 @@ def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.Captur
         assert "reason" not in c
     assert not channels["smooth"]["accepted"]
     assert channels["smooth"]["reason"].startswith("its innovations are correlated by +0.")
-    assert "2 of 3 channels are white noise plus a random walk. These are not: smooth. Such numbers" in said
+    assert "2 of 3 channels are white noise plus a random walk. These are not: smooth. Such numbers" in output
     assert channels["smooth"]["predictable"] > 0.3
-    assert "do not put them into a filter" in said
+    assert "do not put them into a filter" in output
     assert any(line.startswith("smooth: not white") and line.endswith("at a lower rate.") for line in result["notes"])
     assert any("dead: all samples are the same" in line for line in result["notes"])
     assert {r["channel"]: r["accepted"] for r in result["noise"]} == {"r": True, "psi": True, "smooth": False}
@@ -78,7 +80,7 @@ def test_known_noise_is_found(still: Path, tmp_path: Path, capsys: pytest.Captur
     assert "Sensor noise" in report
 
 
-def test_only_the_signals_that_were_named(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_the_named_signals_are_analysed(still: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("ident", "noise", still, "--signal", "psi", "--signal", "r", "--out", tmp_path / "some")
     assert list(read(tmp_path / "some")[1]) == ["psi", "r"]
     run("ident", "noise", still, "--signal", "rr", "--out", tmp_path / "x", status=1)
@@ -88,7 +90,7 @@ def test_only_the_signals_that_were_named(still: Path, tmp_path: Path, capsys: p
     assert not (tmp_path / "x").exists()
 
 
-def test_every_axis_of_an_ahrs(tmp_path: Path) -> None:
+def test_all_axes_of_an_ahrs_are_analysed(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     capture = tmp_path / "vn.txt"
     rows = 0.01 * rng.normal(size=(600, 9)) + [0, 0, 0, 0, 0, 0, 0, 0, -9.8]
@@ -101,7 +103,7 @@ def test_every_axis_of_an_ahrs(tmp_path: Path) -> None:
     assert channels["az"]["interval"] == pytest.approx(0.025)
 
 
-def test_a_hum_is_told_by_its_frequency(tmp_path: Path) -> None:
+def test_hum_is_reported_with_its_frequency(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     t = 0.05 * np.arange(4000)
     hum = rng.normal(size=4000) + np.sin(2 * np.pi * 3.2 * t)
@@ -114,7 +116,7 @@ def test_a_hum_is_told_by_its_frequency(tmp_path: Path) -> None:
     assert "Find what turns or hums" in result["notes"][0]
 
 
-def test_spikes_and_coarse_steps_are_said_first(tmp_path: Path) -> None:
+def test_spikes_and_coarse_resolution_are_reported_first(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     r = 0.01 * rng.normal(size=4000)
     spikes = r + np.where(np.arange(4000) % 900 == 450, 1.0, 0.0)
@@ -162,15 +164,16 @@ def test_a_vectornav_at_rest(tmp_path: Path) -> None:
     run("ident", "noise", tmp_path / "vn.mcap", "--signal", "psi", "--out", tmp_path / "noise")
     (psi,) = read(tmp_path / "noise")[1].values()
     assert math.degrees(psi["random_walk"]) == pytest.approx(0.0104, rel=0.05)
-    assert "white_se" not in psi  # nearly a pure random walk
+    assert "white_se" not in psi  # The signal is nearly a pure random walk.
     assert psi["accepted"]
 
 
 @pytest.mark.measured
-def test_a_vectornavs_shaken_channels_are_told(tmp_path: Path) -> None:
+def test_vibrating_channels_of_a_vectornav_are_rejected(tmp_path: Path) -> None:
     capture = measured("static") / "vn100_stationary_40Hz_vnymr.txt"
     run("import", "raw", "vectornav", capture, "--rate", "40", "-o", tmp_path / "vn.mcap")
     run("ident", "noise", tmp_path / "vn.mcap", "--out", tmp_path / "noise")
     channels = read(tmp_path / "noise")[1]
     assert {n for n, c in channels.items() if c["accepted"]} == {"psi", "r", "ax", "ay"}
-    assert channels["az"]["predictable"] == pytest.approx(0.12, abs=0.01)  # of 31 lags, none above 0.17
+    # There are 31 lags, none with a correlation above 0.17.
+    assert channels["az"]["predictable"] == pytest.approx(0.12, abs=0.01)

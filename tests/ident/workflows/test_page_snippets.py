@@ -1,4 +1,4 @@
-"""Python of the pages navigate.md, use-a-model.md and result.md, run as a reader would who has a log of commands."""
+"""Tests of the Python snippets in navigate.md, use-a-model.md and result.md, run with a log of commands."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ T = 0.1 * np.arange(601)
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """vehicle/model.toml, a model of commands, and validation.mcap, a log with commands and no shaft speeds."""
+    """Write vehicle/model.toml, a model of commands, and validation.mcap, a log with commands and without shaft
+    speeds.
+    """
     monkeypatch.chdir(tmp_path)
     model = make_model("horizontal:command")
     sensors = ", ".join(f'"{sensor.name}"' for sensor in model.sensors)
     lines = ['format = "seatrial-model 1"', 'name = "horizontal"', 'source = "horizontal:command"']
     lines += [f"sensors = [{sensors}]", "effects = []", "[validity]", "u = [-1.0, 1.0]"]
-    for one in model.parameters:
-        lines += ["[[parameter]]", f'name = "{one.name}"', f"value = {float(one.value)!r}", "free = false"]
+    for parameter in model.parameters:
+        lines += ["[[parameter]]", f'name = "{parameter.name}"', f"value = {float(parameter.value)!r}", "free = false"]
     (tmp_path / "vehicle").mkdir()
     (tmp_path / "vehicle/model.toml").write_text("\n".join(lines), encoding="utf-8")
     rows = [f"{t:.1f},{0.3 * np.sin(t):.4f},{0.3 * np.cos(t):.4f},0.1,{0.1 * t:.3f},{0.05 * t:.3f}" for t in T]
@@ -50,8 +52,8 @@ def test_navigation_with_a_log_of_commands(folder: Path) -> None:
     assert np.shape(space["x"])[0] > 500
 
 
-def test_the_simulation_of_a_model_of_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It has many more inputs than there are thrusters: the commands of some time ago."""
+def test_simulation_with_a_model_of_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The model has more inputs than thrusters, because it uses delayed commands."""
     words = ["export", "vehicle/model.toml", "--to", "python", "-o", "boat.py"]
     CliRunner().invoke(commands, words, catch_exceptions=False)
     monkeypatch.syspath_prepend(str(folder))
@@ -62,9 +64,9 @@ def test_the_simulation_of_a_model_of_commands(folder: Path, monkeypatch: pytest
     assert np.all(np.isfinite(np.asarray(x, float)))
 
 
-def test_a_result_is_read_by_the_name_that_the_page_has(folder: Path) -> None:
+def test_result_is_read_by_the_function_that_the_page_names(folder: Path) -> None:
     assert "seatrial.ident.results.read_result(path)" in (ROOT / "docs/formats/result.md").read_text(encoding="utf-8")
     (folder / "result.json").write_text('{"kind": "nothing"}')
-    for path in ("result.json", folder / "result.json"):  # text, too
+    for path in ("result.json", folder / "result.json"):  # A path may also be a string.
         with pytest.raises(SeatrialError, match=r"result\.json: "):
             seatrial.ident.results.read_result(path)

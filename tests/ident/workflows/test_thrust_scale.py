@@ -1,4 +1,7 @@
-"""A boat as CSV, by a simulator of its own: without thrust and arms nothing is in kilograms, with them all of it is."""
+"""Tests of the thrust scale on a boat in CSV from an independent simulator.
+
+Without thrust and arms, no estimate is in kilograms. With them, all estimates are.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from seatrial.daq.importers.import_files import import_files
 from seatrial.ident.cli.commands import ident
 from seatrial.ident.estimation.model_file import load_model
 
-# 12 kg of boat: masses [kg], inertia [kg m2], damping, full-ahead thrust [N] and arm [m]
+# A boat of 12 kg: masses [kg], inertia [kg m2], damping, full forward thrust [N] and arm [m].
 TRUE = {"m_u": 12.0, "m_v": 17.0, "m_r": 1.30, "d_u": 2.0, "d_v": 12.0, "d_r": 1.5}
 TRUE |= {"d_uu": 9.0, "d_vv": 25.0, "d_rr": 1.2}
 THRUST, ARM = 12.0, 0.2
@@ -30,15 +33,17 @@ COLUMNS = {"x": "m", "y": "m", "psi": "rad", "r": "rad/s", "vx": "m/s", "vy": "m
 
 @cache
 def sailed(seconds: float, seed: int) -> np.ndarray:
-    """Rows of time and COLUMNS, at 10 Hz: Euler steps of 5 ms, gusts as white accelerations, white noise on sensors."""
+    """Return rows of time and COLUMNS at 10 Hz. The simulation uses Euler steps of 5 ms, white accelerations as gusts,
+    and white sensor noise.
+    """
     rng, p, h = np.random.default_rng(seed), TRUE, 0.005
     gusts = (rng.normal(size=(round(seconds / h), 3)) * np.sqrt(h) * [0.02, 0.02, 0.04]).tolist()
     x = y = psi = u = v = r = left = right = told_left = told_right = 0.0
     rows = []
     for k, (du, dv, dr) in enumerate(gusts):
         if k % round(4.0 / h) == 0:
-            told = rng.uniform(-0.4, 1.0) + rng.uniform(-0.5, 0.5) * np.array([1.0, -1.0])
-            told_left, told_right = np.clip(told, -1.0, 1.0).tolist()
+            commanded = rng.uniform(-0.4, 1.0) + rng.uniform(-0.5, 0.5) * np.array([1.0, -1.0])
+            told_left, told_right = np.clip(commanded, -1.0, 1.0).tolist()
         left, right = left + h / 0.25 * (told_left - left), right + h / 0.25 * (told_right - right)
         cos, sin = math.cos(psi), math.sin(psi)
         if k % round(0.1 / h) == 0:
@@ -56,7 +61,7 @@ def sailed(seconds: float, seed: int) -> np.ndarray:
 
 
 def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: float = 120.0) -> Path:
-    """The boat's run as a log, by a map with these further tables and columns."""
+    """Import the boat's run as a log, by a map with these further tables and columns."""
     rows = sailed(seconds, 1)
     header = ["t", *COLUMNS, *extra.split()]
     rows = np.column_stack([rows, *(rows[:, 1] for _ in extra.split())])
@@ -72,10 +77,10 @@ def imported(folder: Path, name: str, tables: str, extra: str = "", seconds: flo
 
 
 def fitted(log: Path, *words: str) -> tuple[dict[str, Any], str, Path]:
-    """The result of `seatrial ident vehicle`, the screen, and the folder."""
+    """Return the result of `seatrial ident vehicle`, the screen output, and the folder."""
     out = log.parent / f"vehicle-{log.stem}-{len(words)}"
-    given = ["vehicle", str(log), *words, "--out", str(out), "--force"]
-    done = CliRunner().invoke(ident, given, catch_exceptions=False)
+    arguments = ["vehicle", str(log), *words, "--out", str(out), "--force"]
+    done = CliRunner().invoke(ident, arguments, catch_exceptions=False)
     return json.loads((out / "result.json").read_text(encoding="utf-8")), done.output, out
 
 
@@ -92,15 +97,15 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str,
     return fitted(imported(tmp_path_factory.mktemp("bare"), "run", "", "u lat mystery"))
 
 
-def test_without_thrust_and_arms_there_are_no_kilograms(bare: tuple[dict[str, Any], str, Path]) -> None:
-    result, said, out = bare
+def test_without_thrust_and_arms_no_estimate_is_in_kilograms(bare: tuple[dict[str, Any], str, Path]) -> None:
+    result, output, out = bare
     assert codes(result)[:2] == ["thrust-scale-unknown", "arm-unknown"]
     scale = result["fit"]["scale"]
     assert (scale["thrust"], scale["relative"]) == ("built-in", True)
     assert (scale["arm"], scale["relative_yaw"]) == ("estimated", True)
     free_of_force = {row["unit"] for row in rows_of(result).values() if "kg" in row["unit"] or "N" in row["unit"]}
     assert all("/N" in unit or "N)" in unit or "N m)" in unit for unit in free_of_force), free_of_force
-    assert said.index("The thrust was not given") < said.index(result["answer"][:30])
+    assert output.index("The thrust was not given") < output.index(result["answer"][:30])
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.index("The thrust was not given") < page.index("<h1>")
     text = (out / "model.toml").read_text(encoding="utf-8")
@@ -108,7 +113,7 @@ def test_without_thrust_and_arms_there_are_no_kilograms(bare: tuple[dict[str, An
     assert load_model(out / "model.toml").model.parameter("c1").origin == "built-in"
 
 
-def test_the_ratios_are_right(bare: tuple[dict[str, Any], str, Path]) -> None:
+def test_ratios_to_the_thrust_are_right(bare: tuple[dict[str, Any], str, Path]) -> None:
     rows = rows_of(bare[0])
     for name, true in TRUE.items():
         yaw = name in ("m_r", "d_r", "d_rr")
@@ -120,15 +125,15 @@ def test_the_ratios_are_right(bare: tuple[dict[str, Any], str, Path]) -> None:
     assert rows["m_r/(T y_arm)"]["se"] < 0.01
 
 
-def test_a_signal_that_no_sensor_takes_is_named_with_its_reason(bare: tuple[dict[str, Any], str, Path]) -> None:
-    result, said, _ = bare
+def test_unused_signal_is_listed_with_its_reason(bare: tuple[dict[str, Any], str, Path]) -> None:
+    result, output, _ = bare
     unused = {s["signal"]: s for s in result["unused_signals"]}
     assert {name: s["code"] for name, s in unused.items()} == {
         "u": "incomplete-sensor",
         "lat": "other-name",
         "mystery": "unknown-name",
     }
-    assert "not used: u: the model takes it together with v" in said
+    assert "not used: u: the model takes it together with v" in output
 
 
 TABLES = "[scale]\nc1 = 12.0\nc2 = 0.0\n[geometry]\ny_left = -0.2\ny_right = 0.2\nlength = 1.2\n"
@@ -145,12 +150,12 @@ def test_scale_and_geometry_in_the_map_give_kilograms(tmp_path: Path) -> None:
 
 
 @pytest.mark.study
-def test_the_uncertainty_of_a_given_scale_is_in_the_errors(tmp_path: Path) -> None:
+def test_uncertainty_of_a_given_scale_is_in_the_standard_errors(tmp_path: Path) -> None:
     uncertain, _, out = fitted(imported(tmp_path, "about", TABLES.replace("c1 = 12.0", "c1 = 12.0\nc1_sd = 0.6")))
     rows = rows_of(uncertain)
     assert not uncertain["fit"]["scale"]["statistical_only"]
     assert rows["m_u"]["value"] == pytest.approx(12.0, abs=1.0)
-    assert rows["m_u"]["se"] == pytest.approx(0.05 * 12.0, rel=0.05)  # dm/dc1 = m/c1
+    assert rows["m_u"]["se"] == pytest.approx(0.05 * 12.0, rel=0.05)  # This follows from dm/dc1 = m/c1.
     assert rows["c1"]["origin"] == "prior"
     saved = load_model(out / "model.toml")
     assert saved.model.parameter("c1").prior == (12.0, 0.6)

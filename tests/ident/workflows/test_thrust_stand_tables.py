@@ -1,4 +1,4 @@
-"""Tables of thrust stands (RCbenchmark, Tyto): guess, import and the characterisation of the thruster."""
+"""Tests of tables of thrust stands (RCbenchmark, Tyto): guessed map, import and characterisation of the thruster."""
 
 from __future__ import annotations
 
@@ -30,16 +30,18 @@ FULL_N, FULL_RPM, HOLD_S = 30.0, 3000.0, 4.0
 def stand(
     levels: tuple[float, ...], rest: float, span: float, unit: str = "kgf", dt: float = 0.05, sign: int = 1
 ) -> str:
-    """A table of a thrust stand with a quadratic thruster whose shaft follows within one row; its speed has no sign."""
+    """Return a table of a thrust stand with a quadratic thruster. The shaft follows within one row, and its speed has
+    no sign.
+    """
     rng = np.random.default_rng(3)
     t = np.arange(0.0, HOLD_S * len(levels), dt)
     n = np.repeat(levels, len(t) // len(levels))
     force = sign * (FULL_N * n * np.abs(n) + rng.normal(0.0, 0.02, n.size)) / NEWTONS[unit]
     lines = [HEADER.replace("kgf", unit)]
-    for k, one in enumerate(n):
-        rpm = f"{abs(one) * FULL_RPM:.0f}" if one else ""  # the stand writes none while it stands
+    for k, level in enumerate(n):
+        rpm = f"{abs(level) * FULL_RPM:.0f}" if level else ""  # The stand writes no speed while the shaft is at rest.
         lines.append(
-            f"{t[k] + 3.2:.4f},{rest + span * one:.0f},,0.01,0.02,-1.0,0.01,{force[k]:.6f},14.8,3.2,{rpm},,40,55,4,0,"
+            f"{t[k] + 3.2:.4f},{rest + span * level:.0f},,0.01,0.02,-1.0,0.01,{force[k]:.6f},14.8,3.2,{rpm},,40,55,4,0,"
         )
     return "\n".join(lines) + "\n"
 
@@ -56,7 +58,7 @@ def imported(folder: Path, text: str, encoding: str = "utf-8") -> tuple[Path, st
 
 @pytest.mark.parametrize("unit", NEWTONS)
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
-def test_a_table_of_one_direction(unit: str, encoding: str, tmp_path: Path) -> None:
+def test_table_with_forward_thrust_only(unit: str, encoding: str, tmp_path: Path) -> None:
     path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, unit), encoding)
     assert "# caveat: 1000 us is assumed to be rest, 2000 us full command" in text
     with open_log(path) as log:
@@ -69,8 +71,8 @@ def test_a_table_of_one_direction(unit: str, encoding: str, tmp_path: Path) -> N
     assert not is_static(load_runs([path], "estimation"), None)
 
 
-def test_the_curve_of_two_directions(tmp_path: Path) -> None:
-    """The speed has no sign, so there is a static curve."""
+def test_static_curve_from_a_table_with_both_directions(tmp_path: Path) -> None:
+    """The speed has no sign, so the result is a static curve."""
     path, text = imported(tmp_path, stand(BOTH, 1500.0, 400.0))
     assert "1500 us is assumed to be rest, 1900 us full command" in text
     assert "the speed has no sign, but the thrust has" in text
@@ -80,7 +82,7 @@ def test_the_curve_of_two_directions(tmp_path: Path) -> None:
     assert ends == pytest.approx((-FULL_N, FULL_N), abs=0.1)
 
 
-def test_a_load_cell_that_pulls_and_slow_rows(tmp_path: Path) -> None:
+def test_negative_load_cell_and_slow_rows(tmp_path: Path) -> None:
     path, text = imported(tmp_path, stand(AHEAD, 1000.0, 1000.0, dt=0.5, sign=-1))
     assert "the thrust is negative throughout: its sign is changed" in text
     assert "rows 0.5 s apart are too slow for a time constant" in text
@@ -89,7 +91,7 @@ def test_a_load_cell_that_pulls_and_slow_rows(tmp_path: Path) -> None:
         assert np.max(log.table(Scalar, "force")["value"]) == pytest.approx(FULL_N, abs=0.1)
 
 
-def test_a_table_of_a_boat_is_none_of_a_stand(tmp_path: Path) -> None:
+def test_table_of_a_boat_is_not_read_as_a_thrust_stand(tmp_path: Path) -> None:
     lines = stand(AHEAD, 1000.0, 1000.0).splitlines()
     (tmp_path / "boat.csv").write_text(
         "\n".join([f"yaw [deg],{lines[0]}", *(f"{k % 90},{x}" for k, x in enumerate(lines[1:]))])

@@ -1,4 +1,4 @@
-"""--robust, --reml and --profile of the thruster's command, on a bench whose load cell has wild readings."""
+"""Tests of --robust, --reml and --profile of the thruster command, on a bench whose load cell has outliers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from seatrial.mocks.world import Reading
 from tests import missions
 from tests.missions import push, rig_of, write_log
 
-EVERY, WILD = 60, 60_000.0  # readings of the cell, counts
+EVERY, WILD = 60, 60_000.0  # Number of load cell readings per outlier, and size of an outlier in counts.
 
 
 def spoilt(reading: Reading, k: int) -> Reading:
@@ -49,7 +49,8 @@ def test_outliers_are_counted_and_a_profile_is_drawn(log: Path) -> None:
     (row,) = result["profiles"]
     (c1,) = [p for p in result["fit"]["parameters"] if p["name"] == "c1"]
     assert row["low"] < c1["value"] < row["high"]
-    assert abs(row["value"] - c1["value"]) < 0.1 * c1["se"]  # the maximum's, without the restricted noise
+    # The profile uses the maximum likelihood, without the restricted noise.
+    assert abs(row["value"] - c1["value"]) < 0.1 * c1["se"]
     assert abs(c1["value"] - draw_bench(4).thruster.c1) < 5 * c1["se"]
     (force,) = [line for line in result["notes"] if line.startswith("force:")]
     counted, total = int(force.split()[1]), int(force.split()[3])
@@ -59,16 +60,18 @@ def test_outliers_are_counted_and_a_profile_is_drawn(log: Path) -> None:
 
 
 @pytest.mark.study
-def test_the_cells_calibration_is_in_the_errors_of_what_stands_on_it(
+def test_calibration_error_of_the_load_cell_is_in_the_standard_errors(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without one they are marked as statistical only; 3 and 4 parts in a thousand make 5."""
+    """Without a calibration error, the errors are marked as statistical only. Errors of 3 and 4 per mille add up to
+    5.
+    """
     recording, mission = push(draw_bench(4), kind="steps")
-    told = rig_of("bench").text.replace(
+    calibrated_text = rig_of("bench").text.replace(
         "newton_per_count = 0.001", "newton_per_count = 0.001\nnewton_per_count_sd = 0.000003\nlever_ratio_sd = 0.004"
     )
     rows, found = {}, {}
-    for name, text in (("plain", rig_of("bench").text), ("calibrated", told)):
+    for name, text in (("plain", rig_of("bench").text), ("calibrated", calibrated_text)):
         rig = parse_rig(text, Path("bench.toml"))
         monkeypatch.setattr(missions, "rig_of", lambda kind, rig=rig: rig)
         log = write_log(tmp_path / f"{name}.mcap", "bench", recording.readings, mission)
@@ -88,7 +91,7 @@ def test_the_cells_calibration_is_in_the_errors_of_what_stands_on_it(
     assert vehicle.parameter("c1").provenance == "measured"
 
 
-def test_a_profile_of_nothing_is_said_before_the_fit(log: Path) -> None:
+def test_profile_of_an_unknown_parameter_is_rejected_before_the_fit(log: Path) -> None:
     done = CliRunner().invoke(ident, ["thruster", str(log), "--profile", "mass"])
     assert isinstance(done.exception, SeatrialError)
     assert "--profile mass: model thruster has" in str(done.exception)
@@ -96,8 +99,10 @@ def test_a_profile_of_nothing_is_said_before_the_fit(log: Path) -> None:
 
 
 @pytest.mark.study
-def test_noise_is_restricted_unless_told_otherwise(log: Path) -> None:
-    """The curve took part of the force's noise with it, and it stays; model.toml says how it was fitted."""
+def test_noise_is_restricted_by_default(log: Path) -> None:
+    """Restricted likelihood increases the force noise and keeps the thrust curve. The model.toml contains the
+    method.
+    """
     fits = {}
     for name, words in (("plain", ["--no-reml"]), ("reml", [])):
         folder = log.parent / name

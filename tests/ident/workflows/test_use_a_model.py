@@ -1,4 +1,4 @@
-"""The worked example of docs/how-to/use-a-model.md, executed, and what it prints compared."""
+"""Tests that run the worked example of docs/how-to/use-a-model.md and compare its output."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PAGE = how_to("use-a-model")
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with the model of docs/formats/model.md and all that the page's first block writes."""
+    """Create the model of docs/formats/model.md and the files that the first block of the page writes."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "diagnosis").mkdir()
     model = blocks(ROOT / "docs/formats/model.md", "toml")[0]
@@ -36,7 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def after(code: str) -> str:
-    """What the page says a block prints: the text block behind it."""
+    """Return the text block after a code block: the output that the page promises."""
     text = PAGE.read_text(encoding="utf-8")
     found = re.search(r"^```text\n(.*?)^```$", text[text.index(code) :], re.MULTILINE | re.DOTALL)
     assert found
@@ -52,12 +52,12 @@ def run(code: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_the_simulation(folder: Path) -> None:
+def test_simulation_snippet(folder: Path) -> None:
     code = blocks(PAGE, "python")[0]
     assert run(code, folder) == after(code)
 
 
-def test_the_controller(folder: Path) -> None:
+def test_controller_snippet(folder: Path) -> None:
     (line,) = blocks(PAGE, "sh")[1].splitlines()
     assert line == "python boat_casadi.py ."
     subprocess.run([sys.executable, "boat_casadi.py", "."], cwd=folder, check=True)
@@ -66,7 +66,7 @@ def test_the_controller(folder: Path) -> None:
     assert run(code, folder) == after(code)
 
 
-def test_the_program_in_c(folder: Path) -> None:
+def test_c_program(folder: Path) -> None:
     if not shutil.which("cc"):
         pytest.skip("no C compiler (cc) on PATH")
     code = blocks(PAGE, "c")[0]
@@ -77,7 +77,7 @@ def test_the_program_in_c(folder: Path) -> None:
     assert done.stdout == after(code)
 
 
-def test_the_parameters_of_the_node(folder: Path) -> None:
+def test_ros_node_parameters(folder: Path) -> None:
     yaml = pytest.importorskip("ruamel.yaml", reason="no YAML reader here (ruamel.yaml)")
     written = yaml.YAML(typ="safe", pure=True).load((folder / "boat.yaml").read_text(encoding="utf-8"))
     text = PAGE.read_text(encoding="utf-8")

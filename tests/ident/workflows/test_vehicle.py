@@ -1,4 +1,4 @@
-"""What the jobs decide before they fit: which model, which sensors, what is known, and what a log is asked for."""
+"""Tests of the decisions before a fit: model, sensors, known parameters and required signals of a log."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def loaded(*names: str, holds: dict[str, str] | None = None) -> LoadedLog:
         (("n_left", "n_right", "f_left", "f_right"), ("n_left", "n_right")),
     ],
 )
-def test_the_model_follows_the_inputs_and_the_sensors(names: tuple[str, ...], inputs: tuple[str, ...]) -> None:
+def test_model_is_chosen_by_the_inputs_and_sensors_of_the_logs(names: tuple[str, ...], inputs: tuple[str, ...]) -> None:
     model = choose_model("auto", [loaded(*names, *AHRS), loaded(*names, "x", "y")])
     assert tuple(i.name for i in model.inputs) == inputs
     assert [s.name for s in model.sensors] == ["attitude", "gyro", "accelerometer", "position"]
 
 
-def test_an_input_keeps_the_hold_it_was_logged_with() -> None:
+def test_input_keeps_the_hold_of_the_log() -> None:
     names = ("f_left", "f_right", *AHRS, *GNSS)
     holds = {"f_left": "zero", "f_right": "linear"}
     model = choose_model("auto", [loaded(*names, holds=holds)])
@@ -61,7 +61,7 @@ def test_an_input_keeps_the_hold_it_was_logged_with() -> None:
         ((PropulsionInput.COMMAND, PropulsionInput.TELEMETRY), "horizontal:command", False),
     ],
 )
-def test_the_thrust_follows_the_best_that_all_logs_have(
+def test_thrust_source_is_the_best_that_all_logs_have(
     ways: tuple[PropulsionInput, ...], source: str, aged: bool
 ) -> None:
     names = ("n_left", "n_right", "n_cmd_left", "n_cmd_right", *AHRS)
@@ -94,29 +94,29 @@ def test_commands_are_not_called_measured_speeds(names: tuple[str, ...], way: Pr
 @pytest.mark.parametrize(
     ("source", "hold", "hinted"), [("n_", "zero", True), ("n_", "sampled", False), ("n_cmd_", "zero", False)]
 )
-def test_shaft_speeds_that_a_map_lets_hold_are_named(source: str, hold: str, hinted: bool) -> None:
-    """As where rpm of a table is an input and the map has no hold."""
+def test_shaft_speeds_with_a_zero_hold_are_reported(source: str, hold: str, hinted: bool) -> None:
+    """This happens if the rpm of a table is an input and the map has no hold."""
     log = replace(loaded("n_left", "n_right", *AHRS, *GNSS), propulsion=PropulsionInput.COMMAND)
     found = {
         n: replace(c, source=source + n.removeprefix("n_")) if n.startswith("n_") else c
         for n, c in log.run.channels.items()
     }
     log = replace(log, run=replace(log.run, channels=found), holds={**log.holds, "n_left": hold, "n_right": hold})
-    said = thrust_from(make_model("nomoto"), [with_derived_signals(log, "nomoto", None)])
-    assert ('hold = "linear" of the map' in said) == hinted
+    note = thrust_from(make_model("nomoto"), [with_derived_signals(log, "nomoto", None)])
+    assert ('hold = "linear" of the map' in note) == hinted
 
 
-def test_inputs_that_only_some_logs_have_are_none() -> None:
+def test_inputs_that_only_some_logs_have_are_not_used() -> None:
     with pytest.raises(SeatrialError, match=r"run\.mcap: no inputs for the horizontal model .*; the log has psi, r"):
         choose_model("auto", [loaded("n_left", "n_right", "psi", "r"), loaded("psi", "r")])
 
 
-def test_pulses_alone_are_refused_with_what_to_do() -> None:
+def test_log_with_pulses_only_is_rejected_with_advice() -> None:
     with pytest.raises(SeatrialError, match=r"the log has psi, pwm_left, pwm_right, r; a pulse is no shaft speed: map"):
         choose_model("auto", [loaded("pwm_left", "pwm_right", "psi", "r")])
 
 
-def test_what_is_known_is_taken_and_fixed() -> None:
+def test_known_parameters_are_fixed() -> None:
     model, _ = fix_parameters(apply_rig_geometry(horizontal_model(), rig_of("boat"))[0], None, {"d_uu": 30.0})
     assert (model.values["d_vv"], model.values["d_uu"]) == (20.0, 30.0)
     assert model.parameter("d_vv").free
@@ -126,8 +126,10 @@ def test_what_is_known_is_taken_and_fixed() -> None:
         fix_parameters(horizontal_model(), None, {"mass": 1.0})
 
 
-def test_the_range_of_a_state_is_its_own_where_an_input_has_its_name() -> None:
-    """The yaw rate of ``kinematic:shaft:yaw``: 1 % to 99 % of the filtered one, not all that the gyro showed."""
+def test_range_of_a_state_is_not_that_of_an_input_with_the_same_name() -> None:
+    """The range of the yaw rate of ``kinematic:shaft:yaw`` is 1 % to 99 % of the filtered state, not that of the
+    gyro.
+    """
     channels, _ = rolling_sail(Fitted(), 40.0, 4)
     stage = fit_nominal_model(make_model("kinematic:shaft:yaw"), [LogSegment("run", channels)], [], rate=20.0)
     (view,) = stage.estimation
@@ -138,8 +140,8 @@ def test_the_range_of_a_state_is_its_own_where_an_input_has_its_name() -> None:
     assert {"u", "v", "n_left", "phi", "q"} <= set(ranges)
 
 
-def test_the_rates_of_sensors_are_those_of_their_rows(tmp_path: Path) -> None:
-    """50 Hz averaged to 10, 5 Hz as they are; of a sensor that one of the logs lacks, of the other log."""
+def test_sensor_rates_are_those_of_the_rows(tmp_path: Path) -> None:
+    """A rate of 50 Hz is averaged to 10 Hz; 5 Hz stays. If a log lacks a sensor, the rate comes from the other log."""
     logs = [load_run(boat_log(tmp_path / f"{k}.mcap", boat_with(None, 1), 30.0, k), "estimation").run for k in (1, 2)]
     blind = replace(logs[1], channels={k: c for k, c in logs[1].channels.items() if k not in ("x", "y")})
     model = horizontal_model("shaft", ("attitude", "position")).with_free(["d_vv"])
@@ -147,8 +149,8 @@ def test_the_rates_of_sensors_are_those_of_their_rows(tmp_path: Path) -> None:
     assert rates == {"attitude": pytest.approx(10.0, rel=0.05), "position": pytest.approx(5.0, rel=0.05)}
 
 
-def test_logs_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
-    """Validation runs are paired by name: two of one name would be compared with each other."""
+def test_logs_with_the_same_file_name_get_different_names(tmp_path: Path) -> None:
+    """Validation runs are paired by name. Two runs with the same name would be compared with each other."""
     (tmp_path / "mon").mkdir()
     first = boat_log(tmp_path / "mon" / "run.mcap", boat_with(None, 1), 20.0, 7)
     same, alone = [tmp_path / d / "run.mcap" for d in ("tue", "b/mon")], tmp_path / "tue" / "alone.mcap"
@@ -162,7 +164,7 @@ def test_logs_of_one_file_name_are_told_apart(tmp_path: Path) -> None:
     assert [x.run.name for x in load_runs([alone], "judged")] == ["alone"]
 
 
-def test_a_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
+def test_log_is_loaded_with_times_from_its_own_start(tmp_path: Path) -> None:
     path = boat_log(tmp_path / "a.mcap", boat_with(None, 1), 20.0, 7)
     found = load_run(path, "estimation", TimeWindow(3.0, 9.0))
     assert (found.run.t_from, found.run.t_to, found.run.name) == (3.0, 9.0, "a")

@@ -1,4 +1,4 @@
-"""`seatrial ident vehicle` with models that are not the horizontal one: built-in, one's own, with a static curve."""
+"""Tests of `seatrial ident vehicle` with models other than the horizontal model: built-in, user code, static curve."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def estimate(found: dict[str, Any], name: str) -> tuple[float, float]:
 
 
 def surge_run(seed: int, seconds: float = 120.0, mass: float = MASS) -> dict[str, np.ndarray]:
-    """Steps of equal commands, simulated at 100 Hz with process noise, logged at 10 Hz."""
+    """Simulate steps of equal commands at 100 Hz with process noise. Return the run at 10 Hz."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 0.1)
     n = np.repeat(rng.choice([0.0, 0.25, 0.5, 1.0], t.size // 100 + 1), 100)[: t.size]
@@ -123,7 +123,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_ones_own_model_with_a_static_curve(logs: Path, tmp_path: Path) -> None:
+def test_user_model_with_a_static_curve(logs: Path, tmp_path: Path) -> None:
     words = ["--model", f"{logs / 'mine.py'}:mine", "--thruster", logs / "curve.toml"]
     run("ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", *words, "--validate", logs / "run2.mcap",
         "--test-homogeneity", "m", "--out", tmp_path / "v")  # fmt: skip
@@ -137,13 +137,15 @@ def test_ones_own_model_with_a_static_curve(logs: Path, tmp_path: Path) -> None:
     assert row["df"] == 1
     assert "they agree" in found["answer"]
     assert found["errors"]["validation"]["simulation"]["speed"]["after"] < 0.05
-    assert "diagnose" not in found["answer"]  # nothing to search with in a model without a hull
+    assert "diagnose" not in found["answer"]  # A model without a hull has no candidates to search.
     again = load_model(tmp_path / "v/model.toml")
     assert again.model.values["m"] == pytest.approx(estimate(found, "m")[0])
     assert (tmp_path / "v/report.html").stat().st_size > 1000
 
 
-def test_logs_that_do_not_agree_are_told(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_logs_with_different_masses_are_reported(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["--model", f"{logs / 'mine.py'}:mine", "--thruster", logs / "curve.toml", "--test-homogeneity", "m"]
     run("ident", "vehicle", logs / "run0.mcap", logs / "heavy.mcap", *words, "--out", tmp_path / "v")
     assert "they do not agree" in " ".join(capsys.readouterr().out.split())
@@ -154,8 +156,8 @@ def test_logs_that_do_not_agree_are_told(logs: Path, tmp_path: Path, capsys: pyt
     assert not (tmp_path / "x").exists()
 
 
-def test_the_built_in_surge_model(logs: Path, tmp_path: Path) -> None:
-    """On thrust from commands and speed over ground, and on a measured force and the boat's own speed."""
+def test_built_in_surge_model(logs: Path, tmp_path: Path) -> None:
+    """The first log has commands and speed over ground. The second has a measured force and the speed of the boat."""
     run("ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", "--model", "surge:force:speed",
         "--thruster", logs / "curve.toml", "--out", tmp_path / "a")  # fmt: skip
     direct = log(tmp_path, "direct", only(surge_run(3, 240.0), "X", "u"))
@@ -166,16 +168,18 @@ def test_the_built_in_surge_model(logs: Path, tmp_path: Path) -> None:
         assert [s.name for s in load_model(tmp_path / folder / "model.toml").model.sensors] == ["speed"]
 
 
-def test_the_calibration_of_a_curve_is_in_the_errors(logs: Path, tmp_path: Path) -> None:
-    """A load cell known to 8 %: so are the mass and the damping, and not to a half of a percent."""
+def test_calibration_error_of_a_curve_is_in_the_standard_errors(logs: Path, tmp_path: Path) -> None:
+    """A load cell with an error of 8 % gives this error to mass and damping. Without it, their errors are below 0.5
+    %.
+    """
     (tmp_path / "curve.toml").write_text(CURVE.replace("thrusters = 2", "thrusters = 2\ncalibration = 0.08"))
     words = ["ident", "vehicle", logs / "run0.mcap", logs / "run1.mcap", "--model", "surge:force:speed", "--thruster"]
     run(*words, logs / "curve.toml", "--out", tmp_path / "exact")
     run(*words, tmp_path / "curve.toml", "--out", tmp_path / "known")
     exact, known = (result(tmp_path / name) for name in ("exact", "known"))
     for name in ("m_u", "d_uu"):
-        (value, alone), (other, error) = estimate(exact, name), estimate(known, name)
-        assert other == pytest.approx(value, rel=0.02)
+        (value, alone), (known_value, error) = estimate(exact, name), estimate(known, name)
+        assert known_value == pytest.approx(value, rel=0.02)
         assert error == pytest.approx(np.hypot(alone, 0.08 * value), rel=0.1)
     assert (exact["fit"]["scale"]["statistical_only"], known["fit"]["scale"]["statistical_only"]) == (True, False)
     assert load_model(tmp_path / "known/model.toml").model.parameter("k_thrust").prior == (1.0, 0.08)
@@ -187,7 +191,7 @@ def test_the_calibration_of_a_curve_is_in_the_errors(logs: Path, tmp_path: Path)
     )
 
 
-def test_the_built_in_yaw_model(tmp_path: Path) -> None:
+def test_built_in_yaw_model(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     N = np.repeat(rng.uniform(-4.0, 4.0, 40), 50)
     r = np.zeros(N.size)
@@ -206,7 +210,7 @@ def test_the_built_in_yaw_model(tmp_path: Path) -> None:
 
 
 @pytest.mark.study
-def test_a_curve_makes_thrust_for_the_horizontal_model(logs: Path, tmp_path: Path) -> None:
+def test_curve_gives_the_thrust_of_the_horizontal_model(logs: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     columns = surge_run(0, 60.0)
     columns = only(columns, "n_left", "n_right", "u") | {"r": 0.01 * rng.normal(size=600)}
@@ -219,7 +223,7 @@ def test_a_curve_makes_thrust_for_the_horizontal_model(logs: Path, tmp_path: Pat
     assert f.max() == pytest.approx(15.0)
 
 
-def test_what_is_wrong_is_one_line(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_inputs_give_a_one_line_error(logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("ident", "vehicle", logs / "run0.mcap", "--model", "surge:force:speed", "--out", tmp_path / "x", status=1)
     assert "no signal for the input 'X'" in capsys.readouterr().err
     direct = log(tmp_path, "direct", only(surge_run(3), "X", "u"))
@@ -231,24 +235,25 @@ def test_what_is_wrong_is_one_line(logs: Path, tmp_path: Path, capsys: pytest.Ca
 @pytest.mark.parametrize(("source", "problem"), [("surge:steam", "choose force, shaft"),
                                                  ("surge:force:speed:more", "no further option is possible"),
                                                  ("thruster:x", "choose slow")])  # fmt: skip
-def test_options_of_models(source: str, problem: str) -> None:
+def test_unknown_model_options_are_rejected(source: str, problem: str) -> None:
     with pytest.raises(SeatrialError, match=problem):
         make_model(source)
 
 
-def test_only_a_hull_gets_unexplained_forces() -> None:
+def test_only_hull_and_thruster_models_get_disturbances() -> None:
     for source in ("surge:shaft:both", "yaw:both"):
         model = make_model(source)
         assert nominal_model(model) is model
         assert make_model(model.source).values == model.values
     assert "disturbance" in {e.name for e in nominal_model(horizontal_model()).effects}
-    assert "b_n" in {s.name for s in nominal_model(make_model("thruster")).states}  # on the bench, of the shaft
+    # The disturbance of a bench model acts on the shaft.
+    assert "b_n" in {s.name for s in nominal_model(make_model("thruster")).states}
 
 
 def test_speed_along_the_track_has_a_sign() -> None:
     t = np.arange(0.0, 60.0, 0.25)
     u = np.where(t < 15, -0.05, np.minimum(t - 15, 10) / 10)
-    course = 2.0 + 0.003 * t  # turning slowly
+    course = 2.0 + 0.003 * t  # The boat turns slowly.
     along = along_track(t, u * np.cos(course), u * np.sin(course))
     np.testing.assert_allclose(along, u, atol=0.005)
     assert along_track(t, 0 * t, 0 * t).tolist() == [0.0] * t.size

@@ -1,4 +1,4 @@
-"""--robust, --reml, --second-order and --profile: through the commands to model.toml, result and report."""
+"""Tests of --robust, --reml, --second-order and --profile: from the commands to model.toml, result and report."""
 
 from __future__ import annotations
 
@@ -35,25 +35,26 @@ def out(logs: tuple[Path, Path]) -> Path:
     return folder
 
 
-def test_the_vehicle_command_profiles_and_counts(out: Path) -> None:
+def test_vehicle_command_draws_profiles_and_counts_outliers(out: Path) -> None:
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert [p["name"] for p in result["profiles"]] == ["V_x@0"]
     for row in result["profiles"]:
-        (one,) = [p for p in result["fit"]["parameters"] if p["name"] == row["name"].partition("@")[0]]
-        assert row["low"] < one["value"] < row["high"]
-        assert abs(row["value"] - one["value"]) < 0.1 * one["se"]  # the maximum's, without the restricted noise
+        (parameter,) = [p for p in result["fit"]["parameters"] if p["name"] == row["name"].partition("@")[0]]
+        assert row["low"] < parameter["value"] < row["high"]
+        # The profile uses the maximum likelihood, without the restricted noise.
+        assert abs(row["value"] - parameter["value"]) < 0.1 * parameter["se"]
         assert not any("better fit" in note for note in row["notes"])
-        assert row["low"] == pytest.approx(row["wald_low"], abs=one["se"])
+        assert row["low"] == pytest.approx(row["wald_low"], abs=parameter["se"])
         assert len(row["grid"]) == len(row["drop"]) >= 7
-    said = [line for line in result["notes"] if "treated as outliers" in line]
-    assert {line.partition(":")[0] for line in said} == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
+    counts = [line for line in result["notes"] if "treated as outliers" in line]
+    assert {line.partition(":")[0] for line in counts} == {"psi", "r", "ax", "ay", "x", "y", "vx", "vy"}
     page = (out / "report.html").read_text(encoding="utf-8")
     assert '<section id="profiles"' in page
     assert "samples were treated as outliers" in page
 
 
 @pytest.mark.study
-def test_a_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None:
+def test_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None:
     table = tomllib.loads((out / "model.toml").read_text(encoding="utf-8"))
     assert table["robust"] == table["sensors"]
     saved = load_model(out / "model.toml")
@@ -64,7 +65,7 @@ def test_a_robust_model_stays_robust(out: Path, logs: tuple[Path, Path]) -> None
     assert tomllib.loads((out / "diagnosis/model.toml").read_text(encoding="utf-8"))["robust"] == table["robust"]
 
 
-def test_a_wrong_name_of_a_sensor_in_the_file_is_said(out: Path, tmp_path: Path) -> None:
+def test_unknown_robust_sensor_in_the_file_is_rejected(out: Path, tmp_path: Path) -> None:
     text = (out / "model.toml").read_text(encoding="utf-8")
     (tmp_path / "model.toml").write_text(text.replace('robust = ["', 'robust = ["sonar", "'), encoding="utf-8")
     with pytest.raises(SeatrialError, match="has no sensor 'sonar'"):
@@ -75,7 +76,7 @@ def test_a_wrong_name_of_a_sensor_in_the_file_is_said(out: Path, tmp_path: Path)
     ("name", "says"),
     [("mass", "--profile mass: model horizontal has"), ("c1", "--profile c1: it is given, not estimated")],
 )
-def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, logs: tuple[Path, Path]) -> None:
+def test_impossible_profile_is_rejected_before_the_fit(name: str, says: str, logs: tuple[Path, Path]) -> None:
     done = CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--fix", "c1=40", "--profile", name])
     assert isinstance(done.exception, SeatrialError)
     assert says in str(done.exception)
@@ -83,8 +84,8 @@ def test_a_profile_that_cannot_be_is_said_before_the_fit(name: str, says: str, l
 
 
 @pytest.mark.study
-def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs: tuple[Path, Path]) -> None:
-    """A dozen parameters of the dynamics took a part of what disturbs the boat with them."""
+def test_restricted_noise_keeps_the_dynamics_and_increases_their_errors(logs: tuple[Path, Path]) -> None:
+    """A dozen parameters of the dynamics take degrees of freedom from the disturbances."""
     fits = []
     for name, more in (("plain", ["--no-reml"]), ("reml", [])):
         folder = logs[0].parent / name
@@ -96,13 +97,13 @@ def test_restricted_noise_leaves_the_dynamics_and_makes_their_errors_larger(logs
         fits.append(fitted["parameters"])
     plain, reml = ({p["name"]: (p["value"], p["se"]) for p in parameters} for parameters in fits)
     for name in ("m_u", "m_v", "m_r", "d_v", "d_r"):
-        (value, error), (other, larger) = plain[name], reml[name]
-        assert other == pytest.approx(value, abs=0.5 * error)
+        (value, error), (restricted_value, larger) = plain[name], reml[name]
+        assert restricted_value == pytest.approx(value, abs=0.5 * error)
         assert 1.005 < larger / error < 1.1
 
 
 @pytest.mark.study
-def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_without(logs: tuple[Path, Path]) -> None:
+def test_second_order_mean_is_saved_with_the_model_and_not_used_in_a_diagnosis(logs: tuple[Path, Path]) -> None:
     folder = logs[0].parent / "bent"
     CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--out", str(folder)], catch_exceptions=False)
     assert load_model(folder / "model.toml").model.second_order
@@ -114,7 +115,7 @@ def test_a_mean_of_second_order_stays_with_the_model_and_a_diagnosis_goes_withou
 
 
 @pytest.mark.study
-def test_a_mean_of_second_order_is_left_out_of_a_model_of_ones_own(logs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_second_order_mean_of_a_user_model_can_be_switched_off(logs: tuple[Path, Path], tmp_path: Path) -> None:
     (tmp_path / "own.py").write_text(
         "from dataclasses import replace\nfrom seatrial.ident.models.horizontal import horizontal_model\n\n\n"
         "def bent():\n    return replace(horizontal_model(), second_order=True)\n",

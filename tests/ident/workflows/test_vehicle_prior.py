@@ -1,4 +1,6 @@
-"""`ident vehicle --prior`: a tight one holds a parameter, a loose one leaves it to the data, a wrong one is said."""
+"""Tests of `ident vehicle --prior`: a sharp prior holds a parameter, a weak prior leaves it to the data, a wrong one is
+rejected.
+"""
 
 from __future__ import annotations
 
@@ -19,48 +21,46 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return boat_log(tmp_path_factory.mktemp("logs") / "one.mcap", boat_with(None, 5), 60, 1)
 
 
-def test_a_prior_weighs_as_much_as_it_says(log: Path) -> None:
+def test_prior_has_the_weight_of_its_standard_deviation(log: Path) -> None:
     found = {}
-    for said in ("m_u=60:0.1", "m_u=60:40"):
-        out = log.parent / said.partition(":")[2]
-        words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", "--prior", said, "--out", str(out)]
+    for option in ("m_u=60:0.1", "m_u=60:40"):
+        out = log.parent / option.partition(":")[2]
+        words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", "--prior", option, "--out", str(out)]
         CliRunner().invoke(ident, words, catch_exceptions=False)
         fitted = json.loads((out / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"]
-        found[said] = next(p["value"] for p in fitted if p["name"] == "m_u")
-        mean, _, sd = said.removeprefix("m_u=").partition(":")
+        found[option] = next(p["value"] for p in fitted if p["name"] == "m_u")
+        mean, _, sd = option.removeprefix("m_u=").partition(":")
         assert load_model(out / "model.toml").model.parameter("m_u").prior == (float(mean), float(sd))
         codes = [w["code"] for w in json.loads((out / "result.json").read_text(encoding="utf-8"))["warnings"]]
-        assert codes == (["prior-contradicted"] if said.endswith(":0.1") else [])  # the boat has 37 kg
+        assert codes == (["prior-contradicted"] if option.endswith(":0.1") else [])  # The boat has a mass of 37 kg.
     assert found["m_u=60:0.1"] == pytest.approx(60.0, abs=1.0)
-    assert found["m_u=60:40"] < 50.0  # the boat has 37 kg
+    assert found["m_u=60:40"] < 50.0  # The boat has a mass of 37 kg.
 
 
 @pytest.mark.parametrize(
-    ("said", "says"),
+    ("option", "says"),
     [("mass=1:2", "--prior mass: model horizontal has"), ("m_u=-1:2", "--prior m_u=-1:2: parameter m_u")],
 )
-def test_a_prior_that_cannot_be_is_said(log: Path, said: str, says: str) -> None:
-    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", said])
+def test_impossible_prior_is_rejected(log: Path, option: str, says: str) -> None:
+    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", option])
     assert isinstance(done.exception, SeatrialError)
     assert says in str(done.exception)
 
 
-@pytest.mark.parametrize("said", ["m_u=1", "m_u=1:0", "m_u=a:b", "m_u=1:2:3"])
-def test_a_prior_that_is_none_is_wrong_usage(log: Path, said: str) -> None:
-    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", said])
+@pytest.mark.parametrize("option", ["m_u=1", "m_u=1:0", "m_u=a:b", "m_u=1:2:3"])
+def test_malformed_prior_is_a_usage_error(log: Path, option: str) -> None:
+    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", option])
     assert done.exit_code == 2
-    assert said in done.output
+    assert option in done.output
 
 
 @pytest.mark.parametrize("times", [0.33, 1.0, 3.0])
-def test_declared_noise_is_trusted_only_where_the_residuals_do_not_say_that_there_is_more(
-    log: Path, times: float
-) -> None:
-    """A noise fixed at a third of its value puts the estimates ten standard errors off."""
+def test_given_noise_is_estimated_if_the_residuals_contradict_it(log: Path, times: float) -> None:
+    """A noise fixed at a third of its value shifts the estimates by ten standard errors."""
     noise = {"e_psi": 0.0039, "e_r": 0.0045, "e_a": 0.045, "e_xy": 0.15, "e_vxy": 0.05}
-    given = [word for n, sd in noise.items() for word in ("--fix", f"{n}={times * sd}")]
+    options = [word for n, sd in noise.items() for word in ("--fix", f"{n}={times * sd}")]
     out = log.parent / f"noise{times}"
-    words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", *given, "--out", str(out)]
+    words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", *options, "--out", str(out)]
     CliRunner().invoke(ident, words, catch_exceptions=False)
     warnings = json.loads((out / "result.json").read_text(encoding="utf-8"))["warnings"]
     contradicted, model = times < 1.0, load_model(out / "model.toml").model
