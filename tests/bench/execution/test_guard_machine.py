@@ -1,4 +1,4 @@
-"""The guard as a state machine: controllers, frozen sources, jumps, rates, and random sequences of statuses."""
+"""Tests of the guard as a state machine: controllers, frozen sources, jumps, rates, random sequences of statuses."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ NAN = math.nan
 DT = 0.05
 ESC, CELL, FIX = ("esc", 1), ("loadcell", None), ("gnss", None)
 METRE = math.degrees(1.0 / EARTH_RADIUS_M)  # of latitude
-Device = Callable[[float, float], Sample]  # run time and command to a sample
+Device = Callable[[float, float], Sample]  # run time between a command and a sample
 
 
 def rig_of(tmp_path: Path, **limits: float | tuple[str, ...]) -> Rig:
@@ -63,7 +63,7 @@ def status(t: float, n: float, latest: dict[tuple[str, int | None], Sample], **c
 def ran(
     rig: Rig, seconds: float, n: Callable[[float], float], devices: dict[tuple[str, int | None], Device]
 ) -> tuple[float, Stop | None]:
-    """Return the time and the stop of a run of the guard over these devices; infinity and None without one."""
+    """Return the time and the stop of a guard that runs over these devices; infinity and None without a stop."""
     guard = SafetyGuard(rig, 1.0, ("left",))
     guard.start()
     for k in range(1, round(seconds / DT)):
@@ -80,11 +80,11 @@ def steps(t: float) -> float:
 
 
 class Shaft:
-    """A thruster whose speed follows its command with a lag, behind a controller that reports some quantities."""
+    """Thruster whose shaft speed follows its command with a lag, and its controller that reports some quantities."""
 
     def __init__(self, tau: float = 0.3, *, duty: bool = True, current: bool = True, limited: float = 1.0) -> None:
         self.rpm, self._tau, self._duty, self._current, self._limited = 0.0, tau, duty, current, limited
-        self.wake_rpm = 0.0  # at which the water turns the propeller
+        self.wake_rpm = 0.0  # speed at which the water flow turns the propeller
 
     def __call__(self, t: float, n: float) -> Esc:
         aim = 4500.0 * min(max(n, -self._limited), self._limited)
@@ -103,13 +103,13 @@ class Shaft:
 def test_a_controller_that_follows_ends_no_run(
     tmp_path: Path, tau: float, limited: float, duty: bool, current: bool
 ) -> None:
-    """With a lag, a current limit and a propeller that the wake turns for a while after zero."""
+    """The controller has a lag, a current limit and a propeller that the wake turns for a while after zero."""
     shaft = Shaft(tau, duty=duty, current=current, limited=limited)
     assert ran(rig_of(tmp_path), 64.0, steps, {ESC: shaft}) == (math.inf, None)
 
 
 def stuck_at_zero(kind: str) -> Device:
-    """Return a controller that follows until zero is commanded after 8 s, and goes on at 2700 rpm."""
+    """Return a controller that follows until zero is commanded at 8 s, and then stays at 2700 rpm."""
 
     def device(t: float, n: float) -> Esc:
         ignores = t > 8.0 and n == 0.0
@@ -134,7 +134,7 @@ def test_a_controller_that_ignores_zero_ends_the_run(tmp_path: Path, kind: str, 
 
 
 @pytest.mark.parametrize("reverse", [1.0, -1.0])
-def test_more_duty_than_commanded_ends_the_run(tmp_path: Path, reverse: float) -> None:
+def test_a_duty_larger_than_commanded_ends_the_run(tmp_path: Path, reverse: float) -> None:
     def device(t: float, n: float) -> Esc:
         return Esc(1, 900.0 * n + math.sin(t), 5.0, n if t < 5.0 else 3.0 * n, 24.0, 30.0)
 
@@ -167,7 +167,7 @@ def test_telemetry_that_repeats_while_the_command_changes_ends_the_run(tmp_path:
     assert stop is not None
     assert "repeats the same telemetry" in stop.reason
     constant = ran(rig_of(tmp_path), 60.0, lambda t: 0.2, {ESC: lambda t, n: frozen})
-    assert constant == (math.inf, None)  # nothing had to change
+    assert constant == (math.inf, None)  # in this interval no value had to change
 
 
 def shaken(t: float, n: float) -> Esc:
@@ -176,7 +176,7 @@ def shaken(t: float, n: float) -> Esc:
 
 
 def test_a_force_that_repeats_while_the_command_changes_is_not_watched(tmp_path: Path) -> None:
-    """A scale in decimal kilograms that froze at 8.5 N."""
+    """A scale with a resolution of decimal kilograms froze at 8.5 N."""
     devices: dict[tuple[str, int | None], Device] = {ESC: shaken, CELL: lambda t, n: LoadCell(0.867, 8.5)}
     at, stop = ran(rig_of(tmp_path, force_n=60.0), 60.0, lambda t: 0.8 if t > 5.0 else 0.0, devices)
     assert 5.0 + FROZEN_S <= at < 5.0 + FROZEN_S + 0.4
@@ -189,11 +189,13 @@ def test_a_force_that_repeats_while_the_command_changes_is_not_watched(tmp_path:
 
 
 def test_a_current_that_is_always_zero_is_not_watched(tmp_path: Path) -> None:
+    """A current that is always zero comes from a controller without a current sensor."""
     unmeasured: dict[tuple[str, int | None], Device] = {ESC: lambda t, n: replace(shaken(t, n), current=0.0)}
     _, stop = ran(rig_of(tmp_path, current_a=40.0), 30.0, steps, unmeasured)
     assert stop is not None
     assert "limits.current_a is not watched any more: no current of thruster left" in stop.reason
-    assert ran(rig_of(tmp_path), 30.0, steps, unmeasured) == (math.inf, None)  # without the limit it is not needed
+    # without the current limit the sensor is not required
+    assert ran(rig_of(tmp_path), 30.0, steps, unmeasured) == (math.inf, None)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +203,7 @@ def test_a_current_that_is_always_zero_is_not_watched(tmp_path: Path) -> None:
     [(0.8, 0.0, AT_REST_S + 0.5), (0.2, 0.0, 15.6), (0.1, 1.5, 3.7)],
     ids=["fast", "slow", "by its own speed"],
 )
-def test_a_position_that_stays_although_the_boat_is_driven_is_not_watched(
+def test_a_position_that_repeats_under_thrust_counts_as_missing(
     tmp_path: Path, n: float, speed: float, within: float
 ) -> None:
     held = Gnss(T, 41.18, -8.70, vel_n=speed, vel_e=0.0, fix=3)
@@ -213,7 +215,7 @@ def test_a_position_that_stays_although_the_boat_is_driven_is_not_watched(
     assert "though the boat was driven" in stop.reason
 
 
-def test_a_position_in_thousandths_of_a_minute_is_watched(tmp_path: Path) -> None:
+def test_a_position_with_a_resolution_of_thousandths_of_a_minute_is_watched(tmp_path: Path) -> None:
     def coarse(t: float, n: float) -> Gnss:
         return Gnss(T + t, round(41.18 * 60 + METRE * 60 * 0.5 * t, 3) / 60, -8.70, vel_n=0.5, vel_e=0.0, fix=3)
 
@@ -233,7 +235,7 @@ def test_a_boat_that_turns_on_the_spot_or_rests_may_hold_its_position(tmp_path: 
         assert not guard.unwatched(Status(T + t, {}, found, n, 0, "", k, 1, t, "", ()))
 
 
-def test_temperatures_that_no_sensor_measures_are_no_source(tmp_path: Path) -> None:
+def test_implausible_temperatures_are_not_a_source(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, temperature_c=80.0)
     guard = SafetyGuard(rig, 1.0, ("left",))
     for k, (celsius, watched) in enumerate([(-273.15, False), (-40.0, False), (-39.0, True), (25.0, True)]):
@@ -245,7 +247,10 @@ def test_temperatures_that_no_sensor_measures_are_no_source(tmp_path: Path) -> N
 
 
 def fixes(rig: Rig, north: list[float], dt: float = 0.2, speed: float = 0.5) -> tuple[int, Stop | None]:
-    """Return the index of the fix [m north of the start] at which the guard stops, and the stop."""
+    """Return the index of the position fix at which the guard stops, and the stop.
+
+    Positions are in m north of the start.
+    """
     guard = SafetyGuard(rig, 1.0, ("left",))
     for k, metres in enumerate(north):
         for look in range(4):  # each fix is seen in several statuses
@@ -258,7 +263,7 @@ def fixes(rig: Rig, north: list[float], dt: float = 0.2, speed: float = 0.5) -> 
     return len(north), None
 
 
-def test_one_jump_is_no_violation_and_a_second_fix_is(tmp_path: Path) -> None:
+def test_one_fix_outside_the_fence_is_no_violation_and_two_are(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, radius_m=100.0)
     assert fixes(rig, [0.0, 0.1, 0.2, 1000.0, 0.3, 0.4]) == (6, None)
     assert fixes(rig, [0.0, 0.1, 1000.0, 0.3, 1000.0, 0.4, -1000.0, 0.5]) == (8, None)
@@ -266,7 +271,8 @@ def test_one_jump_is_no_violation_and_a_second_fix_is(tmp_path: Path) -> None:
     assert at == 4
     assert stop is not None
     assert stop.code is StopCode.FENCE
-    at, stop = fixes(rig, [0.0, 0.1, 0.2, 1000.0, -1000.0])  # two that no boat can reach: the receiver is lost
+    # two fixes that no boat can reach: the receiver lost its position
+    at, stop = fixes(rig, [0.0, 0.1, 0.2, 1000.0, -1000.0])
     assert at == 4
     assert stop is not None
 
@@ -296,7 +302,7 @@ def test_one_impossible_speed_is_no_violation(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("lat", "lon"), [(0.0, 0.0), (60.0, 10.0), (-60.0, 179.9999), (41.0, -180.0)])
 @pytest.mark.parametrize("bearing", [0.0, 90.0, 180.0, 270.0, 45.0])
 def test_the_fence_is_a_circle_in_metres_wherever_it_is(tmp_path: Path, lat: float, lon: float, bearing: float) -> None:
-    """A boat on a great circle away from the start is stopped between 99 and 101 m."""
+    """A boat that leaves the start on a great circle is stopped between 99 and 101 m."""
     guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
     heading = math.radians(bearing)
     for k in range(300):
@@ -313,7 +319,7 @@ def test_the_fence_is_a_circle_in_metres_wherever_it_is(tmp_path: Path, lat: flo
 
 @pytest.mark.parametrize(("vel_n", "vel_e", "stops"), [(0.0, 2.0, True), (0.0, -2.0, False), (2.0, 0.0, False)])
 def test_only_the_speed_outward_counts(tmp_path: Path, vel_n: float, vel_e: float, stops: bool) -> None:
-    """The boat is 98 m east of the start and needs 3 m to stop from 2 m/s."""
+    """The boat is 98 m east of the start. It needs 3 m to stop from 2 m/s."""
     rig = replace(rig_of(tmp_path, radius_m=100.0), vehicle={"m_u": 15.0, "d_u": 10.0})
     guard = SafetyGuard(rig, 1.0, ("left",))
     east = 98.0 * METRE / math.cos(math.radians(41.18))
@@ -357,7 +363,7 @@ def test_a_rate_far_from_the_measured_one_is_refused(
     assert guard.rate_conflicts(status(1.0, 0.0, {}, ports={})) == []
 
 
-def test_patience_has_a_ceiling_whatever_the_rig_says(tmp_path: Path) -> None:
+def test_the_patience_with_a_silent_device_has_an_upper_bound(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, radius_m=100.0, force_n=60.0)
     slow = tuple(replace(device, rate_hz=0.05) for device in rig.devices)
     guard = SafetyGuard(replace(rig, devices=slow), 1.0, ("left",))
@@ -374,7 +380,7 @@ def test_a_port_that_hangs_up_ends_the_run_at_once(tmp_path: Path) -> None:
     good = status(1.0, 0.2, {ESC: shaken(1.0, 0.2)})
     assert guard.step(good.t, good).stop is None
     never = {**good.ports, "ahrs": replace(port("ahrs"), open=False, samples=0)}
-    assert guard.step(good.t, replace(good, ports=never)).stop is None  # it has not begun yet
+    assert guard.step(good.t, replace(good, ports=never)).stop is None  # the device has not started yet
     lost = {**good.ports, "ahrs": replace(port("ahrs"), open=False, message="hung up")}
     stop = guard.step(good.t, replace(good, ports=lost)).stop
     assert stop is not None
@@ -382,7 +388,7 @@ def test_a_port_that_hangs_up_ends_the_run_at_once(tmp_path: Path) -> None:
     assert stop.reason.endswith("was lost: hung up")
 
 
-# What is at zero at the end.
+# Zero thrust at the end of a run.
 
 
 def at_the_end(tmp_path: Path, before: list[Sample], zeroed: float | None = 9.0) -> tuple[bool | None, str]:
@@ -415,11 +421,11 @@ def at_the_end(tmp_path: Path, before: list[Sample], zeroed: float | None = 9.0)
         ([Esc(1)], None),
     ],
 )
-def test_zero_is_what_was_measured(tmp_path: Path, samples: list[Sample], is_zero: bool | None) -> None:
+def test_zero_thrust_is_confirmed_by_measurements(tmp_path: Path, samples: list[Sample], is_zero: bool | None) -> None:
     assert at_the_end(tmp_path, samples)[0] is is_zero
 
 
-def test_only_a_sample_of_after_the_zero_counts(tmp_path: Path) -> None:
+def test_only_samples_after_the_zero_command_confirm_it(tmp_path: Path) -> None:
     assert at_the_end(tmp_path, [Esc(1, 0.0)], zeroed=10.5) == (None, "left has not reported since")
     assert at_the_end(tmp_path, [Esc(1, 0.0)], zeroed=None) == (None, "left was not reached")
 
@@ -452,7 +458,7 @@ def test_a_thruster_that_turns_before_anything_was_commanded_is_named(tmp_path: 
     assert SafetyGuard(rig_of(tmp_path), 1.0, ("left",)).turning(status(1.0, 0.0, {ESC: Esc(1, 200.0)})) == []
 
 
-# The machine.
+# The state machine itself.
 
 
 def test_set_points_are_allowed_between_start_and_stop_only(tmp_path: Path) -> None:
@@ -528,13 +534,14 @@ SOURCES = {Esc: ESC, LoadCell: CELL, Gnss: FIX}
 def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
     tmp_path: Path, sequence: list[dict[str, object]], starts: int, shift: float
 ) -> None:
-    """Whatever comes: nothing before the start or after a stop, nothing beyond n_max, nothing under a passed limit.
+    """No sequence of statuses causes thrust before the start or after a stop, thrust beyond n_max, or thrust beyond a
+    limit.
 
     The same sequence at another time of day gives the same decisions, so the guard reads no clock.
     """
     rig = rig_of(tmp_path, n_max=0.6, force_n=60.0, rpm=4000.0, current_a=40.0, radius_m=200.0, voltage_min_v=10.0)
     guard, again = SafetyGuard(rig, 1.0, ("left",)), SafetyGuard(rig, 1.0, ("left",))
-    shift = round(shift * 1024.0) / 1024.0  # exact in a double at the size of T
+    shift = round(shift * 1024.0) / 1024.0  # a double holds this value exactly at times of the size of T
     latest: dict[tuple[str, int | None], Latest] = {}
     t, first = 0.0, None
     for k, event in enumerate(sequence):
@@ -575,11 +582,11 @@ def test_no_sequence_of_statuses_moves_a_thruster_beyond_the_limits(
         assert len(shifted.setpoints) == len(decision.setpoints)
 
 
-# What the mutation test asked for: numbers, windows at other speeds, and sources of several thrusters.
+# Cases found by the mutation test: constants, windows at other speeds, and sources of several thrusters.
 
 
 def test_the_numbers_are_those_of_the_safety_page() -> None:
-    """A change of one of these changes what docs/safety.md promises."""
+    """docs/safety.md quotes these constants. Change the page together with them."""
     assert (guard_module.STALE_S, guard_module.STALE_PERIODS, guard_module.STALE_MAX_S) == (1.0, 5.0, 5.0)
     assert (guard_module.STALE_WALL_S, guard_module.STUCK_WALL_S, guard_module.LIMIT_MAX_S) == (1.0, 3.0, 6.0)
     assert (guard_module.QUICK, guard_module.SLOW) == (1.5, 3.0)
@@ -603,10 +610,10 @@ def test_a_history_holds_values_and_forgets_old_ones() -> None:
     assert history.since(0.0) == []
     for k in range(100):
         history.add(0.1 * k, float(k))
-    assert len(history._rows) == 21  # the oldest one holds at the begin of the window
+    assert len(history._rows) == 21  # the oldest value still holds at the beginning of the window
     assert history.covers(7.9)
     assert not history.covers(7.7)
-    assert history.since(9.75) == [97.0, 98.0, 99.0]  # the one that held at that time, too
+    assert history.since(9.75) == [97.0, 98.0, 99.0]  # the value that held at that time is included
     assert history.since(9.8) == [97.0, 98.0, 99.0]
     assert history.since(100.0) == [99.0]
 
@@ -620,18 +627,19 @@ def watched(values: list[float], commands: list[float], dt: float = 0.5) -> list
     return found
 
 
-def test_a_value_is_frozen_from_the_fifth_sample_and_the_second_second_after_a_change() -> None:
+def test_a_value_is_frozen_after_five_samples_and_two_seconds() -> None:
     still, step = [8.5] * 12, [0.0, *[0.5] * 11]
     assert watched(still, step).index(True) == 6  # 2.5 s after the change: five samples after the one that showed it
     assert watched(still, step, dt=0.1) == [False] * 12  # too soon
     assert watched(still, [0.0, *[0.29] * 11]) == [False] * 12
-    assert watched(still, [0.0, 0.5, *[0.0] * 10]).index(True) == 6  # that the command is as before does not help
-    assert watched([8.5, 8.5, 8.5, 8.5, 8.6, *[8.6] * 7], step) == [False] * 12  # it has moved
+    # a return to the earlier command does not reset the count
+    assert watched(still, [0.0, 0.5, *[0.0] * 10]).index(True) == 6
+    assert watched([8.5, 8.5, 8.5, 8.5, 8.6, *[8.6] * 7], step) == [False] * 12  # the value has changed
     moved = watched([8.5, 8.5, 8.5, 8.5, 8.6, *[8.6] * 11], [0.0, *[0.5] * 6, *[0.9] * 9])
-    assert moved.index(True) == 12  # from the newer value on
+    assert moved.index(True) == 12  # counted from the newer value on
     watch = guard_module.MovementWatch()
     for _ in range(20):
-        watch.update(0.0, (8.5,), {"left": 0.0})  # the same sample, seen in many statuses
+        watch.update(0.0, (8.5,), {"left": 0.0})  # the same sample, repeated in many statuses
     for k in range(1, 12):
         watch.update(0.045 * k, (8.5,), {})
         assert not watch.is_frozen
@@ -639,7 +647,7 @@ def test_a_value_is_frozen_from_the_fifth_sample_and_the_second_second_after_a_c
     for k in range(20):
         silent.update(float(k), (8.5,), {})  # without a thruster no value has to change
         assert not silent.is_frozen
-    watch.update(0.6, (8.5,), {"new": 0.3})  # a thruster that was not commanded before
+    watch.update(0.6, (8.5,), {"new": 0.3})  # a thruster that had no command before
     for k in range(5):
         watch.update(3.0 + k, (8.5,), {})
     assert watch.is_frozen
@@ -656,18 +664,20 @@ def position_watched(commands: dict[str, float], speed: float, dt: float, n: int
     return found
 
 
-def test_a_position_is_frozen_by_thrust_ahead_or_by_its_own_speed() -> None:
+def test_a_repeated_position_is_frozen_under_thrust_or_with_reported_speed() -> None:
     assert position_watched({"left": 1.0, "right": 1.0}, NAN, 1.0, 20).index(True) == 5
     assert position_watched({"left": -0.5, "right": -0.125}, 0.0, 1.0, 20).index(True) == 10
     assert position_watched({"left": 0.5, "right": -0.5}, -1.0, 1.0, 20) == [False] * 20
     assert position_watched({}, 1.0, 1.0, 20).index(True) == 5
-    assert position_watched({}, 2.0, 1.0, 20).index(True) == 5  # and five repeats at least
+    assert position_watched({}, 2.0, 1.0, 20).index(True) == 5  # at least five repeats are required
     assert position_watched({}, 0.4, 1.0, 20).index(True) == 13
 
 
 @pytest.mark.parametrize("speed", [1.0, 8.0])
 def test_the_windows_of_controllers_are_longer_where_time_runs_faster(tmp_path: Path, speed: float) -> None:
-    """The way to a controller and back takes wall time."""
+    """A command takes wall time to reach the controller and return, so run time at a higher speed needs a longer
+    window.
+    """
     check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), speed)
     window, lasts, coast = 1.0 + 0.25 * speed, 0.3 + 0.1 * speed, 3.0 + 0.25 * speed
     found = math.inf
@@ -746,7 +756,7 @@ def test_a_thruster_without_a_command_yet_counts_as_at_zero(tmp_path: Path) -> N
         assert guard.step(now.t, now).stop is None
 
 
-def test_what_is_shown_grows_old_by_its_own_rate(tmp_path: Path) -> None:
+def test_a_displayed_value_becomes_outdated_by_its_own_rate(tmp_path: Path) -> None:
     rig = two_thrusters(tmp_path)
     guard = SafetyGuard(replace(rig, devices=tuple(replace(one, rate_hz=4.0) for one in rig.devices)), 1.0, ("left",))
     both: dict[tuple[str, int | None], Sample] = {ESC: Esc(1, 0.0), ("esc", 2): Esc(2, 0.0), CELL: LoadCell(1.0, 1.0)}
@@ -764,7 +774,7 @@ def test_what_is_shown_grows_old_by_its_own_rate(tmp_path: Path) -> None:
     assert not guard.is_outdated(("loadcell/battery", None), replace(many, t=many.t + 3.0 * 1.25 - 0.1))
 
 
-def test_a_device_that_sends_next_to_nothing_conflicts_and_one_without_a_rate_does_not(tmp_path: Path) -> None:
+def test_a_rate_near_zero_conflicts_with_the_rig_and_an_unknown_rate_does_not(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path), 1.0, ("left",))
     ports = {name: port(name, 40.0) for name in ("esc", "loadcell", "gnss", "ahrs")}
     for rate, conflicts in ((0.01, True), (0.0, False), (NAN, False), (40.0, False)):
@@ -781,13 +791,13 @@ def test_a_message_of_a_controller_names_the_newest_command(tmp_path: Path) -> N
         if t > 4.2:
             break
     assert "commanded +0.20" in said
-    for k in range(40):  # the command changes just before the message
+    for k in range(40):  # the command changes just before the message is made
         n = 0.2 if k % 2 else 0.1
         if said := check.reason(status(20.0 + 0.05 * k, n, {ESC: Esc(1, 3000.0 + math.sin(k), 9.0, 0.9)})):
             assert f"commanded {n:+.2f}" in said
 
 
-def test_a_limit_that_lost_its_source_says_for_how_long_or_why(tmp_path: Path) -> None:
+def test_the_stop_for_a_lost_source_states_its_duration_or_reason(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0, force_n=60.0), 1.0, ("left",))
     guard.unwatched(status(1.0, 0.0, {ESC: Esc(1, 0.0), CELL: LoadCell(1.0, 8.5)}))
     said = {limit.key: limit.silence(T + 5.0) for limit in guard.unwatched(status(5.0, 0.0, {}))}
@@ -803,7 +813,7 @@ def test_a_limit_that_lost_its_source_says_for_how_long_or_why(tmp_path: Path) -
 
 
 def test_the_patience_with_a_limit_grows_with_the_speed_of_time(tmp_path: Path) -> None:
-    """Against mocks a busy machine pauses for a second of wall time, which is many run seconds."""
+    """A busy machine pauses the mocks for a second of wall time, which is many run seconds."""
     guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0, temperature_c=80.0), 20.0, ("left",))
     guard.unwatched(status(1.0, 0.0, {ESC: Esc(1, 0.0, temperature=20.0)}))
     assert guard.unwatched(status(0.99 + 29.9, 0.0, {})) == []
@@ -812,7 +822,7 @@ def test_the_patience_with_a_limit_grows_with_the_speed_of_time(tmp_path: Path) 
     assert len(guard.unwatched(status(0.99 + 60.1, 0.0, {}))) == 2
 
 
-def test_a_force_beyond_its_limit_names_the_part_that_was_there_at_rest(tmp_path: Path) -> None:
+def test_the_stop_for_a_force_limit_states_the_force_at_rest(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, force_n=60.0), 1.0, ("left",))
     guard.check(status(0.1, 0.0, {ESC: Esc(1), CELL: LoadCell(1.0, 24.4)}))
     with pytest.raises(SafetyStop) as caught:
@@ -835,7 +845,7 @@ def test_a_boat_at_its_start_is_not_stopped_by_its_speed_alone(tmp_path: Path) -
     rig = replace(rig_of(tmp_path, radius_m=5.0), vehicle={"m_u": 100.0, "d_u": 10.0})
     guard = SafetyGuard(rig, 1.0, ("left",))
     assert guard_module.stopping_distance(2.0, {"m_u": 30.0, "d_u": 6.0, "d_uu": 6.0}) > 0.0
-    start = Gnss(T, 41.18, -8.7, vel_n=2.0, vel_e=0.0, fix=3)  # outward has no direction at the start itself
+    start = Gnss(T, 41.18, -8.7, vel_n=2.0, vel_e=0.0, fix=3)  # at the start itself, the outward direction is undefined
     guard.check(status(1.0, 0.0, {ESC: Esc(1), FIX: start}))
 
 
@@ -851,16 +861,14 @@ def test_a_shaft_speed_that_repeats_while_the_command_changes_is_not_watched(tmp
 
 
 @pytest.mark.parametrize("current", [0.7, -0.7])
-def test_a_motor_that_draws_current_is_not_blocked_whatever_its_speed_sensor_says(
-    tmp_path: Path, current: float
-) -> None:
+def test_a_motor_that_draws_current_is_not_blocked_if_its_speed_reads_zero(tmp_path: Path, current: float) -> None:
     def unsensed(t: float, n: float) -> Esc:
         return Esc(1, 0.0, current + 0.05 * math.sin(t), NAN, 24.0, 30.0)
 
     assert ran(rig_of(tmp_path), 20.0, lambda t: 0.5, {ESC: unsensed}) == (math.inf, None)
 
 
-def test_a_motor_with_duty_is_not_blocked_whatever_its_speed_sensor_says(tmp_path: Path) -> None:
+def test_a_motor_with_duty_is_not_blocked_if_its_speed_reads_zero(tmp_path: Path) -> None:
     def unsensed(t: float, n: float) -> Esc:
         return Esc(1, 0.0, 0.1, n, 24.0 + 0.01 * math.sin(t), 30.0)
 
@@ -889,7 +897,7 @@ def test_a_silent_controller_among_two_is_silent_after_five_of_its_own_periods(t
 
 
 @pytest.mark.parametrize(("known", "stops"), [({}, True), ({"autopilot": 0}, True), ({"autopilot": 1}, False)])
-def test_a_parameter_that_changed_before_the_start_is_no_reason(known: dict[str, int], stops: bool) -> None:
+def test_a_parameter_that_changed_before_the_start_does_not_stop_the_run(known: dict[str, int], stops: bool) -> None:
     guard = SafetyGuard(replace(mav_rig(), limits=Limits()), 1.0, ("left",))
     guard.start(known)
     link = LinkStatus(received=True, age=0.0, armed=True, mode="MANUAL", changed=("FS_THR_ENABLE is 0, was 1",))
@@ -899,7 +907,7 @@ def test_a_parameter_that_changed_before_the_start_is_no_reason(known: dict[str,
 
 
 def test_linear_and_quadratic_damping_of_the_same_size_both_brake() -> None:
-    """The closed form of 10 u' = -2 u - 2 u^2 from 1 m/s to 0.05 m/s."""
+    """The closed-form solution of 10 u' = -2 u - 2 u^2 from 1 m/s to 0.05 m/s is the reference."""
     way = guard_module.stopping_distance(1.0, {"m_u": 10.0, "d_u": 2.0, "d_uu": 2.0})
     assert way == pytest.approx(5.0 * math.log(2.0 / 1.05))
     linear = {"m_u": 10.0, "d_u": 0.5}
@@ -927,14 +935,14 @@ def test_a_saturated_reading_now_and_then_does_not_stop(tmp_path: Path) -> None:
         guard.check(status(0.1 * k, 0.2, {ESC: shaken(k, 0.2), CELL: cell}))
 
 
-def test_what_thrust_need_not_move_may_stay_as_it_is(tmp_path: Path) -> None:
+def test_quantities_that_do_not_depend_on_thrust_may_repeat(tmp_path: Path) -> None:
     rig = rig_of(tmp_path, temperature_c=80.0, voltage_min_v=12.0, roll_deg=45.0, pitch_deg=45.0)
     devices: dict[tuple[str, int | None], Device] = {ESC: shaken, ("ahrs", None): lambda t, n: Ahrs(0.1, 0.0, 0.0)}
     assert ran(rig, 60.0, steps, devices) == (math.inf, None)
 
 
 def test_each_jump_needs_a_second_fix_of_its_own(tmp_path: Path) -> None:
-    """A jump inside the fence that was confirmed does not confirm a later one beyond it."""
+    """A jump inside the fence that a second fix confirmed does not confirm a later jump beyond the fence."""
     rig = rig_of(tmp_path, radius_m=100.0)
     assert fixes(rig, [0.0, 0.1, 60.0, 60.1, 60.2, 1000.0, 60.3, 60.4]) == (8, None)
     assert fixes(rig, [0.0, 0.1, 60.0, 60.1, 1000.0, 60.2, 60.3]) == (7, None)
@@ -970,7 +978,7 @@ def test_a_thruster_that_turns_before_its_first_command_ends_the_run(tmp_path: P
         (-0.3, 0.0, "a parameter bends commands, or its link is late"),
     ],
 )
-def test_a_wrong_output_says_what_may_be_wrong(put_out: float, commanded: float, why: str) -> None:
+def test_the_stop_for_a_wrong_output_states_possible_causes(put_out: float, commanded: float, why: str) -> None:
     thruster = mav_rig().thrusters[0]
     check = guard_module.OutputCheck(thruster, 1.0)
     said = ""
@@ -983,8 +991,8 @@ def test_a_wrong_output_says_what_may_be_wrong(put_out: float, commanded: float,
 
 @pytest.mark.parametrize("first", ["gnss", "ahrs"])
 @pytest.mark.parametrize("age", [0.0, 0.08])
-def test_a_second_receiver_stands_in_for_one_that_repeats_its_position(tmp_path: Path, first: str, age: float) -> None:
-    """In whatever order they report; where both repeat themselves nothing watches the fence."""
+def test_a_second_receiver_replaces_one_that_repeats_its_position(tmp_path: Path, first: str, age: float) -> None:
+    """The order of the two receivers does not matter. If both repeat their position, the fence is not watched."""
     for n_frozen in (1, 2):
         guard = SafetyGuard(rig_of(tmp_path, radius_m=100.0), 1.0, ("left",))
         guard.start()
