@@ -1,4 +1,4 @@
-"""The words of the glossary: those that it retired do not come back in pages, docstrings and help texts."""
+"""Tests of the glossary: its retired words do not return in pages, docstrings and help texts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from seatrial import command_line
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
-# The glossary's own table of retired words, and what tells of the past.
+# The glossary's own table of retired words, and pages about the past.
 OUTSIDE = {"docs/glossary.md", "docs/decisions/0024-wings-and-standard-names.md", "CHANGELOG.md"}
 PAGES = sorted(
     path for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")] if str(path.relative_to(ROOT)) not in OUTSIDE
 )
 MODULES = sorted(path for part in PARTS for path in (ROOT / part).rglob("*.py"))
 
-# Only words that mean nothing else: `sure`, `take` or `told` would find too much that is right.
+# Only words without another meaning: `sure`, `take` or `told` would find too many correct uses.
 RETIRED = {
     r"free[- ]run(s|ning)?": "simulation",
     r"\bten_seconds\b": "horizon",
@@ -47,20 +47,20 @@ RETIRED = {
     r"\bwander(s|ing)?\b": "random walk",
     r"--(ahead|agree|as-is|restricted|with-nuisance|without-gnss|between|spread|sealed)\b": "see the table",
 }
-# A word that is right in one place: (path, words around it).
+# Exceptions for a word that is correct in one place: (path, words around it).
 ALLOWED = {
     ("docs/how-to/devices.md", "GPS weeks have begun again"),
 }
 
 
 def prose(page: Path) -> str:
-    """A page without code and output of the program: other tests compare these with their source."""
+    """Return a page without code and program output, which other tests compare with their source."""
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     return re.sub(r"`[^`]*`|\]\([^)]*\)|^>.*$", "", text, flags=re.MULTILINE)
 
 
-def found(path: str, text: str) -> list[str]:
-    """Each retired word in a text, with what stands around it and the term in its place."""
+def retired_words(path: str, text: str) -> list[str]:
+    """Yield each retired word in a text with its context and the replacement term."""
     lines = []
     for pattern, term in RETIRED.items():
         for match in re.finditer(pattern, text, re.IGNORECASE):
@@ -71,8 +71,8 @@ def found(path: str, text: str) -> list[str]:
 
 
 def docstrings(path: Path) -> Iterator[str]:
-    """Those of a module, its classes and functions."""
-    gc.disable()  # to look for garbage among the nodes takes longer than to parse
+    """Return the docstrings of a module, its classes and functions."""
+    gc.disable()  # garbage collection among the nodes takes longer than parsing
     try:
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
     finally:
@@ -83,7 +83,7 @@ def docstrings(path: Path) -> Iterator[str]:
 
 
 def helps(command: click.Command, words: str) -> Iterator[tuple[str, str]]:
-    """(command, text) of a command and all below it."""
+    """Yield (command, text) of a command and all its subcommands."""
     options = [o.help or "" for o in command.params if isinstance(o, click.Option)]
     yield words, "\n".join([command.help or "", command.short_help or "", command.epilog or "", *options])
     if isinstance(command, click.Group):
@@ -99,14 +99,14 @@ def named(path: Path) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
-def test_pages_use_the_words_of_the_glossary(page: Path) -> None:
-    assert not found(named(page), prose(page))
+def test_pages_use_the_terms_of_the_glossary(page: Path) -> None:
+    assert not retired_words(named(page), prose(page))
 
 
 @pytest.mark.parametrize("module", MODULES, ids=named)
-def test_docstrings_use_the_words_of_the_glossary(module: Path) -> None:
-    assert not [line for text in docstrings(module) for line in found(named(module), text)]
+def test_docstrings_use_the_terms_of_the_glossary(module: Path) -> None:
+    assert not [line for text in docstrings(module) for line in retired_words(named(module), text)]
 
 
-def test_helps_use_the_words_of_the_glossary() -> None:
-    assert not [line for words, text in helps(command_line.cli, "seatrial") for line in found(words, text)]
+def test_help_texts_use_the_terms_of_the_glossary() -> None:
+    assert not [line for words, text in helps(command_line.cli, "seatrial") for line in retired_words(words, text)]

@@ -1,7 +1,7 @@
-"""Every capture of SEATRIAL_DATA beside its independent decoding: `python -m tests.golden`.
+"""Comparison of every capture of SEATRIAL_DATA with its independent decoding: `python -m tests.golden`.
 
-Exit status 1 when fewer than 99.5 % of gpsd's fixes, of their speeds and dimensions, or of its headings are ours too,
-of those that can be compared, or when a capture is not as it has to be.
+The exit status is 1 in two cases. Either less than 99.5 % of gpsd's comparable fixes, speeds, dimensions or headings
+agree with ours, or one of the other captures fails its check.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NEEDED = 0.995
 
 
 def fixes_table(rows: Sequence[Comparison]) -> Table:
-    """gpsd's captures: all that have positions."""
+    """Print the table of gpsd's captures that contain positions."""
     table = Table(
         "capture", "samples", "checksum errors", "gpsd's fixes", "agree", "of these in", "misses", "speeds",
         "dimensions", "headings", box=None, padding=(0, 1, 0, 0),
@@ -42,7 +42,7 @@ def _text(share: Share) -> str:
 
 
 def totals(rows: Sequence[Comparison]) -> dict[str, Share]:
-    """The shares of all captures together."""
+    """Print the shares of all captures together."""
     found = {"fixes": Share(sum(row.comparable for row in rows), sum(row.agreeing for row in rows))}
     for name in ("speeds", "modes", "headings"):
         shares = [getattr(row, name) for row in rows]
@@ -51,16 +51,16 @@ def totals(rows: Sequence[Comparison]) -> dict[str, Share]:
 
 
 def captures_table(rows: Sequence[Result]) -> Table:
-    """The other captures."""
+    """Print the table of the other captures."""
     table = Table("capture", "samples", "checksum errors", "unparsed bytes", "read", "", box=None)
     for row in rows:
         counts = (str(row.samples), str(row.checksum_errors), str(row.unparsed_bytes))
-        table.add_row(row.name, *counts, row.said, "right" if row.right else "WRONG")
+        table.add_row(row.name, *counts, row.summary, "right" if row.right else "WRONG")
     return table
 
 
 def main() -> int:
-    """Print both tables and what they come to."""
+    """Print both tables and the totals."""
     folder = os.environ.get("SEATRIAL_DATA")
     if not folder:
         print("SEATRIAL_DATA does not say where the captures are", file=sys.stderr)
