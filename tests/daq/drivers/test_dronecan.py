@@ -1,4 +1,4 @@
-"""Commands to DroneCAN speed controllers: frames that others have put on a bus, the driver, and the rig's keys."""
+"""Tests of commands to DroneCAN speed controllers: frames recorded on a bus, the driver, and the keys of the rig."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def rig(own: int = 100, node: int = 1) -> Rig:
 
 
 def crc64(text: bytes) -> int:
-    """CRC-64-WE bit by bit: by it the specification makes a signature from a definition."""
+    """Return the CRC-64-WE, bit by bit. The specification derives a data type signature from a definition with it."""
     crc = 0xFFFFFFFFFFFFFFFF
     for byte in text:
         crc ^= byte << 56
@@ -59,7 +59,7 @@ def crc64(text: bytes) -> int:
 
 
 def crc16(data: bytes, crc: int) -> int:
-    """CRC-16-CCITT bit by bit."""
+    """Return the CRC-16-CCITT, bit by bit."""
     for byte in data:
         crc ^= byte << 8
         for _ in range(8):
@@ -67,21 +67,21 @@ def crc16(data: bytes, crc: int) -> int:
     return crc
 
 
-def test_a_command_as_it_was_seen_on_a_bus() -> None:
+def test_a_command_equals_a_recorded_frame() -> None:
     # Issue 68 of dronecan/libcanard: 1404067F, 13 5B 05 5F F3 C7 5D D3 is RawCommand [5651, 5569, 4095, 7453].
     values = [5651, 5569, 4095, 7453]
     seen = bytes.fromhex("135B055FF3C75DD3")
     assert dronecan.decode_command(seen[:-1]) == [value / dronecan.FULL for value in values]
     ours = dronecan.encode_command({k: value / dronecan.FULL for k, value in enumerate(values)}, 127, 0x13)
     assert [data for _, data in ours] == [seen]
-    assert ours[0][0] & 0xFFFFFF == 0x1404067F & 0xFFFFFF  # all but the priority, which is ours to choose
+    assert ours[0][0] & 0xFFFFFF == 0x1404067F & 0xFFFFFF  # all fields except the priority, which we may choose
     found = list(Assembler(dronecan.RAW_COMMAND).take(0x1404067F, seen, 1.0))
     assert found == [(seen[:-1], 1.0)]
 
 
-def test_a_node_status_as_it_was_seen_on_a_bus() -> None:
-    # jdefrance7/SeniorDesignProject, UAVCAN_Receiver_Test_v0: type 341, uptime 28 s, transfer 0; an Arduino printed 16
-    # of the identifier's bits, 21782.
+def test_a_node_status_equals_a_recorded_frame() -> None:
+    # jdefrance7/SeniorDesignProject, UAVCAN_Receiver_Test_v0: type 341, uptime 28 s, transfer 0. An Arduino printed 16
+    # bits of the identifier, 21782.
     ((identifier, data),) = dronecan.encode_node_status(28.9, 22, 0)
     assert identifier & 0xFFFF == 21782
     assert identifier >> 8 & 0xFFFF == 341
@@ -91,7 +91,7 @@ def test_a_node_status_as_it_was_seen_on_a_bus() -> None:
 def test_signature_and_seed_follow_from_the_definition() -> None:
     definition = b"uavcan.equipment.esc.RawCommand\nsaturated int14[<=20] cmd"
     assert crc64(definition) == dronecan.RAW_COMMAND.signature
-    # Seeds of libcanard's own tests.
+    # Seeds from the tests of libcanard.
     assert (dronecan.RAW_COMMAND.seed, dronecan.STATUS.seed) == (0xE4B8, 0x1591)
 
 
@@ -109,7 +109,7 @@ def test_more_than_four_controllers_take_several_frames_with_a_checksum() -> Non
 
 
 @pytest.mark.parametrize("n", [-1.0, -0.3, 0.0, 0.5, 1.0])
-def test_ends_and_middle_are_exact(n: float) -> None:
+def test_full_and_zero_commands_are_exact(n: float) -> None:
     ((_, data),) = dronecan.encode_command({2: n}, 1, 0)
     first, second, found = dronecan.decode_command(data[:-1])
     assert (first, second) == (0.0, 0.0)
@@ -118,13 +118,13 @@ def test_ends_and_middle_are_exact(n: float) -> None:
 
 
 @pytest.mark.parametrize("commands", [{0: 1.01}, {0: float("nan")}, {20: 0.0}, {-1: 0.0}])
-def test_what_is_no_command(commands: dict[int, float]) -> None:
+def test_invalid_commands_are_refused(commands: dict[int, float]) -> None:
     with pytest.raises(ValueError, match="is no command"):
         dronecan.encode_command(commands, 1, 0)
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 8, 14, 33])
-def test_a_transfer_of_any_size_comes_out_as_it_went_in(size: int) -> None:
+def test_a_transfer_of_any_size_is_decoded_unchanged(size: int) -> None:
     kind, payload = MessageType(77, 0x1234567890ABCDEF, 40), bytes(range(size))
     assembler = Assembler(kind)
     found = [done for frame in frames_of(kind, payload, 3, 31) for done in assembler.take(*frame, 2.0)]
@@ -132,8 +132,8 @@ def test_a_transfer_of_any_size_comes_out_as_it_went_in(size: int) -> None:
     assert (assembler.unparsed_bytes, assembler.checksum_errors) == (0, 0)
 
 
-def said(raw: bytes) -> tuple[list[list[float]], int]:
-    """The commands in what a driver says, and how many NodeStatus."""
+def commands_and_statuses(raw: bytes) -> tuple[list[list[float]], int]:
+    """Return the commands in the bytes of a driver, and the number of NodeStatus."""
     assembler, found, statuses = Assembler(dronecan.RAW_COMMAND), [], 0
     for at in range(0, len(raw), CAN_FRAME.size):
         frame = unpack_can(raw[at : at + CAN_FRAME.size])
@@ -143,23 +143,23 @@ def said(raw: bytes) -> tuple[list[list[float]], int]:
     return found, statuses
 
 
-def test_one_message_tells_every_controller() -> None:
+def test_one_message_commands_every_controller() -> None:
     driver = make_driver(rig().devices[0], rig(), make_decoder(rig().devices[0], rig()), LinkRole.DRIVE)
     assert isinstance(driver, DronecanDriver)
     ((raw, carried),) = driver.command([Due(1, 0.5, True)], {1: 0.5}, 10.0)
     assert carried == [Due(1, 0.5, True)]
-    commands, statuses = said(raw)
+    commands, statuses = commands_and_statuses(raw)
     assert commands == [pytest.approx([0.0, 0.5, 0.0, 0.0], abs=1e-4)]
     assert statuses == 1
     ((raw, _),) = driver.command([Due(3, 0.25, True)], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S / 2)
-    assert said(raw) == ([pytest.approx([0.0, 0.5, 0.0, -0.25], abs=1e-4)], 0)  # 3 is reversed
+    assert commands_and_statuses(raw) == ([pytest.approx([0.0, 0.5, 0.0, -0.25], abs=1e-4)], 0)  # node 3 is reversed
     ((raw, _),) = driver.command([], {1: 0.5, 3: 0.25}, 10.0 + STATUS_S)
-    assert said(raw)[1] == 1
+    assert commands_and_statuses(raw)[1] == 1
     ((raw, _),) = driver.zero(12.0)
-    assert said(raw) == ([[0.0, 0.0, 0.0, 0.0]], 0)
+    assert commands_and_statuses(raw) == ([[0.0, 0.0, 0.0, 0.0]], 0)
 
 
-def test_transfers_are_counted_so_that_none_is_taken_for_a_repetition() -> None:
+def test_transfers_have_increasing_numbers() -> None:
     driver = DronecanDriver(frozenset({0}), frozenset(), 7)
     numbers = []
     for k in range(40):
@@ -177,7 +177,7 @@ def test_a_reversed_controller_reports_the_other_sign() -> None:
     assert found == {1: -900.0, 3: 900.0}
 
 
-def test_the_rig_says_what_cannot_be(tmp_path: Path) -> None:
+def test_invalid_keys_of_a_dronecan_rig_are_named(tmp_path: Path) -> None:
     assert [thruster.pole_pairs for thruster in rig().thrusters] == [1, 1]
     assert rig(own=42).devices[0].own_node == 42
     with pytest.raises(SeatrialError, match=r"thruster.*node.*19"):

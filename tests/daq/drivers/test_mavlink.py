@@ -1,4 +1,4 @@
-"""The ground station's half against the mock autopilot, without ports and without waiting."""
+"""Tests of the MAVLink driver against the mock autopilot, without ports and without waiting."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def ready(ends: Ends) -> Ends:
 
 
 def drive(ends: Ends, left: float, right: float, seconds: float) -> None:
-    """Commands every loop, as the acquisition repeats them."""
+    """Send commands in every loop, as the acquisition repeats them."""
     held = {1: left, 3: right}
     for _ in range(round(seconds * 50)):
         for data, _dues in ends.driver.command([Due(1, left, False)], held, ends.t):
@@ -47,19 +47,19 @@ def armed(ends: Ends) -> Ends:
     return ends
 
 
-def test_it_hears_the_vehicle_and_reads_its_parameters() -> None:
+def test_the_driver_receives_the_vehicle_and_reads_its_parameters() -> None:
     ends = ready(Ends(mav_rig()))
     link = ends.driver.link_at(ends.t)
     assert link.received
     assert link.mode == "MANUAL"
     assert not link.armed
     assert link.parameters["PILOT_STEER_TYPE"] == 1.0
-    assert "SYSID_MYGCS" not in link.parameters  # this vehicle has the newer name
+    assert "SYSID_MYGCS" not in link.parameters  # this vehicle uses the newer name
     assert link.refused == ()
     assert check_parameters(link.parameters, mav_rig().thrusters, 255) == ()
 
 
-def test_a_rate_that_is_denied_is_said_and_half_of_it_is_asked_for() -> None:
+def test_a_denied_rate_is_reported_and_half_of_it_requested() -> None:
     ends = ready(Ends(mav_rig(rate=50.0)))
     refused = ends.driver.link_at(ends.t).refused
     assert "ATTITUDE at 50 Hz: denied" in refused
@@ -70,7 +70,7 @@ def test_a_rate_that_is_denied_is_said_and_half_of_it_is_asked_for() -> None:
     assert sum(isinstance(frame.sample, Ahrs) for frame in ends.frames) - before == pytest.approx(50, abs=3)
 
 
-def test_an_answer_that_never_comes_is_no_answer_and_nothing_hangs() -> None:
+def test_a_missing_answer_ends_a_request_without_blocking() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
     ends.driver.request("arm", 0.0)
@@ -108,7 +108,7 @@ def test_sticks_away_from_neutral_forbid_arming() -> None:
     assert "not neutral" in ends.driver.link_at(ends.t).answer
 
 
-def test_silence_ends_thrust_by_the_override_timeout_and_then_by_the_failsafe() -> None:
+def test_missing_commands_end_thrust_by_override_timeout_then_by_failsafe() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 0.5)
     ends.deaf = True
@@ -121,16 +121,16 @@ def test_silence_ends_thrust_by_the_override_timeout_and_then_by_the_failsafe() 
     assert ends.driver.link_at(ends.t).alarm == "critical: GCS Failsafe"
 
 
-def test_neutral_goes_on_where_nothing_is_commanded() -> None:
+def test_neutral_is_sent_without_a_command() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 0.3)
     drive(ends, 0.0, 0.0, 0.1)
     before = ends.controllers[1].deadline
     ends.run(3.0)
-    assert ends.controllers[1].deadline > before + 2.5  # heard all the time, without a command of ours
+    assert ends.controllers[1].deadline > before + 2.5  # received all the time, without a command of ours
 
 
-def test_it_disarms_at_the_end_only_what_it_armed() -> None:
+def test_the_driver_disarms_only_a_vehicle_that_it_armed() -> None:
     ends = ready(Ends(mav_rig()))
     assert ends.driver.shutdown_bytes(ends.t) == b""
     armed(ends)
@@ -149,7 +149,7 @@ def test_a_vehicle_obeys_its_own_ground_station_only() -> None:
     assert ends.controllers[1].n == 0.0
 
 
-def test_signed_both_ways(tmp_path: Path) -> None:
+def test_a_signed_link_signs_and_checks_in_both_directions(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_bytes(bytes(range(32)))
     ends = armed(ready(Ends(mav_rig(tmp_path, more='key_file = "key"'), key)))
@@ -169,7 +169,7 @@ def test_signed_both_ways(tmp_path: Path) -> None:
         ("FS_GCS_ENABLE", 0.0, True),
         ("MAV_GCS_SYSID", 250.0, True),
         ("PILOT_STEER_TYPE", 0.0, True),
-        ("SERVO1_FUNCTION", 1.0, True),  # passthrough moves it while disarmed
+        ("SERVO1_FUNCTION", 1.0, True),  # passthrough moves the output while disarmed
         ("SERVO3_MAX", 2000.0, True),
         ("RC1_TRIM", 1480.0, True),
         ("FS_THR_ENABLE", 0.0, True),
@@ -207,7 +207,7 @@ def test_a_parameter_that_is_wrong_is_named(name: str, value: float, fatal: bool
     "name",
     [name for name in parameter_names(mav_rig().thrusters) if name not in ("SYSID_MYGCS", "SCHED_LOOP_RATE")],
 )
-def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> None:
+def test_a_parameter_without_an_answer_does_not_pass(name: str) -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     del parameters[name]
     (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
@@ -215,7 +215,7 @@ def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> N
     assert str(found).startswith(f"{name} was not answered (a lossy link?): ask again")
 
 
-def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive() -> None:
+def test_a_parameter_whose_answers_were_all_lost_prevents_driving() -> None:
     ends = Ends(mav_rig())
     del ends.autopilot.vehicle.parameters["FS_TIMEOUT"]
     ends.run(7.0)
@@ -226,7 +226,7 @@ def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive()
     assert (found.name, found.fatal) == ("FS_TIMEOUT", True)
 
 
-def test_a_parameter_that_an_older_version_lacks_is_no_loss() -> None:
+def test_a_parameter_that_an_older_version_lacks_is_not_missing() -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     older = {name: value for name, value in parameters.items() if name not in YOUNG and name != "MAV_GCS_SYSID"}
     assert check_parameters({**older, "SYSID_MYGCS": 255.0}, mav_rig().thrusters, 255) == ()
@@ -251,7 +251,7 @@ def test_a_parameter_that_changes_under_way_is_an_event() -> None:
 
 
 @pytest.mark.parametrize(("role", "sends"), [(LinkRole.LISTEN, False), (LinkRole.ASK, True)])
-def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) -> None:
+def test_a_link_that_does_not_drive_sends_no_heartbeats_of_a_ground_station(role: LinkRole, sends: bool) -> None:
     rig = mav_rig()
     device = rig.device("autopilot")
     decoder = make_decoder(device, rig)
@@ -275,10 +275,10 @@ def test_who_does_not_drive_is_no_ground_station(role: LinkRole, sends: bool) ->
     assert bool(driver.hint) is not sends
 
 
-def test_a_request_goes_before_rates_and_takes_the_place_of_an_earlier_one() -> None:
+def test_a_request_precedes_rates_and_replaces_an_earlier_request() -> None:
     ends = ready(Ends(mav_rig()))
     ends.deaf = True
-    ends.driver._ask_rates(ends.t)  # of which none is answered
+    ends.driver._ask_rates(ends.t)  # no answer comes to any of these requests
     ends.run(0.1)
     ends.driver.request("arm", 0.0)
     ends.run(0.02)
@@ -289,7 +289,7 @@ def test_a_request_goes_before_rates_and_takes_the_place_of_an_earlier_one() -> 
 
 
 def parsed(codec: Codec, data: bytes) -> list[Any]:
-    """The messages in whole frames."""
+    """Return the messages in whole frames."""
     found = []
     while data:
         about = head(data, 0)
@@ -305,9 +305,9 @@ def test_the_answer_to_another_ground_station_is_not_ours() -> None:
     ends.driver.request("arm", 0.0)
     ends.run(0.1)
     vehicle = Codec(1, 1)
-    for target, told in ((254, ""), (255, "arm: failed")):
+    for target, problem_with in ((254, ""), (255, "arm: failed")):
         ends.to_ground(vehicle.encode("COMMAND_ACK", 400, 4, 0, 0, target, 190))
-        assert ends.driver.link_at(ends.t).answer == told
+        assert ends.driver.link_at(ends.t).answer == problem_with
 
 
 def test_the_reason_of_a_refusal_may_come_after_it() -> None:
@@ -321,7 +321,7 @@ def test_the_reason_of_a_refusal_may_come_after_it() -> None:
     assert ends.driver.link_at(ends.t).answer == "arm: failed (Arm: Battery 1 below minimum arming voltage)"
 
 
-def test_the_second_half_of_a_long_text_is_no_alarm() -> None:
+def test_the_second_half_of_a_long_text_raises_no_alarm() -> None:
     ends = ready(Ends(mav_rig()))
     vehicle = Codec(1, 1)
     for part, text in enumerate((b"PreArm: AHRS: EKF3 Yaw inconsistent 21 deg. Wait o", b"r reboot")):
@@ -331,7 +331,7 @@ def test_the_second_half_of_a_long_text_is_no_alarm() -> None:
     assert "Leak" in ends.driver.link_at(ends.t).alarm
 
 
-def test_after_a_reboot_everything_is_asked_for_again() -> None:
+def test_after_a_reboot_rates_and_parameters_are_requested_again() -> None:
     ends = ready(Ends(mav_rig()))
     vehicle, ear = Codec(1, 1), Codec(9, 1)
     ends.deaf = True
@@ -343,7 +343,7 @@ def test_after_a_reboot_everything_is_asked_for_again() -> None:
 
 
 @pytest.mark.parametrize("heard", [True, False])
-def test_whether_a_receiver_was_heard_is_told_and_forgotten_with_a_restart(heard: bool) -> None:
+def test_a_receiver_heard_by_the_autopilot_is_reported_until_a_restart(heard: bool) -> None:
     ends = Ends(mav_rig())
     ends.autopilot.vehicle.receiver = heard
     ready(ends)
@@ -352,7 +352,7 @@ def test_whether_a_receiver_was_heard_is_told_and_forgotten_with_a_restart(heard
     assert ends.driver.link_at(ends.t).receiver is None
 
 
-def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
+def test_an_alarm_ends_a_run_only_after_arming() -> None:
     ends = ready(Ends(mav_rig()))
     ends.autopilot._text(2, "GCS Failsafe")
     ends.run(0.1)
@@ -367,7 +367,7 @@ def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
 @pytest.mark.parametrize(
     ("receiver", "failsafe", "ends_after"), [(True, 1.0, 1.0), (False, 1.0, 0.5), (False, 0.0, None)]
 )
-def test_the_mock_holds_the_last_override_where_no_receiver_was_ever_heard(
+def test_the_mock_holds_the_last_override_if_no_receiver_was_ever_heard(
     receiver: bool, failsafe: float, ends_after: float | None
 ) -> None:
     ends = armed(ready(Ends(mav_rig())))
@@ -382,7 +382,7 @@ def test_the_mock_holds_the_last_override_where_no_receiver_was_ever_heard(
     assert took == pytest.approx(20.0 if ends_after is None else ends_after, abs=0.1)
 
 
-def test_while_muted_nothing_is_sent_but_a_zero_is() -> None:
+def test_a_muted_driver_sends_only_zero() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.1, 0.1, 0.3)
     ends.driver.request("mute", 5.0)
@@ -398,15 +398,15 @@ def test_while_muted_nothing_is_sent_but_a_zero_is() -> None:
     ends.driver.request("mute", 1.0)
     ends.driver.command([Due(1, 0.1, True)], {1: 0.1}, ends.t)
     ends.run(1.1)
-    assert ends.driver.command([Due(1, 0.1, True)], {1: 0.1}, ends.t)  # it does not last
+    assert ends.driver.command([Due(1, 0.1, True)], {1: 0.1}, ends.t)  # the zero does not last
 
 
-def test_another_station_of_our_id_and_lost_frames_are_counted() -> None:
+def test_another_station_with_our_id_and_lost_frames_are_counted() -> None:
     ends = ready(Ends(mav_rig()))
     assert (ends.driver.link_at(ends.t).rivals, ends.driver.link_at(ends.t).lost) == (0, 0)
     ends.to_ground(Codec(255, 230).encode("HEARTBEAT", 6, 8, 0, 0, 4, 3))
     for _ in range(7):
-        ends.autopilot._codec.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3)  # on their way, and lost
+        ends.autopilot._codec.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3)  # sent and lost
     ends.run(2.0)
     assert (ends.driver.link_at(ends.t).rivals, ends.driver.link_at(ends.t).lost) == (1, 7)
     assert any(event.text.startswith("7 of its ") for event in ends.driver.events())
@@ -414,7 +414,7 @@ def test_another_station_of_our_id_and_lost_frames_are_counted() -> None:
 
 def test_the_round_trip_is_measured() -> None:
     ends = ready(Ends(mav_rig()))
-    ends.driver._status = replace(ends.driver._status, round_trip=math.nan)  # of ends that are joined without a delay
+    ends.driver._status = replace(ends.driver._status, round_trip=math.nan)  # the ends are joined without a delay
     sent = ends.driver.poll(ends.t + 1.5)
     ends.t += 1.55
     ends.to_vehicle(sent)
@@ -424,10 +424,10 @@ def test_the_round_trip_is_measured() -> None:
     assert [event.text for event in ends.driver.events() if "TIMESYNC" in event.text]
 
 
-def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:
+def test_rates_that_another_station_lowered_are_requested_again() -> None:
     ends = ready(Ends(mav_rig()))
     ends.run(31.0)
-    for number in (30, 36):  # ATTITUDE, SERVO_OUTPUT_RAW at 1 Hz
+    for number in (30, 36):  # somebody else sets ATTITUDE and SERVO_OUTPUT_RAW to 1 Hz
         ends.autopilot._interval(number, 1e6)
     ends.run(5.0)
     before = len(ends.frames)
@@ -435,23 +435,23 @@ def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:
     assert sum(isinstance(frame.sample, Ahrs) for frame in ends.frames[before:]) == pytest.approx(50, abs=3)
 
 
-def test_mistakes_with_the_key_are_named(tmp_path: Path) -> None:
+def test_errors_with_the_signing_key_are_named(tmp_path: Path) -> None:
     (tmp_path / "key").write_bytes(bytes(range(32)))
     (tmp_path / "other").write_bytes(bytes(32))
     signed, other = (mav_rig(tmp_path, more=f'key_file = "{name}"') for name in ("key", "other"))
 
-    def told(ours: Rig, key: str, vehicle: Rig) -> str:
+    def problem_with(ours: Rig, key: str, vehicle: Rig) -> str:
         ends = Ends(ours, tmp_path / key if key else None)
         ends.autopilot = AutopilotEmulator(vehicle, vehicle.device("autopilot"), ends.controllers, 1_800_000_000.0)
         ends.autopilot._rates["ATTITUDE"] = 25.0
         ends.run(3.0)
         return ends.driver.message()
 
-    assert told(signed, "key", signed) == ""
-    assert told(mav_rig(), "", mav_rig()) == ""
-    assert "no key_file" in told(mav_rig(), "", signed)
-    assert "another key" in told(other, "other", signed)
-    assert "it signs nothing" in told(signed, "key", mav_rig())
+    assert problem_with(signed, "key", signed) == ""
+    assert problem_with(mav_rig(), "", mav_rig()) == ""
+    assert "no key_file" in problem_with(mav_rig(), "", signed)
+    assert "another key" in problem_with(other, "other", signed)
+    assert "it signs nothing" in problem_with(signed, "key", mav_rig())
 
 
 @pytest.mark.parametrize(
@@ -474,7 +474,7 @@ def test_vehicles_and_their_modes_have_their_own_names(
     assert (link.vehicle, link.mode, link.armed) == (vehicle, mode, True)
 
 
-def test_the_rescuers_zero_is_confirmed_by_an_answer() -> None:
+def test_the_zero_of_the_watchdog_is_confirmed_by_an_answer() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 0.3)
     rescuer = Ends(mav_rig(), role=LinkRole.RESCUE)
@@ -485,7 +485,7 @@ def test_the_rescuers_zero_is_confirmed_by_an_answer() -> None:
     assert rescuer.driver.confirmation == DISARMED
 
 
-def test_a_battery_of_more_amperes_than_its_field_holds_is_told_as_the_most_of_it() -> None:
+def test_a_battery_current_beyond_its_field_is_sent_as_the_maximum() -> None:
     ends = Ends(mav_rig())
     ends.run(3.0)
     for node in ends.controllers:
@@ -506,11 +506,11 @@ def test_a_fence_that_drives_the_boat_home_is_refused_and_one_that_is_off_is_not
     (found,) = check_parameters({**good, "FENCE_ACTION": 1.0, "FENCE_ENABLE": 1.0}, thrusters, 255)
     assert (found.name, found.fatal) == ("FENCE_ACTION", True)
     without = {name: value for name, value in good.items() if not name.startswith(("FENCE", "BATT"))}
-    found = check_parameters(without, thrusters, 255)  # no monitor of a battery, no fence: said, and no more
+    found = check_parameters(without, thrusters, 255)  # no battery monitor and no fence: reported only
     assert [(one.value, one.fatal) for one in found] == [(None, False)] * 4
 
 
-def test_in_rtl_the_boat_drives_whatever_is_commanded() -> None:
+def test_in_rtl_the_boat_ignores_commands() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 0.5)
     ends.driver.request("mode", float(RTL))
@@ -519,11 +519,11 @@ def test_in_rtl_the_boat_drives_whatever_is_commanded() -> None:
     assert [ends.controllers[node].n for node in (1, 3)] == [OWN_N, OWN_N]
 
 
-def test_a_receiver_without_a_fix_stops_its_time() -> None:
+def test_the_time_of_a_receiver_without_a_fix_stands_still() -> None:
     blind = Gnss(1_800_000_000.0, NAN, NAN, n_sat=3)
 
     def run(ends: Ends, fixes: list[Gnss]) -> list[tuple[int, float]]:
-        """Fix and device time of what comes while the receiver says these, at 5 Hz."""
+        """Return fix and device time of the samples while the receiver reports these fixes at 5 Hz."""
         before = len(ends.frames)
         for fix in fixes:
             ends.autopilot.encode(fix, ends.t)
@@ -541,11 +541,11 @@ def test_a_receiver_without_a_fix_stops_its_time() -> None:
     assert [(f, round(at - t, 2)) for f, at in run(ends, [replace(blind, lat=38.7, lon=-9.1, fix=3)])] == [(3, 0.0)]
     fresh = Ends(mav_rig())
     fresh.autopilot._rates["GPS_RAW_INT"] = 5.0
-    ((fix, t_device),) = run(fresh, [blind] * 10)  # since boot: a time of 0
+    ((fix, t_device),) = run(fresh, [blind] * 10)  # a time since boot of 0
     assert (fix, math.isnan(t_device)) == (0, True)
 
 
-def test_an_override_of_zero_gives_a_channel_back() -> None:
+def test_an_override_of_zero_releases_a_channel() -> None:
     ends = armed(ready(Ends(mav_rig())))
     drive(ends, 0.5, 0.5, 1.0)
     assert ends.controllers[1].n > 0.4
@@ -553,17 +553,17 @@ def test_an_override_of_zero_gives_a_channel_back() -> None:
     release = codec.encode("RC_CHANNELS_OVERRIDE", 1, 1, 0, *[0xFFFF] * 7, *[0] * 10)
     ends.autopilot.receive(release, ends.t)
     assert ends.autopilot.vehicle.sticks[1] == 0.0
-    assert abs(ends.autopilot.vehicle.sticks[3]) == pytest.approx(0.5, abs=0.01)  # 0xFFFF leaves a channel alone
+    assert abs(ends.autopilot.vehicle.sticks[3]) == pytest.approx(0.5, abs=0.01)  # 0xFFFF leaves a channel unchanged
 
 
-def test_a_parameter_that_another_station_changes_is_noticed_at_once_or_when_it_is_read_again() -> None:
-    """ArduPilot announces a change to every link; the announcement may be lost."""
+def test_a_parameter_changed_by_another_station_is_detected() -> None:
+    """ArduPilot announces a change on every link, but the announcement may be lost."""
     ends = ready(Ends(mav_rig()))
     assert ends.driver.link_at(ends.t).changed == ()
     parameters = ends.autopilot.vehicle.parameters
     for name, before, after in (("FS_THR_ENABLE", 1.0, 0.0), ("SERVO1_MAX", parameters["SERVO1_MAX"], 1850.0)):
         known = len(ends.driver.link_at(ends.t).changed)
-        parameters[name] = after  # without an announcement
+        parameters[name] = after  # the announcement is lost
         since = ends.t
         while len(ends.driver.link_at(ends.t).changed) == known:
             ends.run(0.1)
@@ -571,7 +571,7 @@ def test_a_parameter_that_another_station_changes_is_noticed_at_once_or_when_it_
         assert ends.driver.link_at(ends.t).changed[-1] == f"{name} was changed: {before:g} to {after:g}"
 
 
-def test_who_does_not_drive_reads_no_parameter_again() -> None:
+def test_a_link_that_does_not_drive_reads_parameters_only_once() -> None:
     ends = ready(Ends(mav_rig(), role=LinkRole.ASK))
     ends.autopilot.vehicle.parameters["FS_THR_ENABLE"] = 0.0
     ends.run(10.0)

@@ -31,7 +31,7 @@ def pvt(fix: int = 3, flags: int = 1, valid: int = 7, nano: int = 0, i_tow: int 
 
 
 @pytest.mark.parametrize("fix", range(7))
-def test_what_is_encoded_is_decoded(fix: int) -> None:
+def test_a_decoded_message_equals_the_encoded_message(fix: int) -> None:
     dimensions = 2 if fix in (2, 4) else 3
     sample = Gnss(
         T + 0.25, 41.1234567, -8.7654321, 12.345, 0.5, -0.25, 0.125, fix, 12, sigma_h=0.014, dimensions=dimensions
