@@ -305,9 +305,9 @@ def test_the_answer_to_another_ground_station_is_not_ours() -> None:
     ends.driver.request("arm", 0.0)
     ends.run(0.1)
     vehicle = Codec(1, 1)
-    for target, problem_with in ((254, ""), (255, "arm: failed")):
+    for target, answer in ((254, ""), (255, "arm: failed")):
         ends.to_ground(vehicle.encode("COMMAND_ACK", 400, 4, 0, 0, target, 190))
-        assert ends.driver.link_at(ends.t).answer == problem_with
+        assert ends.driver.link_at(ends.t).answer == answer
 
 
 def test_the_reason_of_a_refusal_may_come_after_it() -> None:
