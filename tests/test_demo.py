@@ -78,7 +78,7 @@ def test_a_result_without_errors_is_one_line(tmp_path: Path) -> None:
         demo.print_outcome(filled(tmp_path, {"answer": "x"}, TRUTH))
 
 
-def test_an_existing_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_demo_makes_a_new_folder_or_refuses_a_used_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert demo.fresh_folder(None, 5) == Path("seatrial-demo-5")
     second = demo.fresh_folder(None, 5)

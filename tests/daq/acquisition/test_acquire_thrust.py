@@ -228,7 +228,7 @@ def test_an_acquisition_process_that_dies_is_one_clear_line(tmp_path: Path) -> N
         acquisition.stop()
 
 
-def test_a_log_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
+def test_an_acquisition_overwrites_no_log(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_text("mine")
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)

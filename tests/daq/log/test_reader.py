@@ -1,4 +1,4 @@
-"""What a log says of itself, and what the commands make of it; damage is `test_log_damage`."""
+"""Tests of the reader of logs and of the commands that use it. Damage is tested in `test_log_damage`."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Port
 from tests.daq.logs import HEALTH, N_ROUNDS, T0, recorder, tables
 
 
-def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
+def test_a_whole_log_lists_its_content(whole: Path) -> None:
     log = open_log(whole)
     assert (log.complete, log.warnings) == (True, [])
     assert log.sources(Ahrs) == ["ahrs", "imu"]
@@ -51,7 +51,7 @@ def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
     assert log.table(Esc, "esc", node=2)["rpm"].tolist() == [77.0] * N_ROUNDS
 
 
-def test_asking_for_what_is_not_there(whole: Path) -> None:
+def test_a_request_for_missing_content_is_an_error(whole: Path) -> None:
     log = open_log(whole)
     with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; there is: .*/gnss/gnss"):
         log.table(Gnss, "gps")
@@ -71,7 +71,7 @@ def test_time_never_decreases(tmp_path: Path) -> None:
     assert table["value"].tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
-def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
+def test_recover_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
     data = whole.read_bytes()
     killed, out = tmp_path / "killed.mcap", tmp_path / "whole.mcap"
     killed.write_bytes(data[: len(data) * 2 // 3])
@@ -90,7 +90,7 @@ def test_salvage_makes_a_whole_file(whole: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.mcap", "whole.mcap"]
 
 
-def test_info(whole: Path, tmp_path: Path) -> None:
+def test_info_prints_the_content_of_a_log(whole: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(cli.info, [str(whole)], catch_exceptions=False)
     assert done.exit_code == 0
     for text in ("complete", "test rig", "Ada", "/gnss/gnss", "/dev/ttyUSB0", "mission.toml", "round 0: Trondheim"):
@@ -117,7 +117,7 @@ def test_info_of_many_events_shows_how_the_run_ended(tmp_path: Path) -> None:
     assert f"... {60 - shown} events left out" in gap
 
 
-def test_info_says_a_swarm_of_events_in_one_line(tmp_path: Path) -> None:
+def test_info_summarises_many_equal_events_in_one_line(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for k in range(30):
         log.event(T0 + k, "skipped", f"{k + 1} set-points")
@@ -132,7 +132,7 @@ def test_info_says_a_swarm_of_events_in_one_line(tmp_path: Path) -> None:
     ]
 
 
-def test_info_counts_one_as_one(tmp_path: Path) -> None:
+def test_info_uses_the_singular_for_one(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap", attachments={"note": b"1"})
     log.event(T0, "mark", "alone")
     log.close()
@@ -142,7 +142,7 @@ def test_info_counts_one_as_one(tmp_path: Path) -> None:
     assert "note (1 byte)" in out
 
 
-def test_the_index_is_only_believed_where_it_is_right(tmp_path: Path) -> None:
+def test_a_wrong_message_index_is_not_used(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = recorder(path)
     for i in range(20):
@@ -161,7 +161,7 @@ HOSTILE = "\x1b]0;owned\x07\x1b[2J [/bold] [red]x \u202egnp.exe \x9b31m"
 
 
 def test_a_log_does_not_write_to_the_terminal(tmp_path: Path) -> None:
-    """Escapes and markup of a foreign log are shown as they are spelled."""
+    """Escape sequences and markup of a foreign log are printed as visible text."""
     path = tmp_path / "run.mcap"
     log = recorder(path, attachments={HOSTILE: b"1"}, metadata={"operator": HOSTILE, HOSTILE: "x"})
     log.event(T0, HOSTILE, HOSTILE)
@@ -180,7 +180,10 @@ def test_a_log_does_not_write_to_the_terminal(tmp_path: Path) -> None:
 
 
 def a_run(path: Path, n: int, kill: bool = False, chunk: int = 250) -> Path:
-    """Two AHRS of 1 kHz, one of them only in the second half; a chunk every `chunk` samples, which parts a sample."""
+    """Write two AHRS of 1 kHz, one of them only in the second half.
+
+    A chunk ends every `chunk` samples and can split a sample.
+    """
     log = recorder(path)
     for i in range(n):
         t = T0 + 1e-3 * i
@@ -221,8 +224,8 @@ def test_a_time_window_and_a_topic_are_read_without_the_rest(
     assert repr(table.tolist()) == repr(whole[1000:1500].tolist())
 
 
-def test_a_recording_that_was_cut_off_is_opened_by_its_indexes(tmp_path: Path) -> None:
-    """Cut anywhere, what is counted is what is read."""
+def test_a_truncated_recording_is_opened_by_its_indexes(tmp_path: Path) -> None:
+    """After a cut at any place, the number of counted messages equals the number of read messages."""
     data = a_run(tmp_path / "run.mcap", 600, chunk=40).read_bytes()
     path = tmp_path / "cut.mcap"
     for size in range(len(data) // 2, len(data), len(data) // 37):
@@ -232,7 +235,7 @@ def test_a_recording_that_was_cut_off_is_opened_by_its_indexes(tmp_path: Path) -
             assert sum(log.counts.values()) == sum(len(found.heads) for found in log._file.read())
 
 
-def test_a_summary_is_not_believed_where_it_does_not_tell_all(tmp_path: Path) -> None:
+def test_an_incomplete_summary_is_not_used(tmp_path: Path) -> None:
     path = a_run(tmp_path / "run.mcap", 600)
     data = path.read_bytes()
     last = RawLog(path)._chunks[-1]
@@ -242,13 +245,14 @@ def test_a_summary_is_not_believed_where_it_does_not_tell_all(tmp_path: Path) ->
     checksum = struct.pack("<I", zlib.crc32(data[start:-37] + footer))
     path.write_bytes(data[: last["at"]] + record + data[last["at"] : -37] + footer + checksum + data[-8:])
     with open_log(path) as log:
-        assert len(log.table(Ahrs, "imu")) > 300  # the chunk is there twice
+        assert len(log.table(Ahrs, "imu")) > 300  # the file contains the chunk twice
         assert (log.complete, log.warnings) == (True, [])
 
 
-def test_tables_that_are_read_together_are_those_that_are_read_one_by_one(whole: Path, tmp_path: Path) -> None:
-    """Of a whole log, of samples whose parts lie in several chunks, of a cut log, and of one with a chunk twice, in
-    which nothing is joined."""
+def test_tables_read_together_equal_tables_read_one_by_one(whole: Path, tmp_path: Path) -> None:
+    """The logs are a whole log, a log with samples split over chunks, a truncated log, and a log that contains a chunk
+    twice, in which no parts are joined.
+    """
     joined = a_run(tmp_path / "run.mcap", 600, chunk=40)
     data = joined.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: 2 * len(data) // 3])
@@ -263,7 +267,7 @@ def test_tables_that_are_read_together_are_those_that_are_read_one_by_one(whole:
             assert len(log.table(Ahrs, "ahrs")) == len(one_by_one["Ahrs ahrs"])
 
 
-def test_what_is_wrong_with_one_topic_is_said_by_its_table_alone(tmp_path: Path) -> None:
+def test_a_problem_of_one_topic_is_reported_only_for_its_table(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = LogWriter(path, metadata={}, attachments={}, time_ns=0)
     good, other, short = (log.channel(topic(Scalar, n), TYPES[Scalar]) for n in ("good", "short", "shorter"))
@@ -323,7 +327,7 @@ except Exception as error:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of the address space")
-def test_a_memory_that_is_too_small_is_one_line(tmp_path: Path) -> None:
+def test_too_little_memory_is_one_line(tmp_path: Path) -> None:
     path = a_run(tmp_path / "run.mcap", 40_000)
     done = subprocess.run([sys.executable, "-c", LIMITED, str(path)], capture_output=True, text=True, check=True)
     assert done.stdout.startswith(f"SeatrialError {path}: /ahrs/imu has 40000 messages")
@@ -346,7 +350,7 @@ def test_records_beside_the_messages_are_bounded(tmp_path: Path, monkeypatch: py
 
 
 def test_a_name_of_megabytes_is_left_out(tmp_path: Path) -> None:
-    """To spell its control characters for the terminal took minutes."""
+    """An earlier version took minutes to escape its control characters for the terminal."""
     path = tmp_path / "run.mcap"
     name = "\x1b" * 4_000_000
     log = recorder(path, attachments={name: b"1", "small.txt": b"1"}, metadata={"rig": name})
@@ -370,7 +374,7 @@ def record(opcode: int, content: bytes) -> bytes:
 
 
 def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path: Path) -> None:
-    """62 kB: ten chunks of seven million records without content each, which took more than a minute."""
+    """62 kB with ten chunks of seven million empty records each took more than a minute in an earlier version."""
     plain = record(0x80, b"") * (MAX_CHUNK // RECORD.size)
     packed = zstandard.ZstdCompressor().compress(plain)
     head = struct.pack("<QQQII", 0, 9, len(plain), 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
@@ -384,8 +388,8 @@ def test_records_of_applications_that_compress_to_nothing_take_no_time(tmp_path:
     assert time.process_time() - before < 5.0
 
 
-def test_channels_that_no_index_tells_are_found_among_records_of_applications() -> None:
-    """The limit on records of applications costs no message of a file that has some."""
+def test_channels_missing_in_the_index_are_found_among_private_records() -> None:
+    """The limit on records of applications must not lose a message of a file that contains such records."""
     message = record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + b"x")
     plain = (record(0x80, b"") * 10 + message) * 20_000
     assert len(scan([(np.frombuffer(plain, np.uint8), b"")], lambda *_: None).heads) == 20_000
@@ -402,7 +406,7 @@ def test_many_segments_are_open_one_at_a_time(tmp_path: Path) -> None:
     assert len(os.listdir("/proc/self/fd")) <= before + 1
 
 
-def test_stamps_of_two_clocks_are_told(tmp_path: Path) -> None:
+def test_stamps_of_two_clocks_are_reported(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = recorder(path)
     for i in range(20):

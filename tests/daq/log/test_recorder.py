@@ -1,3 +1,5 @@
+"""Tests of the recorder: truncation, full disks, times, and the readability of its logs."""
+
 from __future__ import annotations
 
 import json
@@ -59,7 +61,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def run_fill(path: Path, *limit: str) -> tuple[int, list[str]]:
-    """Write until the disk refuses; returns how many messages went in and the lines said."""
+    """Write until the disk refuses. Return the number of written messages and the printed lines."""
     command = [sys.executable, "-c", FILL, str(path), *limit]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True)
     first, *rest = done.stdout.splitlines()
@@ -90,7 +92,7 @@ def test_a_killed_recording_keeps_all_but_the_last_moment(tmp_path: Path, seed: 
     assert {"git", "host", "operator", "command_line", "version.seatrial"} <= set(log.metadata)
 
 
-def test_everything_about_the_run_stands_in_the_file_before_the_first_sample(tmp_path: Path) -> None:
+def test_rig_and_metadata_are_in_the_file_before_the_first_sample(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap", metadata={"operator": "Ada"})
     found = open_log(tmp_path / "run.mcap")
     assert found.metadata["operator"] == "Ada"
@@ -120,7 +122,7 @@ def test_log_time_never_decreases_and_stamps_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("t", [float("nan"), float("inf"), -5.0, 1e300])
-def test_a_time_that_is_none_takes_the_time_of_the_log(tmp_path: Path, t: float) -> None:
+def test_an_invalid_time_is_replaced_by_the_log_time(tmp_path: Path, t: float) -> None:
     log = recorder(tmp_path / "run.mcap")
     log.write("surge", Frame(Scalar(1.0), T0, float("nan")), T0)
     log.write("surge", Frame(Scalar(2.0), t, float("nan")), t)
@@ -129,7 +131,7 @@ def test_a_time_that_is_none_takes_the_time_of_the_log(tmp_path: Path, t: float)
     np.testing.assert_allclose(table["t"], [T0, T0], atol=1e-6)
 
 
-def test_what_is_rare_does_not_wait_for_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rare_messages_are_written_without_delay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mcap_writer, "FEW_S", 0.0)
     monkeypatch.setattr(mcap_writer, "FLUSH_S", 1000.0)
     path = tmp_path / "run.mcap"
@@ -149,7 +151,7 @@ def test_what_is_rare_does_not_wait_for_more(tmp_path: Path, monkeypatch: pytest
     log.close()
 
 
-def test_the_chunks_stay_small_without_a_tick(tmp_path: Path) -> None:
+def test_chunks_stay_small_without_regular_flushes(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     log = recorder(path)
     for i in range(1000):
@@ -167,13 +169,13 @@ def test_a_log_is_never_overwritten(tmp_path: Path) -> None:
     assert path.read_bytes() == b"dear to me"
 
 
-def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SeatrialError, match=r"the folder cannot be created: .*file is not a folder"):
         recorder(tmp_path / "file" / "run.mcap")
 
 
-def test_after_close(tmp_path: Path) -> None:
+def test_writes_after_close_are_refused(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     log.close()
     log.close()
@@ -197,7 +199,7 @@ def test_a_short_write_leaves_whole_records(tmp_path: Path) -> None:
     assert {len(data) for _, _, data in kept} == {2000}
 
 
-def test_a_full_disk_costs_nothing_but_the_rest(tmp_path: Path) -> None:
+def test_a_full_disk_loses_only_later_messages(tmp_path: Path) -> None:
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(disk)]
@@ -211,20 +213,20 @@ def test_a_full_disk_costs_nothing_but_the_rest(tmp_path: Path) -> None:
         log = open_log(path)
         assert log.complete
         assert log.warnings == []
-        # the message that met the full disk is in the log as well
+        # the message that met the full disk is in the log too
         assert [len(data) for _, _, data in log.raw("ahrs")] == [2000] * (count + 1)
         with path.open("rb") as file:
             summary = make_reader(file).get_summary()
         assert summary is not None
         assert summary.statistics is not None
         assert summary.statistics.message_count == count + 1
-        assert os.listdir(disk) == ["run.mcap"]  # the ballast is gone
+        assert os.listdir(disk) == ["run.mcap"]  # the filler file is gone
         log.close()
     finally:
         subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_what_other_readers_make_of_it(tmp_path: Path) -> None:
+def test_other_readers_can_read_the_log(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     write_everything(path)
     data = path.read_bytes()
