@@ -120,7 +120,7 @@ def propulsion(quantity: str, every: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("name", "what", "every", "hold"),
+    ("name", "quantity", "every", "hold"),
     [
         ("n_left", "shaft", 1, "linear"), ("n_left", "shaft", 10, "linear"), ("motor_left", "shaft", 10, "sampled"),
         ("n_left", "command", 1, ""), ("cmd_left", "command", 1, ""), ("cmd_left", "command", 20, ""),

@@ -328,7 +328,7 @@ def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("has_rig", "told", "found"),
+    ("has_rig", "reported", "found"),
     [
         (False, (-1200.0, 900.0), (-1200.0, 900.0)),
         (True, (-1200.0, 900.0), (-1200.0, 900.0)),  # astern while the output is ahead: the shaft still turns

@@ -1,4 +1,4 @@
-"""Tables of a rig from an autopilot's parameters: what is driven, and a comment for each caveat."""
+"""Tests of the rig tables made from an autopilot's parameters: driven outputs, and a comment for each caveat."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.daq.mavlink_ends import Ends, mav_rig
 
 
 def tables(**changes: float) -> tuple[Rig, list[str]]:
-    """The rig that comes out, and its caveats, of the mock's parameters with these changes."""
+    """Return the rig and the caveats for the mock's parameters with these changes."""
     parameters = {**Ends(mav_rig()).autopilot.vehicle.parameters, **changes}
     found = DiscoveredAutopilot("udp:127.0.0.1:14550", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)
     text = found.toml("mavlink1")
@@ -24,17 +24,18 @@ def tables(**changes: float) -> tuple[Rig, list[str]]:
     return parse_rig(f'format = "seatrial-rig 1"\nname = "found"\n{text}', Path("rig.toml")), caveats
 
 
-def test_the_thrusters_of_the_mock_are_those_of_its_rig() -> None:
+def test_the_thrusters_of_the_mock_equal_those_of_its_rig() -> None:
     rig, caveats = tables()
     wanted = {t.name: (t.node, t.output, t.position_m[1] < 0.0) for t in mav_rig().thrusters}
     assert {t.name: (t.node, t.output, t.position_m[1] < 0.0) for t in rig.thrusters} == wanted
     assert [caveat for caveat in caveats if "measure" not in caveat] == []
     assert rig.devices[0].mavlink is not None
     assert (rig.devices[0].name, rig.devices[0].rate_hz) == ("mavlink1", 25.0)
-    assert rig.devices[0].mavlink.rates == {"SERVO_OUTPUT_RAW": 40.0}  # four fifths of its loop, by a network
+    # four fifths of the autopilot's loop rate, over a network
+    assert rig.devices[0].mavlink.rates == {"SERVO_OUTPUT_RAW": 40.0}
 
 
-def test_two_boats_in_one_rig_have_thrusters_of_their_own() -> None:
+def test_two_boats_in_one_rig_have_separate_thrusters() -> None:
     parameters = Ends(mav_rig()).autopilot.vehicle.parameters
     boats = [
         DiscoveredAutopilot(f"udp:127.0.0.1:{port}", "", "mavlink", vehicle="ArduPilot Rover", parameters=parameters)
@@ -47,7 +48,7 @@ def test_two_boats_in_one_rig_have_thrusters_of_their_own() -> None:
     ]
 
 
-def test_channels_pulses_and_ground_station_are_the_autopilots() -> None:
+def test_channels_pulses_and_ground_station_come_from_the_autopilot() -> None:
     rig, _ = tables(
         RCMAP_ROLL=5, RC5_MIN=1050, RC5_TRIM=1510, RC5_MAX=1950, SERVO1_MIN=1120, MAV_GCS_SYSID=250, SCHED_LOOP_RATE=25
     )
@@ -56,13 +57,14 @@ def test_channels_pulses_and_ground_station_are_the_autopilots() -> None:
     assert (left.rc_channel, left.rc_us, left.pwm_us) == (5, (1050.0, 1510.0, 1950.0), (1120.0, 1500.0, 1900.0))
     assert rig.devices[0].mavlink is not None
     assert rig.devices[0].mavlink.own_system_id == 250
-    assert (rig.devices[0].rate_hz, rig.devices[0].mavlink.rates) == (20.0, {})  # four fifths of its loop
+    # four fifths of the autopilot's loop rate
+    assert (rig.devices[0].rate_hz, rig.devices[0].mavlink.rates) == (20.0, {})
 
 
 @pytest.mark.parametrize(
     ("name", "value"), [("FS_ACTION", 1), ("RC_OVERRIDE_TIME", 3), ("SERVO3_REVERSED", 1), ("MOT_THR_MAX", 50)]
 )
-def test_what_forbids_to_drive_is_a_caveat(name: str, value: float) -> None:
+def test_a_parameter_that_prevents_driving_is_a_caveat(name: str, value: float) -> None:
     _, caveats = tables(**{name: value})
     assert any(caveat.startswith(f"{name} is {value:g}") for caveat in caveats)
 
@@ -105,8 +107,8 @@ def test_other_vehicles_are_named_and_have_no_thruster(vehicle: str) -> None:
     (3, 12, "ArduSub, system 1; only ArduPilot Rover is driven, this is logged"),
     (3, 11, "ArduPilot Rover, system 1"),
 ])  # fmt: skip
-def test_devices_says_what_is_driven(autopilot: int, vehicle: int, said: str) -> None:
-    """A heartbeat over UDP; with --toml nothing is asked of what is not driven."""
+def test_devices_names_the_vehicle_and_whether_it_can_be_driven(autopilot: int, vehicle: int, said: str) -> None:
+    """The heartbeat comes over UDP. With --toml, parameters of a vehicle that cannot be driven are not requested."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:

@@ -1,4 +1,4 @@
-"""Live ROS 2 as rmw_zenoh's nodes see it: keys, graph, attachments, messages; and a router that is not there."""
+"""Tests of live ROS 2 as seen by nodes of rmw_zenoh: keys, graph, attachments, messages, and a missing router."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def listener(router: Router) -> Iterator[Any]:
     opened.close()
 
 
-def test_topics_and_messages_are_those_of_rmw_zenoh(router: Router, listener: Any) -> None:
+def test_topics_and_messages_follow_rmw_zenoh(router: Router, listener: Any) -> None:
     subscriber = listener.declare_subscriber("7/**", zenoh.handlers.FifoChannel(1000))
     with Ros2Node(rig(router, domain=7, namespace="boat")) as node:
         assert "is there" in node.await_router(5.0)
@@ -92,31 +92,31 @@ def test_topics_and_messages_are_those_of_rmw_zenoh(router: Router, listener: An
     assert not [p[9] for p in publishers if any(part[:1].isdigit() for part in p[9].split("%"))]
 
 
-AHEAD_S = 3600.0  # the sender's clock before ours
+AHEAD_S = 3600.0  # the sender's clock is behind ours
 
 
 def late(ways: list[tuple[float, float]], sender: bytes = b"a", allowed_s: float = 0.3) -> list[bool]:
-    """Whether commands are late that were sent at these times and took so long."""
+    """Return whether each command is late, for commands sent at these times with these transport times."""
     found = LateCommands(allowed_s)
     return [found.is_late(ReceivedCommand(0.1, sender, at + AHEAD_S), at + took) for at, took in ways]
 
 
-def test_a_command_is_late_by_the_quickest_of_its_sender_whatever_its_clock_says() -> None:
+def test_a_command_is_late_relative_to_the_fastest_of_its_sender() -> None:
     assert late([(0.0, 0.02), (0.1, 0.3), (0.2, 0.35), (0.3, 2.0), (0.4, 0.02)]) == [False, False, True, True, False]
-    assert late([(0.05 * k, 0.05 * k) for k in range(10)]) == [False] * 7 + [True] * 3  # a queue that grows
+    assert late([(0.05 * k, 0.05 * k) for k in range(10)]) == [False] * 7 + [True] * 3  # a growing queue
     found = LateCommands(0.3)
     assert not found.is_late(ReceivedCommand(0.1, b"a", 100.0), 7.0)
-    assert not found.is_late(ReceivedCommand(0.1, b"b", 0.0), 7.0)  # each has its own clock
-    assert not found.is_late(ReceivedCommand(0.1, b""), 9.0)  # who does not say when it sent has no age
+    assert not found.is_late(ReceivedCommand(0.1, b"b", 0.0), 7.0)  # each sender has its own clock
+    assert not found.is_late(ReceivedCommand(0.1, b""), 9.0)  # a command without a send time has no age
     assert found.is_late(ReceivedCommand(0.1, b"a", 100.1), 9.0)
     assert found.number == 1
 
 
-def test_clocks_that_drift_apart_make_no_command_late() -> None:
+def test_clock_drift_makes_no_command_late() -> None:
     assert not any(late([(at, 0.02 + 1e-4 * at) for at in np.arange(0.0, 36_000.0, 0.5)]))
 
 
-def test_a_command_that_was_held_up_is_not_taken(router: Router) -> None:
+def test_a_delayed_command_is_not_accepted(router: Router) -> None:
     with Ros2Node(rig(router), ["left"]) as node, Commander(router, 1e-3) as commander:
         node.await_router(5.0)
         time.sleep(0.3)
@@ -127,16 +127,16 @@ def test_a_command_that_was_held_up_is_not_taken(router: Router) -> None:
         assert "1 command came too late to be followed" in node.summary()
 
 
-def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any) -> None:
+def test_commands_are_accepted_with_any_type_hash(router: Router, listener: Any) -> None:
     with Ros2Node(rig(router), ["left"]) as node, Commander(router, 1e-3) as commander:
         node.await_router(5.0)
         time.sleep(0.3)
         commander.send(0.25)
         commander.send(b"nonsense")
-        time.sleep(0.5)  # there is no order between two senders
+        time.sleep(0.5)  # the order of two senders is undefined
         listener.put("0/thrusters/left/command/std_msgs::msg::dds_::Float64_/TypeHashNotSupported",
                      b"\x00\x00\x00\x00" + struct.pack(">d", -0.5))  # fmt: skip
-        listener.put(f"0/thrusters/left/command/{FLOAT64}", b"x" * 200_000)  # more than is taken
+        listener.put(f"0/thrusters/left/command/{FLOAT64}", b"x" * 200_000)  # more than the limit
         time.sleep(0.3)
         commands = node.take()["left"]
         assert [command.n for command in commands] == pytest.approx([0.25, np.nan, -0.5], nan_ok=True)
@@ -146,7 +146,7 @@ def test_it_takes_commands_whatever_the_type_hash(router: Router, listener: Any)
         assert node.take() == {"left": []}
 
 
-def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_router_may_start_late_and_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     router = Router()
     with Ros2Node(rig(router)) as node:
         assert "is not there" in node.await_router(0.2)
@@ -166,18 +166,18 @@ def test_a_router_may_come_late_and_go(monkeypatch: pytest.MonkeyPatch) -> None:
             node.put(STREAM, 3)
             wait_for(lambda: node.published == 44, what="all messages")
     monkeypatch.setattr(ros_live, "QUEUE", 20)
-    node.put(STREAM, 3)  # its thread has ended: nothing is taken out any more
+    node.put(STREAM, 3)  # its thread has ended, so no more samples are taken
     node.put(STREAM, 3)
     assert "47 samples could not be published" in node.summary()
 
 
-def test_without_the_package_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_zenoh_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zenoh", None)
     with pytest.raises(SeatrialError, match=r"seatrial\[ros2\]"), Ros2Node(rig_of_logs()):
         pass
 
 
-def test_a_router_that_hangs_holds_up_neither_log_nor_end(tmp_path: Path) -> None:
+def test_a_hanging_router_delays_neither_the_log_nor_its_end(tmp_path: Path) -> None:
     router = Router()
     text = (
         f"import time; from tests.daq.ros_ends import Router; r = Router({router.address!r}); r.start(); time.sleep(99)"
@@ -199,7 +199,7 @@ def test_a_router_that_hangs_holds_up_neither_log_nor_end(tmp_path: Path) -> Non
             begun = time.monotonic()
             run.send_signal(signal.SIGINT)
             out, _ = run.communicate(timeout=60.0)
-            assert time.monotonic() - begun < 15.0  # Zenoh alone waits for 20 to 40
+            assert time.monotonic() - begun < 15.0  # Zenoh alone waits for 20 to 40 s
         other.kill()
         listener.close()
     assert run.returncode == 0
@@ -210,8 +210,8 @@ def test_a_router_that_hangs_holds_up_neither_log_nor_end(tmp_path: Path) -> Non
     assert np.diff(t).max() < 0.5
 
 
-def test_every_sample_that_is_logged_is_streamed(tmp_path: Path) -> None:
-    """From real ports through the acquisition process."""
+def test_every_logged_sample_is_streamed(tmp_path: Path) -> None:
+    """The samples come from real ports through the acquisition process."""
     taken: list[StreamedSample] = []
     with TestBoat(tmp_path) as boat:
         loaded = load_rig(boat.rig_path)
@@ -229,7 +229,7 @@ def test_every_sample_that_is_logged_is_streamed(tmp_path: Path) -> None:
 
 
 class _Sample:
-    """A sample of Zenoh with this payload and this attachment."""
+    """Zenoh sample with this payload and this attachment."""
 
     def __init__(self, payload: bytes, attachment: bytes | None) -> None:
         self.payload = _Bytes(payload)
@@ -241,7 +241,7 @@ class _Bytes(bytes):
         return bytes(self)
 
 
-def test_only_a_whole_attachment_names_its_sender() -> None:
+def test_only_a_complete_attachment_identifies_its_sender() -> None:
     number = b"\0\1\0\0" + struct.pack("<d", 0.25)
     whole = ATTACHMENT.pack(7, 2_000_000_000, 16, b"g" * 16)
     assert _command(_Sample(number, whole)) == ReceivedCommand(0.25, b"g" * 16, 2.0, 7)

@@ -1,4 +1,4 @@
-"""UDP and TCP ports over real loopback sockets."""
+"""Tests of UDP and TCP ports over real loopback sockets."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.daq.ptys import wait_for
 
 
 @pytest.fixture
-def other() -> Iterator[socket.socket]:
+def peer() -> Iterator[socket.socket]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         sock.settimeout(2.0)
@@ -49,13 +49,15 @@ def read(port: Port) -> bytes:
     return port.read()
 
 
-def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_confirmed_sender_is_answered_and_keeps_the_link(
+    peer: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
     number = free()
     port = make_net_port(f"udp:127.0.0.1:{number}")
     port.open()
-    port.write(b"nobody is there")  # lost, and no error
-    other.sendto(b"one", ("127.0.0.1", number))
-    other.sendto(b"two", ("127.0.0.1", number))
+    port.write(b"nobody is there")  # the data is lost without an error
+    peer.sendto(b"one", ("127.0.0.1", number))
+    peer.sendto(b"two", ("127.0.0.1", number))
     assert read(port) == b"one"
     assert not port.is_confirmed
     port.write(b"nobody is known")
@@ -63,13 +65,13 @@ def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, m
     port.confirm()
     assert port.is_confirmed
     port.write(b"answer")
-    assert other.recv(100) == b"answer"
+    assert peer.recv(100) == b"answer"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         stranger.sendto(b"mine", ("127.0.0.1", number))
         assert b"mine" not in read(port)
         assert port.unparsed_bytes == 4
         assert isinstance(port, UdpPort)
-        port._heard -= SILENT_S  # as if the first had been silent for so long
+        port._heard -= SILENT_S  # as if the first sender had been silent for so long
         stranger.sendto(b"mine", ("127.0.0.1", number))
         assert read(port) == b"mine"
         assert not port.is_confirmed
@@ -81,35 +83,35 @@ def test_who_is_confirmed_is_answered_and_keeps_the_link(other: socket.socket, m
     assert port.fileno() == -1
 
 
-def test_a_listening_port_is_taken_over_from_a_process_that_still_has_it(other: socket.socket) -> None:
+def test_a_listening_port_is_taken_over_from_a_process_that_still_has_it(peer: socket.socket) -> None:
     number = free()
     hung, second, watchdog = (make_net_port(f"udp:127.0.0.1:{number}") for _ in range(3))
     hung.open()
     with pytest.raises(PortError, match="in use by another program"):
         second.open()
-    other.sendto(b"before", ("127.0.0.1", number))
+    peer.sendto(b"before", ("127.0.0.1", number))
     assert read(hung) == b"before"
     watchdog.take_over()
     for k in range(5):
-        other.sendto(b"%d" % k, ("127.0.0.1", number))
+        peer.sendto(b"%d" % k, ("127.0.0.1", number))
         assert read(watchdog) == b"%d" % k
     watchdog.confirm()
     watchdog.write(b"zero")
-    assert other.recvfrom(10) == (b"zero", ("127.0.0.1", number))
+    assert peer.recvfrom(10) == (b"zero", ("127.0.0.1", number))
     with pytest.raises(PortError, match="in use by another program"):
         second.open()
     watchdog.close()
     hung.close()
-    second.open()  # nothing is left of it
+    second.open()  # no data of the other process remains
     second.close()
 
 
-def test_udpout_speaks_to_an_address_even_before_anybody_listens(other: socket.socket) -> None:
+def test_udpout_sends_to_an_address_before_a_listener_exists(peer: socket.socket) -> None:
     number = free()
     port = make_net_port(f"udpout:127.0.0.1:{number}")
     port.open()
     port.write(b"a")
-    port.write(b"b")  # the system says "refused" here: nobody listens yet, which is no loss of the port
+    port.write(b"b")  # the system reports "refused", because nobody listens yet; the port is not lost
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as there:
         there.bind(("127.0.0.1", number))
         there.settimeout(2.0)
@@ -136,11 +138,11 @@ def test_tcp_connects_and_a_closed_connection_is_a_lost_port() -> None:
         port.close()
 
 
-def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
+def test_a_port_that_cannot_be_opened_is_reported(peer: socket.socket) -> None:
     with pytest.raises(PortError, match="no program listens there"):
         make_net_port(f"tcp:127.0.0.1:{free(socket.SOCK_STREAM)}").open()
     with pytest.raises(PortError, match="in use by another program"):
-        make_net_port(f"udpin:127.0.0.1:{other.getsockname()[1]}").open()
+        make_net_port(f"udpin:127.0.0.1:{peer.getsockname()[1]}").open()
     with pytest.raises(PortError, match="no address"):
         make_net_port("udpout:no.such.host.invalid:14550").open()
 
@@ -159,14 +161,14 @@ def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
         (("[[thruster]]", "[device.rates]\nATTITUD = 5.0\n[[thruster]]"), r"rates.ATTITUD: not a supported message"),
     ],
 )
-def test_what_is_wrong_in_a_rig_is_named(change: tuple[str, str], line: str) -> None:
+def test_an_error_in_the_network_keys_of_a_rig_is_named(change: tuple[str, str], line: str) -> None:
     text = rig_text().replace(*change, 1)
     with pytest.raises(SeatrialError, match=line) as caught:
         parse_rig(text, Path("rig.toml"))
     assert "\n" not in str(caught.value)
 
 
-def test_rates_are_asked_for_in_order_and_may_be_set() -> None:
+def test_rates_are_requested_in_order_and_may_be_set() -> None:
     rig = parse_rig(rig_text(more='gnss = "fused"\nrates = {RAW_IMU = 0.0, ATTITUDE = 10.0}'), Path("rig.toml"))
     device = rig.device("autopilot")
     assert device.mavlink is not None
@@ -189,7 +191,9 @@ def heartbeat(codec: Codec) -> bytes:
 
 @pytest.mark.parametrize("signed", [False, True])
 def test_the_peer_is_the_first_sender_of_a_frame_of_the_autopilot(tmp_path: Path, signed: bool) -> None:
-    """Neither a stray byte, half a frame, another system, nor (where there is a key) an unsigned frame locks it out."""
+    """A stray byte, half a frame, a frame of another system, or (with a key) an unsigned frame must not lock out the
+    autopilot.
+    """
     number = free()
     (tmp_path / "key").write_bytes(KEY)
     more = 'key_file = "key"' if signed else ""
@@ -213,12 +217,12 @@ def test_the_peer_is_the_first_sender_of_a_frame_of_the_autopilot(tmp_path: Path
             sock.sendto(data, here)
         wait_for(lambda: port.bytes_in == sum(map(len, strange)))
         own.sendto(heartbeat(autopilot), here)
-        assert own.recv(1000)  # its ground station answers
+        assert own.recv(1000)  # the ground station of the autopilot answers
         for sock in strangers:
             sock.setblocking(False)
             with pytest.raises(BlockingIOError):
                 sock.recv(1000)
-        # After silence another address of the same autopilot is learnt again, and by a frame alone.
+        # After a silence another address of the same autopilot is learned, but only from a complete frame.
         assert isinstance(port, UdpPort)
         port._heard -= SILENT_S
         strangers[0].sendto(b"\xfd", here)
@@ -232,8 +236,8 @@ def test_the_peer_is_the_first_sender_of_a_frame_of_the_autopilot(tmp_path: Path
     loop.join()
 
 
-def test_a_frame_is_not_put_together_of_two_senders(tmp_path: Path) -> None:
-    """Else a stranger's head would make the autopilot's own frame confirm the stranger."""
+def test_a_frame_is_not_assembled_from_two_senders(tmp_path: Path) -> None:
+    """Otherwise the start of a frame from a stranger would let the autopilot's own bytes confirm the stranger."""
     number = free()
     rig = parse_rig(rig_text(f"udp:127.0.0.1:{number}"), tmp_path / "rig.toml")
     device = rig.devices[0]
@@ -253,8 +257,8 @@ def test_a_frame_is_not_put_together_of_two_senders(tmp_path: Path) -> None:
     port.close()
 
 
-def test_the_watchdog_is_heard_on_a_signed_link_long_after_it_was_made(tmp_path: Path) -> None:
-    """Oracle: pymavlink's own check of an autopilot that has since heard, and sent, later signatures."""
+def test_the_watchdog_is_accepted_on_a_signed_link_long_after_its_start(tmp_path: Path) -> None:
+    """The reference is pymavlink's check by an autopilot that has since received and sent later signatures."""
     number = free()
     (tmp_path / "key").write_bytes(KEY)
     rig = parse_rig(rig_text(f"udp:127.0.0.1:{number}", more='key_file = "key"'), tmp_path / "rig.toml")
@@ -279,6 +283,6 @@ def test_the_watchdog_is_heard_on_a_signed_link_long_after_it_was_made(tmp_path:
                     heard += [] if message is None else [message.get_type()]
                     data = data[about.total :]
         sender.join()
-    assert sender.outcome == "zero was sent, and not answered: it may still be armed"  # nobody here answers
+    assert sender.outcome == "zero was sent, and not answered: it may still be armed"  # no autopilot answers here
     assert heard.count("RC_CHANNELS_OVERRIDE") > 5
     assert heard.count("COMMAND_LONG") > 5
