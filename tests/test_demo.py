@@ -127,11 +127,11 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
     command = [sys.executable, "-u", "-m", "seatrial", "demo", "--seed", "3", "--out", str(tmp_path / "demo")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         assert process.stdout is not None
-        said = ""
-        while after not in said:
+        printed = ""
+        while after not in printed:
             line = process.stdout.readline()
-            assert line, said
-            said += line
+            assert line, printed
+            printed += line
         running = descendants(process.pid)
         assert running
         process.send_signal(signal.SIGINT)

@@ -73,27 +73,27 @@ def mock(line: str, folder: Path, environment: dict[str, str]) -> Iterator[None]
 def follow(every: list[str], folder: Path, environment: dict[str, str]) -> str:
     """Run every line, with one mock after the other in the background, and return the output."""
     starts = [k for k, line in enumerate(every) if line.startswith("seatrial mock ")]
-    said = [run(line, folder, environment) for line in every[: starts[0]]]
+    printed = [run(line, folder, environment) for line in every[: starts[0]]]
     for start, end in zip(starts, [*starts[1:], len(every)], strict=True):
         with mock(every[start], folder, environment):
-            said += [run(line, folder, environment) for line in every[start + 1 : end]]
-    return " ".join("".join(said).split())
+            printed += [run(line, folder, environment) for line in every[start + 1 : end]]
+    return " ".join("".join(printed).split())
 
 
 @pytest.mark.study
 @pytest.mark.timeout(1800)
 def test_the_tutorials_give_the_results_that_they_show(tmp_path: Path, environment: dict[str, str]) -> None:
     """All tutorials use one folder, as for the reader: the mission uses the thrust curve of the bench run."""
-    said = follow(lines("bench-run"), tmp_path, environment)
-    assert re.search(r"The thruster gives \d\d\.\d+ ± 0\.\d+ N forward and \d\d\.\d+ ± 0\.\d+ N in reverse", said)
+    printed = follow(lines("bench-run"), tmp_path, environment)
+    assert re.search(r"The thruster gives \d\d\.\d+ ± 0\.\d+ N forward and \d\d\.\d+ ± 0\.\d+ N in reverse", printed)
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))["true_parameters"]
     fitted = json.loads((tmp_path / "thruster/result.json").read_text(encoding="utf-8"))
     values = {row["name"]: row["value"] for row in fitted["fit"]["parameters"]}
     assert abs(values["c1"] - truth["c1"]) < 0.5
     assert abs(values["a"] - truth["pole"]) < 0.3
     assert 0.0 < values["tau"] - truth["delay"] < 0.04  # the ports are still opening, at a quarter of the speed
-    said = follow(lines("mission"), tmp_path, environment)
-    assert "The model lacks a GNSS antenna lever arm" in said
+    printed = follow(lines("mission"), tmp_path, environment)
+    assert "The model lacks a GNSS antenna lever arm" in printed
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     assert truth["effect"] == "lever-arm"
 
@@ -109,10 +109,10 @@ def test_the_commands_of_the_readme_lead_to_a_report(tmp_path: Path, environment
     copy, *others = lines_of(blocks(page, "sh"))
     slower = "sed -i.bak 's/^speed = 20.0/speed = 5.0/' boat.toml bench.toml"
     assert len(others) < 13
-    said = follow([copy, slower, *others], tmp_path, environment)
+    printed = follow([copy, slower, *others], tmp_path, environment)
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     assert truth["effect"] == "wind"
-    assert "The model lacks steady wind" in said
+    assert "The model lacks steady wind" in printed
     assert (tmp_path / "diagnosis/report.html").is_file()
     fitted = json.loads((tmp_path / "diagnosis/result.json").read_text(encoding="utf-8"))["fit"]
     rows, true = {row["name"]: row for row in fitted["parameters"]}, truth["true_parameters"]

@@ -123,8 +123,8 @@ def diagnosed(frame: str, source: str, folder: Path, missions: int) -> dict[str,
 def fitting(frame: str) -> list[str]:
     """Return the command `vehicle` with the fixed thrust."""
     thrust = GIVEN[frame.removesuffix(WAVES)]
-    given = (word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}"))
-    return ["vehicle", "--model", "nomoto", *given]
+    fixed = (word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}"))
+    return ["vehicle", "--model", "nomoto", *fixed]
 
 
 def identified(source: str, folder: Path, missions: int, out: str, *words: str) -> dict[str, Any]:

@@ -20,8 +20,8 @@ def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]
     """Return a function that runs a command line and returns exit status, stdout and stderr."""
     with pytest.raises(SystemExit) as left:
         command_line.main(words)
-    said = capsys.readouterr()
-    return int(left.value.code or 0), said.out, said.err
+    captured = capsys.readouterr()
+    return int(left.value.code or 0), captured.out, captured.err
 
 
 @pytest.mark.parametrize(

@@ -52,6 +52,6 @@ def assert_ends_at_zero(boat: TestBoat) -> None:
     """Check that the last command of each thruster is zero, after a command that was not zero."""
     boat.catch_up()
     for node in (1, 2):
-        told = [n for there, n in boat.ports["can"].commands() if there == node]
-        assert any(told), "no thrust was ever commanded"
-        assert told[-1] == 0.0
+        received = [n for there, n in boat.ports["can"].commands() if there == node]
+        assert any(received), "no thrust was ever commanded"
+        assert received[-1] == 0.0

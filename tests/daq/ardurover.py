@@ -219,12 +219,12 @@ class Rover:
         """Send PARAM_SET as the second station."""
         self._ear.mav.param_set_send(1, 1, name.encode(), value, 9)
 
-    def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
+    def until(self, condition: Callable[[], bool], seconds: float, awaited: str) -> None:
         """Wait for a condition. Raise TimeoutError if it does not hold in time."""
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
-                raise TimeoutError(f"{what}: not in {seconds:g} s ({self.outputs[-1:]}, {self.beats[-1:]})")
+                raise TimeoutError(f"{awaited}: not in {seconds:g} s ({self.outputs[-1:]}, {self.beats[-1:]})")
             time.sleep(0.02)
 
     def until_ready(self) -> None:

@@ -93,9 +93,9 @@ def tables(log: Log) -> dict[str, list[tuple[object, ...]]]:
     return found
 
 
-def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
+def same(left: tuple[object, ...], right: tuple[object, ...]) -> bool:
     """Return whether two rows are equal, with NaN equal to NaN."""
-    return repr(one) == repr(other)
+    return repr(left) == repr(right)
 
 
 def is_prefix(part: dict[str, list[tuple[object, ...]]], all_of_it: dict[str, list[tuple[object, ...]]]) -> bool:

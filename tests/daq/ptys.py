@@ -197,7 +197,7 @@ class TestBoat:
 
     def _send(self, k: int) -> None:
         t = 0.01 * k * self._speed
-        said = {
+        messages = {
             "ahrs": vectornav.encode_binary(Ahrs(0.1, 0.0, 0.0, 0.0, 0.0, 1e-3 * k, 0.0, 0.0, -9.8), t),
             "can": b"".join(
                 slcan.encode(*frame)
@@ -207,10 +207,10 @@ class TestBoat:
             "cell": loadcell.encode(2000.0 + k % 100),
         }
         if k % 5 == 0:
-            said["gnss"] = nmea.encode(
+            messages["gnss"] = nmea.encode(
                 Gnss(1.8e9 + t, 41.0, -8.7, 1.0, 0.5, 0.1, fix=3, n_sat=9, hdop=1.0, sigma_h=0.5)
             )
-        for name, data in said.items():
+        for name, data in messages.items():
             if name not in self.silent:
                 self.ports[name].write(data)
                 self.sent[name] += 1

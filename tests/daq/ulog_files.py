@@ -15,7 +15,7 @@ needs_pyulog = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, re
 
 
 class Topic(NamedTuple):
-    """Topic of a log: declared fields after the timestamp, their struct format, their times [s] (n,), and their rows."""
+    """Topic of a log: declared fields after the timestamp, struct format, times [s] (n,), rows."""
 
     fields: str
     form: str

@@ -29,9 +29,9 @@ def fixes_table(rows: Sequence[Comparison]) -> Table:
     for row in rows:
         if row.fixes or row.headings.comparable:
             misses = ", ".join(f"{count} {why}" for why, count in row.misses.items())
-            other = f"{row.by_sentence} RMC, GLL" if row.by_sentence else ""
+            elsewhere = f"{row.by_sentence} RMC, GLL" if row.by_sentence else ""
             table.add_row(
-                row.name, str(row.samples), str(row.checksum_errors), str(row.fixes), str(row.agreeing), other, misses,
+                row.name, str(row.samples), str(row.checksum_errors), str(row.fixes), str(row.agreeing), elsewhere, misses,
                 *(_text(share) for share in (row.speeds, row.modes, row.headings)),
             )  # fmt: skip
     return table
@@ -73,9 +73,11 @@ def main() -> int:
     for name, share in shares.items():
         console.print(f"{name}: {_text(share)} agree within gpsd's printed digits ({100.0 * share.part:.2f} %)")
     console.print(f"no position with a time in {', '.join(without)}\n")
-    others = list(results(Path(folder)))
-    console.print(captures_table(others))
-    return 0 if all(share.part >= NEEDED for share in shares.values()) and all(row.right for row in others) else 1
+    other_captures = list(results(Path(folder)))
+    console.print(captures_table(other_captures))
+    return (
+        0 if all(share.part >= NEEDED for share in shares.values()) and all(row.right for row in other_captures) else 1
+    )
 
 
 if __name__ == "__main__":

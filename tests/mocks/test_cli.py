@@ -63,11 +63,11 @@ def mock(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
         assert re.fullmatch(r"mock: \d+\.\d s of run time, (samples left|FELL BEHIND) .* ms( late)?\n", err), err
 
 
-def awaited(condition: Callable[[], Any], what: str) -> Any:
+def awaited(condition: Callable[[], Any], description: str) -> Any:
     """Return the value of ``condition`` as soon as it is true."""
     deadline = time.monotonic() + PATIENCE
     while not (value := condition()):
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        assert time.monotonic() < deadline, f"waited in vain for {description}"
         time.sleep(0.005)
     return value
 
@@ -111,11 +111,11 @@ def test_an_esc_obeys_and_stops_by_itself_within_its_timeout(tmp_path: Path) -> 
         rows = awaited(lambda: [r for r in trace(log) if r["why"] == "timeout"][1:] and trace(log), "both time-outs")
         drive(bus, 1, 0.3)
         awaited(lambda: len(trace(log)) > 4, "a command after the time-out")
-    told = {row["node"]: row for row in rows if row["why"] == "command"}
-    assert (told[1]["n"], told[2]["n"]) == (0.5, -0.4)
+    commanded = {row["node"]: row for row in rows if row["why"] == "command"}
+    assert (commanded[1]["n"], commanded[2]["n"]) == (0.5, -0.4)
     for row in rows:
         if row["why"] == "timeout":
-            command = told[row["node"]]
+            command = commanded[row["node"]]
             assert row["n"] == 0.0
             assert row["t"] - command["t"] > 3.0 - 1e-5  # a pause of the mock itself does not count against the sender
             assert 0.3 <= row["wall"] - command["wall"] < 3.0
@@ -172,7 +172,7 @@ def test_a_dead_esc_gives_neither_thrust_nor_telemetry(tmp_path: Path) -> None:
 
 
 def test_the_truth_file_holds_the_hidden_effect_and_the_true_parameters(tmp_path: Path) -> None:
-    told = []
+    truths = []
     for run_number in (0, 1):
         folder = tmp_path / str(run_number)
         folder.mkdir()
@@ -181,9 +181,9 @@ def test_the_truth_file_holds_the_hidden_effect_and_the_true_parameters(tmp_path
             *("boat", rig, "--seed", "11", "--run", str(run_number), "--effect", "draw", "--truth-file", truth)
         ) as process:
             assert process.stdout is not None
-            told.append(json.loads(truth.read_text()))
+            truths.append(json.loads(truth.read_text()))
             assert stat.S_IMODE(os.stat(truth).st_mode) == 0o600
-    first, second = told
+    first, second = truths
     assert first["effect"] in DEMO
     assert first["parameters"]
     assert len(first["sentence"]) > 20

@@ -95,9 +95,9 @@ def test_a_run_from_command_to_log(tmp_path: Path) -> None:
     with bench(tmp_path, seconds=8.0) as it:
         _, err = it.run.communicate(timeout=60)
         assert it.run.returncode == 0, err
-        told = {row["n"] for row in it.trace()}
+        commanded = {row["n"] for row in it.trace()}
         assert not it.turning()
-    assert sorted(told) == pytest.approx([-0.4, 0.0, 0.6], abs=1e-4)
+    assert sorted(commanded) == pytest.approx([-0.4, 0.0, 0.6], abs=1e-4)
     assert replay(it.log).stop is None
     with open_log(it.log) as log:
         assert not log.warnings

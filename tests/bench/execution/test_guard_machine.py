@@ -784,24 +784,24 @@ def test_a_rate_near_zero_conflicts_with_the_rig_and_an_unknown_rate_does_not(tm
 
 def test_a_message_of_a_controller_names_the_newest_command(tmp_path: Path) -> None:
     check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), 1.0)
-    said = ""
+    stop_text = ""
     for k in range(200):
         t = 0.05 * k
-        said = check.reason(status(t, 0.1 if t < 4.0 else 0.2, {ESC: Esc(1, 3000.0 + math.sin(t), 9.0, 0.9)}))
+        stop_text = check.reason(status(t, 0.1 if t < 4.0 else 0.2, {ESC: Esc(1, 3000.0 + math.sin(t), 9.0, 0.9)}))
         if t > 4.2:
             break
-    assert "commanded +0.20" in said
+    assert "commanded +0.20" in stop_text
     for k in range(40):  # the command changes just before the message is made
         n = 0.2 if k % 2 else 0.1
-        if said := check.reason(status(20.0 + 0.05 * k, n, {ESC: Esc(1, 3000.0 + math.sin(k), 9.0, 0.9)})):
-            assert f"commanded {n:+.2f}" in said
+        if stop_text := check.reason(status(20.0 + 0.05 * k, n, {ESC: Esc(1, 3000.0 + math.sin(k), 9.0, 0.9)})):
+            assert f"commanded {n:+.2f}" in stop_text
 
 
 def test_the_stop_for_a_lost_source_states_its_duration_or_reason(tmp_path: Path) -> None:
     guard = SafetyGuard(rig_of(tmp_path, rpm=4000.0, force_n=60.0), 1.0, ("left",))
     guard.unwatched(status(1.0, 0.0, {ESC: Esc(1, 0.0), CELL: LoadCell(1.0, 8.5)}))
-    said = {limit.key: limit.silence(T + 5.0) for limit in guard.unwatched(status(5.0, 0.0, {}))}
-    assert said == {
+    stop_text = {limit.key: limit.silence(T + 5.0) for limit in guard.unwatched(status(5.0, 0.0, {}))}
+    assert stop_text == {
         "rpm": "no shaft speed of thruster left (node 1 on esc) for 4.0 s",
         "force_n": "no force of loadcell for 4.0 s",
     }
@@ -832,13 +832,13 @@ def test_the_stop_for_a_force_limit_states_the_force_at_rest(tmp_path: Path) -> 
 
 def test_a_blocked_controller_is_named_with_its_newest_command(tmp_path: Path) -> None:
     check = guard_module.ControllerCheck(rig_of(tmp_path).thruster("left"), 1.0)
-    said = ""
+    stop_text = ""
     for k in range(300):
         n = 0.5 if k % 2 else 0.4
         esc = Esc(1, 0.0, 0.1, NAN, 24.0 + 0.01 * math.sin(k))
-        if said := check.reason(status(0.05 * k, n, {ESC: esc})):
+        if stop_text := check.reason(status(0.05 * k, n, {ESC: esc})):
             break
-    assert f"does not turn, commanded {n:+.2f} for 3 s" in said
+    assert f"does not turn, commanded {n:+.2f} for 3 s" in stop_text
 
 
 def test_a_boat_at_its_start_is_not_stopped_by_its_speed_alone(tmp_path: Path) -> None:
@@ -981,12 +981,12 @@ def test_a_thruster_that_turns_before_its_first_command_ends_the_run(tmp_path: P
 def test_the_stop_for_a_wrong_output_states_possible_causes(put_out: float, commanded: float, why: str) -> None:
     thruster = mav_rig().thrusters[0]
     check = guard_module.OutputCheck(thruster, 1.0)
-    said = ""
+    stop_text = ""
     for k in range(40):
         t = 0.05 * k
         latest = {("autopilot", thruster.node): Latest(Servo(thruster.node, 1500.0, put_out), T + t)}
-        said = check.reason(Status(T + t, {}, latest, {"left": commanded}, 0, "", 1, 1, t, "", ()))
-    assert said.endswith(f"commanded {commanded:+.2f}: {why}")
+        stop_text = check.reason(Status(T + t, {}, latest, {"left": commanded}, 0, "", 1, 1, t, "", ()))
+    assert stop_text.endswith(f"commanded {commanded:+.2f}: {why}")
 
 
 @pytest.mark.parametrize("first", ["gnss", "ahrs"])

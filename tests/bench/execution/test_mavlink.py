@@ -161,33 +161,33 @@ def test_a_wrong_parameter_is_refused_and_not_changed(tmp_path: Path) -> None:
     assert trace(tmp_path) == []
 
 
-@pytest.mark.parametrize("what", ["runner killed", "link cut"])
-def test_thrust_ends_if_a_process_dies_or_hangs(tmp_path: Path, what: str) -> None:
+@pytest.mark.parametrize("failure", ["runner killed", "link cut"])
+def test_thrust_ends_if_a_process_dies_or_hangs(tmp_path: Path, failure: str) -> None:
     write_files(tmp_path, 60.0)
-    impatient = what == "link cut"  # the thrust does not return
+    impatient = failure == "link cut"  # the thrust does not return
     fault = ("--fault", "pull/autopilot@usr1:60")
     with mock(tmp_path, *fault) as devices, running(tmp_path, "--arm", impatient=impatient) as run:
         until_turning(tmp_path, run)
         acquisition = acquisition_of(run.pid)
         begun = time.monotonic()
-        if what == "link cut":
+        if failure == "link cut":
             devices.send_signal(signal.SIGUSR1)
         else:
             run.kill()
         # If no process is left to send zero, the time-out of the autopilot ends thrust.
-        own = OVERRIDE_S if what == "link cut" else 0.25
+        own = OVERRIDE_S if failure == "link cut" else 0.25
         assert stopped_at(tmp_path) - begun < own + AT_ONCE_S
         _, err = run.communicate(timeout=60)
         until(lambda: not is_alive(acquisition), 10.0)
     log = open_log(tmp_path / "run.mcap")
     assert len(log.table(Ahrs, "autopilot")) > 10
-    if what == "runner killed":
+    if failure == "runner killed":
         texts = [text for _, kind, text in log.events() if kind == "stop"]
         assert any("parent" in text for text in texts)
         assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]
     else:
         assert err.count("\n") == 1
-    if what == "link cut":
+    if failure == "link cut":
         assert run.returncode == 3
         assert "autopilot WAS ARMED BY US AND MAY STILL BE" in err
 
@@ -243,9 +243,13 @@ def test_a_check_gets_parameters_without_acting_as_a_ground_station(tmp_path: Pa
         done = subprocess.run(
             [*SEATRIAL, "check", "rig.toml", "--json"], cwd=tmp_path, capture_output=True, text=True, check=False
         )
-    told = json.loads(done.stdout)["findings"]
-    assert not [f for f in told if f["check"] in ("parameters", "limits", "alive") and f["level"] == "fault"], told
-    assert "temperature_c 80 of thruster left by autopilot" in next(f["text"] for f in told if f["check"] == "limits")
+    reported = json.loads(done.stdout)["findings"]
+    assert not [f for f in reported if f["check"] in ("parameters", "limits", "alive") and f["level"] == "fault"], (
+        reported
+    )
+    assert "temperature_c 80 of thruster left by autopilot" in next(
+        f["text"] for f in reported if f["check"] == "limits"
+    )
 
 
 @pytest.mark.parametrize("kind", ["udp", pytest.param("tcp", marks=pytest.mark.study)])

@@ -81,8 +81,8 @@ def test_skipped_set_points_are_reported(standin: StandIn, tmp_path: Path) -> No
     assert skipped >= 3
     assert f"skipped: {skipped} of 31 set-points" in run.out
     sent = [n for _, n in standin.commands]
-    told = [n for k, n in enumerate(sent) if k == 0 or n != sent[k - 1]]
-    assert told == [*sorted(told[:-1]), 0.0]  # an older command never follows a newer command
+    changes = [n for k, n in enumerate(sent) if k == 0 or n != sent[k - 1]]
+    assert changes == [*sorted(changes[:-1]), 0.0]  # an older command never follows a newer command
 
 
 def test_garbage_on_the_lines_is_counted_and_the_run_goes_on(standin: StandIn, tmp_path: Path) -> None:

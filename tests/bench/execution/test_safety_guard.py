@@ -216,8 +216,8 @@ def test_an_age_of_nan_counts_as_silence(guard: SafetyGuard, age: float) -> None
 def test_a_silent_controller_on_a_busy_bus_stops(guard: SafetyGuard) -> None:
     now = status(0.1)
     latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
-    said = reason(guard, replace(now, latest=latest))
-    assert said == "thruster left (node 1 on esc) is silent for 1.1 s"
+    message = reason(guard, replace(now, latest=latest))
+    assert message == "thruster left (node 1 on esc) is silent for 1.1 s"
 
 
 def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:
@@ -263,8 +263,8 @@ def test_a_limit_whose_quantity_is_no_longer_reported_stops(
     guard: SafetyGuard, name: str, sample: Sample, limit: str, patience: float
 ) -> None:
     guard.check(status(patience - 0.05, 1001, **{name: sample}))
-    said = reason(guard, status(patience + 0.05, 1002, **{name: sample}))
-    assert said.startswith(f"limits.{limit} is not watched any more")
+    message = reason(guard, status(patience + 0.05, 1002, **{name: sample}))
+    assert message.startswith(f"limits.{limit} is not watched any more")
 
 
 @pytest.mark.parametrize(("name", "sample", "limit", "patience"), SILENT)
@@ -273,10 +273,10 @@ def test_a_limit_without_a_source_is_named_before_anything_moves(
 ) -> None:
     (missing,) = SafetyGuard(rig, 1.0, ("left",)).unwatched(status(0.0, **{name: sample}))
     assert missing.key == limit
-    said = missing.refusal(T)
-    assert f"limits.{limit} = " in said
-    assert f'unwatched = ["{limit}"]' in said
-    assert "since the start" in said
+    message = missing.refusal(T)
+    assert f"limits.{limit} = " in message
+    assert f'unwatched = ["{limit}"]' in message
+    assert "since the start" in message
     free = replace(rig, limits=replace(rig.limits, unwatched=(limit,)))
     assert not SafetyGuard(free, 1.0, ("left",)).unwatched(status(0.0, **{name: sample}))
 

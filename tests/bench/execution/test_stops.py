@@ -95,13 +95,13 @@ def test_a_port_that_comes_back_gets_its_zero_though_the_run_has_ended(tmp_path:
         standin.pull(standin.can)
         time.sleep(after)
         assert standin.n != 0.0  # no process could send it before
-        told = len(standin.commands)
+        n_before = len(standin.commands)
         standin.plug(standin.can)
         until(lambda: standin.n == 0.0, 3.0)
         assert run.end() == 3
     assert "thrust is zero" in run.line()  # its status arrived after the port returned
-    zeros = [t for t, n in standin.commands[told:] if n == 0.0]
-    assert len(zeros) == len(standin.commands[told:])
+    zeros = [t for t, n in standin.commands[n_before:] if n == 0.0]
+    assert len(zeros) == len(standin.commands[n_before:])
     assert zeros[-1] - zeros[0] > 0.9 * ZERO_FOR_S
     assert not open_log(run.log).warnings
 

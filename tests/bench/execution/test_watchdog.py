@@ -73,26 +73,26 @@ def test_the_watchdog_imports_only_the_modules_for_sending_zero() -> None:
     assert not {"numpy", "mcap", "zstandard", "pymavlink", "can"} & set(done.stdout.split())
 
 
-@pytest.mark.parametrize("what", ["acquisition hangs", "acquisition killed", "both killed"])
-def test_after_a_hang_or_death_zero_comes_long_before_the_esc_timeout(tmp_path: Path, what: str) -> None:
+@pytest.mark.parametrize("failure", ["acquisition hangs", "acquisition killed", "both killed"])
+def test_after_a_hang_or_death_zero_comes_long_before_the_esc_timeout(tmp_path: Path, failure: str) -> None:
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, 4.0, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
         run.until_turning(standin)
         acquisition = acquisition_of(run.process.pid)
         begun = time.monotonic()
-        os.kill(acquisition, signal.SIGSTOP if what == "acquisition hangs" else signal.SIGKILL)
+        os.kill(acquisition, signal.SIGSTOP if failure == "acquisition hangs" else signal.SIGKILL)
         # killed after the acquisition, because it would end by itself when its parent is gone
-        if what == "both killed":
+        if failure == "both killed":
             run.process.kill()
         until(lambda: standin.n == 0.0, 10.0)
         took = standin.zero_after(begun) - begun
-        assert took < (HANG_S if what == "acquisition hangs" else 0.0) + AT_ONCE_S
+        assert took < (HANG_S if failure == "acquisition hangs" else 0.0) + AT_ONCE_S
         assert standin.commands[-1][1] == 0.0  # it received zero and did not time out
         status = run.end()
         until(lambda: not is_alive(acquisition), 10.0)
         until(lambda: "zero was sent" in read_note(run.log), 10.0)
         assert standin.n == 0.0
-    if what != "both killed":
+    if failure != "both killed":
         assert status in (1, 3)
         assert "watchdog" in run.line() or "has not answered" in run.line()
     log = open_log(run.log)

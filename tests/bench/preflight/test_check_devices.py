@@ -158,8 +158,8 @@ def test_the_reported_state_of_an_autopilot_is_judged(link: LinkStatus, level: s
 
 @pytest.mark.parametrize("remark", ["", "frames of node 7, which no thruster of the rig has"])
 def test_a_remark_on_a_stream_is_not_a_fault(remark: str) -> None:
-    said = remark or "[Errno 5] it hung up"
-    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, said, remark)
+    expected = remark or "[Errno 5] it hung up"
+    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, expected, remark)
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
     (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "port-error"]
-    assert (found.level, found.text) == (WARNING if remark else FAULT, said)
+    assert (found.level, found.text) == (WARNING if remark else FAULT, expected)

@@ -44,10 +44,10 @@ def test_the_actuator_test_finds_swapped_sides_and_ends_at_zero(tmp_path: Path) 
         done = check(tmp_path, "wrong.toml", "--actuators", "--yes", "--json", "-o", "test.mcap", "--seconds", "2")
         turned = trace(tmp_path)
     assert done.returncode == 1, done.stderr
-    told = json.loads(done.stdout)["findings"]
-    faults = [(f["check"], f["where"]) for f in told if f["level"] == "fault"]
-    assert ("sides", "right and left") in faults or ("sides", "left and right") in faults, told
-    assert {"rate", "noise", "limits", "disk", "delay", "dead band"} <= {f["check"] for f in told}
+    reported = json.loads(done.stdout)["findings"]
+    faults = [(f["check"], f["where"]) for f in reported if f["level"] == "fault"]
+    assert ("sides", "right and left") in faults or ("sides", "left and right") in faults, reported
+    assert {"rate", "noise", "limits", "disk", "delay", "dead band"} <= {f["check"] for f in reported}
     last = {row["node"]: row["n"] for row in turned}
     assert last == {1: 0.0, 2: 0.0}
     assert 0.25 < max(abs(row["n"]) for row in turned) <= 0.301
@@ -76,14 +76,14 @@ def test_a_limit_without_a_source_is_a_fault_and_the_others_name_their_source(tm
             file.write('unwatched = ["temperature_c"]\n')
         without = check(tmp_path, "bench-rig.toml", "--seconds", "1", "--json")
     assert done.returncode == 1
-    told = [f for f in json.loads(done.stdout)["findings"] if f["check"] == "limits"]
-    assert [f["level"] for f in told] == ["fault", "ok"]
-    assert "limits.temperature_c = 80 is not watched" in told[0]["text"]
-    assert "unwatched" in told[0]["advice"]
-    assert "force_n 60 by loadcell" in told[1]["text"]
-    assert "temperature_c" not in told[1]["text"]
-    told = [f for f in json.loads(without.stdout)["findings"] if f["check"] == "limits"]
-    assert [f["level"] for f in told] == ["warning", "ok"]
+    reported = [f for f in json.loads(done.stdout)["findings"] if f["check"] == "limits"]
+    assert [f["level"] for f in reported] == ["fault", "ok"]
+    assert "limits.temperature_c = 80 is not watched" in reported[0]["text"]
+    assert "unwatched" in reported[0]["advice"]
+    assert "force_n 60 by loadcell" in reported[1]["text"]
+    assert "temperature_c" not in reported[1]["text"]
+    reported = [f for f in json.loads(without.stdout)["findings"] if f["check"] == "limits"]
+    assert [f["level"] for f in reported] == ["warning", "ok"]
 
 
 def test_a_log_without_samples_does_not_pass(tmp_path: Path) -> None:
@@ -103,10 +103,10 @@ def test_ctrl_c_in_the_actuator_test_sends_zero_thrust(tmp_path: Path) -> None:
         )
         until(lambda: (tmp_path / "trace.jsonl").exists() and turning(tmp_path), 30.0)
         test.send_signal(signal.SIGINT)
-        _, said = test.communicate(timeout=30)
+        _, stderr_text = test.communicate(timeout=30)
         until(lambda: not turning(tmp_path), 1.0)
-    assert test.returncode == 130, said
-    assert "thrust is zero" in said
+    assert test.returncode == 130, stderr_text
+    assert "thrust is zero" in stderr_text
 
 
 def test_a_mission_is_checked_without_any_device(tmp_path: Path) -> None:
@@ -114,7 +114,7 @@ def test_a_mission_is_checked_without_any_device(tmp_path: Path) -> None:
     save_mission(make_mission("mixed", 60.0, 1), tmp_path / "mission.toml")
     done = check(tmp_path, "boat-rig.toml", "--mission", "mission.toml", "--seconds", "0.5", "--json")
     assert done.returncode == 1  # no boat is connected
-    told = {(f["check"], f["where"]): f for f in json.loads(done.stdout)["findings"]}
-    assert {where for check, where in told if check == "alive"} >= {"ahrs", "gnss", "esc"}
-    assert told["limits", "mixed, seed 1"]["level"] == "ok"
-    assert "no c1" in told["fence", "mixed, seed 1"]["text"]
+    reported = {(f["check"], f["where"]): f for f in json.loads(done.stdout)["findings"]}
+    assert {where for check, where in reported if check == "alive"} >= {"ahrs", "gnss", "esc"}
+    assert reported["limits", "mixed, seed 1"]["level"] == "ok"
+    assert "no c1" in reported["fence", "mixed, seed 1"]["text"]

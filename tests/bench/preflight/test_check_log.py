@@ -79,7 +79,7 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["a.toml", "b.mcap"], "give one RIG"),
         (["b.mcap", "--actuators"], "need a RIG"),
@@ -88,7 +88,7 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     ],
 )
 def test_options_that_exclude_each_other_are_wrong_usage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], expected: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for word in words:
@@ -96,7 +96,7 @@ def test_options_that_exclude_each_other_are_wrong_usage(
             Path(word).touch()
     status, _, err = run(capsys, "check", *words)
     assert status == 2
-    assert said in err
+    assert expected in err
 
 
 def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -145,9 +145,9 @@ def test_the_search_for_a_stuck_sensor_is_fast() -> None:
 
 
 def test_the_rate_of_an_nmea_2000_bus_is_that_of_its_headings(tmp_path: Path) -> None:
-    others = [*sampled(turning, 10.0, 20.0, 0.01), *sampled(fix, 5.0, 20.0, 0.02)]
+    other_samples = [*sampled(turning, 10.0, 20.0, 0.01), *sampled(fix, 5.0, 20.0, 0.02)]
     (of_rate,) = [
-        f for f in findings_of(tmp_path, bus(), [*sampled(heading, 10.0, 20.0), *others]) if f.check == "rate"
+        f for f in findings_of(tmp_path, bus(), [*sampled(heading, 10.0, 20.0), *other_samples]) if f.check == "rate"
     ]
     assert (of_rate.code, of_rate.text) == ("rate-as-expected", "10 Hz, expected 10")
 

@@ -126,9 +126,9 @@ def test_the_rig_that_devices_writes_passes_the_check(tmp_path: Path, port: int,
     assert [(t.name, t.node, t.output) for t in found] == [(t.name, t.node, t.output) for t in wanted]
     command = [sys.executable, "-m", "seatrial", "check", "rig.toml", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    told = json.loads(done.stdout)["findings"]
-    assert [f for f in told if f["level"] != "ok"] == []
-    assert any("ArduPilot Rover" in f["text"] for f in told)
+    reported = json.loads(done.stdout)["findings"]
+    assert [f for f in reported if f["level"] != "ok"] == []
+    assert any("ArduPilot Rover" in f["text"] for f in reported)
 
 
 def test_the_end_of_a_log_does_not_drive_the_boat_home(tmp_path: Path, port: int, rover: Rover) -> None:
@@ -170,14 +170,14 @@ def test_a_refusal_to_arm_states_its_reason(signed: tuple[Path, Rover]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         pytest.param("acquisition killed", DISARMED, marks=pytest.mark.study),
         ("link cut for 8 s", "thrust is zero"),
     ],
 )
 def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
-    signed: tuple[Path, Rover], measured: float, name: str, said: str
+    signed: tuple[Path, Rover], measured: float, name: str, message: str
 ) -> None:
     folder, rover = signed
     (fault,) = [fault for fault in FAULTS if fault.name == name]
@@ -185,7 +185,7 @@ def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
     assert trial.seconds < trial.allowed + BUSY_S, trial
     assert trial.disarmed
     assert json.loads((folder / "rig.link-test.json").read_text())["devices"]["autopilot"]["receiver"] is False
-    assert said in trial.says
+    assert message in trial.says
 
 
 @pytest.mark.parametrize(

@@ -67,13 +67,13 @@ def test_many_spikes_are_reported() -> None:
     assert seen([*many, *[LoadCell(90000.0 + k) for k in range(250)]]) == ""  # the problem is over
 
 
-@pytest.mark.parametrize(("bad", "said"), [(1, ""), (9, ""), (12, "more than 1 frame in 20"), (200, "more than 1")])
-def test_many_wrong_checksums_are_reported(bad: int, said: str) -> None:
+@pytest.mark.parametrize(("bad", "expected"), [(1, ""), (9, ""), (12, "more than 1 frame in 20"), (200, "more than 1")])
+def test_many_wrong_checksums_are_reported(bad: int, expected: str) -> None:
     watch = SensorHealth()
     for k in range(40):
         watch.count(T0 + 0.1 * k, 4 * k, round(bad * k / 39))
-    assert watch.message().startswith(said)
-    assert bool(watch.message()) == bool(said)
+    assert watch.message().startswith(expected)
+    assert bool(watch.message()) == bool(expected)
     for k in range(40, 120):
         watch.count(T0 + 0.1 * k, 4 * k, bad)
     assert watch.message() == ""

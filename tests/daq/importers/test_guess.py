@@ -97,8 +97,8 @@ def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
     assert guessed_signals(path)["psi"]["unit"] == "deg"
     np.testing.assert_allclose(values(tmp_path / "run.mcap", "psi")[1], np.radians(10.0 + np.arange(N)))
     path.write_bytes(text.encode())
-    said = r"run\.txt: is not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
-    with pytest.raises(SeatrialError, match=said) as caught:
+    message = r"run\.txt: is not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
+    with pytest.raises(SeatrialError, match=message) as caught:
         import_files(tmp_path / "run.map.toml", [path], out=tmp_path / "again.mcap")
     assert "\n" not in str(caught.value)
 
@@ -475,14 +475,14 @@ def test_the_topics_of_mavros_are_found(tmp_path: Path) -> None:
     def pulses(k: int) -> Any:
         return types["mavros_msgs/msg/RCOut"](head(k), np.array([1500 + k, 0, 1500 - k, 0], np.uint16))
 
-    said = {
+    topics = {
         "/mavros/local_position/velocity_local": ("geometry_msgs/msg/TwistStamped", twist),
         "/mavros/setpoint_velocity/cmd_vel": ("geometry_msgs/msg/TwistStamped", twist),
         "/mavros/global_position/compass_hdg": ("std_msgs/msg/Float64", lambda k: types["std_msgs/msg/Float64"](90.0)),
         "/mavros/rc/out": ("mavros_msgs/msg/RCOut", pulses),
     }
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for topic, (kind, make) in said.items():
+        for topic, (kind, make) in topics.items():
             connection = writer.add_connection(topic, kind, typestore=STORE)
             for k in range(N):
                 writer.write(connection, round((100 + 0.01 * k) * 1e9), STORE.serialize_cdr(make(k), kind))

@@ -433,8 +433,8 @@ def test_stamps_in_whole_seconds_need_a_rate(folder: Path, rate: float) -> None:
     csv_map.write_text(csv_map.read_text().replace('column = "t"', 'column = "time"'))
     with pytest.raises(SeatrialError, match=r"too coarse: time = \{ rate_hz = ") as caught:
         import_files(csv_map, [file])
-    told = float(str(caught.value).partition("rate_hz = ")[2].split()[0])
-    assert told == pytest.approx(rate, rel=0.03)
+    suggested = float(str(caught.value).partition("rate_hz = ")[2].split()[0])
+    assert suggested == pytest.approx(rate, rel=0.03)
     text = guess_map(file).text
     assert "caveat: the stamps of 'time' are coarser than the rows" in text
     assert float(text.partition("rate_hz = ")[2].split()[0]) == pytest.approx(rate, rel=0.01)

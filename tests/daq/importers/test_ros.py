@@ -70,7 +70,7 @@ def odometry(k: int) -> object:
 @pytest.fixture(params=[StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite3"])
 def bag(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     path = tmp_path / "bag"
-    said = {
+    messages = {
         "/imu/data": ("sensor_msgs/msg/Imu", imu),
         "/fix": ("sensor_msgs/msg/NavSatFix", fix),
         "/odom": ("nav_msgs/msg/Odometry", odometry),
@@ -78,7 +78,7 @@ def bag(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
         "/name": ("std_msgs/msg/String", lambda k: STORE.types["std_msgs/msg/String"]("boat")),
     }
     with Writer(path, version=9, storage_plugin=request.param) as writer:
-        for topic, (kind, make) in said.items():
+        for topic, (kind, make) in messages.items():
             connection = writer.add_connection(topic, kind, typestore=STORE)
             for k in range(N):
                 t_ns = round((T0 + 0.05 * k + 0.01) * 1e9)

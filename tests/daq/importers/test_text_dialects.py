@@ -332,9 +332,9 @@ SAID = {
 }
 
 
-@pytest.mark.parametrize(("text", "said"), SAID.values(), ids=SAID)
-def test_rows_and_cells_that_are_left_out_are_counted(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.warns(SeatrialWarning, match=said):
+@pytest.mark.parametrize(("text", "message"), SAID.values(), ids=SAID)
+def test_rows_and_cells_that_are_left_out_are_counted(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.warns(SeatrialWarning, match=message):
         imported(tmp_path, text)
 
 

@@ -360,10 +360,10 @@ def test_a_name_of_megabytes_is_left_out(tmp_path: Path) -> None:
     with open_log(path) as opened:
         assert set(opened.attachments) == {"rig.toml", "small.txt"}
         assert any("left out (a name of 4000000 characters)" in warning for warning in opened.warnings)
-        said = CliRunner().invoke(cli.info, [str(path)]).output
+        printed = CliRunner().invoke(cli.info, [str(path)]).output
     assert time.process_time() - before < 5.0
-    assert len(said) < 20_000
-    assert "\x1b" not in said
+    assert len(printed) < 20_000
+    assert "\x1b" not in printed
 
 
 RECORD = struct.Struct("<BQ")

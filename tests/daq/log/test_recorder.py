@@ -75,12 +75,12 @@ def test_a_killed_recording_keeps_all_but_the_last_moment(tmp_path: Path, seed: 
     n_before = random.Random(seed).randint(150, 500)
     process = subprocess.Popen([sys.executable, "-c", RECORD, str(path)], cwd=ROOT, stdout=subprocess.PIPE)
     assert process.stdout is not None
-    told = process.stdout.read(8 * n_before)
+    output = process.stdout.read(8 * n_before)
     os.kill(process.pid, signal.SIGKILL)
-    told += process.stdout.read()
+    output += process.stdout.read()
     process.wait()
     process.stdout.close()
-    written = np.frombuffer(told[: len(told) // 8 * 8], "<f8")
+    written = np.frombuffer(output[: len(output) // 8 * 8], "<f8")
     log = open_log(path)
     table = log.table(Ahrs, "ahrs")
     assert not log.complete

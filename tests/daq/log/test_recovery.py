@@ -70,9 +70,9 @@ def test_recover_reports_that_an_intact_log_is_intact(whole: Path, tmp_path: Pat
 
 def test_a_folder_with_one_log_may_be_given_instead_of_the_log(killed_set: Path) -> None:
     folder = killed_set.parent
-    said = run("info", folder).stdout
-    assert said == run("info", killed_set).stdout
-    assert "in 4 segments, cut off" in said
+    printed = run("info", folder).stdout
+    assert printed == run("info", killed_set).stdout
+    assert "in 4 segments, cut off" in printed
     write_everything(folder / "other.mcap")
     done = run("info", folder)
     assert done.exit_code == 2
@@ -84,8 +84,8 @@ def test_a_folder_with_one_log_may_be_given_instead_of_the_log(killed_set: Path)
 
 
 def test_a_later_segment_names_its_first_segment(killed_set: Path) -> None:
-    said = run("info", killed_set.with_name("run.2.mcap")).stdout
-    assert "segment 2 of run.mcap, which opens with all of them" in said
+    printed = run("info", killed_set.with_name("run.2.mcap")).stdout
+    assert "segment 2 of run.mcap, which opens with all of them" in printed
     killed_set.rename(killed_set.with_name("away.mcap"))
     assert "segment 2" not in run("info", killed_set.with_name("run.2.mcap")).stdout
 
@@ -94,9 +94,9 @@ def test_a_log_without_messages_is_reported_as_such(killed_set: Path) -> None:
     data = killed_set.read_bytes()
     alone = killed_set.with_name("beginning.mcap")
     alone.write_bytes(data[: data.index(b"rig.toml") - 40])
-    said = run("info", alone).stdout
-    assert "no messages" in said
-    assert "1970" not in said
+    printed = run("info", alone).stdout
+    assert "no messages" in printed
+    assert "1970" not in printed
 
 
 def test_a_missing_segment_is_reported(killed_set: Path) -> None:

@@ -320,8 +320,8 @@ def test_the_accuracy_of_a_fix_equals_that_read_from_ubx() -> None:
     """One receiver reports hAcc 1 m by its own protocol and through an autopilot."""
     own = ubx.Decoder()
     frames = own.feed(ubx.encode(Gnss(1.8e9, 38.7, -9.0, fix=3, sigma_h=math.sqrt(0.5))), 1.0) + own.flush()
-    said = [f.sample.sigma_h for f in [*frames, *samples(raw_fix(1000, 3))] if isinstance(f.sample, Gnss)]
-    assert said == pytest.approx([math.sqrt(0.5)] * 2, abs=1e-3)
+    accuracies = [f.sample.sigma_h for f in [*frames, *samples(raw_fix(1000, 3))] if isinstance(f.sample, Gnss)]
+    assert accuracies == pytest.approx([math.sqrt(0.5)] * 2, abs=1e-3)
 
 
 def test_a_restart_of_the_autopilot_drops_all_earlier_state() -> None:

@@ -101,6 +101,8 @@ def test_vectors_of_several_packets_are_joined() -> None:
 def test_a_filter_that_loses_its_attitude_does_not_silence_the_sensor() -> None:
     invalid = mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, -0.02, 1.5, 0)})
     decoder = mip.Decoder()
-    said = [len(decoder.feed(data, 5.0)) for data in (SENSOR, FILTER, SENSOR, invalid, SENSOR, SENSOR, FILTER, SENSOR)]
-    assert said == [1, 1, 0, 0, 1, 1, 1, 0]
+    n_samples = [
+        len(decoder.feed(data, 5.0)) for data in (SENSOR, FILTER, SENSOR, invalid, SENSOR, SENSOR, FILTER, SENSOR)
+    ]
+    assert n_samples == [1, 1, 0, 0, 1, 1, 1, 0]
     assert len(decoder.feed(SENSOR, 5.0 + mip.FILTER_S + 0.1)) == 1  # no more packets came from the filter

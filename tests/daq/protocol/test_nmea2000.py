@@ -142,11 +142,11 @@ def test_of_several_compasses_another_is_used_if_the_first_is_silent() -> None:
 def test_a_missing_satellite_count_does_not_change_the_used_receiver() -> None:
     there, uncounted = Decoder(settle=0.0), replace(FIX, n_sat=0)
     other = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
-    said = []
+    n_frames = []
     for k in range(30):
         leader = fast_packet(nmea2000.FIX, encode_body(FIX if k % 3 else uncounted), 1, source=10)
-        said.append(len(fed(*leader, *other, decoder=there, t=k / 2)))
-    assert said[2:] == [1] * 28
+        n_frames.append(len(fed(*leader, *other, decoder=there, t=k / 2)))
+    assert n_frames[2:] == [1] * 28
     assert len(fed(*other, decoder=there, t=17.5)) == 1
 
 
@@ -175,10 +175,10 @@ def test_samples_wait_until_all_senders_are_known() -> None:
     body = encode_body(FIX)
     slower, leader = (fast_packet(nmea2000.FIX, body, 1, source=source) for source in (20, 10))
     level, *_ = encode(Ahrs(NAN, 0.1, 0.2))
-    said = [len(fed(*frames, decoder=there, t=t)) for t, frames in (
+    n_frames = [len(fed(*frames, decoder=there, t=t)) for t, frames in (
         (1.0, slower), (1.3, leader), (2.0, slower), (2.3, leader), (3.0, slower), (3.3, leader)
     )]  # fmt: skip
-    assert said == [0, 0, 0, 1, 0, 1]
+    assert n_frames == [0, 0, 0, 1, 0, 1]
     found = [fed(heading(100, 0), level, heading(100, 1), decoder=there, t=t) for t in (1.0, 2.0, 2.3)]
     assert [len(frames) for frames in found] == [0, 0, 1]
     assert found[2][0].sample.roll == pytest.approx(0.2)  # type: ignore[union-attr]
@@ -218,14 +218,14 @@ def test_the_rate_is_that_of_headings_or_without_them_of_fixes(tmp_path: Path, s
 
 
 def test_a_receiver_with_a_fix_precedes_one_without() -> None:
-    there, said = Decoder(settle=0.0), []
+    there, received = Decoder(settle=0.0), []
     void = replace(FIX, lat=NAN, lon=NAN, fix=0, n_sat=3)
     for k in range(6):
         blind = fast_packet(nmea2000.FIX, encode_body(void), k, source=5)
         seeing = fast_packet(nmea2000.FIX, encode_body(FIX), k, source=10)
-        said += fed(*blind, *seeing, decoder=there, t=k / 2)
-    assert [frame.sample.fix for frame in said if isinstance(frame.sample, Gnss)] == [0, *[5] * 6]
-    assert math.isnan(said[0].t_device)  # before its first fix a receiver sends the time of its own clock
-    assert said[1].t_device == pytest.approx(FIX.utc, abs=1e-4)
+        received += fed(*blind, *seeing, decoder=there, t=k / 2)
+    assert [frame.sample.fix for frame in received if isinstance(frame.sample, Gnss)] == [0, *[5] * 6]
+    assert math.isnan(received[0].t_device)  # before its first fix a receiver sends the time of its own clock
+    assert received[1].t_device == pytest.approx(FIX.utc, abs=1e-4)
     blind = fast_packet(nmea2000.FIX, encode_body(void), 0, source=5)
     assert len(fed(*blind, decoder=there, t=2.5 + nmea2000.STALE_S + 0.1)) == 1  # the other receiver is silent

@@ -102,15 +102,15 @@ def test_other_vehicles_are_named_and_have_no_thruster(vehicle: str) -> None:
     assert vehicle in text.splitlines()[0]
 
 
-@pytest.mark.parametrize(("autopilot", "vehicle", "said"), [
+@pytest.mark.parametrize(("autopilot", "vehicle", "message"), [
     (12, 11, "PX4, system 1; only ArduPilot Rover is driven, this is logged"),
     (3, 12, "ArduSub, system 1; only ArduPilot Rover is driven, this is logged"),
     (3, 11, "ArduPilot Rover, system 1"),
 ])  # fmt: skip
-def test_devices_names_the_vehicle_and_whether_it_can_be_driven(autopilot: int, vehicle: int, said: str) -> None:
+def test_devices_names_the_vehicle_and_whether_it_can_be_driven(autopilot: int, vehicle: int, message: str) -> None:
     """The heartbeat comes over UDP. With --toml, parameters of a vehicle that cannot be driven are not requested."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle_port:
+        vehicle_port.bind(("127.0.0.1", 0))
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
             taken.bind(("127.0.0.1", 0))
             port = taken.getsockname()[1]
@@ -119,15 +119,15 @@ def test_devices_names_the_vehicle_and_whether_it_can_be_driven(autopilot: int, 
 
         def beat() -> None:
             while not ending.wait(0.1):
-                other.sendto(codec.encode("HEARTBEAT", vehicle, autopilot, 0, 0, 4, 3), ("127.0.0.1", port))
+                vehicle_port.sendto(codec.encode("HEARTBEAT", vehicle, autopilot, 0, 0, 4, 3), ("127.0.0.1", port))
 
         thread = threading.Thread(target=beat)
         thread.start()
         found = identify_autopilot(f"udpin:127.0.0.1:{port}", 0, vehicle != 11)
         ending.set()
         thread.join()
-        assert found.says == said
-        other.setblocking(False)
-        if "logged" in said:
+        assert found.says == message
+        vehicle_port.setblocking(False)
+        if "logged" in message:
             with pytest.raises(BlockingIOError):
-                other.recv(100)
+                vehicle_port.recv(100)

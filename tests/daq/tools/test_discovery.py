@@ -37,8 +37,8 @@ def esc(k: int) -> bytes:
 def attitude(k: int) -> bytes:
     link = MAVLink(None, srcSystem=1, srcComponent=1)
     heartbeat = link.heartbeat_encode(11, 3, 0, 0, 3)  # a surface boat, ArduPilot, disarmed
-    said = link.attitude_encode(20 * k, 0.01, 0.02, 0.5, 0.0, 0.0, 0.1)
-    return b"".join(bytes(message.pack(link)) for message in (heartbeat, said))
+    attitude_message = link.attitude_encode(20 * k, 0.01, 0.02, 0.5, 0.0, 0.0, 0.1)
+    return b"".join(bytes(message.pack(link)) for message in (heartbeat, attitude_message))
 
 
 SAYS: dict[str, tuple[int, Callable[[int], bytes]]] = {

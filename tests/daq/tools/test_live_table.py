@@ -47,8 +47,8 @@ def test_each_kind_of_sample_has_its_own_line() -> None:
         (("autopilot/battery", None), Battery(15.2, 3.0, 0.8), 0.5),
     )
     text = "\n".join(rows(seen, mav_rig()))
-    for said in ("yaw 17.2°", "3D 9 sat 1.37 m/s", "battery 15.2 V 3.0 A 80 %"):
-        assert said in text
+    for part in ("yaw 17.2°", "3D 9 sat 1.37 m/s", "battery 15.2 V 3.0 A 80 %"):
+        assert part in text
     assert "STALE" not in text
 
 
@@ -93,10 +93,10 @@ def test_an_autopilot_that_waits_for_a_fix_is_stale_only_when_it_is_silent(age: 
 def test_an_acquisition_that_hangs_is_not_recording() -> None:
     seen = status("autopilot", (("autopilot", None), LEVEL, 0.02))
     assert " REC " in rows(seen, mav_rig(), NOW + 0.2)[0]
-    head, *others = rows(seen, mav_rig(), NOW + 6.0)
+    head, *other_rows = rows(seen, mav_rig(), NOW + 6.0)
     assert " REC " not in head
     assert "the acquisition does not answer" in head
-    (row,) = [row for row in others if "autopilot" in row]
+    (row,) = [row for row in other_rows if "autopilot" in row]
     assert row.startswith("!")
     assert "6.0 STALE" in row
     assert " 25.0 " not in row

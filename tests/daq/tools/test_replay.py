@@ -94,12 +94,14 @@ def test_the_rig_of_the_log_is_beside_the_ports_while_they_exist(recorded: Path,
     seen: list[tuple[str, Rig]] = []
 
     def stopped() -> bool:
-        seen.append((said[0], load_rig(tmp_path / "ports/replay.toml")))
+        seen.append((printed[0], load_rig(tmp_path / "ports/replay.toml")))
         return True
 
-    said: list[str] = []
+    printed: list[str] = []
     with open_log(recorded) as log:
-        assert replay_log(log, ["ahrs", "esc"], tmp_path / "ports", speed=2.0, said=said.append, stopped=stopped) == 0
+        assert (
+            replay_log(log, ["ahrs", "esc"], tmp_path / "ports", speed=2.0, said=printed.append, stopped=stopped) == 0
+        )
         own = log.rig
     assert own is not None
     ((line, rig),) = seen

@@ -83,8 +83,8 @@ def test_topics_and_messages_follow_rmw_zenoh(router: Router, listener: Any) -> 
     assert store.deserialize_cdr(fix.payload.to_bytes(), "sensor_msgs/msg/NavSatFix").latitude == 63.4
 
     # @ros2_lv/<domain>/<session>/<node>/<entity>/<kind>/<enclave>/<namespace>/<name>[/<topic>/<type>/<hash>/<qos>]
-    (one,) = [parts for parts in graph if parts[5] == "NN"]
-    assert one[6:] == ["%", "%boat", "seatrial"]
+    (node_token,) = [parts for parts in graph if parts[5] == "NN"]
+    assert node_token[6:] == ["%", "%boat", "seatrial"]
     publishers = [parts for parts in graph if parts[5] == "MP"]
     assert {f"7/{'/'.join(p[9][1:].split('%'))}/{p[10]}/{p[11]}" for p in publishers} == set(found)
     assert {parts[12] for parts in publishers} == {"::,10:,:,:,,"}
@@ -182,7 +182,7 @@ def test_a_hanging_router_delays_neither_the_log_nor_its_end(tmp_path: Path) -> 
     text = (
         f"import time; from tests.daq.ros_ends import Router; r = Router({router.address!r}); r.start(); time.sleep(99)"
     )
-    with TestBoat(tmp_path) as boat, subprocess.Popen([sys.executable, "-c", text], cwd=ROOT) as other:
+    with TestBoat(tmp_path) as boat, subprocess.Popen([sys.executable, "-c", text], cwd=ROOT) as hanging:
         with boat.rig_path.open("a", encoding="utf-8") as rig_file:
             rig_file.write(f'[ros2]\nrouter = "{router.address}"\n')
         listener = None
@@ -193,14 +193,14 @@ def test_a_hanging_router_delays_neither_the_log_nor_its_end(tmp_path: Path) -> 
         words = ["-m", "seatrial", "log", str(boat.rig_path), "--ros2", "-o", str(tmp_path / "run.mcap")]
         with subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=subprocess.PIPE, text=True) as run:
             wait_for(lambda: heard.handler.try_recv() is not None, 60.0, what="a message")
-            other.send_signal(signal.SIGSTOP)
+            hanging.send_signal(signal.SIGSTOP)
             stopped = time.time()
             time.sleep(2.0)
             begun = time.monotonic()
             run.send_signal(signal.SIGINT)
             out, _ = run.communicate(timeout=60.0)
             assert time.monotonic() - begun < 15.0  # Zenoh alone waits for 20 to 40 s
-        other.kill()
+        hanging.kill()
         listener.close()
     assert run.returncode == 0
     assert "messages" in out
@@ -218,14 +218,14 @@ def test_every_logged_sample_is_streamed(tmp_path: Path) -> None:
         with Acquisition(loaded, tmp_path / "run.mcap", clock=RunClock(loaded.speed)) as acquisition:
             acquisition.stream(lambda samples, dropped: taken.extend(samples) or (dropped and pytest.fail("dropped")))
             wait_for(lambda: len(taken) > 300, what="samples")
-            newest = max(one.t for one in taken)
+            newest = max(frame.t for frame in taken)
     with open_log(tmp_path / "run.mcap") as log:
         rows = log.table(Ahrs, "ahrs")
-    streamed = [one for one in taken if one.device == "ahrs"]
-    t = np.array([one.t for one in streamed])
+    streamed = [frame for frame in taken if frame.device == "ahrs"]
+    t = np.array([frame.t for frame in streamed])
     logged = rows[(rows["t"] >= t[0] - 1e-6) & (rows["t"] <= newest)][: len(t)]
     np.testing.assert_allclose(t, logged["t"], atol=1e-6)
-    np.testing.assert_array_equal([one.sample.r for one in streamed], logged["r"])  # type: ignore[union-attr]
+    np.testing.assert_array_equal([frame.sample.r for frame in streamed], logged["r"])  # type: ignore[union-attr]
 
 
 class _Sample:

@@ -163,7 +163,7 @@ def test_an_adapter_that_refuses_every_frame_is_a_lost_port(
     assert select.select([port.fileno()], [], [], 5.0)[0]
     port.read()
     port.write(pack_can(1, b""))
-    said = ""
+    refusal = ""
     for part in [answers] if at_once else [answers[k : k + 1] for k in range(len(answers))]:
         if not part:
             continue
@@ -172,8 +172,8 @@ def test_an_adapter_that_refuses_every_frame_is_a_lost_port(
         try:
             port.read()
         except PortError as error:
-            said = str(error)
-    assert said.startswith(f"the adapter refused {REFUSED} frames in a row (BELL)") == raises
+            refusal = str(error)
+    assert refusal.startswith(f"the adapter refused {REFUSED} frames in a row (BELL)") == raises
     port.close()
     pty.pull()
 

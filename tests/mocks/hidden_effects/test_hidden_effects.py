@@ -150,11 +150,12 @@ def test_the_compass_effect_changes_the_reading_and_not_the_boat() -> None:
     effect = make_effect("compass", 4)
     plant = run((effect,), (0.7, 0.4))
     assert plant.motion() == run((), (0.7, 0.4)).motion()
-    told, plain = AhrsSensor(1, 0, 50.0, (effect,)), AhrsSensor(1, 0, 50.0)
+    with_effect, plain = AhrsSensor(1, 0, 50.0, (effect,)), AhrsSensor(1, 0, 50.0)
     headings = np.linspace(-math.pi, math.pi, 37)
     motion = plant.motion()
     errors = [
-        told.read(motion._replace(psi=psi)).yaw - plain.read(motion._replace(psi=psi)).yaw for psi in headings.tolist()
+        with_effect.read(motion._replace(psi=psi)).yaw - plain.read(motion._replace(psi=psi)).yaw
+        for psi in headings.tolist()
     ]
     errors = [(e + math.pi) % (2 * math.pi) - math.pi for e in errors]
     expected = effect.parameters["b_sin"] * np.sin(headings) + effect.parameters["c_cos"] * np.cos(headings)
@@ -214,8 +215,13 @@ def test_delays_of_thrust_shift_the_speed(name: str) -> None:
     """Half way up the ramp of a start, the speed equals the speed without the effect some time before."""
     effect = make_effect(name, 3)
     speed: dict[bool, list[float]] = {False: [], True: []}
-    for told in (False, True):
-        run((effect,) if told else (), (0.7, 0.7), 5.0, each=lambda p, to=told: speed[to].append(p.state[3]))
+    for with_effect in (False, True):
+        run(
+            (effect,) if with_effect else (),
+            (0.7, 0.7),
+            5.0,
+            each=lambda p, to=with_effect: speed[to].append(p.state[3]),
+        )
     t = STEP * np.arange(1, len(speed[True]) + 1)
     late = np.interp(0.3, speed[True], t) - np.interp(0.3, speed[False], t)
     assert late == pytest.approx(effect.parameters[name], rel=0.25)
@@ -257,9 +263,11 @@ def test_a_misaligned_ahrs_rotates_heading_and_accelerations() -> None:
     effect = make_effect("mount", 2)
     turn = effect.parameters["psi_0"]
     m = run((effect,), (0.8, 0.4), 3.0).motion()._replace(psi=0.3, ax=1.0, ay=0.0)
-    told, plain = AhrsSensor(1, 0, 50.0, (effect,)).read(m), AhrsSensor(1, 0, 50.0).read(m)
-    assert told.yaw - plain.yaw == pytest.approx(turn)
-    assert (told.ax - plain.ax, told.ay - plain.ay) == pytest.approx((math.cos(turn) - 1.0, -math.sin(turn)))
+    with_effect, plain = AhrsSensor(1, 0, 50.0, (effect,)).read(m), AhrsSensor(1, 0, 50.0).read(m)
+    assert with_effect.yaw - plain.yaw == pytest.approx(turn)
+    assert (with_effect.ax - plain.ax, with_effect.ay - plain.ay) == pytest.approx(
+        (math.cos(turn) - 1.0, -math.sin(turn))
+    )
 
 
 def test_the_inertial_sensors_have_the_specified_errors() -> None:

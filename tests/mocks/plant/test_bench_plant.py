@@ -103,10 +103,10 @@ def rise(n: np.ndarray, start: float, low: float, high: float) -> float:
 
 def test_a_shaft_without_an_effect_is_unchanged() -> None:
     plain = shaft(NONE, [(0.0, 0.8), (1.0011, -0.3)], 3.0)
-    told = BenchShaft(ThrusterTruth(delay=0.0), ShaftEffect(), 0.0025)
-    told.command(0.0, 0.8)
-    told.command(1.0011, -0.3)
-    np.testing.assert_allclose([told.advance() for _ in range(1200)], plain, atol=1e-12)
+    with_default_effect = BenchShaft(ThrusterTruth(delay=0.0), ShaftEffect(), 0.0025)
+    with_default_effect.command(0.0, 0.8)
+    with_default_effect.command(1.0011, -0.3)
+    np.testing.assert_allclose([with_default_effect.advance() for _ in range(1200)], plain, atol=1e-12)
 
 
 def test_the_shaft_is_late_brisk_or_limited() -> None:

@@ -35,10 +35,10 @@ def test_bytes_go_both_ways_unchanged(port: PtyPort) -> None:
         assert host.read(256) == every
         host.write(every)
         host.flush()
-        said = b""
-        while len(said) < 256:
-            said += port.read()
-        assert said == every
+        received = b""
+        while len(received) < 256:
+            received += port.read()
+        assert received == every
         assert port.read() == b""
 
 
