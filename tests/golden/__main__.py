@@ -29,9 +29,9 @@ def fixes_table(rows: Sequence[Comparison]) -> Table:
     for row in rows:
         if row.fixes or row.headings.comparable:
             misses = ", ".join(f"{count} {why}" for why, count in row.misses.items())
-            elsewhere = f"{row.by_sentence} RMC, GLL" if row.by_sentence else ""
+            extra = f"{row.by_sentence} RMC, GLL" if row.by_sentence else ""
             table.add_row(
-                row.name, str(row.samples), str(row.checksum_errors), str(row.fixes), str(row.agreeing), elsewhere, misses,
+                row.name, str(row.samples), str(row.checksum_errors), str(row.fixes), str(row.agreeing), extra, misses,
                 *(_text(share) for share in (row.speeds, row.modes, row.headings)),
             )  # fmt: skip
     return table
