@@ -1,11 +1,12 @@
 """Distribution of the tests over the workers: tests with deadlines take turns, and long files start early.
 
-`pytest -n 3 --dist loadgroup` groups by the places below, with a scheduler of our own: pytest-xdist 3.8 groups by a
-mark that it writes into the tests' names, which pytest 9.2 no longer takes (pytest-xdist issue 1386).
+`pytest -n 3 --dist loadgroup` groups the tests by the lists below, with a scheduler of the project. pytest-xdist 3.8
+groups by a mark that it writes into the names of the tests, which pytest 9.2 no longer accepts (pytest-xdist issue
+1386).
 
-One worker begins with all tests of real ports, another with those beside them. They mostly wait, so there is one worker
-more than cores; tests that compute do so at a lower priority and leave the cores to them. One with deadlines that
-failed while the machine stood still is repeated (tests/stalls.py).
+One worker begins with all tests of real ports, another worker with the tests of the second list. These tests mostly
+wait, so there is one worker more than cores. Tests that compute have a lower priority and leave the cores to the
+others. A test with deadlines that failed while the machine was suspended is repeated (tests/stalls.py).
 """
 
 from __future__ import annotations
@@ -25,23 +26,23 @@ import pytest
 
 from tests.stalls import StallWatch, run_repeated, summarise
 
-# As `seatrial` does, and before any test imports numpy: all matrices are small, and threads of the linear algebra
-# library would only wait for each other and for the other worker.
+# As in `seatrial`, and before any test imports numpy: all matrices are small, so threads of the linear algebra library
+# would only wait for each other and for the other worker.
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-# Hundreds of tests start a process: a second of CPU each, where Python may not keep what it has compiled.
+# Hundreds of tests start a process, which takes a second of CPU if Python may not keep compiled files.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# What tests run is not remembered as the user's own (seatrial.ident.models.user_code).
+# Code that the tests run is not registered as the user's own (seatrial.ident.models.user_code).
 os.environ["SEATRIAL_KNOWN_CODE"] = str(Path(tempfile.mkdtemp(prefix="seatrial-tests-")) / "known-code")
 
-# Whoever starts the tests in the background of a script has them ignore Ctrl-C, and every process that they start.
+# A script that starts the tests in the background makes them, and every process they start, ignore Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Real ports and processes with deadlines of some milliseconds: two of these at a time would disturb each other.
+# Real ports and processes with deadlines of some milliseconds: two such tests at a time would disturb each other.
 PORTS = (
     "tests/bench/preflight/test_check_live.py",
     "tests/bench/execution/test_sequencer.py",
@@ -73,9 +74,9 @@ PORTS = (
     "tests/mocks/ports/test_ports.py",
     "tests/mocks/devices/test_slcan.py",
 )
-# Real time too, but with deadlines of tenths of a second, or that set themselves right on a busy machine.
+# Tests in real time with deadlines of tenths of a second, or that adapt to a busy machine.
 BESIDE = ("tests/daq/acquisition/test_ardurover.py", "tests/test_demo.py")
-# What computes for more than ten seconds, the longest first.
+# Tests that compute for more than ten seconds, the longest first.
 LONG = (
     "tests/test_package.py",
     "tests/recovery/test_recovery.py",
@@ -111,13 +112,16 @@ LONG = (
     "tests/mocks/hidden_effects/test_hidden_effects.py",
     "tests/recovery/test_rigs.py",
 )
-COMPUTING_NICENESS = 19  # of workers, in tests that compute
+COMPUTING_NICENESS = 19  # nice level of workers with tests that compute
 WATCH = pytest.StashKey[StallWatch]()
 STEPPED_BACK = threading.Event()
 
 
 def group_of(nodeid: str) -> str:
-    """Tests of one group run on one worker, one after the other: those of a file, which share its fixtures."""
+    """Return the group of a test.
+
+    Tests of one group run on one worker in order; the tests of a file share its fixtures.
+    """
     file = nodeid.partition("::")[0]
     return "ports" if file in PORTS else "beside" if file in BESIDE else file
 
@@ -127,7 +131,7 @@ ORDER = {group: k for k, group in enumerate(("ports", "beside", *LONG))}
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Modules and tests stay until the end: nothing of them is looked through for garbage, now or later."""
+    """Exclude the loaded modules and tests from garbage collection, because they stay until the end."""
     gc.disable()
     try:
         return (yield)
@@ -137,35 +141,38 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What takes long comes first, so that none of it begins when all else is done."""
+    """Sort the longest tests first, so that no long test starts when all others are done."""
     items.sort(key=lambda item: ORDER.get(group_of(item.nodeid), len(ORDER)))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A worker that computes, with all processes that it starts, leaves the cores to those in real time."""
+    """Lower the priority of a worker that computes, with all processes that it starts, in favour of the tests in real
+    time.
+    """
     computes = group_of(item.nodeid) not in ("ports", "beside")
     if "PYTEST_XDIST_WORKER" in os.environ and computes:
         step_back()
 
 
 def step_back() -> None:
-    """The least priority, once: of this process, and of its session where Linux shares the cores by sessions.
+    """Set the least priority once, for this process and, where Linux shares the cores by sessions, for its session.
 
-    There a nice process takes as much as another session's: and acquisition and watchdog have sessions of their own.
+    With such sharing a nice process takes as much time as another session, and acquisition and watchdog have their own
+    sessions.
     """
     if STEPPED_BACK.is_set():
         return
     STEPPED_BACK.set()
     os.nice(COMPUTING_NICENESS - os.getpriority(os.PRIO_PROCESS, 0))
-    with contextlib.suppress(OSError):  # no Linux, or no such share
+    with contextlib.suppress(OSError):  # not Linux, or no sharing by sessions
         os.setsid()
         Path("/proc/self/autogroup").write_text(str(COMPUTING_NICENESS), encoding="ascii")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Tests with deadlines are repeated where the machine, and not seatrial, was late."""
+    """Repeat a failed test with deadlines if the machine, and not seatrial, was late."""
     if group_of(item.nodeid) not in ("ports", "beside"):
         return None
     watch = item.config.stash.get(WATCH, None)
@@ -176,19 +183,19 @@ def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Repetitions are named."""
+    """Name the repeated tests in the summary."""
     summarise(terminalreporter)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """The scheduler for --dist loadgroup; other ways of distribution are left to pytest-xdist."""
+    """Return the scheduler for --dist loadgroup. Other ways of distribution are left to pytest-xdist."""
     if config.getvalue("dist") != "loadgroup":
         return None
     from xdist.scheduler.loadscope import LoadScopeScheduling
 
     class ByPlace(LoadScopeScheduling):
-        """Work units by `group_of`, in the order of collection."""
+        """Scheduler whose work units follow `group_of`, in the order of collection."""
 
         def _split_scope(self, nodeid: str) -> str:
             return group_of(nodeid)

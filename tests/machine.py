@@ -1,4 +1,4 @@
-"""CPU time in seconds of one machine, so that a limit holds on any: clocks change, other programs take the caches."""
+"""CPU time in seconds of a reference machine, so that a limit holds on machines of different speed and load."""
 
 from __future__ import annotations
 
@@ -7,13 +7,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-REFERENCE = 0.045  # s of CPU that the yardstick takes on the machine that the limits are stated for
+REFERENCE = 0.045  # s of CPU that the yardstick takes on the reference machine
 TRIES = 3
 
 
 def cpu_seconds(work: Callable[[], object], limit: float) -> float:
-    """CPU time of ``work`` in seconds of the reference machine, by a yardstick before and after it; the least of
-    at most ``TRIES``, which end where one is below ``limit``."""
+    """Return the CPU time of ``work`` in seconds of the reference machine.
+
+    A yardstick before and after the work measures the speed of this machine. The result is the least of at most
+    ``TRIES`` measurements, which end as soon as one is below ``limit``.
+    """
     least = np.inf
     for _ in range(TRIES):
         before = _spent(_yardstick)
@@ -32,7 +35,7 @@ def _spent(work: Callable[[], object]) -> float:
 
 
 def _yardstick() -> None:
-    """What simulations and filters do: numbers in Python, and small arrays."""
+    """Do the typical work of simulations and filters: numbers in Python, and small arrays."""
     a, x, total = np.eye(6) + 0.01, np.ones(6), 0.0
     for k in range(12_000):
         x = np.minimum(a @ x, 2.0)

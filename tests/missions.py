@@ -31,44 +31,44 @@ RPM_MAX = 4500.0
 
 
 class StandingClock:
-    """A run clock for a recorder whose samples bring their own times."""
+    """Run clock that stands still, for a recorder whose samples bring their own times."""
 
     speed = 1.0
     origin = (0.0, T0)
 
     def now(self) -> float:
-        """Always the beginning."""
+        """Return the start time."""
         return T0
 
 
 @cache
 def rig_of(kind: str) -> Rig:
-    """The packaged rig of the mocks: ``boat`` or ``bench``."""
+    """Return the packaged rig of the mocks: ``boat`` or ``bench``."""
     text = files("seatrial.mocks").joinpath("rigs", f"{kind}.toml").read_text(encoding="utf-8")
     return parse_rig(text, Path(f"{kind}.toml"))
 
 
 def boat_with(effect: str | None, seed: int, scale: float = 1.0) -> Boat:
-    """The boat of a seed, with a hidden effect or none."""
+    """Return the boat of a seed, with a hidden effect or without one."""
     return draw_boat(seed, [make_effect(effect, seed, scale)] if effect else [])
 
 
 def sail(boat: Boat, seconds: float, mission_seed: int, run: int = 1, kind: str = "mixed") -> tuple[Recording, Mission]:
-    """A random mission, sailed."""
+    """Simulate a random mission of a boat and return the recording."""
     mission = make_mission(kind, seconds, mission_seed)
     t, n = mission.setpoints()
     return simulate(boat, t, n, seconds, run), mission
 
 
 def push(bench: Bench, run: int = 0, kind: str = "all", **plan: Any) -> tuple[Recording, Mission]:
-    """A bench plan, run; ``plan`` are the other arguments of `bench_plan`."""
+    """Simulate a bench plan and return the recording. ``plan`` contains the other arguments of `bench_plan`."""
     mission = bench_plan(kind, "thruster", **plan)
     t, n = mission.setpoints()
     return simulate_bench(bench, t, n, mission.end, run), mission
 
 
 def channels_of(recording: Recording) -> dict[str, Channel]:
-    """The channels that ``seatrial.ident.data.loading`` would find in the boat's log."""
+    """Return the channels that ``seatrial.ident.data.loading`` would find in the boat's log."""
     table, found = tables(recording.readings), {}
     for name, column in (("psi", "yaw"), ("r", "r"), ("ax", "ax"), ("ay", "ay")):
         found[name] = _channel(table["ahrs"], column)
@@ -83,7 +83,7 @@ def channels_of(recording: Recording) -> dict[str, Channel]:
 
 
 def bench_channels_of(recording: Recording) -> dict[str, Channel]:
-    """Command, shaft speed and force of a bench run, under the names of the bench's log."""
+    """Return command, shaft speed and force of a bench run, under the names of the bench's log."""
     table = tables(recording.readings)
     shaft = _channel(table["esc/1/state"], "rpm")
     calibration = rig_of("bench").device("loadcell").calibration
@@ -99,7 +99,7 @@ def bench_channels_of(recording: Recording) -> dict[str, Channel]:
 def write_log(
     path: Path, kind: str, readings: Sequence[Reading], mission: Mission | None = None, events: Sequence[str] = ()
 ) -> Path:
-    """Record readings as the acquisition of the packaged rig ``kind`` would; ``events`` are marks at the end."""
+    """Record readings as the acquisition of the packaged rig ``kind`` would. ``events`` are marks at the end."""
     attachments = {} if mission is None else {"mission.toml": dump_mission(mission).encode()}
     return record(path, rig_of(kind), readings, attachments, events)
 
@@ -127,13 +127,13 @@ def record(
 
 
 def boat_log(path: Path, boat: Boat, seconds: float, mission_seed: int, run: int = 1, kind: str = "mixed") -> Path:
-    """A mission, sailed and recorded at ``path``."""
+    """Simulate a mission and record it at ``path``."""
     recording, mission = sail(boat, seconds, mission_seed, run, kind)
     return write_log(path, "boat", recording.readings, mission)
 
 
 def bench_log(path: Path, bench: Bench, run: int = 0, kind: str = "all", **plan: Any) -> Path:
-    """A bench plan, run and recorded at ``path``."""
+    """Simulate a bench plan and record it at ``path``."""
     recording, mission = push(bench, run, kind, **plan)
     return write_log(path, "bench", recording.readings, mission)
 

@@ -1,11 +1,11 @@
-"""Mutation test of the safety code: change one thing at a time, and count how many changes the tests notice.
+"""Mutation test of the safety code: make one change at a time, and count the changes that the tests detect.
 
     python -m tests.mutation --jobs 2
     python -m tests.mutation --only watchdog --sample 60 --seed 1
 
 Each mutant is a copy of the tree with one change: a comparison or condition is negated, `and` and `or` or two operators
-are swapped, a number is doubled, or a statement is left out. A mutant that the tests of its file let pass survives; it
-is printed with its line. Exit status 1 if less than 95 % are noticed.
+are swapped, a number is doubled, or a statement is left out. A mutant survives if the tests of its file pass. The
+program prints each survivor with its line. The exit status is 1 if less than 95 % are detected.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("bench", "daq", "mocks", "ident", "seatrial", "tests", "pyproject.toml")
 WANTED = 0.95
-ANYWHERE = 0  # in place of the line of a function
-PATIENCE_S = 60.0  # of one test
+ANYWHERE = 0  # stands for a function's line in the case of module-level code
+PATIENCE_S = 60.0  # time limit of one test
 NEGATED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -48,16 +48,17 @@ WORDS = (
     f"--timeout={PATIENCE_S:g}",
 )  # fmt: skip
 
-Change = Callable[[Any], None]  # of a node, in place
+Change = Callable[[Any], None]  # changes a node in place
 
 
 class Target(NamedTuple):
-    """A file under test, and the tests that have to notice its mutants."""
+    """File under test, and the tests that have to detect its mutants."""
 
     path: str
     tests: tuple[str, ...]
-    imported: tuple[str, ...]  # modules that do not import the file; each mutant finds them imported
-    selects: bool  # a mutant is given to the tests that call the changed function; not where tests start processes
+    imported: tuple[str, ...]  # modules that do not import the file; they are imported once, before the mutants
+    # whether a mutant only runs the tests that call the changed function; not possible if tests start processes
+    selects: bool
 
 
 LIBRARIES = ("numpy", "scipy.optimize", "hypothesis", "pymavlink.mavutil", "mcap.reader", "click", "serial", "can")
@@ -82,7 +83,7 @@ class Mutant(NamedTuple):
 
     target: Target
     node: int  # in the order of ast.walk
-    change: int  # of those that the node allows
+    change: int  # index among the changes that the node allows
     line: int
     what: str
     tests: tuple[str, ...]
@@ -97,10 +98,10 @@ class Mutant(NamedTuple):
 
 
 def mutants(target: Target, calls: Mapping[int, Sequence[str]]) -> Iterator[Mutant]:
-    """Yield every mutant of a file, with the tests to run: those that call its function, or all for a module's line."""
+    """Yield every mutant of a file with its tests: those that call its function, or all tests for module-level code."""
     tree = ast.parse((ROOT / target.path).read_text(encoding="utf-8"))
     owners: dict[ast.AST, int] = {}  # first line of the innermost function around a node
-    options: set[ast.AST] = set()  # of decorators, as `frozen=True`: no behaviour
+    options: set[ast.AST] = set()  # arguments of decorators, such as `frozen=True`, are not behaviour
     for function in ast.walk(tree):
         if isinstance(function, (ast.FunctionDef, ast.ClassDef)):
             options.update(node for decorator in function.decorator_list for node in ast.walk(decorator))
@@ -144,13 +145,13 @@ class CallRecorder:
             self._duration[item.nodeid] = time.perf_counter() - begin
 
     def calls(self) -> dict[int, list[str]]:
-        """Return the tests that call each function, the quick ones first; all tests at `ANYWHERE`."""
+        """Return the tests that call each function, the fastest first, and all tests at `ANYWHERE`."""
         callers = {**self._callers, ANYWHERE: set(self._duration)}
         return {line: sorted(tests, key=self._duration.__getitem__) for line, tests in callers.items()}
 
 
 def record_calls(target: Target) -> dict[int, list[str]]:
-    """Run the tests of a file once; returns which of them call which function, by its first line."""
+    """Run the tests of a file once. Return which of them call which function, identified by its first line."""
     recorder = CallRecorder(target.path)
     status = pytest.main([*WORDS, *target.tests], plugins=[recorder])
     if status != pytest.ExitCode.OK:
@@ -180,13 +181,13 @@ def _changes(node: ast.AST) -> Iterator[tuple[str, Change]]:
 
 
 def _is_text(node: ast.BinOp) -> bool:
-    """Whether an operator joins texts."""
+    """Return whether an operator joins texts."""
     texts = (side.value if isinstance(side, ast.Constant) else side for side in (node.left, node.right))
     return any(isinstance(side, (str, ast.JoinedStr)) for side in texts)
 
 
 def _is_by_one(node: ast.BinOp) -> bool:
-    """Whether the right side is one of the constants that are 1: a multiplication and a division are the same then."""
+    """Return whether the right side is a constant equal to 1: multiplying and dividing by 1 are the same."""
     return isinstance(node.right, ast.Name) and node.right.id in ("STALE_WALL_S", "STALE_S")
 
 
@@ -224,7 +225,10 @@ def _leaving_out(k: int) -> Change:
 
 
 def survives(mutant: Mutant) -> bool:
-    """Whether the tests let a mutant pass; runs in a process of its own that has the libraries imported already."""
+    """Return whether the tests pass with a mutant.
+
+    The function runs in a process that has already imported the libraries.
+    """
     with tempfile.TemporaryDirectory(prefix="seatrial-mutant-") as name:
         tree = Path(name)
         for part in COPIED:
@@ -235,12 +239,13 @@ def survives(mutant: Mutant) -> bool:
             else:
                 shutil.copy(source, tree / part)
         changed = tree / mutant.target.path
-        changed.unlink()  # it is a link to the original
+        changed.unlink()  # a link to the original tree
         changed.write_text(mutant.source(), encoding="utf-8")
         os.chdir(tree)
-        # The tests start processes of their own, which have to find the mutant too.
+        # The tests start processes of their own, which have to import the mutant too.
         os.environ |= {"PYTHONPATH": name, "PYTHONDONTWRITEBYTECODE": "1"}
-        if "seatrial" in sys.modules:  # with modules of the original; the others are found in the copy
+        # a package with the modules of the original; other packages are imported from the copy
+        if "seatrial" in sys.modules:
             sys.modules["seatrial"].__path__ = [str(tree / "seatrial")]
         sys.path[:] = [name, *(entry for entry in sys.path if entry not in ("", str(ROOT)))]
         sys.dont_write_bytecode = True
@@ -251,7 +256,7 @@ def survives(mutant: Mutant) -> bool:
 
 
 def main() -> int:
-    """Run the mutants of the command line; returns the exit status."""
+    """Run the mutants of the command line and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="part of the path of a file")
     parser.add_argument("--sample", type=int, help="so many mutants of each file, drawn [default: all]")

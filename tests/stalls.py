@@ -1,8 +1,8 @@
-"""Times in which this machine let no program run, and the repetition of a test with deadlines that met one.
+"""Detection of times in which the machine ran no program, and repetition of tests with deadlines in such times.
 
-A test that kills a process and expects zero thrust 0.1 s later judges the machine instead of seatrial where the machine
-stood for 0.3 s meanwhile (a virtual core that its host took away, three workers on two cores). Such a test is run
-again, at most twice, and the summary names it; a test that fails on a machine that did not stand has failed.
+A test may kill a process and expect zero thrust 0.1 s later. If the machine stood still for 0.3 s meanwhile, the test
+judges the machine instead of seatrial. Causes are a virtual core taken away by its host, or three workers on two cores.
+Such a test is repeated at most twice, and the summary names it. A test that fails without a stall has failed.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Protocol
 import pytest
 from _pytest.runner import runtestprotocol
 
-STALL_S = 0.05  # deadlines of tests begin at 0.1 s
+STALL_S = 0.05  # the shortest deadlines of tests are 0.1 s
 REPEATS = 2
 PROPERTY = "repeated: s for which the machine had stood"
-# One on each core, at the priority of the tests with deadlines; it ends when the worker does.
+# One watcher on each core, at the priority of the tests with deadlines. It ends when the worker does.
 WATCHER = """
 import os, select, sys, time
 if hasattr(os, "sched_setaffinity"):
@@ -38,10 +38,10 @@ while not ended:
 
 
 class Watching(Protocol):
-    """Whoever knows of stalls."""
+    """Interface of an object that detects stalls."""
 
     def longest(self, since: float) -> float:
-        """Seconds of the longest stall that ended after ``since`` (monotonic s); 0 where there was none."""
+        """Return the longest stall that ended after ``since`` (monotonic s) [s], or 0 if there was none."""
 
 
 class StallWatch:
@@ -49,7 +49,7 @@ class StallWatch:
 
     def __init__(self) -> None:
         self._seen = tempfile.TemporaryFile("w+")  # noqa: SIM115 - as long as the worker lives
-        # The watchers share its position with us, and would write over what we have read.
+        # The watchers share the file position with us and would overwrite the data that we have read.
         fcntl.fcntl(self._seen, fcntl.F_SETFL, fcntl.fcntl(self._seen, fcntl.F_GETFL) | os.O_APPEND)
         cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
         self.watchers = [
@@ -75,7 +75,7 @@ class StallWatch:
 
 
 def run_repeated(item: pytest.Item, nextitem: pytest.Item | None, watch: Watching) -> bool:
-    """Run a test as pytest does, and again where it failed on a machine that stood; the hook's own answer."""
+    """Run a test as pytest does, and repeat it if it failed during a stall. Return the result of the hook."""
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
     for left in reversed(range(REPEATS + 1)):
         began = time.monotonic()
@@ -92,7 +92,10 @@ def run_repeated(item: pytest.Item, nextitem: pytest.Item | None, watch: Watchin
 
 
 def _forget_failed_fixtures(item: pytest.Item) -> None:
-    """A fixture of the module that failed would fail again without being tried."""
+    """Reset the fixtures of the module that failed.
+
+    Otherwise pytest would report the same failure without a new attempt.
+    """
     item._initrequest()  # type: ignore[attr-defined]
     for definitions in item._fixtureinfo.name2fixturedefs.values():  # type: ignore[attr-defined]
         for definition in definitions:
@@ -101,7 +104,7 @@ def _forget_failed_fixtures(item: pytest.Item) -> None:
 
 
 def summarise(terminal: pytest.TerminalReporter) -> None:
-    """Name the tests that were repeated."""
+    """Name the repeated tests."""
     done = [
         (report.nodeid, [str(value) for name, value in report.user_properties if name == PROPERTY])
         for kind in ("passed", "failed")

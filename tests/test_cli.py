@@ -1,4 +1,4 @@
-"""The front door: what it imports, and what a user sees of each kind of failure."""
+"""Tests of the main command: its imports, and its output for each kind of failure."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ Outcome = tuple[int, str, str]  # exit status, stdout, stderr
 
 
 def seatrial_process(*args: str, before: str = "") -> subprocess.CompletedProcess[str]:
-    """Run the front door in an interpreter of its own, as `python -m seatrial` does."""
+    """Run `python -m seatrial` in its own interpreter."""
     code = f"import sys\n{before}\nfrom seatrial import command_line\ncommand_line.main(sys.argv[1:])"
     return subprocess.run([sys.executable, "-c", code, *args], capture_output=True, text=True, timeout=60)
 
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
-    """Run a command line whose command `info` does what the test says."""
+    """Return a function that runs a command line in which the command `info` does a given action."""
 
     def run(action: Callable[[], object], *args: str) -> Outcome:
         part = types.ModuleType("part_of_the_test")
@@ -55,7 +55,7 @@ def raising(error: BaseException) -> Callable[[], object]:
 
 
 @pytest.mark.parametrize("option", ["--help", "-h", "--version"])
-def test_help_imports_no_part_and_nothing_heavy(option: str) -> None:
+def test_help_imports_no_package_of_commands_and_no_large_library(option: str) -> None:
     report = "import atexit\natexit.register(lambda: print(sorted(sys.modules)))"
     done = seatrial_process(option, before=report)
     assert done.returncode == 0, done.stderr
@@ -63,7 +63,7 @@ def test_help_imports_no_part_and_nothing_heavy(option: str) -> None:
     assert not imported & (HEAVY | PARTS)
 
 
-def test_help_lists_every_command_with_its_line() -> None:
+def test_help_lists_every_command_with_its_description() -> None:
     text = seatrial_process("--help").stdout
     for name, row in command_line.COMMANDS.items():
         assert any(line.split() == [name, *row.short_help.split()] for line in text.splitlines())
@@ -139,7 +139,7 @@ def test_a_returned_value_is_no_exit_status_but_ctx_exit_is(run) -> None:
         ("needs_a_library:x", "`info` needs the Python module no_such_library, which is not installed"),
     ],
 )
-def test_a_missing_part_is_one_line(monkeypatch, tmp_path: Path, capsys, target: str, says: str) -> None:
+def test_a_missing_package_is_one_line(monkeypatch, tmp_path: Path, capsys, target: str, says: str) -> None:
     (tmp_path / "needs_a_library.py").write_text("import no_such_library\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(command_line.COMMANDS, "info", command_line.Row(target, "A test."))
@@ -152,7 +152,7 @@ def test_a_missing_part_is_one_line(monkeypatch, tmp_path: Path, capsys, target:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal the POSIX way")
-@pytest.mark.parametrize("module", ["click", "numpy"])  # imported by the front door, and by the part of a command
+@pytest.mark.parametrize("module", ["click", "numpy"])  # imported by the main program, and by the package of a command
 def test_ctrl_c_while_still_importing_is_one_line(tmp_path: Path, module: str) -> None:
     (tmp_path / f"{module}.py").write_text("import time\nprint('importing', flush=True)\ntime.sleep(60)\n")
     root = str(Path(command_line.__file__).parent)
@@ -171,7 +171,7 @@ def test_ctrl_c_while_still_importing_is_one_line(tmp_path: Path, module: str) -
 
 @pytest.mark.skipif(os.name != "posix", reason="closes a pipe the POSIX way")
 @pytest.mark.parametrize("command", ["--help", "info"])
-def test_a_reader_that_left_is_no_error(tmp_path: Path, command: str) -> None:
+def test_a_closed_output_pipe_is_no_error(tmp_path: Path, command: str) -> None:
     # `print` keeps the text until the last flush, where click's own output is flushed at once.
     (tmp_path / "prints.py").write_text("import click\ncommand = click.command()(lambda: print('text'))\n")
     code = f"""
@@ -191,7 +191,7 @@ command_line.main(sys.argv[1:])
 
 
 @pytest.mark.filterwarnings("always")
-def test_our_own_warnings_are_one_line_and_others_keep_their_place(run: Callable[..., Outcome]) -> None:
+def test_our_own_warnings_are_one_line_and_others_keep_their_location(run: Callable[..., Outcome]) -> None:
     def action() -> None:
         warnings.warn("the engine is slow", SeatrialWarning, stacklevel=1)
         warnings.warn("of a library", RuntimeWarning, stacklevel=1)

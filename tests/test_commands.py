@@ -1,4 +1,4 @@
-"""The command tree as a whole: each command helps with an example, and the shell completes it."""
+"""Tests of the whole command tree: help with an example for each command, and shell completion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PARTS = ("numpy", "rich", "seatrial.bench.", "seatrial.ident.", "seatrial.mocks.
 
 
 def commands(command: click.Command, context: click.Context) -> Iterator[tuple[str, click.Command]]:
-    """(words, command) of every command that is no group."""
+    """Return (words, command) of every command that is not a group."""
     if not isinstance(command, click.Group):
         yield context.command_path, command
         return
@@ -38,7 +38,7 @@ def test_every_command_helps_with_an_example_that_parses(words: str) -> None:
     text = " ".join(command.get_help(context).split())
     assert re.search(rf"Examples?: ((?!Example).)*{re.escape(words)}", text), f"{words} --help has no example of itself"
     assert command.help, words
-    # An option says what it is for, unless its choices or its default do.
+    # Each option has a help text, unless its choices or its default explain it.
     for option in command.params:
         if isinstance(option, click.Option) and not option.hidden:
             assert option.help or option.type.name == "choice" or option.show_default, f"{words} {option.opts[0]}"
@@ -53,14 +53,14 @@ RANGES = {
 
 
 @pytest.mark.parametrize("option", RANGES)
-def test_a_range_of_numbers_takes_none_that_is_not_finite(option: str) -> None:
+def test_a_number_range_accepts_only_finite_numbers(option: str) -> None:
     for text in ("nan", "inf"):
         with pytest.raises(click.BadParameter):
             RANGES[option].convert(text, None, None)
 
 
 def complete(words: str) -> subprocess.CompletedProcess[str]:
-    """What bash gets for the last word; the modules that were imported for it go to stderr."""
+    """Return the completions of the last word for bash. The names of the imported modules go to stderr."""
     environment = os.environ | {
         "_SEATRIAL_COMPLETE": "bash_complete",
         "COMP_WORDS": words,
@@ -77,13 +77,13 @@ def offered(words: str) -> list[str]:
     return [line.partition(",")[2] for line in complete(words).stdout.splitlines()]
 
 
-def test_the_shell_completes_commands_without_importing_a_part() -> None:
+def test_the_shell_completes_commands_without_importing_their_package() -> None:
     done = complete("seatrial ")
     assert [line.partition(",")[2] for line in done.stdout.splitlines()] == list(command_line.COMMANDS)
     assert not [name for name in done.stderr.split() if name.startswith(PARTS)]
 
 
-def test_the_shell_completes_what_is_below(tmp_path: Path) -> None:
+def test_the_shell_completes_subcommands_options_and_choices(tmp_path: Path) -> None:
     assert offered("seatrial mi") == ["mission"]
     assert {"design", "generate", "run", "show"} <= set(offered("seatrial mission "))
     assert offered("seatrial mission generate --ki") == ["--kind"]
@@ -91,11 +91,11 @@ def test_the_shell_completes_what_is_below(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_scripts_of_the_docs_are_there(shell: str) -> None:
+def test_the_completion_scripts_of_the_docs_exist(shell: str) -> None:
     page = (Path(__file__).parents[1] / "docs/how-to/install.md").read_text(encoding="utf-8")
     assert f"_SEATRIAL_COMPLETE={shell}_source seatrial" in page
     code = "from seatrial import command_line; command_line.main()"
-    # click asks bash for its version; where there is no such shell, it only warns.
+    # click asks bash for its version. Without such a shell it only warns.
     done = subprocess.run(
         [sys.executable, "-c", code],
         env=os.environ | {"_SEATRIAL_COMPLETE": f"{shell}_source"},

@@ -1,4 +1,4 @@
-"""The demo: its folder, its last line, its interruption, and once the whole loop."""
+"""Tests of the demo: its folder, its last line, its interruption, and once the whole procedure."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_ground_truth_is_the_very_last_line(tmp_path: Path, capsys: pytest.C
         (["delay"], "none", False),
     ],
 )
-def test_a_match_is_said_only_when_there_is_one(
+def test_a_match_is_printed_only_if_the_effects_match(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], effects: list[str], truth: str, match: bool
 ) -> None:
     demo.print_outcome(filled(tmp_path, {**RESULT, "effects": effects}, {"effect": truth}))
@@ -78,7 +78,7 @@ def test_a_result_without_errors_is_one_line(tmp_path: Path) -> None:
         demo.print_outcome(filled(tmp_path, {"answer": "x"}, TRUTH))
 
 
-def test_the_folder_is_new_or_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_demo_makes_a_new_folder_or_refuses_a_used_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert demo.fresh_folder(None, 5) == Path("seatrial-demo-5")
     second = demo.fresh_folder(None, 5)
@@ -106,7 +106,7 @@ def test_a_failing_step_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[st
 
 
 def descendants(pid: int) -> list[int]:
-    """Live processes below `pid`, from ps."""
+    """Return the live processes below `pid`, listed by ps."""
     out = subprocess.run(["ps", "-eo", "pid=,ppid=,stat="], capture_output=True, text=True, check=True).stdout
     rows = [line.split() for line in out.splitlines()]
     below = {pid}
@@ -116,7 +116,7 @@ def descendants(pid: int) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process runs (a zombie that nobody has reaped does not)."""
+    """Return whether a process runs. A zombie that is not yet reaped does not count."""
     out = subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True, check=False).stdout
     return bool(out.strip()) and not out.strip().startswith("Z")
 
@@ -127,11 +127,11 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
     command = [sys.executable, "-u", "-m", "seatrial", "demo", "--seed", "3", "--out", str(tmp_path / "demo")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
         assert process.stdout is not None
-        said = ""
-        while after not in said:
+        printed = ""
+        while after not in printed:
             line = process.stdout.readline()
-            assert line, said
-            said += line
+            assert line, printed
+            printed += line
         running = descendants(process.pid)
         assert running
         process.send_signal(signal.SIGINT)
@@ -145,8 +145,8 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
     assert not any(alive(pid) for pid in running)
 
 
-# The demo as it is installed, but with a bench run of steps and missions of 70 and 50 s: `make study` runs it at full
-# length. At ten times real time a busy machine keeps up, and no recording is repeated.
+# The installed demo with a bench run of steps and missions of 70 and 50 s; `make study` runs it at full length. At ten
+# times real time a busy machine keeps up, and no recording is repeated.
 SHORT_DEMO = """
 import sys
 from seatrial import command_line
@@ -159,7 +159,7 @@ command_line.main(sys.argv[1:])
 
 
 @pytest.mark.slow
-def test_the_whole_loop(tmp_path: Path) -> None:
+def test_the_demo_runs_from_recording_to_diagnosis(tmp_path: Path) -> None:
     command = [sys.executable, "-c", SHORT_DEMO, "demo", "--seed", "1", "--speed", "10"]
     command += ["--out", str(tmp_path / "demo")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=280, env=dict(os.environ))
@@ -172,7 +172,7 @@ def test_the_whole_loop(tmp_path: Path) -> None:
 
 
 class Rehearsal:
-    """Stands in for the demo's steps: says how late its mock was, and whether the run failed."""
+    """Replacement of the demo's steps. It reports the delay of its mock, and whether the run failed."""
 
     def __init__(self, folder: Path, late: list[float], fails: bool = False) -> None:
         self.folder, self._late, self._fails = folder, late, fails
@@ -198,7 +198,7 @@ class Rehearsal:
 
 
 @pytest.mark.parametrize("fails", [False, True])
-def test_a_recording_that_a_busy_machine_spoilt_is_repeated_at_half_the_speed(tmp_path: Path, fails: bool) -> None:
+def test_a_recording_disturbed_by_a_busy_machine_is_repeated_at_half_the_speed(tmp_path: Path, fails: bool) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [90.0, 3.0], fails)
     demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
@@ -207,7 +207,7 @@ def test_a_recording_that_a_busy_machine_spoilt_is_repeated_at_half_the_speed(tm
     assert "speed = 20.0" in (tmp_path / "boat-rig.toml").read_text()
 
 
-def test_a_run_whose_set_points_were_overtaken_is_repeated_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_with_skipped_set_points_is_repeated_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
     skipped = iter([demo.SKIPPED + 1, demo.SKIPPED])
     monkeypatch.setattr(demo, "n_skipped", lambda log: next(skipped))
@@ -216,7 +216,7 @@ def test_a_run_whose_set_points_were_overtaken_is_repeated_too(tmp_path: Path, m
     assert steps.speeds == ["speed = 20.0", "speed = 10.0"]
 
 
-def test_overtaken_set_points_are_counted_by_what_a_run_wrote(tmp_path: Path) -> None:
+def test_skipped_set_points_are_counted_from_the_output_of_a_run(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for counts in ((1, 0, 0), (12, 3, 0), (0, 5, 0)):
         log.event(T0, "invalid", f"chirp: {describe_losses((0, 0, 0), counts)}")
@@ -225,7 +225,7 @@ def test_overtaken_set_points_are_counted_by_what_a_run_wrote(tmp_path: Path) ->
     assert demo.n_skipped(tmp_path / "none.mcap") == 0
 
 
-def test_a_machine_that_stalls_again_gets_a_quarter_of_the_speed(tmp_path: Path) -> None:
+def test_after_a_second_stall_the_recording_is_repeated_at_a_quarter_of_the_speed(tmp_path: Path) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [90.0, 90.0, 90.0], fails=True)
     demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
@@ -233,7 +233,7 @@ def test_a_machine_that_stalls_again_gets_a_quarter_of_the_speed(tmp_path: Path)
     assert {p.name for p in tmp_path.glob("*.mcap")} == {"a.mcap", "a-late.mcap", "a-late2.mcap"}
 
 
-def test_a_run_that_failed_on_a_machine_with_time_to_spare_is_a_failure(tmp_path: Path) -> None:
+def test_a_run_that_failed_on_an_idle_machine_is_a_failure(tmp_path: Path) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [3.0], fails=True)
     with pytest.raises(StepFailed, match="exit status 3"):

@@ -1,4 +1,4 @@
-"""The documentation is executed: links lead somewhere, command lines parse, files in it are read."""
+"""Tests of the documentation: links exist, command lines parse, and example files are read."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 SCRIPTS = sorted((ROOT / "docs").rglob("*.sh"))
 FOLDERS = ("daq/", "bench/", "ident/", "mocks/", "tests/", "docs/")
-# What a reader of a how-to is to write, and what the commands of the docs write.
+# Files that the reader of a how-to writes, and files that the commands of the docs write.
 YOURS = {"ident/effects/hull/weed.py", "tests/ident/effects/test_weed.py", "daq/protocol/os5000.py"}
 
 
@@ -32,7 +32,7 @@ def name(path: Path) -> str:
 
 
 def blocks(path: Path, language: str) -> list[str]:
-    """The fenced blocks of a language, in order."""
+    """Return the fenced blocks of a language, in order."""
     return re.findall(rf"^```{language}\n(.*?)^```$", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
@@ -52,14 +52,14 @@ def test_links_and_files_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", [ROOT / "docs/threats.md"], ids=name)
-def test_the_tests_that_a_page_names_are_there(page: Path) -> None:
+def test_the_tests_that_a_page_names_exist(page: Path) -> None:
     named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page.read_text(encoding="utf-8"))
     assert len(named) > 10
     assert not [f"{file}::{test}" for file, test in named if f"\ndef {test}(" not in (ROOT / file).read_text("utf-8")]
 
 
 def shell_lines() -> Iterator[tuple[str, str]]:
-    """(where, command line) of everything that a reader may copy."""
+    """Return (where, command line) of everything that a reader may copy."""
     for page in PAGES:
         for block in blocks(page, "sh"):
             for line in block.replace("\\\n", " ").splitlines():
@@ -77,7 +77,7 @@ def shell_lines() -> Iterator[tuple[str, str]]:
 
 @pytest.fixture
 def no_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let click take paths of files that are not there."""
+    """Make click accept paths of files that do not exist."""
     monkeypatch.setattr(click.Path, "convert", lambda self, value, param, ctx: Path(value))
 
 
@@ -90,12 +90,12 @@ def test_command_lines_parse(where: str, line: str, no_files: None) -> None:
 
 
 def resolve(words: list[str]) -> tuple[click.Command, list[str]]:
-    """The command that the words lead to, and the words behind its name."""
+    """Return the command that the words name, and the words after its name."""
     command: click.Command = command_line.cli
     context = click.Context(command)
     while isinstance(command, click.Group) and words:
         if (default := getattr(command, "default", "")) and words[0] not in command.commands:
-            command = command.commands[default]  # whose name may be left out
+            command = command.commands[default]  # the name may be left out
             break
         if words[0].startswith("-"):
             break
@@ -106,7 +106,7 @@ def resolve(words: list[str]) -> tuple[click.Command, list[str]]:
 
 
 def mentions() -> list[tuple[str, str]]:
-    """(where, words) of commands quoted in the text; `a|b` stands for two commands."""
+    """Return (where, words) of commands quoted in the text. `a|b` stands for two commands."""
     found = set()
     for page in PAGES:
         text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
@@ -132,7 +132,7 @@ def test_commands_in_the_text_exist(where: str, words: str) -> None:
     assert not unknown, f"{where}: `seatrial {words}`"
 
 
-def test_the_rig_files_of_the_docs_are_rigs() -> None:
+def test_the_rig_files_of_the_docs_are_valid() -> None:
     for page in (ROOT / "docs/formats/rig.md", how_to("own-boat")):
         (text, *_) = blocks(page, "toml")
         rig = parse_rig(text, ROOT / "rig.toml")
@@ -142,14 +142,14 @@ def test_the_rig_files_of_the_docs_are_rigs() -> None:
     assert parse_rig(f'format = "seatrial-rig 1"\nname = "readme"\n{part}', ROOT / "rig.toml").device("ahrs")
 
 
-def test_the_mission_of_the_docs_is_a_mission() -> None:
+def test_the_mission_of_the_docs_is_valid() -> None:
     (text,) = blocks(ROOT / "docs/formats/mission.md", "toml")
     mission = parse_mission(text, "mission.md")
     assert mission.end == 300.0
     assert [segment.name for segment in mission.segments] == ["static", "steps up"]
 
 
-def test_the_maps_of_the_docs_are_maps(tmp_path: Path) -> None:
+def test_the_maps_of_the_docs_are_valid(tmp_path: Path) -> None:
     for k, text in enumerate(blocks(ROOT / "docs/formats/import.md", "toml")):
         path = tmp_path / f"map{k}.toml"
         path.write_text(text, encoding="utf-8")
@@ -159,7 +159,7 @@ def test_the_maps_of_the_docs_are_maps(tmp_path: Path) -> None:
             load_import_map(path)
 
 
-def test_the_import_page_lists_the_signals_that_models_take() -> None:
+def test_the_import_page_lists_the_signals_that_models_use() -> None:
     page = (ROOT / "docs/formats/import.md").read_text(encoding="utf-8").split("## Signals that models take")[1]
     listed = re.findall(r"`(\w+)`", "".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|")))
     assert sorted(listed) == sorted(KNOWN_SIGNALS)
@@ -171,7 +171,7 @@ def test_the_import_page_lists_the_signals_that_models_take() -> None:
     assert {n: u for n, u in KNOWN_SIGNALS.items() if n not in bench_and_made} == taken
 
 
-def test_the_model_of_the_docs_is_a_model(tmp_path: Path) -> None:
+def test_the_model_of_the_docs_is_valid(tmp_path: Path) -> None:
     text, curve = blocks(ROOT / "docs/formats/model.md", "toml")
     path = tmp_path / "model.toml"
     path.write_text(text, encoding="utf-8")
@@ -183,7 +183,7 @@ def test_the_model_of_the_docs_is_a_model(tmp_path: Path) -> None:
     assert load_model(path).model.effects[-1].name == "unknown X(u)"
 
 
-def test_what_the_docs_say_of_a_log_is_there() -> None:
+def test_the_content_of_a_log_matches_the_docs() -> None:
     (text,) = blocks(ROOT / "docs/formats/log.md", "python")
     words = set(re.findall(r"\blog\.(\w+)", text.replace("seatrial.daq.log.reader.open_log", "")))
     assert {"table", "sources", "rig"} <= words

@@ -1,4 +1,4 @@
-"""The suite's own arrangement: groups keep to one worker, and the list of port tests is complete."""
+"""Tests of the arrangement of the suite: groups stay on one worker, and the list of port tests is complete."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_groups_are_by_file() -> None:
 
 
 def test_a_group_runs_on_one_worker() -> None:
-    """Six cheap tests of one group on two workers; without groups both would have some."""
+    """Six cheap tests of one group run on two workers. Without groups both workers would get some."""
     pytest.importorskip("xdist", reason="runs the tests on two workers, which pytest-xdist does")
     words = ["-n", "2", "--dist", "loadgroup", "-v", "-p", "no:cacheprovider", "tests/daq/transport/test_transport.py"]
     done = subprocess.run(
@@ -39,7 +39,7 @@ def test_a_group_runs_on_one_worker() -> None:
     assert len(set(workers)) == 1
 
 
-def test_who_computes_is_behind_every_session_that_does_not() -> None:
+def test_workers_that_compute_have_a_lower_priority_than_other_sessions() -> None:
     code = "from tests.conftest import step_back; step_back(); step_back(); import os; print(os.nice(0), os.getsid(0))"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=True
@@ -94,7 +94,7 @@ def test_wrong():
 """
 
 
-def test_a_failure_on_a_machine_that_stood_is_repeated_at_most_twice_and_named(tmp_path: Path) -> None:
+def test_a_failure_during_a_stall_is_repeated_at_most_twice_and_named(tmp_path: Path) -> None:
     (tmp_path / "test_late.py").write_text(LATE, encoding="utf-8")
     found = []
     for stall in (0.3, 0.01):
@@ -109,11 +109,11 @@ def test_a_failure_on_a_machine_that_stood_is_repeated_at_most_twice_and_named(t
     assert "repeated" not in found[1]
 
 
-def test_a_core_that_is_held_up_is_seen() -> None:
+def test_a_blocked_core_is_detected() -> None:
     watch = StallWatch()
     try:
         began = time.monotonic()
-        for number in (signal.SIGSTOP, signal.SIGCONT):  # as a host that takes the core away
+        for number in (signal.SIGSTOP, signal.SIGCONT):  # a host takes the core away in the same way
             time.sleep(0.3)
             watch.watchers[0].send_signal(number)
         wait_until = time.monotonic() + 5.0

@@ -1,4 +1,4 @@
-"""The structure: nothing left behind, no import circle, every wing imported through its face."""
+"""Tests of the code structure: no unused module, no import cycle, and imports of a package through its `__init__`."""
 
 from __future__ import annotations
 
@@ -17,13 +17,16 @@ ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("daq", "bench", "ident", "mocks")
 CODE = (*PARTS, "benchmarks", "docs", "tests")
 OWN = tuple(f"seatrial.{part}" for part in PARTS)
-# wings of one job a file: their modules are named, not their faces
+# packages of independent files: their modules are imported directly, not through `__init__`
 MODULES_NAMED = ("seatrial.ident.workflows", "seatrial.daq.importers")
 
 
 @cache
 def nodes_of(path: Path) -> tuple[ast.AST, ...]:
-    """All nodes of its syntax tree. They stay: to look for garbage among them takes longer than to parse them."""
+    """Return all nodes of a file's syntax tree.
+
+    The result is kept, because garbage collection of the nodes takes longer than parsing.
+    """
     gc.disable()
     try:
         return tuple(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
@@ -33,19 +36,21 @@ def nodes_of(path: Path) -> tuple[ast.AST, ...]:
 
 @cache
 def files() -> list[Path]:
-    """Every Python file of the project."""
-    # Not through the links in seatrial/: each file once.
+    """Return every Python file of the project."""
+    # Each file once, so not through the links in seatrial/.
     return sorted([*(ROOT / "seatrial").glob("*.py"), *(path for top in CODE for path in (ROOT / top).rglob("*.py"))])
 
 
 def module_of(path: Path) -> str:
-    """The dotted name by which a file is imported."""
+    """Return the dotted name by which a file is imported."""
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(("seatrial", *parts) if parts[0] in PARTS else parts).removesuffix(".__init__")
 
 
-def wing_of(module: str) -> str:
-    """``seatrial.ident.estimation`` of ``seatrial.ident.estimation.likelihood``."""
+def package_of(module: str) -> str:
+    """Return the package of a module, for example ``seatrial.ident.estimation`` of
+    ``seatrial.ident.estimation.likelihood``.
+    """
     return ".".join(module.split(".")[:3])
 
 
@@ -55,7 +60,7 @@ WINGS = {module for module, path in PRODUCT.items() if path.name == "__init__.py
 
 @cache
 def imports(path: Path) -> list[tuple[str, str]]:
-    """(module, name) of every import of our own, inside functions too."""
+    """Return (module, name) of every import of our own modules, inside functions too."""
     return [
         (node.module, alias.name)
         for node in nodes_of(path)
@@ -64,8 +69,8 @@ def imports(path: Path) -> list[tuple[str, str]]:
     ]
 
 
-def faces() -> dict[str, dict[str, str]]:
-    """Of each wing, the names in its face and the module that each comes from."""
+def public_names() -> dict[str, dict[str, str]]:
+    """Return the public names of each package, and the module from which each name comes."""
     found: dict[str, dict[str, str]] = {}
     for wing in WINGS:
         stub = PRODUCT[wing].with_suffix(".pyi")
@@ -79,36 +84,38 @@ def faces() -> dict[str, dict[str, str]]:
     return found
 
 
-def test_a_wing_is_imported_through_its_face() -> None:
+def test_a_package_is_imported_through_its_init() -> None:
     beside = [
         f"{module} imports {target}.{name}"
         for module, path in PRODUCT.items()
         for target, name in imports(path)
-        if wing_of(target) in WINGS
-        and target != wing_of(target)
-        and wing_of(module) != wing_of(target)
-        and wing_of(target) not in MODULES_NAMED
+        if package_of(target) in WINGS
+        and target != package_of(target)
+        and package_of(module) != package_of(target)
+        and package_of(target) not in MODULES_NAMED
     ]
     assert not beside
 
 
-def test_no_name_of_a_face_is_the_name_of_a_file() -> None:
-    """After an import of the file the name would mean the module."""
+def test_no_public_name_is_the_name_of_a_file() -> None:
+    """After an import of the file, the name would refer to the module."""
     clash = [
         f"{wing}.{name}"
-        for wing, names in faces().items()
+        for wing, names in public_names().items()
         for name, source in names.items()
         if f"{wing}.{name}" in PRODUCT and source != f"{wing}.{name}"
     ]
     assert not clash
 
 
-def test_every_name_of_a_face_is_used_from_outside() -> None:
-    used = {(target, name) for path in files() for target, name in imports(path) if wing_of(module_of(path)) != target}
+def test_every_public_name_is_used_from_outside() -> None:
+    used = {
+        (target, name) for path in files() for target, name in imports(path) if package_of(module_of(path)) != target
+    }
     documented = "\n".join(p.read_text(encoding="utf-8") for p in [*(ROOT / "docs").rglob("*.md"), ROOT / "README.md"])
     idle = [
         f"{wing}.{name}"
-        for wing, names in faces().items()
+        for wing, names in public_names().items()
         for name in names
         if (wing, name) not in used and name not in documented
     ]
@@ -116,8 +123,8 @@ def test_every_name_of_a_face_is_used_from_outside() -> None:
 
 
 def test_no_import_circle() -> None:
-    """Of modules, each face resolved to where its names come from."""
-    face = faces()
+    """The cycle is searched among modules. Each name of a package is resolved to the module that defines it."""
+    face = public_names()
     graph: dict[str, set[str]] = {module: set() for module in PRODUCT}
     for module, path in PRODUCT.items():
         for target, name in imports(path):
@@ -137,11 +144,12 @@ def test_no_import_circle() -> None:
         visit(module, ())
 
 
-BARE = re.compile(rf"(?:-m |from |import )(?:{'|'.join(PARTS)})(?:\.\w+| import )")  # in a program that a test runs
+# the import is in a program that a test runs
+BARE = re.compile(rf"(?:-m |from |import )(?:{'|'.join(PARTS)})(?:\.\w+| import )")
 
 
 def test_no_file_imports_a_part_by_a_name_that_is_not_installed() -> None:
-    """Only `seatrial` is installed. In the project's folder `import daq` works, too, and would load a module twice."""
+    """Only `seatrial` is installed. In the project's folder `import daq` also works, and would load a module twice."""
     bare = []
     for path in files():
         for node in nodes_of(path):
@@ -160,7 +168,7 @@ def test_no_file_imports_a_part_by_a_name_that_is_not_installed() -> None:
 
 
 def test_no_function_has_more_than_eight_parameters() -> None:
-    """Outside the commands, whose parameters are their options."""
+    """Commands are excepted, because their parameters are their options."""
     wide = []
     for module, path in PRODUCT.items():
         for node in nodes_of(path):
@@ -178,7 +186,7 @@ def test_no_function_has_more_than_eight_parameters() -> None:
 
 @pytest.mark.parametrize("command", ["seatrial ident vehicle", "seatrial ident diagnose"])
 def test_a_workflow_enters_no_file_twice(command: str) -> None:
-    """From log to result in a straight line: all calls into a file stand together."""
+    """From log to result, all calls into one file stand together."""
     spec = importlib.util.spec_from_file_location("architecture", ROOT / "docs/site/architecture.py")
     assert spec is not None
     assert spec.loader is not None
@@ -193,7 +201,7 @@ def test_a_workflow_enters_no_file_twice(command: str) -> None:
 
 
 def mentioned(path: Path) -> Iterator[str]:
-    """Modules that a file imports, or names in a text as "module" or "module:attribute"."""
+    """Return the modules that a file imports, or that a text in it names as "module" or "module:attribute"."""
     for node in nodes_of(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -204,12 +212,12 @@ def mentioned(path: Path) -> Iterator[str]:
 
 
 def test_every_module_is_used_by_another() -> None:
-    """A module that only its own tests know is dead."""
+    """A module that only its own tests use is dead code."""
     used = {path: set(mentioned(path)) for path in files()}
-    behind = {source for names in faces().values() for source in names.values()}
+    behind = {source for names in public_names().values() for source in names.values()}
     dead = []
     for module, path in PRODUCT.items():
-        catalogue = module.startswith("seatrial.ident.effects.")  # all of the folder is loaded
+        catalogue = module.startswith("seatrial.ident.effects.")  # all modules of the folder are loaded
         if catalogue or path.stem in ("__init__", "__main__"):
             continue
         own_test = f"test_{path.stem}"
@@ -218,7 +226,7 @@ def test_every_module_is_used_by_another() -> None:
     assert not dead
 
 
-# What writes by itself beside `seatrial.daq.files`, and why it may.
+# Files that write without `seatrial.daq.files`, and the reason.
 WRITERS = {
     "seatrial.daq.config.mission_file": "a new file",
     "seatrial.daq.importers.dataflash": "/dev/null",
@@ -232,8 +240,8 @@ WRITERS = {
 }
 
 
-def test_outputs_are_written_by_the_one_writer() -> None:
-    """`seatrial.daq.files` follows no link and leaves nothing half done; a plain `write_text` does both."""
+def test_outputs_are_written_by_seatrial_daq_files() -> None:
+    """`seatrial.daq.files` follows no link and leaves no partial file; a plain `write_text` does both."""
     writes = {
         module
         for module, path in PRODUCT.items()

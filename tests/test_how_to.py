@@ -1,4 +1,4 @@
-"""The code of the how-tos runs: an effect, a sensor and a model, each as a reader would add it."""
+"""Tests that run the code of the how-tos: an effect, a sensor and a model, each added as a reader would."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def blocks(title: str, language: str) -> list[str]:
-    """The fenced blocks of a language in a how-to, in order."""
+    """Return the fenced blocks of a language in a how-to, in order."""
     text = how_to(title).read_text(encoding="utf-8")
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
@@ -44,7 +44,7 @@ def how_to(title: str) -> Path:
 
 
 def module_from(text: str, title: str, folder: Path, package: types.ModuleType, patch: pytest.MonkeyPatch) -> None:
-    """Put a file into a package as its reader would, for as long as the test lasts."""
+    """Put a file into a package, as the reader of a how-to would, for the duration of the test."""
     (folder / f"{title}.py").write_text(text, encoding="utf-8")
     patch.setattr(package, "__path__", [*package.__path__, str(folder)])
     patch.delitem(sys.modules, f"{package.__name__}.{title}", raising=False)
@@ -52,7 +52,7 @@ def module_from(text: str, title: str, folder: Path, package: types.ModuleType, 
 
 
 def run_tests(text: str) -> int:
-    """Run the test functions of a code block; how many there were."""
+    """Run the test functions of a code block and return their number."""
     space: dict[str, object] = {"__name__": "docs"}
     exec(compile(text, "how-to", "exec"), space)
     tests = [f for title, f in space.items() if title.startswith("test_") and callable(f)]
@@ -63,7 +63,7 @@ def run_tests(text: str) -> int:
 
 @pytest.fixture
 def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The effect of the how-to, in the catalogue."""
+    """Add the effect of the how-to to the catalogue."""
     module_from(blocks("add-an-effect", "python")[0], "weed", tmp_path, seatrial.ident.effects.hull, monkeypatch)
     catalogue.cache_clear()
     yield
@@ -71,19 +71,19 @@ def weed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     catalogue.cache_clear()
 
 
-def test_the_effect_of_the_how_to_does_what_its_test_says(weed: None) -> None:
+def test_the_effect_of_the_how_to_passes_its_own_test(weed: None) -> None:
     assert set(catalogue()["weed"].alternatives) <= set(catalogue())
     assert run_tests(blocks("add-an-effect", "python")[1]) == 1
 
 
 def steps(rng: np.random.Generator, t: np.ndarray, low: float, high: float) -> np.ndarray:
-    """A step every five seconds."""
+    """Return a random step signal with a step every five seconds."""
     step = (t // 5.0).astype(int)
     return np.asarray(rng.uniform(low, high, step[-1] + 1)[step])
 
 
 def voyage(model: Model, seed: int, seconds: float = 300.0) -> LogSegment:
-    """A run of a model with two thrusts [N] as inputs, and the noise of its sensors."""
+    """Simulate a run of a model with two thrusts [N] as inputs and with sensor noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 0.1)
     push, turn = steps(rng, t, -15.0, 40.0), steps(rng, t, -12.0, 12.0)
@@ -100,7 +100,7 @@ def voyage(model: Model, seed: int, seconds: float = 300.0) -> LogSegment:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("d_weed", [0.0, 15.0])
-def test_the_effect_of_the_how_to_is_found_if_and_only_if_it_is_there(weed: None, d_weed: float) -> None:
+def test_the_effect_of_the_how_to_is_found_if_and_only_if_present(weed: None, d_weed: float) -> None:
     base = horizontal_model("force", ("attitude", "gyro", "position"), hold="zero")
     truth = (base + catalogue()["weed"]).with_values({"d_weed": d_weed})
     candidates = {n: catalogue()[n] for n in ("weed", "cubic-drag", "coulomb", "turning-resistance")}
@@ -114,7 +114,7 @@ def test_the_effect_of_the_how_to_is_found_if_and_only_if_it_is_there(weed: None
 
 @pytest.fixture(scope="module")
 def lab_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The package of the how-tos with a sensor, an effect and a model, installed into a folder."""
+    """Install the package of the how-tos, with a sensor, an effect and a model, into a folder."""
     folder = tmp_path_factory.mktemp("lab-boat")
     source, site = folder / "lab-boat", folder / "site"
     (source / "lab_boat").mkdir(parents=True)
@@ -145,7 +145,7 @@ def lab_package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def installed(lab_package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """The package of the how-tos, importable in this process and in its children."""
+    """Make the package of the how-tos importable in this process and in its child processes."""
     monkeypatch.syspath_prepend(str(lab_package))
     monkeypatch.setenv("PYTHONPATH", str(lab_package))
     plugins.cache_clear()
@@ -243,7 +243,7 @@ def test_the_models_of_the_how_to_are_the_examples() -> None:
 
 
 def sail(path: Path, seed: int, seconds: float = 120.0) -> None:
-    """A CSV of the rudder boat, simulated by its own model, with sensor noise."""
+    """Write a CSV of the rudder boat, simulated by its own model with sensor noise."""
     spec = importlib.util.spec_from_file_location("own_model", ROOT / "docs/examples/own_model.py")
     assert spec is not None
     assert spec.loader is not None
@@ -278,7 +278,7 @@ MAP = 'format = "seatrial-import-csv 1"\n[time]\ncolumn = "t"\n' + "".join(
 
 
 @pytest.mark.slow
-def test_a_model_of_ones_own_goes_through_the_commands(tmp_path: Path) -> None:
+def test_a_user_model_works_with_all_commands(tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(MAP)
     for seed, run in enumerate(("run1", "run2")):
         sail(tmp_path / f"{run}.csv", seed)

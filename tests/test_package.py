@@ -1,4 +1,4 @@
-"""What is installed: wheel and sdist, what is in them, and an installation that only logs and runs."""
+"""Tests of the distribution: wheel and sdist, their content, and an installation without extras."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ print(getattr(build_meta, "build_" + sys.argv[1])(sys.argv[2]), file=sys.stderr)
 
 
 class Built(NamedTuple):
-    """The two files that `make dist` makes."""
+    """Paths of the two files that `make dist` makes."""
 
     wheel: Path
     sdist: Path
 
 
 def python(words: Sequence[str], cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run this Python; what fails shows what it said."""
+    """Run this Python. If the run fails, fail with its output."""
     done = subprocess.run(
         [sys.executable, *words], cwd=cwd, env=os.environ | environment, capture_output=True, text=True, timeout=250
     )
@@ -52,7 +52,7 @@ def python(words: Sequence[str], cwd: Path, **environment: str) -> subprocess.Co
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
-    """The sdist of a copy of the tree, and the wheel that is built from the unpacked sdist, as an index would."""
+    """Build the sdist from a copy of the tree, and the wheel from the unpacked sdist, as an index would."""
     folder = tmp_path_factory.mktemp("dist")
     tree = folder / "tree"
     leave_out = shutil.ignore_patterns("__pycache__", "*.pyc")
@@ -63,7 +63,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
     python(["-W", "error::DeprecationWarning:setuptools", "-c", BUILD, "sdist", str(folder)], tree)
     (sdist,) = folder.glob("*.tar.gz")
     with tarfile.open(sdist) as archive:
-        # Python 3.11 has the filter from 3.11.4 on; the archive is our own
+        # Python 3.11 has the filter only from 3.11.4 on, and the archive is our own
         safe: dict[str, Any] = {"filter": "data"} if hasattr(tarfile, "data_filter") else {}
         archive.extractall(folder / "unpacked", **safe)
     (source,) = (folder / "unpacked").iterdir()
@@ -73,7 +73,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
 
 
 def wanted() -> set[str]:
-    """Every file that has to travel, by its place in the one package."""
+    """Return every file that has to be in the distribution, by its place in the package."""
     parts = {path.relative_to(ROOT) for part in PARTS for path in (ROOT / part).rglob("*") if path.is_file()}
     return {
         f"seatrial/{path.as_posix()}"
@@ -102,7 +102,7 @@ def test_the_sdist_can_be_tested_and_its_pages_built(built: Built) -> None:
 
 @pytest.fixture(scope="module")
 def installed(built: Built) -> Path:
-    """The wheel's files in a folder that nothing else is in."""
+    """Unpack the wheel into an empty folder."""
     folder = built.wheel.with_name("installed")
     with zipfile.ZipFile(built.wheel) as archive:
         archive.extractall(folder)
@@ -132,7 +132,7 @@ def names_of(requirements: Sequence[str]) -> set[str]:
 
 
 def extra(name: str) -> set[str]:
-    """Return the libraries of an extra; each is imported by the name it is installed by."""
+    """Return the libraries of an extra. Each is imported by the name it is installed by."""
     table = project()
     return names_of(table["project"]["optional-dependencies"][name])  # type: ignore[index]
 
@@ -155,7 +155,7 @@ def test_all_has_every_extra_but_those_of_development() -> None:
     assert line == f"seatrial[{','.join(sorted(set(table) - {'all', 'dev', 'docs'}))}]"
 
 
-# Blocks the libraries in argv[1], imports every module of what measures and excites, then runs command lines.
+# Blocks the libraries in argv[1], imports every module that measures and excites, then runs command lines.
 LEAN = """
 import importlib, json, pkgutil, sys
 
@@ -230,7 +230,7 @@ def test_measuring_and_exciting_work_in_the_default_installation(tmp_path: Path)
 
 
 class Environment:
-    """A virtual environment with nothing in it but pip."""
+    """Virtual environment that contains only pip."""
 
     def __init__(self, folder: Path) -> None:
         venv.create(folder, with_pip=True)
@@ -241,7 +241,7 @@ class Environment:
         self.versions.write_text("\n".join(versions) + "\n", encoding="utf-8")
 
     def pip(self, *words: str) -> None:
-        """`pip install`, at the locked versions; skips the test where there is no network."""
+        """Run `pip install` with the locked versions. Skip the test if there is no network."""
         options = ["--quiet", "install", "-c", str(self.versions)]
         done = subprocess.run([str(self.bin / "pip"), *options, *words], capture_output=True, text=True, check=False)
         if re.search("connection broken|name resolution|unreachable", done.stderr):
@@ -249,7 +249,7 @@ class Environment:
         assert done.returncode == 0, done.stderr
 
     def seatrial(self, cwd: Path, *words: str) -> subprocess.CompletedProcess[str]:
-        """Run the command as a user does, in a folder that is not the project's."""
+        """Run the command as a user does, in a folder outside the project."""
         command = [str(self.bin / "seatrial"), *words]
         return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=1500, check=False)
 
@@ -267,13 +267,13 @@ def test_the_wheel_in_an_empty_environment_runs_the_demo(built: Built, tmp_path:
 
 @pytest.mark.study
 @pytest.mark.timeout(900)
-def test_the_default_installation_of_the_docs_runs_what_it_says(built: Built, tmp_path: Path) -> None:
+def test_the_default_installation_runs_the_commands_of_the_docs(built: Built, tmp_path: Path) -> None:
     environment = Environment(tmp_path / "environment")
     environment.pip(str(built.wheel))
     assert environment.seatrial(tmp_path, "mission", "generate", "--seed", "1", "-o", "m.toml").returncode == 0
     shutil.copy(ROOT / "mocks/rigs/boat.toml", tmp_path)
     checked = environment.seatrial(tmp_path, "check", "boat.toml", "--seconds", "0.5")
-    assert checked.returncode == 1  # there is no boat
+    assert checked.returncode == 1  # no boat is connected
     faults = [line.split()[:2] for line in checked.stdout.splitlines() if line.startswith("fault")]
     assert faults == [["fault", device] for device in ("ahrs", "gnss", "esc")]
     refused = environment.seatrial(tmp_path, "mission", "design", "horizontal:shaft", "--out", "designed.toml")

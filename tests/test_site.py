@@ -1,4 +1,6 @@
-"""The site of the docs: it builds without a warning, asks the network for nothing, and its picture is of today."""
+"""Tests of the documentation site: it builds without a warning, needs no network, and its generated pages are up to
+date.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +16,14 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-# What a browser fetches by itself when it opens a page.
+# Elements that a browser fetches by itself when it opens a page.
 FETCHES = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "video": "src"}
 NO_FETCH = {"canonical", "next", "prev", "edit"}
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built site; the fixture fails where MkDocs has anything to complain of."""
+    """Build the site. The fixture fails if MkDocs reports a problem."""
     out = tmp_path_factory.mktemp("site")
     words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(out)]
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
@@ -32,7 +34,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Fetched(HTMLParser):
-    """Collects what a page fetches, and where it links."""
+    """Parser that collects the links of a page and the files that a browser fetches for it."""
 
     def __init__(self, page: Path) -> None:
         super().__init__()
@@ -68,18 +70,18 @@ def test_every_page_of_the_docs_is_in_the_navigation(site: Path) -> None:
         assert built.resolve() in links, f"{page.name} is not in the navigation"
 
 
-def test_the_page_of_figures_and_the_page_of_tables_are_both_there(site: Path) -> None:
+def test_the_page_of_figures_and_the_page_of_tables_both_exist(site: Path) -> None:
     assert (site / "thesis-figures.html").read_bytes() == (ROOT / "docs/thesis.html").read_bytes()
     assert "thesis-figures.html" in Fetched(site / "thesis.html").links
 
 
 def script(name: str) -> ModuleType:
-    """A script of docs/site, as a module."""
+    """Load a script of docs/site as a module."""
     spec = importlib.util.spec_from_file_location(name, ROOT / f"docs/site/{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # the named tuples in it look for their module
+    sys.modules[name] = module  # named tuples in the script look up their module
     spec.loader.exec_module(module)
     return module
 
@@ -89,20 +91,20 @@ def architecture() -> ModuleType:
     return script("architecture")
 
 
-def test_the_page_of_results_is_written_from_the_types_of_today() -> None:
+def test_the_page_of_results_is_up_to_date() -> None:
     results = script("results")
     text = results.PAGE.read_text(encoding="utf-8")
     assert text == results.page(text), "run `python docs/site/results.py`"
 
 
-def test_the_architecture_page_is_drawn_from_the_contracts_of_today(architecture: ModuleType) -> None:
+def test_the_architecture_page_is_up_to_date(architecture: ModuleType) -> None:
     advice = "run `python docs/site/architecture.py`"
     assert architecture.PICTURE.read_text(encoding="utf-8") == architecture.svg(), advice
     text = architecture.PAGE.read_text(encoding="utf-8")
     assert text == architecture.page(text), advice
 
 
-def test_arrows_are_what_no_contract_forbids(architecture: ModuleType) -> None:
+def test_arrows_of_the_architecture_are_the_permitted_imports(architecture: ModuleType) -> None:
     rules = [
         {"source_modules": ["daq", "mocks"], "forbidden_modules": ["bench", "ident", "seatrial"]},
         {"source_modules": ["daq"], "forbidden_modules": ["mocks"]},

@@ -1,6 +1,6 @@
-"""docs/troubleshooting.md against the code: each line it quotes is one that the code says; hardly one is missing.
+"""Tests of docs/troubleshooting.md: the code contains each quoted line, and the page misses hardly an error.
 
-A message is compared as a template: what the code fills in stands as … there and here.
+A message is compared as a template: values that the code fills in are written as … in both.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs/troubleshooting.md"
 PARTS = ("daq", "bench", "ident", "mocks")
 GAP = "…"
-# Another engineer's new error may be there before its line in the page is; a tenth is not.
+# Up to a tenth of the errors may be missing, because new errors can be added before their line in the page.
 LEAST_TOLD = 0.9
 
 
 def templates(node: ast.expr) -> Iterator[str]:
-    """The texts that an expression can be, with … where something is filled in."""
+    """Return the texts that an expression can produce, with … for values that are filled in."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         yield node.value
     elif isinstance(node, ast.JoinedStr):
@@ -39,8 +39,8 @@ def sources() -> list[Path]:
 
 
 @cache
-def said() -> tuple[str, ...]:
-    """Every text in the code."""
+def texts_in_code() -> tuple[str, ...]:
+    """Return every text in the code."""
     texts = {
         text
         for path in sources()
@@ -53,7 +53,7 @@ def said() -> tuple[str, ...]:
 
 @cache
 def raised() -> tuple[tuple[str, str], ...]:
-    """(where, template) of what is raised as a user's error and says something of its own."""
+    """Return (where, template) of each error raised for the user that has a text of its own."""
     found = []
     for path in sources():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -66,34 +66,34 @@ def raised() -> tuple[tuple[str, str], ...]:
 
 
 def pattern(quoted: str) -> re.Pattern[str]:
-    """A quoted line as a pattern for templates: … stands for anything."""
+    """Return a pattern for templates that matches a quoted line. … matches any text."""
     pieces = [re.escape(piece) for piece in quoted.strip(GAP + " ").split(GAP)]
     return re.compile(".*".join(pieces), re.DOTALL)
 
 
 def quoted() -> list[str]:
-    """The first cells of the page's tables that are a quoted line."""
+    """Return the first cells of the page's tables that contain a quoted line."""
     rows = re.findall(r"^\| `([^`]+)` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     return [row.replace("\\|", "|") for row in rows]
 
 
-def test_the_page_has_lines_to_look_up() -> None:
+def test_the_page_quotes_messages() -> None:
     lines = quoted()
     assert len(lines) > 150
     assert not {line for line in lines if lines.count(line) > 1}
 
 
-def test_each_line_is_one_that_the_code_says() -> None:
+def test_each_quoted_line_is_in_the_code() -> None:
     stale = []
     for line in quoted():
         assert re.search(r"\w{2}", line.replace(GAP, "")), f"a line of dots says nothing: {line}"
         found = pattern(line)
-        if not any(found.search(text) for text in said()):
+        if not any(found.search(text) for text in texts_in_code()):
             stale.append(line)
     assert not stale, "docs/troubleshooting.md quotes what no text in the code reads"
 
 
-def test_hardly_an_error_is_missing() -> None:
+def test_nearly_every_error_is_on_the_page() -> None:
     patterns = [pattern(line) for line in quoted()]
     untold = [f"{where}: {text}" for where, text in raised() if not any(p.search(text) for p in patterns)]
     share = 1.0 - len(untold) / len(raised())

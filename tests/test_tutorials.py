@@ -1,4 +1,4 @@
-"""The tutorials, as they are written: quick commands in every run of the suite, everything in `make study`."""
+"""Tests that run the tutorials as written: quick commands in every run of the suite, all commands in `make study`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ QUICK = ("cp ", "sed ", "seatrial mission generate", "seatrial mission show")
 
 
 def lines(title: str) -> list[str]:
-    """Every command line of a tutorial, in order."""
+    """Return every command line of a tutorial, in order."""
     return lines_of(blocks(TUTORIALS / f"{title}.md", "sh"))
 
 
@@ -32,13 +32,13 @@ def lines_of(found: list[str]) -> list[str]:
 
 @pytest.fixture
 def environment() -> dict[str, str]:
-    """The reader's shell: `seatrial` and `python` are those of this environment."""
+    """Return the reader's shell environment, in which `seatrial` and `python` are those of this environment."""
     home = Path(sys.executable).parent
     return os.environ | {"PATH": f"{home}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
 
 
 def run(line: str, folder: Path, environment: dict[str, str]) -> str:
-    """Run one line in a shell, and return what it printed."""
+    """Run one line in a shell, and return its output."""
     done = subprocess.run(
         ["sh", "-c", line], cwd=folder, env=environment, capture_output=True, text=True, timeout=900, check=False
     )
@@ -58,7 +58,7 @@ def test_the_quick_commands_run(title: str, tmp_path: Path, environment: dict[st
 
 @contextmanager
 def mock(line: str, folder: Path, environment: dict[str, str]) -> Iterator[None]:
-    """The tutorial's other terminal, from its `ready` to its Ctrl-C."""
+    """Run the mock in the tutorial's second terminal, from its message `ready` to its Ctrl-C."""
     words = line.split()
     with subprocess.Popen(words, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -71,37 +71,37 @@ def mock(line: str, folder: Path, environment: dict[str, str]) -> Iterator[None]
 
 
 def follow(every: list[str], folder: Path, environment: dict[str, str]) -> str:
-    """Run every line, with one mock after the other in the background; returns what was printed."""
+    """Run every line, with one mock after the other in the background, and return the output."""
     starts = [k for k, line in enumerate(every) if line.startswith("seatrial mock ")]
-    said = [run(line, folder, environment) for line in every[: starts[0]]]
+    printed = [run(line, folder, environment) for line in every[: starts[0]]]
     for start, end in zip(starts, [*starts[1:], len(every)], strict=True):
         with mock(every[start], folder, environment):
-            said += [run(line, folder, environment) for line in every[start + 1 : end]]
-    return " ".join("".join(said).split())
+            printed += [run(line, folder, environment) for line in every[start + 1 : end]]
+    return " ".join("".join(printed).split())
 
 
 @pytest.mark.study
 @pytest.mark.timeout(1800)
-def test_a_reader_reaches_what_the_tutorials_show(tmp_path: Path, environment: dict[str, str]) -> None:
-    """One folder, as the reader has: the mission takes the thrust curve of the bench run."""
-    said = follow(lines("bench-run"), tmp_path, environment)
-    assert re.search(r"The thruster gives \d\d\.\d+ ± 0\.\d+ N forward and \d\d\.\d+ ± 0\.\d+ N in reverse", said)
+def test_the_tutorials_give_the_results_that_they_show(tmp_path: Path, environment: dict[str, str]) -> None:
+    """All tutorials use one folder, as for the reader: the mission uses the thrust curve of the bench run."""
+    printed = follow(lines("bench-run"), tmp_path, environment)
+    assert re.search(r"The thruster gives \d\d\.\d+ ± 0\.\d+ N forward and \d\d\.\d+ ± 0\.\d+ N in reverse", printed)
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))["true_parameters"]
     fitted = json.loads((tmp_path / "thruster/result.json").read_text(encoding="utf-8"))
     values = {row["name"]: row["value"] for row in fitted["fit"]["parameters"]}
     assert abs(values["c1"] - truth["c1"]) < 0.5
     assert abs(values["a"] - truth["pole"]) < 0.3
-    assert 0.0 < values["tau"] - truth["delay"] < 0.04  # the ports are on the way, four times as slow
-    said = follow(lines("mission"), tmp_path, environment)
-    assert "The model lacks a GNSS antenna lever arm" in said
+    assert 0.0 < values["tau"] - truth["delay"] < 0.04  # the ports are still opening, at a quarter of the speed
+    printed = follow(lines("mission"), tmp_path, environment)
+    assert "The model lacks a GNSS antenna lever arm" in printed
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     assert truth["effect"] == "lever-arm"
 
 
 @pytest.mark.study
 @pytest.mark.timeout(1800)
-def test_the_way_of_the_readme_leads_to_a_report(tmp_path: Path, environment: dict[str, str]) -> None:
-    """Its dozen lines, at a speed that a busy machine keeps up with."""
+def test_the_commands_of_the_readme_lead_to_a_report(tmp_path: Path, environment: dict[str, str]) -> None:
+    """The commands run at a speed that a busy machine can follow."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     _, _, section = text.partition("## The whole way, on mocks")
     page = tmp_path / "way.md"
@@ -109,10 +109,10 @@ def test_the_way_of_the_readme_leads_to_a_report(tmp_path: Path, environment: di
     copy, *others = lines_of(blocks(page, "sh"))
     slower = "sed -i.bak 's/^speed = 20.0/speed = 5.0/' boat.toml bench.toml"
     assert len(others) < 13
-    said = follow([copy, slower, *others], tmp_path, environment)
+    printed = follow([copy, slower, *others], tmp_path, environment)
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     assert truth["effect"] == "wind"
-    assert "The model lacks steady wind" in said
+    assert "The model lacks steady wind" in printed
     assert (tmp_path / "diagnosis/report.html").is_file()
     fitted = json.loads((tmp_path / "diagnosis/result.json").read_text(encoding="utf-8"))["fit"]
     rows, true = {row["name"]: row for row in fitted["parameters"]}, truth["true_parameters"]
@@ -123,8 +123,8 @@ def test_the_way_of_the_readme_leads_to_a_report(tmp_path: Path, environment: di
 
 @pytest.mark.study
 @pytest.mark.timeout(1800)
-def test_the_way_over_mavlink_leads_to_the_boats_model(tmp_path: Path, environment: dict[str, str]) -> None:
-    """Through an autopilot whose ESCs report speeds without a sign; nobody gave the thrust, so masses are ratios."""
+def test_the_tutorial_over_mavlink_leads_to_the_model_of_the_boat(tmp_path: Path, environment: dict[str, str]) -> None:
+    """The boat has an autopilot whose ESCs report unsigned speeds. The thrust is unknown, so masses are ratios."""
     page = blocks(ROOT / "docs/how-to/mavlink.md", "sh")
     follow(lines_of([block for block in page if "seatrial import" not in block]), tmp_path, environment)
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))["true_parameters"]

@@ -1,10 +1,10 @@
-"""What dies, on a real autopilot: faults by settings of its failsafes, and the parameters with which it is not driven.
+"""Study of faults and wrong parameters on ArduPilot Rover, repeated under several settings of its failsafes.
 
     python -m tests.bench.autopilot_faults --n 2 --out docs/data/autopilot-faults.jsonl --docs docs/safety.md
 
-Each trial is a mission of the public command against ArduPilot Rover in its own simulator (SEATRIAL_ARDUROVER) over a
-relay that can be cut, while another station beside it looks at the outputs 40 times a second. Trials are kept, all of
-them, and only what is missing is run. `--docs` puts the table between its marks in a page.
+Each trial runs a mission with the public command against ArduPilot Rover in its own simulator (SEATRIAL_ARDUROVER). The
+link passes through a relay that can be cut. A second station reads the outputs 40 times a second. All trials are kept,
+and only missing trials are run. `--docs` writes the table between its marks in a page.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from tests.daq.ardurover import MISSING, PROGRAM, RIG, Rover
 
 SEATRIAL = [sys.executable, "-m", "seatrial"]
 N = 0.3
-AT_ONCE_S = 0.1  # where a program of ours lives
-SAMPLE_S = 0.05  # of the outputs that are watched: 25 ms, and as much until they are read
-SUPERVISED_S = 0.5  # from the first thrust, or from the change, to the last, with all delays
+AT_ONCE_S = 0.1  # for a fault that kills one of our own processes and leaves another one alive
+SAMPLE_S = 0.05  # resolution of the observed outputs: they arrive every 25 ms and are read up to 25 ms later
+SUPERVISED_S = 0.5  # from the first thrust, or from the change of the parameter, to the last thrust, with all delays
 AFTER_S = 9.0  # watched after a cut: the failsafe of the ground station acts after 6.5 s
 BACK_S = 8.0
 OWN, STRANGER, HOLD, RTL, DISARM = 255, 254, 4, 11, 400
-REBOOT_S = 0.5  # it lets go of its outputs after this
+REBOOT_S = 0.5  # after a reboot command the outputs end within this time
 MARKS = ("<!-- python -m tests.bench.autopilot_faults -->", "<!-- end of the faults -->")
 
 
@@ -53,19 +53,21 @@ PARAMETER = re.compile(r"[A-Z0-9]+_[A-Z0-9_]+")
 
 
 class Trial(NamedTuple):
-    """One fault, or one wrong parameter (`NAME value`), under one setting."""
+    """One fault, or one wrong parameter (`NAME value`), under one setting of the autopilot."""
 
     fault: str
     setting: str
     seconds: float  # from the fault to the last output at neutral
     allowed: float
-    says: str  # the last line of the run
-    disarmed: bool  # in the end
-    told: bool  # that it may still be armed, where it is
+    says: str  # the last line that the run printed
+    disarmed: bool  # at the end of the trial
+    told: bool  # whether the run warned that the vehicle may still be armed
 
     @property
     def good(self) -> bool:
-        """As it has to be: thrust ended in time, who is left armed is named, and a wrong parameter was the reason."""
+        """Return whether thrust ended in time and a vehicle left armed is named, or a wrong parameter was named as the
+        reason.
+        """
         name, _, value = self.fault.partition(" ")
         if PARAMETER.fullmatch(name) and value:
             refused = REFUSAL in self.says and f"{name} is" in self.says and self.seconds == 0.0
@@ -76,7 +78,7 @@ class Trial(NamedTuple):
 
 @dataclass
 class Run:
-    """A mission under way."""
+    """Processes of a mission that is under way."""
 
     rover: Rover
     pid: int
@@ -89,13 +91,16 @@ class Run:
 
 
 class Fault(NamedTuple):
-    """What fails, and how long it takes to be seen; None: nobody is left, and the link test's time counts."""
+    """Fault: how to cause it, and the time [s] until seatrial detects it.
+
+    If the time is None, no process of ours is left to detect it and the time of the link test counts.
+    """
 
     name: str
     seen_s: float | None
     strike: Callable[[Run], None]
     watched_s: float = 2.5
-    no_pulses: bool = False  # the outputs themselves end: until the last pulse that pushed
+    no_pulses: bool = False  # whether the outputs themselves end; the time then counts until the last pulse that pushed
 
 
 def killed(number: signal.Signals, *who: str) -> Callable[[Run], None]:
@@ -132,7 +137,9 @@ def parameter(name: str, value: float) -> Callable[[Run], None]:
 def with_a_second(component_heard: bool) -> Callable[[Run], None]:
     def strike(run: Run) -> None:
         run.rover.beat_as(OWN, 230 if component_heard else 190)
-        if not component_heard:  # the autopilot does not pass on what has our own address: a cut link shows who acts
+        # the autopilot does not forward messages that have our own address: cut the link, so that only the second
+        # station acts
+        if not component_heard:
             cut(run)
 
     return strike
@@ -170,7 +177,7 @@ FAULTS = (
 
 @dataclass(frozen=True)
 class Setting:
-    """How an autopilot is set up."""
+    """Setting of an autopilot: its parameters and failsafes."""
 
     name: str
     parameters: dict[str, float] = field(default_factory=dict)
@@ -183,7 +190,8 @@ SETTINGS = (
     Setting("no receiver, FS_ACTION 2", {"SIM_RC_FAIL": 1}),
     Setting("no receiver, signed", {"SIM_RC_FAIL": 1}, signed=True),
 )
-# One wrong parameter each, on a boat without a receiver: refused, or ended by the comparison of outputs and commands.
+# One wrong parameter each, on a boat without a receiver. The run is refused, or the comparison of outputs with commands
+# ends it.
 WRONG: tuple[tuple[str, float], ...] = (
     *(("FS_THR_ENABLE", value) for value in (0, 2)), *(("FS_ACTION", value) for value in (0, 1, 3, 4)),
     ("FS_GCS_ENABLE", 0), ("FS_GCS_TIMEOUT", 120), ("FS_TIMEOUT", 30), ("RC_OPTIONS", 34), ("PILOT_STEER_TYPE", 0),
@@ -195,7 +203,7 @@ WRONG: tuple[tuple[str, float], ...] = (
 
 
 def write_files(folder: Path, rover: Rover, setting: Setting) -> None:
-    """Rig, key and mission."""
+    """Write the rig, the signing key and the mission into a folder."""
     (folder / "key").write_bytes(bytes(range(32)))
     more = 'key_file = "key"\n' if setting.signed else ""
     text = RIG.format(port=rover.port, more=more) + "\n[limits]\nlink_test_n = 0.2\n"
@@ -205,7 +213,7 @@ def write_files(folder: Path, rover: Rover, setting: Setting) -> None:
 
 
 def link_test(folder: Path) -> float:
-    """Seconds that the link test measures."""
+    """Run the link test and return the time that it measured [s]."""
     words = ["check", "rig.toml", "--actuators", "--link-test", "--yes", "--arm"]
     done = subprocess.run([*SEATRIAL, *words], cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -223,7 +231,7 @@ def start(folder: Path) -> subprocess.Popen[str]:
 
 
 def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measured: float) -> Trial:
-    """One mission, one fault."""
+    """Run one mission with one fault and return the trial."""
     process = start(folder)
     rover.until(lambda: rover.pushes or process.poll() is not None, 90.0, "thrust")
     if process.poll() is not None:
@@ -256,13 +264,13 @@ def try_fault(folder: Path, rover: Rover, fault: Fault, setting: Setting, measur
     for name in RESTORED:
         rover.set_parameter(name, 1.0)
     _put_right(rover)
-    if fault.no_pulses and setting.signed:  # with the simulator's parameters its key is forgotten
+    if fault.no_pulses and setting.signed:  # a start with the simulator's parameters deletes its signing key
         rover.sign((folder / "key").read_bytes())
     return Trial(fault.name, setting.name, seconds, allowed, says[0], disarmed, told)
 
 
 def _put_right(rover: Rover) -> None:
-    """Disarmed, in MANUAL, with a position."""
+    """Disarm the vehicle, set it to MANUAL and wait until it has a position."""
 
     def done() -> bool:
         rover.command(DISARM, 0.0, 21196.0)
@@ -275,7 +283,7 @@ def _put_right(rover: Rover) -> None:
 
 
 def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: Setting) -> Trial:
-    """A mission with one wrong parameter."""
+    """Run one mission with one wrong parameter and return the trial."""
     before = rover.get(name)
     rover.set(name, value)
     started, process = time.monotonic(), start(folder)
@@ -298,7 +306,7 @@ def try_parameter(folder: Path, rover: Rover, name: str, value: float, setting: 
 
 @contextlib.contextmanager
 def ready_rover(setting: Setting) -> Iterator[tuple[Path, Rover]]:
-    """A rover of this setting with its position, and the files of a mission."""
+    """Yield a rover with this setting and a position, and the folder with the files of a mission."""
     with tempfile.TemporaryDirectory(prefix="seatrial-faults-") as name:
         folder = Path(name)
         with Rover(folder / "sitl", setting.parameters) as rover:
@@ -310,7 +318,7 @@ def ready_rover(setting: Setting) -> Iterator[tuple[Path, Rover]]:
 
 
 def trials(only: str, n: int, rows: Sequence[Trial]) -> Iterator[Trial]:
-    """What `rows` lack of `n` trials of each fault and each parameter, one round after the other."""
+    """Yield the trials that `rows` lacks of `n` trials of each fault and each parameter, round by round."""
     for k in range(1, n + 1):
         often = Counter((row.fault, row.setting) for row in rows)
         yield from _round(only, {cell for cell, m in often.items() if m >= k})
@@ -334,7 +342,7 @@ def _round(only: str, known: set[tuple[str, str]]) -> Iterator[Trial]:
 
 
 def page(rows: list[Trial]) -> str:
-    """The tables of docs/safety.md, as Markdown: faults by settings, and what is refused."""
+    """Return the Markdown tables of docs/safety.md: faults by settings, and refused parameters."""
     cells: dict[tuple[str, str], list[Trial]] = {}
     for row in rows:
         cells.setdefault((row.fault, row.setting), []).append(row)
@@ -360,7 +368,7 @@ def page(rows: list[Trial]) -> str:
 
 
 def _cell(found: list[Trial]) -> str:
-    """The longest of a cell's trials, s."""
+    """Return the longest time among the trials of a cell [s]."""
     if not found:
         return "-"
     armed = "" if all(trial.disarmed for trial in found) else " (armed)"
@@ -368,13 +376,13 @@ def _cell(found: list[Trial]) -> str:
 
 
 def kept(path: Path | None) -> list[Trial]:
-    """The trials of a file, in their order; none where there is no file."""
+    """Return the trials of a file in their order, or an empty list if the file does not exist."""
     lines: list[str] = path.read_text(encoding="utf-8").splitlines() if path and path.exists() else []
     return [msgspec.json.decode(line, type=Trial) for line in lines]
 
 
 def main() -> None:
-    """Run what is missing, and say what is not as it has to be; exit status 1 then."""
+    """Run the missing trials and print those that failed. The exit status is 1 if a trial failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="regular expression of 'fault, setting' or 'PARAMETER value'")
     parser.add_argument("--n", type=int, default=1, help="trials of each")

@@ -1,4 +1,4 @@
-"""Logs of mock boats with one fault each, and healthy ones: what a preflight has to find, and has to leave alone."""
+"""Logs of mock boats, healthy or with one fault each, and the finding that a preflight check has to report."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DEVICES, THRUSTERS = ("ahrs", "gnss", "esc"), ("left", "right")
 
 
 class Case(NamedTuple):
-    """A fault: how the mocks make it, and the finding that names it (code, where)."""
+    """Fault: its options for the mocks, and its expected finding (code, where)."""
 
     name: str
     code: str
@@ -52,17 +52,17 @@ CASES = (
 
 
 def mission(seed: int, actuators: bool = False) -> Mission:
-    """The mission of a seed, or the actuator test of the packaged boat."""
+    """Return the mission of a seed, or the actuator test of the packaged boat."""
     return actuator_plan(rig_of("boat")) if actuators else make_mission("mixed", SECONDS, seed)
 
 
 @lru_cache(maxsize=2)
 def sailed(seed: int, case: Case | None = None, actuators: bool = False) -> Recording:
-    """The mission of a seed by the boat of that seed, with a fault or none."""
+    """Return the recording of a boat that sails the mission of a seed, with the fault of `case` or without a fault."""
     plan, boat = mission(seed, actuators), draw_boat(seed, (), case.thruster if case else None)
     t, n = plan.setpoints()
     gear, faults = BOAT, None
-    if case is not None and case.swapped:  # each plug in the other one's socket
+    if case is not None and case.swapped:  # the two plugs are swapped
         gear, n = replace(BOAT, escs=tuple(reversed(BOAT.escs))), n[:, ::-1]
     if case is not None and case.reversed:
         left, right = BOAT.escs
@@ -73,22 +73,22 @@ def sailed(seed: int, case: Case | None = None, actuators: bool = False) -> Reco
 
 
 def logged(path: Path, seed: int, case: Case | None = None, actuators: bool = False) -> Path:
-    """The same as a log of the packaged rig."""
+    """Write the same recording as a log of the packaged rig."""
     return write_log(path, "boat", sailed(seed, case, actuators).readings, mission(seed, actuators))
 
 
 def findings(path: Path) -> list[Finding]:
-    """What `seatrial check LOG` tells."""
+    """Return the findings of `seatrial check LOG`."""
     with open_log(path) as log:
         of_devices = list(check_devices(log))
     return [*of_devices, *check_log(path)]
 
 
 def named(case: Case, found: list[Finding]) -> bool:
-    """Whether a fault of that name at that place is among them."""
+    """Return whether the expected code is among the findings at the expected place."""
     return any(f.level == "fault" and f.code == case.code and case.where in f.where for f in found)
 
 
 def alarms(found: list[Finding]) -> list[Finding]:
-    """Everything that is not in order."""
+    """Return every finding that is a fault or a warning."""
     return [f for f in found if f.level != "ok"]

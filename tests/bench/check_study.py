@@ -1,4 +1,7 @@
-"""Healthy runs and injected faults through the check of logs: `python -m tests.bench.check_study [--healthy 50]`."""
+"""Study of the check of logs on healthy runs and on injected faults:
+
+`python -m tests.bench.check_study [--healthy 50]`.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from tests.bench.check_cases import CASES, alarms, findings, logged, named
 
 
 def main() -> None:
-    """Print how many of the healthy runs raise an alarm, and how often each fault is found by its name."""
+    """Print the number of healthy runs that raise an alarm, and how often each fault is named correctly."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--healthy", type=int, default=50, help="runs without a fault, each another boat and mission")
     parser.add_argument("--each", type=int, default=5, help="runs with each fault")

@@ -1,4 +1,4 @@
-"""The stand-in bench for every test that drives something."""
+"""Fixture of the stand-in bench for tests that drive a thruster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can end a run: kinds of fault, within what time after each thrust has to be zero, and what is to be said."""
+"""Kinds of fault that can end a run: the time within which thrust has to be zero, and the expected message."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from seatrial.daq.config.mission_file import Mission, Segment, save_mission
 from seatrial.daq.protocol.vesc import STALE
 
 SPEED = 4.0
-# Wall seconds, as all of these.
+# All times are in wall seconds.
 DEADMAN_S = 0.25
-ESC_S = 1.0  # the controllers' own time-out
-STALE_S = 1.0  # of a silent device
-GUARD_S = 0.2  # a sample, a status, a look of the guard
-SLOW_S = 0.2 / SPEED  # between samples of temperature, voltage and position
+ESC_S = 1.0  # the time-out of the controllers themselves
+STALE_S = 1.0  # time until a silent device is detected
+GUARD_S = 0.2  # one sample, one status and one poll of the guard
+SLOW_S = 0.2 / SPEED  # interval between samples of temperature, voltage and position
 AFTER_DECISION_S = 0.1
-BLINK_S = 0.3  # for which a plug is out
-PAUSE_S = 0.4  # for which all programs stand still: less than the controllers' own time-out
-ZERO_AT_S = 2.0  # of the missions whose thruster will not stop
-STEP_S = 0.5  # of the missions that alternate
-REOPEN_S = 0.5  # until a port that is back is open again
+BLINK_S = 0.3  # duration of a short disconnection
+PAUSE_S = 0.4  # duration for which all programs are stopped: shorter than the time-out of the controllers
+ZERO_AT_S = 2.0  # time of the zero command in missions whose thruster ignores zero
+STEP_S = 0.5  # step duration of the missions that alternate
+REOPEN_S = 0.5  # time until a port that has returned is open again
 VESC, DRONECAN, MAVLINK = RIGS = "VESC", "DroneCAN", "MAVLink"
 DISK = "disk"  # a file system of a few megabytes in the folder, for the trials that fill it
 
@@ -50,7 +50,7 @@ protocol = "nmea"
 port = "ports/gnss"
 rate_hz = 5.0
 
-"""  # of its own, for the boat behind an autopilot
+"""  # the boat behind an autopilot also has its own sensors
 LOADCELL = """
 [[device]]
 name = "loadcell"
@@ -67,13 +67,13 @@ LIMITS = "[limits]\nroll_deg = 60.0\n"
 
 @dataclass(frozen=True)
 class Kind:
-    """One thing that fails: how, within what time after it thrust has to be zero, and what has to be said."""
+    """Kind of fault: how it is caused, the time within which thrust has to be zero, and the expected message."""
 
     what: str
     within_s: float  # wall, from the fault to the decision
-    says: str  # regular expression, in an event of the log or in the watchdog's note
-    fault: str = ""  # of the mock, at USR1
-    strike: Callable[[Any], None] | None = None  # what is done to the processes
+    says: str  # regular expression that an event of the log or the note of the watchdog has to match
+    fault: str = ""  # fault of the mock, started by SIGUSR1
+    strike: Callable[[Any], None] | None = None  # action on the processes
     rig: str = VESC
     full: bool = False
     cut_off: bool = False  # no command can reach the thrusters: only their own time-out is left
@@ -82,17 +82,17 @@ class Kind:
 
     @property
     def name(self) -> str:
-        """Of the kind on its rig."""
+        """Return the name of the fault with its rig."""
         return f"{self.rig}, {self.what}"
 
     @property
     def words(self) -> list[str]:
-        """What the run is told besides."""
+        """Return the further options of the run's command."""
         return ["--arm"] if self.rig == MAVLINK else []
 
     @property
     def lasts_s(self) -> float:
-        """How long the mock's fault goes on, wall s."""
+        """Return the duration of the fault in the mock [wall s]."""
         return float(self.fault.rpartition(":")[2]) / SPEED if self.fault else 0.0
 
 
@@ -111,20 +111,20 @@ def _fill(run: Any) -> None:
 
 
 def _delete(run: Any) -> None:
-    """The log is gone, but for what is still open of it."""
+    """Delete the log. It stays readable through the file descriptors that are still open."""
     run.deleted = run.log.open("rb")
     run.log.unlink()
 
 
 def _twice(run: Any) -> None:
     os.kill(run.pid, signal.SIGINT)
-    time.sleep(0.05)  # as fast as a hand
+    time.sleep(0.05)  # as fast as a person presses keys
     with contextlib.suppress(ProcessLookupError):
         os.kill(run.pid, signal.SIGINT)
 
 
 def _paused(run: Any) -> None:
-    """Stop all programs, as a busy hypervisor does, and let them go on; the trial begins then."""
+    """Stop all programs, as a busy hypervisor does, and continue them. The trial counts from then on."""
     everybody = (run.watchdog, run.acquisition, run.pid)
     for pid in everybody:
         os.kill(pid, signal.SIGSTOP)
@@ -134,7 +134,7 @@ def _paused(run: Any) -> None:
 
 
 def _of(rig: str) -> Iterator[Kind]:
-    """All that can fail on a rig."""
+    """Return all kinds of fault of a rig."""
     link = "autopilot" if rig == MAVLINK else "esc"
     kill, hang = signal.SIGKILL, signal.SIGSTOP
     yield Kind("runner killed", DEADMAN_S, "parent", strike=_signalled(kill, "pid"))
@@ -148,9 +148,10 @@ def _of(rig: str) -> Iterator[Kind]:
     yield Kind("hang-up (SIGHUP)", 0.1, "SIGHUP", strike=_signalled(signal.SIGHUP, "pid"))
     yield Kind("Ctrl-C twice", 0.1, "Ctrl-C", strike=_twice)
     yield Kind("log deleted", 0.2, "log was deleted", strike=_delete)
-    yield Kind("disk full", 0.6, "disk is full", strike=_fill, full=True)  # the next flush meets it, in 0.25 s at most
+    # the next flush detects it, 0.25 s later at most
+    yield Kind("disk full", 0.6, "disk is full", strike=_fill, full=True)
     yield Kind("link pulled", ESC_S, link, fault=f"pull/{link}@usr1:8", cut_off=True)
-    if rig != MAVLINK:  # a network has no plug that a program sees
+    if rig != MAVLINK:  # a program does not see an unplugged network cable
         blink = f"pull/{link}@usr1:{BLINK_S * SPEED}"
         yield Kind("link out for 0.3 s", BLINK_S + REOPEN_S, link, fault=blink, cut_off=True)
         lasts = 3 * STALE_S + (STALE / SPEED if rig == VESC else 0.0)
@@ -166,7 +167,7 @@ def _of(rig: str) -> Iterator[Kind]:
         yield Kind("telemetry frozen", frozen, "repeats the same", fault="stuck/esc@usr1:24", alternates=True)
         yield Kind("frames refused", ESC_S, "refused 10 frames", fault="refuse/esc@usr1:16", cut_off=True)
     yield Kind("load cell frozen", frozen, "loadcell repeats", fault="stuck/loadcell@usr1:24", alternates=True)
-    # That of every receiver: an autopilot has one of its own, which would stand in for the other one.
+    # The fault applies to every receiver: an autopilot has its own receiver, which would replace the faulty one.
     yield Kind("position held", 10.0 / SPEED + GUARD_S, "repeats the same value", fault="hold@usr1:48")
     yield Kind("all stopped for 0.4 s", 0.0, "stood still|no sign of life|no heartbeat", strike=_paused)
     yield Kind("AHRS lost", GUARD_S, "ahrs .*lost", fault="pull/ahrs@usr1:8")
@@ -184,7 +185,7 @@ KINDS = tuple(replace(kind, rig=rig) for rig in RIGS for kind in _of(rig))
 
 
 def write_files(folder: Path, kind: Kind) -> None:
-    """The rig of a kind, slower than the demo and with a few limits more, and a mission of steps to run on it."""
+    """Write the rig of a kind and a mission of steps. The rig is slower than the demo and has a few more limits."""
     name = "mavboat" if kind.rig == MAVLINK else "boat"
     text = files("seatrial.mocks").joinpath("rigs", f"{name}.toml").read_text(encoding="utf-8")
     text = re.sub(r"speed = [\d.]+", f"speed = {SPEED}", text)

@@ -1,4 +1,4 @@
-"""One run that fails: the mock boat, the runner in a process of its own, the fault, and what came of it."""
+"""One run with one fault: the mock boat, the runner in its own process, the fault, and the outcome."""
 
 from __future__ import annotations
 
@@ -27,41 +27,42 @@ from tests.bench.runs import acquisition_of, is_alive, watchdog_of
 
 PATIENCE_S = 20.0
 POLL_S = 0.005
-DEADMAN = "no sign of life of the runner"  # which no fault of a device makes: the machine held it up
+DEADMAN = "no sign of life of the runner"  # no fault of a device causes this message: the machine delayed the runner
 MEMORY = "/dev/shm"  # a file system in memory, on Linux
 
 
 @dataclass
 class Trial:
-    """What came of one."""
+    """Outcome of one trial."""
 
-    zero_s: float = math.nan  # wall, from the fault to the last thruster at zero
-    decided_s: float = math.nan  # wall, from the decision to it; NaN where the decision is not in the log
+    zero_s: float = math.nan  # wall seconds from the fault to zero of the last thruster
+    decided_s: float = math.nan  # wall seconds from the decision to zero thrust; NaN if the log lacks the decision
     said: str = ""
     wrong: list[str] = field(default_factory=list)
-    spoilt: str = ""  # why the run had ended before anything failed: a machine so busy that a deadman struck
+    spoilt: str = ""  # why the run had ended before the fault: on a busy machine a deadman can end it
 
     def as_row(self) -> dict[str, Any]:
-        """As JSON can carry it, without what says nothing."""
+        """Return the trial as a row for JSON, without empty values and NaN."""
         row = asdict(self) | {"zero_s": round(self.zero_s, 4), "decided_s": round(self.decided_s, 4)}
-        return {name: value for name, value in row.items() if value not in ("", []) and value == value}  # no NaN
+        return {name: value for name, value in row.items() if value not in ("", []) and value == value}  # drops NaN
 
 
 class Boat:
-    """The mock's trace, read as it grows; and when it was struck last."""
+    """Reader of the mock's trace while it grows. It also keeps the time of the last fault."""
 
     def __init__(self, trace: Path) -> None:
         self._file = trace.open(encoding="utf-8")
         self.n: dict[int, float] = {}
         self.zero_at = self.struck_at = 0.0
-        self.forgiven = 0.0  # wall s, pauses of the mock's own process, which it makes good to its controllers
+        # wall seconds of pauses of the mock's own process, by which the mock extends the time-out of its controllers
+        self.forgiven = 0.0
 
     def close(self) -> None:
-        """Let go of the trace."""
+        """Close the trace."""
         self._file.close()
 
     def turning(self) -> bool:
-        """Whether any thruster has thrust now."""
+        """Return whether any thruster has thrust now."""
         for line in self._file:
             row = json.loads(line)
             self.n[row["node"]] = row["n"]
@@ -71,18 +72,18 @@ class Boat:
 
 @dataclass
 class Running:
-    """The processes of one run."""
+    """Processes of one run."""
 
     folder: Path
     pid: int
     acquisition: int
     watchdog: int
     log: Path
-    deleted: IO[bytes] | None = None  # the log, where the fault has deleted it
+    deleted: IO[bytes] | None = None  # the open log, if the fault has deleted it
 
 
 def until(condition: Callable[[], bool]) -> bool:
-    """Wait for it; whether it came."""
+    """Wait for a condition and return whether it became true in time."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
         if time.monotonic() > deadline:
@@ -92,14 +93,14 @@ def until(condition: Callable[[], bool]) -> bool:
 
 
 def mock(folder: Path, kind: Kind, trace: Path) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
-    """A mock boat for any number of trials of one kind."""
+    """Start a mock boat for any number of trials of one kind."""
     fault = ["--fault", kind.fault] if kind.fault else []
     return mock_process(folder, "boat", "rig.toml", "--trace", str(trace), *fault)
 
 
 @contextlib.contextmanager
 def small_disk(folder: Path, wanted: bool) -> Iterator[bool]:
-    """A file system of 6 MB; False where this machine does not let us mount one."""
+    """Mount a file system of 6 MB. Yield False if this machine does not permit the mount."""
     if not wanted:
         yield True
         return
@@ -116,8 +117,8 @@ def small_disk(folder: Path, wanted: bool) -> Iterator[bool]:
 
 
 def trials(kind: Kind, seeds: list[int]) -> Iterator[Trial]:
-    """One trial a seed, with one mock boat; none where this machine does not let us."""
-    # The mock writes its trace from the loop that is measured, and a disk that is busy may hold up a write.
+    """Yield one trial per seed, all with one mock boat. Yield no trial if this machine does not permit them."""
+    # The mock writes its trace in the measured loop, and a busy disk could delay a write.
     memory = MEMORY if os.access(MEMORY, os.W_OK) else None
     with tempfile.TemporaryDirectory(prefix="seatrial-faults-") as name, tempfile.TemporaryDirectory(dir=memory) as shm:
         folder, trace = Path(name), Path(shm) / "trace.jsonl"
@@ -129,11 +130,12 @@ def trials(kind: Kind, seeds: list[int]) -> Iterator[Trial]:
         ):
             for seed in seeds if there else ():
                 yield trial(kind, folder, devices, boat, seed)
-                time.sleep(max(boat.struck_at + kind.lasts_s + POLL_S - time.monotonic(), 0.0))  # for it to be over
+                # wait until the fault is over
+                time.sleep(max(boat.struck_at + kind.lasts_s + POLL_S - time.monotonic(), 0.0))
 
 
 def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, seed: int) -> Trial:
-    """One run that fails at a moment drawn from `seed`."""
+    """Run one mission with a fault at a moment drawn from `seed`."""
     log = folder / (DISK if kind.full else "") / f"run-{seed}.mcap"
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(
@@ -158,13 +160,13 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
             process.join(PATIENCE_S)
             return _no_trial(f"it was over: {_last_line(folder)}")
         forgiven = boat.forgiven
-        time.sleep(random.Random(seed).uniform(0.0, 0.3))  # the moment is the point
+        time.sleep(random.Random(seed).uniform(0.0, 0.3))  # the fault has to strike at many different times
         boat.struck_at = begun = time.monotonic()
         if kind.fault:
             devices.send_signal(signal.SIGUSR1)
         elif kind.strike is not None:
             kind.strike(running)
-            # A disk is full with its last byte, and a pause is over when the programs go on.
+            # The disk is full only after its last byte, and a pause ends when the programs continue: count from here.
             begun = time.monotonic() if kind.full or kind.what.startswith("all stopped") else begun
         if kind.stays:
             process.join(PATIENCE_S)
@@ -184,7 +186,7 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
     if running.deleted is not None:
         with running.deleted as deleted:
             log.write_bytes(deleted.read())
-    line = _last_line(folder) if kind.full or running.deleted else ""  # what the log cannot say
+    line = _last_line(folder) if kind.full or running.deleted else ""  # the message that the log cannot contain
     found = _judged(kind, log, begun, boat, boat.forgiven - forgiven if kind.cut_off else 0.0, [line, *wrong])
     for path in [*log.parent.glob(f"{log.stem}*"), log.parent / "filler"]:
         path.unlink(missing_ok=True)
@@ -192,7 +194,7 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
 
 
 def _run(folder: str, words: list[str]) -> None:
-    """The runner, in a process that has everything imported."""
+    """Run the runner in a process that has already imported everything."""
     from seatrial import command_line
 
     os.chdir(folder)
@@ -211,7 +213,7 @@ def _last_line(folder: Path) -> str:
 
 
 def _processes(folder: Path, pid: int, log: Path) -> Running | None:
-    """Those of a run; None where it is on its way out."""
+    """Return the processes of a run, or None if the run is about to end."""
     try:
         return Running(folder, pid, acquisition_of(pid), watchdog_of(pid), log)
     except ValueError:
@@ -228,7 +230,7 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
         origin, speed = json.loads(opened.metadata["origin"]), float(opened.metadata["speed"])
 
     def wall(t: float) -> float:
-        """The plain monotonic clock, which the stand-ins look at, at a run time, which is of the raw one."""
+        """Convert a run time, which follows the raw clock, to the monotonic clock of the stand-ins."""
         return float(origin[0] + (t - origin[1]) / speed) + slewed
 
     slewed = time.monotonic() - time.clock_gettime(time.CLOCK_MONOTONIC_RAW)
@@ -243,7 +245,7 @@ def _judged(kind: Kind, log: Path, begun: float, boat: Boat, forgiven: float, fo
     after = boat.zero_at - wall(decided[0]) if decided else math.nan
     zero = boat.zero_at - begun - forgiven
     wrong += [] if said else [f"the log does not say why: {texts}"]
-    if kind.stays:  # the thruster cannot be stopped, so that what counts is when the run decided to end
+    if kind.stays:  # the thruster cannot be stopped: the time at which the run decided to end counts
         zero, after = (wall(decided[0]) - begun if decided else math.inf), 0.0
     if zero > kind.within_s + AFTER_DECISION_S:
         wrong.append(f"zero after {zero:.3f} s")

@@ -1,14 +1,17 @@
-"""Everything that can end a run, many times each, with the mock boat: is thrust zero in time, and does the log say why?
+"""Study of every fault that can end a run, with many trials each on the mock boat.
 
     python -m tests.bench.fault_trials --n 100 --jobs 2 --out docs/data/fault-trials.jsonl --docs docs/safety.md
 
-Each trial runs a mission on the mock boat behind real ports, waits until it turns, lets one thing fail at a random
-moment, and looks at when the thrusters stood (the mock's own trace) and at what the log says. Prints a table; exit
-status 1 when one trial was not as it has to be. With --out the trials are kept, one line of JSON each, and what is
-there is not run again; --docs puts the table between its marks in a page. Jobs wait most of the time, but their
-deadlines are real: more of them than the machine has idle cores measure the machine. What is judged, and the mock that
-measures, get ahead of other programs by themselves; what only begins or ends does not, or two jobs would hold up each
-other.
+Each trial runs a mission on the mock boat behind real ports, waits until it turns and causes one fault at a random
+moment. It then checks in the mock's own trace that thrust was zero in time, and that the log names the reason. The
+program prints a table. The exit status is 1 if one trial failed.
+
+`--out` keeps the trials, one line of JSON each, and kept trials are not run again. `--docs` writes the table between
+its marks in a page.
+
+Jobs wait most of the time, but their deadlines are in real time: with more jobs than idle cores, the trials measure the
+machine. The judged processes and the measuring mock raise their own priority. Processes that only start or end do not,
+because two jobs would delay each other.
 """
 
 from __future__ import annotations
@@ -27,17 +30,17 @@ import numpy as np
 from tests.bench.fault_kinds import AFTER_DECISION_S, KINDS, RIGS, Kind
 from tests.bench.fault_runs import Trial, trials
 
-PART = 10  # trials with one mock boat
-SAID = 60  # characters
+PART = 10  # trials with the same mock boat
+SAID = 60  # length in characters
 MARKS = ("<!-- python -m tests.bench.fault_trials -->", "<!-- end of the trials -->")
 NOT_TRIED = "not tried"
-INTERRUPTED_S = 2.0  # Ctrl-C ends the mock boats of this terminal too, perhaps before this program hears of it
+INTERRUPTED_S = 2.0  # Ctrl-C also ends the mock boats of this terminal, perhaps before this program receives it
 NO_DISK = "not tried: no small file system can be mounted here"
 Results = dict[str, dict[int, Trial]]  # by kind and seed
 
 
 class Store:
-    """The trials done so far, in memory and, where there is a file, in it."""
+    """Trials done so far, in memory and, if a path is given, in a file."""
 
     def __init__(self, path: Path | None) -> None:
         self.results: Results = {kind.name: {} for kind in KINDS}
@@ -49,7 +52,7 @@ class Store:
                 self._take(row.pop("kind"), row.pop("seed"), Trial(**row))
 
     def put(self, kind: Kind, seed: int, found: Trial) -> None:
-        """Keep one more."""
+        """Keep one more trial."""
         with self._lock:
             self._take(kind.name, seed, found)
             if self._path is not None:
@@ -58,7 +61,7 @@ class Store:
                     file.write(json.dumps(row) + "\n")
 
     def _take(self, kind: str, seed: int, found: Trial) -> None:
-        """A run that had ended before anything failed is no trial: it is counted, and its seed is open still."""
+        """Take one trial. A run that had ended before the fault is counted as spoilt, and its seed stays open."""
         if found.spoilt:
             self.spoilt += 1
         else:
@@ -66,7 +69,7 @@ class Store:
 
 
 def parts(kinds: Sequence[Kind], n: int, seed: int, done: Results) -> list[tuple[Kind, list[int]]]:
-    """What is still to be run, a few trials of a kind at a time, the kinds in turn."""
+    """Return the missing trials in parts of a few trials of one kind, the kinds in turn."""
     found = []
     for first in range(0, n, PART):
         for kind in kinds:
@@ -76,7 +79,7 @@ def parts(kinds: Sequence[Kind], n: int, seed: int, done: Results) -> list[tuple
 
 
 def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, say: Callable[[str], None]) -> None:
-    """Run what is missing, `jobs` at once, each with ports and a folder of its own."""
+    """Run the missing trials, `jobs` at once, each with its own ports and folder."""
     todo = parts(kinds, n, seed, store.results)
     stopping = threading.Event()
 
@@ -84,14 +87,14 @@ def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, s
         kind, seeds = part
         left = list(seeds)
         try:
-            for found in trials(kind, seeds):  # none at all where it cannot be tried
+            for found in trials(kind, seeds):  # an empty list if this machine cannot run the kind
                 if stopping.wait(INTERRUPTED_S if found.wrong or found.spoilt else 0.0):
                     return
                 store.put(kind, left[0], found)
                 for problem in [*found.wrong, *filter(None, [found.spoilt and f"spoilt: {found.spoilt}"])]:
                     say(f"{kind.name}, seed {left[0]}: {problem}")
                 del left[0]
-        except Exception as error:  # that trial has failed; the others are still worth running
+        except Exception as error:  # this trial has failed; the others are still worth running
             if stopping.wait(INTERRUPTED_S):
                 return
             problem = f"{type(error).__name__}: {error}"
@@ -102,16 +105,21 @@ def run_all(kinds: Sequence[Kind], n: int, seed: int, jobs: int, store: Store, s
         try:
             for done, _ in enumerate(pool.map(work, todo), start=1):
                 say(f"{done} of {len(todo)} parts")
-        except BaseException:  # Ctrl-C: the trials under way come to their end, and what they began is cleared away
+        except BaseException:  # after Ctrl-C the current trials finish and clean up
             stopping.set()
             pool.shutdown(cancel_futures=True)
             raise
 
 
 def numbers(kind: Kind, found: Sequence[Trial]) -> tuple[str, str, str, str, str]:
-    """Good of all; median and largest time from fault to zero, its limit, and the largest from the decision [ms]."""
+    """Return the number of good trials and four times [ms].
+
+    The times are the median and the largest time from the fault to zero, its limit, and the largest time from the
+    decision.
+    """
     zero = np.array([t.zero_s for t in found]) * 1e3
-    after = np.maximum([t.decided_s for t in found], 0.0) * 1e3  # it may be zero before that is written down
+    # thrust may be zero before the decision is written to the log
+    after = np.maximum([t.decided_s for t in found], 0.0) * 1e3
     good = f"{sum(not t.wrong for t in found)}/{len(found)}"
     median, largest = (f"{f(zero):.0f}" if np.isfinite(zero).any() else "-" for f in (np.nanmedian, np.nanmax))
     decided = f"{np.nanmax(after):.0f}" if np.isfinite(after).any() else "-"
@@ -119,7 +127,7 @@ def numbers(kind: Kind, found: Sequence[Trial]) -> tuple[str, str, str, str, str
 
 
 def row(kind: Kind, found: Sequence[Trial]) -> str:
-    """One line of the table."""
+    """Return one line of the table."""
     if not found:
         return f"{kind.name:<30} {NO_DISK if kind.full else NOT_TRIED}"
     good, median, largest, limit, decided = numbers(kind, found)
@@ -127,14 +135,14 @@ def row(kind: Kind, found: Sequence[Trial]) -> str:
 
 
 def table(results: Results, kinds: Sequence[Kind]) -> str:
-    """For the terminal."""
+    """Return the table for the terminal."""
     head = f"{'what fails':<30} {'good':>9} {'median':>6} {'max':>6}  {'limit':>5} {'decided':>8}   said"
     lines = [head, f"{'':<30} {'':>9} {'from fault to zero, ms':>22}"]
     return "\n".join(lines + [row(kind, list(results[kind.name].values())) for kind in kinds])
 
 
 def page(results: Results, kinds: Sequence[Kind]) -> str:
-    """The table of docs/safety.md, as Markdown: a row for each thing that fails, a column for each rig."""
+    """Return the Markdown table of docs/safety.md: one row per fault, one column per rig."""
     rows = [trial for kind in kinds for trial in results[kind.name].values()]
     lines = [f"{sum(not row.wrong for row in rows)} of {len(rows)} trials as they have to be.", ""]
     lines += ["| what fails | allowed | " + " | ".join(RIGS) + " |", "|---|---:|" + "---:|" * len(RIGS)]
@@ -153,7 +161,7 @@ def page(results: Results, kinds: Sequence[Kind]) -> str:
 
 
 def into(path: Path, marks: tuple[str, str], text: str) -> None:
-    """Replace what is between the marks of a page."""
+    """Replace the text between the marks of a page."""
     before, _, rest = path.read_text(encoding="utf-8").partition(marks[0])
     _, mark, after = rest.partition(marks[1])
     if not mark:
@@ -162,7 +170,7 @@ def into(path: Path, marks: tuple[str, str], text: str) -> None:
 
 
 def main() -> None:
-    """Run what was asked for and print the table."""
+    """Run the requested trials and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--n", type=int, default=20, help="trials of each kind")
     parser.add_argument("--seed", type=int, default=1)

@@ -3,9 +3,8 @@
     python -m tests.bench.guard_replay seatrial-demo
     python -m tests.bench.guard_replay run.mcap --rig rig.toml
 
-The guard reads no clock and opens no port, so that it judges a log as it judges a run. A stop that the
-log holds itself is printed beside that of the replay. The exit status
-is 1 if the guard stops a run that ended by itself.
+The guard reads no clock and opens no port, so it judges a log as it judges a run. A stop in the log is printed beside
+the stop of the replay. The exit status is 1 if the guard stops a run that ended by itself.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ def replay(path: Path, rig: Rig | None = None) -> Replay:
     Parameters
     ----------
     path : log of a mission or of a bench run
-    rig : its rig, if it is to be another one than that in the log
+    rig : rig that replaces the rig in the log
     """
     with open_log(path) as log:
         rig = rig or log.rig
@@ -106,7 +105,7 @@ def replay(path: Path, rig: Rig | None = None) -> Replay:
         recorded = next((text for _, kind, text in events if kind == "stop"), "")
     if not any(len(rows) for rows in commands.values()):
         raise SeatrialError(f"{path} has no command: nothing was driven")
-    # The guard of a run starts when the autopilots are armed, and is not asked after the zero that ends the mission.
+    # The guard of a run starts when the autopilots are armed. It is not polled after the zero that ends the mission.
     first = min(float(rows["t_rx"][0]) for rows in commands.values() if len(rows))
     start = next((t for t, kind, _ in events if kind == "start"), first)
     last = max(float(rows["t_rx"][-1]) for rows in commands.values() if len(rows))
@@ -115,7 +114,7 @@ def replay(path: Path, rig: Rig | None = None) -> Replay:
     guard = SafetyGuard(rig, rig.speed, tuple(commands))
     guard.start()
     latest: dict[Source, Latest] = {}
-    received = {device.name: (0, -math.inf) for device in rig.devices}  # samples, and the time of the last one
+    received = {device.name: (0, -math.inf) for device in rig.devices}  # number of samples and time of the last sample
     k = 0
     times = np.arange(start, end, STATUS_S * rig.speed).tolist()
     for number, now in enumerate(times, start=1):
@@ -136,7 +135,7 @@ def replay(path: Path, rig: Rig | None = None) -> Replay:
 
 
 def _held(rows: np.ndarray, now: float) -> float:
-    """Return the command that was sent last at `now`."""
+    """Return the command that was last sent before `now`."""
     index = int(np.searchsorted(rows["t_rx"], now, side="right")) - 1
     return float(rows["n_cmd"][index]) if index >= 0 else 0.0
 
@@ -152,7 +151,7 @@ def _links(latest: dict[Source, Latest]) -> dict[str, LinkStatus]:
 
 
 def main() -> int:
-    """Replay the logs of the command line; returns the exit status."""
+    """Replay the logs of the command line and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="+", type=Path, help="logs, or folders of logs")
     parser.add_argument("--rig", type=Path, help="rig file to use instead of the one in the log")

@@ -1,4 +1,4 @@
-"""A mock in a process of its own, behind real ports."""
+"""A mock in its own process, behind real ports."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 @contextlib.contextmanager
 def mock_process(folder: Path, *words: str) -> Iterator[subprocess.Popen[str]]:
-    """`seatrial mock WORDS` in a folder, from its word `ready` on; ended by SIGTERM."""
+    """Run `seatrial mock WORDS` in a folder. Yield the process after it printed `ready`, and end it with SIGTERM."""
     command = [sys.executable, "-m", "seatrial", "mock", *words]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:

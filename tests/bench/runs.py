@@ -1,4 +1,4 @@
-"""Short missions as processes of their own, so that they can be interrupted, stopped and killed."""
+"""Short missions as separate processes, so that tests can interrupt, stop and kill them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from seatrial.daq.samples import Command
 from tests.bench.standin import StandIn, until
 
 SPEED = 4.0
-# Wall seconds from a stop to the last command: a poll, a message to the acquisition, a frame; the machine is shared.
+# Wall seconds from a stop to the last command: a poll, a message to the acquisition and a frame, on a machine that runs
+# other programs too.
 AT_ONCE_S = 0.5
 DEADMAN_S = 0.25
 
 
 def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission:
-    """Rest, two steps, rest; by default 14 run seconds."""
+    """Write a short mission: rest, two steps, rest. By default it takes 14 run seconds."""
     segments = (
         Segment("static", np.array([0.0]), np.zeros((1, 1))),
         Segment("steps", np.array([3.0, 3.0 + seconds / 2]), np.array([[n], [-n / 2]])),
@@ -33,7 +34,7 @@ def short_mission(folder: Path, n: float = 0.6, seconds: float = 8.0) -> Mission
     return mission
 
 
-# What never comes is not waited for as long as the command would; the devices are there when it starts.
+# The command waits long for missing devices. Here the devices exist from the start, so wait only briefly.
 IMPATIENT = """
 import sys
 from seatrial import command_line
@@ -46,7 +47,7 @@ MISSION_RUN = ("mission", "run", "mission.toml", "bench-rig.toml")
 
 
 class Run:
-    """One `seatrial mission run`, or another command that drives, as a process."""
+    """`seatrial mission run`, or another command that drives thrusters, as a process."""
 
     def __init__(self, folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = False) -> None:
         self.log = folder / "run.mcap"
@@ -62,17 +63,17 @@ class Run:
         self.out, self.err = "", ""
 
     def end(self, seconds: float = 40.0) -> int:
-        """Wait for the end; returns the exit status."""
+        """Wait for the end and return the exit status."""
         self.out, self.err = self.process.communicate(timeout=seconds)
         return self.process.returncode
 
     def until_turning(self, standin: StandIn) -> None:
-        """Wait until the thruster turns; fails with what the run said when it ends before."""
+        """Wait until the thruster turns. If the run ends before, fail with its output."""
         until(lambda: standin.n != 0.0 or self.process.poll() is not None, 20.0)
         assert self.process.poll() is None, self.process.communicate()
 
     def line(self) -> str:
-        """What was said on stderr: exactly one line and no traceback."""
+        """Return the text on stderr after checking that it is a single line without a traceback."""
         assert self.err.count("\n") == 1, self.err
         assert "Traceback" not in self.err
         return self.err.strip()
@@ -93,12 +94,12 @@ def running(folder: Path, words: Sequence[str] = MISSION_RUN, impatient: bool = 
 
 
 def acquisition_of(runner: int) -> int:
-    """Process id of the runner's child that acquires."""
+    """Return the process id of the runner's child that acquires."""
     return _child_of(runner, "seatrial.daq.acquisition.process")
 
 
 def watchdog_of(runner: int) -> int:
-    """Process id of the runner's child that watches the other one."""
+    """Return the process id of the runner's child that is the watchdog."""
     return _child_of(runner, "seatrial.daq.acquisition.watchdog")
 
 
@@ -110,7 +111,10 @@ def _child_of(runner: int, module: str) -> int:
 
 
 def assert_plan_was_run(log: Path, mission: Mission, node: int = 1) -> int:
-    """Every set-point of a plan of one thruster was sent in its turn or is told of as skipped; how many were."""
+    """Check that each set-point of a one-thruster plan was sent in order or reported as skipped.
+
+    Return the number skipped.
+    """
     with open_log(log) as opened:
         sent = opened.table(Command, "esc", node=node)["n_cmd"].tolist()
         skipped = sum(int(text.split()[0]) for _, kind, text in opened.events() if kind == "skipped")
@@ -134,7 +138,7 @@ def kinds(log: Path) -> list[str]:
 
 
 def is_alive(pid: int) -> bool:
-    if Path("/proc/self/stat").exists():  # to ask `ps` again and again keeps a busy machine busy
+    if Path("/proc/self/stat").exists():  # repeated calls of `ps` would load a busy machine
         try:
             state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]
         except OSError:

@@ -1,10 +1,10 @@
-"""How late the heading, yaw rate and fixes of a BIN are behind the state that ArduPilot's simulator writes beside them.
+"""Delays of heading, yaw rate and fixes in a BIN, relative to the state that ArduPilot's simulator writes beside them.
 
-`nomoto` takes the heading for true at its time stamps and the velocity for one along it, so that what it estimates is
-how late the others are behind the heading, which is 0.9 ms late itself, and behind a velocity along it: that of the
-simulator is a step of its integration, 0.83 ms, ahead of its own heading. The gyro is behind a low-pass filter of
-second order. The receiver cuts its speed to whole mm/s, which is slower by some half of one, and in turns passes for a
-spread.
+The model `nomoto` assumes that the heading is exact at its time stamps and that the velocity is along the heading. It
+therefore estimates the delays of the other signals relative to the heading, which is itself 0.9 ms late. The velocity
+of the simulator is one integration step, 0.83 ms, ahead of its own heading. The gyro passes a low-pass filter of second
+order. The receiver truncates its speed to whole mm/s, which lowers the speed by half a mm/s on average and appears as a
+spread in turns.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from seatrial.daq.log import open_log
 from seatrial.ident.data import Channel, channels
 
 Array = NDArray[np.float64]
-COARSE_S, MARGIN_S = 0.1, 5.0  # grid on which clocks are matched; left out at both ends
-PASSED_S = 1.0  # an estimator's heading is off for longer than this, and late
-FILTER_S = 1e-3  # between steps of the gyro's filter
+COARSE_S, MARGIN_S = 0.1, 5.0  # grid on which clocks are matched; time that is left out at both ends
+PASSED_S = 1.0  # time scale that separates delay from the slower error of the estimator's heading
+FILTER_S = 1e-3  # time step of the gyro's filter
 
 
 def simulated(path: Path) -> tuple[Array, Array, Array, Array]:
-    """Times [s], heading [rad] and velocity north and east [m/s] along it that the simulator had."""
+    """Return times [s], heading [rad], and the velocity along the heading, north and east [m/s], of the simulator."""
     log = DFReader.DFReader_binary(str(path))
     rows: dict[str, list[tuple[float, ...]]] = {"SIM": [], "SIM2": []}
     while (m := log.recv_match(type=list(rows))) is not None:
@@ -43,7 +43,7 @@ def simulated(path: Path) -> tuple[Array, Array, Array, Array]:
 
 
 def delays(log: Path, bin_log: Path) -> dict[str, float]:
-    """T_r, tau_gnss and sigma_gnss [s] of an imported BIN, by the state in the BIN itself."""
+    """Return T_r, tau_gnss and sigma_gnss [s] of an imported BIN, by the simulator's state in the same BIN."""
     with open_log(log) as opened:
         c = channels(opened)
     t, psi, north, east = simulated(bin_log)
@@ -80,7 +80,7 @@ def delays(log: Path, bin_log: Path) -> dict[str, float]:
 
 
 def _matched(channel: Channel, t: Array, psi: Array) -> float:
-    """What is added to times of the BIN for those of the channel [s], to the grid."""
+    """Return the offset from times of the BIN to times of the channel [s], to within a step of the grid."""
     span = channel.t[-1] - channel.t[0], t[-1] - t[0]
     grids = [np.arange(0.0, s, COARSE_S) for s in span]
     rates = [np.diff(np.interp(x0 + g, x, y)) for x0, g, x, y in (
@@ -90,7 +90,10 @@ def _matched(channel: Channel, t: Array, psi: Array) -> float:
 
 
 def _filtered(rate: Array, delay: float) -> Array:
-    """Every ``FILTER_S``, behind a Butterworth filter of second order that slow motion passes this late [s]."""
+    """Filter a rate by a Butterworth filter of second order, whose delay of slow motion is `delay` [s].
+
+    The step is ``FILTER_S``.
+    """
     corner = math.sqrt(2.0) / delay
     continuous = ([corner**2], [1.0, math.sqrt(2.0) * corner, corner**2])
     ahead, back, _ = cont2discrete(continuous, FILTER_S, method="foh")

@@ -1,12 +1,15 @@
-"""From the rig that an autopilot tells to a model, and how far that is from the physics of its simulator.
+"""Study from the rig that `devices` writes for an autopilot to a model, compared with the physics of its simulator.
 
     python -m tests.bench.skid_missions runs --docs docs/examples/ardurover/README.md
 
-On each frame of ArduPilot Rover's simulator (SEATRIAL_ARDUROVER): `devices --toml`, link test, missions of 300 s, by
-the public commands; the live log, the tlog of a second station and the autopilot's BIN of all but the last are fitted
-and diagnosed, and the last is simulated. What a folder has already is not recorded or fitted again. `--docs` puts the
-table between its marks in a page. Says what is not as it has to be, with exit status 1: an estimate beyond 3 standard
-errors or 3 %, a simulation beyond 10 degrees or 1 m, a diagnosis that names what the simulator has not.
+Each frame of ArduPilot Rover's simulator (SEATRIAL_ARDUROVER) goes through the public commands: `devices --toml`, link
+test, and missions of 300 s. The live log, the tlog of a second station and the autopilot's BIN of all missions but the
+last are fitted and diagnosed, and the last mission is simulated. Existing recordings and fits in the folder are not
+repeated. `--docs` writes the table between its marks in a page.
+
+The program prints each deviation and ends with exit status 1 if there is one. A deviation is an estimate beyond 3
+standard errors or 3 %, a simulation error beyond 10 degrees or 1 m, or a diagnosis that names an effect that the
+simulator lacks.
 """
 
 from __future__ import annotations
@@ -30,20 +33,20 @@ from tests.bench.simulator_delays import delays
 from tests.daq.ardurover import MISSING, PROGRAM, Rover
 
 SEATRIAL = [sys.executable, "-m", "seatrial"]
-SECONDS, N_MAX, AHEAD_S, FILTERED_S = 300.0, 0.5, 60.0, 15.0  # a simulation begins after so long of filtering
-CHANCES = 6  # of each mission
-SLEW = 1.0  # 1/s: a ramp is known from its samples at 10 Hz, a step is not
+SECONDS, N_MAX, AHEAD_S, FILTERED_S = 300.0, 0.5, 60.0, 15.0  # FILTERED_S: filtering time before a simulation begins
+CHANCES = 6  # attempts for each mission
+SLEW = 1.0  # 1/s: the samples at 10 Hz determine a ramp, but not a step
 SOURCES = ("live", "tlog", "BIN")
-SETTINGS = {"LOG_FILE_DSRMROT": 1}  # a BIN each time it is armed
-WAVES = "-waves"  # behind the name of a frame: they roll and pitch the boat, which keeps what it slips by that
+SETTINGS = {"LOG_FILE_DSRMROT": 1}  # a new BIN at each arming
+WAVES = "-waves"  # suffix of a frame with waves: the boat rolls and pitches, which keeps a part of its sideslip
 MARKS = ("<!-- python -m tests.bench.skid_missions -->", "<!-- end of the missions -->")
-STEER = math.radians(360 / (1.8 * math.pi) * 70) / math.sin(math.radians(35)) * math.pi / 180  # rad/m, of small angles
-ANGLE = math.radians(70)  # of the steering at full difference
+STEER = math.radians(360 / (1.8 * math.pi) * 70) / math.sin(math.radians(35)) * math.pi / 180  # rad/m, for small angles
+ANGLE = math.radians(70)  # steering angle at full difference
 WITHIN_SE, WITHIN_PERCENT, WITHIN_DEG, WITHIN_M = 3.0, 3.0, 10.0, 1.0
-THERE = {"sideslip"}  # what the simulator has and the fitted model has not
-TINY = {"tau_s": 1e-3}  # differences that no percentage is taken of: the truth of tau_s is half a step
-STEP = 1 / 1200  # s, of the simulator: after each, the part of the velocity that is not along the heading is dropped
-# Thrust that is given, for masses in kg, and what the source of the simulator has for the rest
+THERE = {"sideslip"}  # effects of the simulator that the fitted model lacks
+TINY = {"tau_s": 1e-3}  # differences that are too small for a percentage: the truth of tau_s is half a step
+STEP = 1 / 1200  # s, integration step of the simulator: each step drops the velocity that is not along the heading
+# GIVEN: thrust that is fixed, so that masses are in kg. TRUTH: the parameters in the source of the simulator.
 GIVEN = {"motorboat-skid": {"c1": 25.0, "c2": 0.0}, "rover-skid": {"c1": 70.0, "c2": 0.0}}
 TRUTH: Mapping[str, Mapping[str, float]] = {
     "motorboat-skid": {"m_u": 2.0, "d_u": 0.0, "d_uu": 0.5, "tau_s": STEP / 2, "lambda_n": 1.0, "K": 0.0, "K_u": STEER,
@@ -54,7 +57,7 @@ TRUTH: Mapping[str, Mapping[str, float]] = {
 
 
 class Row(NamedTuple):
-    """One estimate beside the truth."""
+    """One estimate and the true value."""
 
     frame: str
     source: str
@@ -73,7 +76,7 @@ class Row(NamedTuple):
 
 
 def command(*words: object, cwd: Path) -> str:
-    """What a public command prints. Raises CalledProcessError."""
+    """Run a public command and return its output. Raise CalledProcessError if it fails."""
     done = subprocess.run([*SEATRIAL, *map(str, words)], cwd=cwd, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"seatrial {' '.join(map(str, words))}: {done.stderr}")
@@ -81,7 +84,7 @@ def command(*words: object, cwd: Path) -> str:
 
 
 def record(frame: str, folder: Path, seconds: float, missions: int) -> None:
-    """Rig, link test and missions of one frame, with the tlog and the BIN of each."""
+    """Record rig, link test and missions of one frame, with the tlog and the BIN of each mission."""
     settings = {**SETTINGS, "SIM_WAVE_ENABLE": float(frame.endswith(WAVES))}
     with Rover(folder / "autopilot", settings, frame.removesuffix(WAVES)) as rover:
         rover.until_ready()
@@ -96,7 +99,7 @@ def record(frame: str, folder: Path, seconds: float, missions: int) -> None:
                 try:
                     command("mission", "run", *words, cwd=folder)
                     break
-                except RuntimeError as error:  # a busy machine that holds the simulator up ends a run, and rightly
+                except RuntimeError as error:  # a run ends, correctly, if a busy machine delays the simulator
                     print(error, file=sys.stderr)
                     if chance == CHANCES - 1:
                         raise
@@ -107,40 +110,41 @@ def record(frame: str, folder: Path, seconds: float, missions: int) -> None:
 
 
 def fit(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
-    """The result of `ident vehicle` on all missions of a source but the last, with that one to judge by."""
+    """Return the result of `ident vehicle` on all missions of a source but the last, which is used for validation."""
     return identified(source, folder, missions, f"fit-{source}-sideslip", *fitting(frame), "--effect", "sideslip")
 
 
 def diagnosed(frame: str, source: str, folder: Path, missions: int) -> dict[str, Any]:
-    """The result of `ident diagnose` on the same, of a fit without the effect."""
+    """Return the result of `ident diagnose` on the same missions, for a fit without the effect."""
     identified(source, folder, missions, f"plain-{source}", *fitting(frame))
     return identified(source, folder, missions, f"diag-{source}", "diagnose", f"plain-{source}/model.toml")
 
 
 def fitting(frame: str) -> list[str]:
-    """`vehicle` with the thrust that is given."""
+    """Return the command `vehicle` with the fixed thrust."""
     thrust = GIVEN[frame.removesuffix(WAVES)]
-    given = (word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}"))
-    return ["vehicle", "--model", "nomoto", *given]
+    fixed = (word for name, value in thrust.items() for word in ("--fix", f"{name}={value:g}"))
+    return ["vehicle", "--model", "nomoto", *fixed]
 
 
 def identified(source: str, folder: Path, missions: int, out: str, *words: str) -> dict[str, Any]:
-    """The result of a command of ident, and what stands before its logs, on those of a source."""
+    """Return the result of a command of ident with the logs of a source."""
     if not (folder / out / "result.json").exists():
         for k in range(1, missions + 1) if source != "live" and not (folder / f"{source}1.mcap").exists() else ():
             how = ("--rig", "rig.toml", "-o", f"{source}{k}.mcap", "--force")
             command("import", "mavlink", f"{k}.{source}", *how, cwd=folder)
         logs = (*(f"{source}{k}.mcap" for k in range(1, missions)), "--validate", f"{source}{missions}.mcap")
-        # a busy machine holds the simulator up now and then, which is a jump of its clock
+        # a busy machine now and then delays the simulator, which appears as a jump of its clock
         command("ident", *words, *logs, "--despite-faults", "--out", out, "--force", cwd=folder)
     result: dict[str, Any] = msgspec.json.decode((folder / out / "result.json").read_bytes())
     return result
 
 
 def of_the_mission(frame: str, folder: Path) -> dict[str, float]:
-    """What the truth is in the first mission: delays [s], by its state in the BIN, and the cubic that is nearest to the
-    sine of its steering angles (weights by speed change k_3 by 0.05 %).
+    """Return the true values of the first mission.
 
+    The delays [s] follow from the state in the BIN. The cubic is the best fit to the sine of the steering angles; a
+    weight by speed would change k_3 by 0.05 %.
     """
     found = delays(folder / "BIN1.mcap", folder / "1.BIN")
     if TRUTH[frame.removesuffix(WAVES)]["k_3"]:
@@ -154,10 +158,11 @@ def of_the_mission(frame: str, folder: Path) -> dict[str, float]:
 
 
 def rows(frame: str, source: str, result: Mapping[str, Any], known: Mapping[str, float]) -> Iterator[Row]:
-    """Every parameter whose truth is known (``known``: by the mission); one at its bound has no error.
+    """Yield a row for each parameter with a known true value.
 
-    The simulator keeps no sideslip but what is lost by it, so that its velocity is along the heading: the model, which
-    turns it outwards by ``tau_s`` r, sees that as so much less delay.
+    ``known`` contains the true values of the mission. A parameter at its bound has no standard error. The simulator
+    drops sideslip and the speed lost with it, so its velocity is along the heading. The model turns the velocity
+    outwards by ``tau_s`` r, and therefore estimates a delay that is smaller by ``tau_s``.
     """
     found = {p["name"]: (p["value"], p["se"]) for p in result["fit"]["parameters"]}
     known = {**known, "tau_gnss": known["tau_gnss"] - found["tau_s"][0]}
@@ -167,7 +172,7 @@ def rows(frame: str, source: str, result: Mapping[str, Any], known: Mapping[str,
 
 
 def off_after(result: Mapping[str, Any], seconds: float) -> tuple[float, float]:
-    """Errors of heading [deg] and place [m] of the simulated unused mission after so long."""
+    """Return the errors of heading [deg] and position [m] of the simulated validation mission after `seconds`."""
     errors = {}
     for trace in result["traces"]:
         if trace["role"] == "validation" and trace["channel"] in ("psi", "x", "y"):
@@ -187,7 +192,7 @@ Results = Mapping[tuple[str, str], Mapping[str, Any]]  # by frame and source
 
 
 def missed(results: Results, diagnoses: Results, known: Mapping[str, Mapping[str, float]]) -> list[str]:
-    """What is not as it has to be, a line each."""
+    """Return the deviations, one line each."""
     found = []
     for (frame, source), result in results.items():
         where = f"{frame}, {source}"
@@ -206,8 +211,10 @@ def missed(results: Results, diagnoses: Results, known: Mapping[str, Mapping[str
 
 
 def table(results: Results, diagnoses: Results, known: Mapping[str, Mapping[str, float]]) -> str:
-    """Estimates, simulations and diagnoses of all frames and sources in Markdown; ``known``: truths of the mission, by
-    frame."""
+    """Return the Markdown table of estimates, simulations and diagnoses of all frames and sources.
+
+    ``known`` contains the true values of the first mission by frame.
+    """
     lines = ["| frame | log | parameter | estimate | truth | z | % |", "|---|---|---|---|---|---|---|"]
     for (frame, source), result in results.items():
         for row in rows(frame, source, result, known[frame]):

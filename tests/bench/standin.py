@@ -1,7 +1,7 @@
-"""A bench behind real ptys that a test has in its hand: it can pull a port, send garbage, push the load cell.
+"""Stand-in bench behind real ptys under full control of a test: unplugged ports, garbage, forces on the load cell.
 
-The mock devices of `seatrial mock` are the real thing; this one is small and does as it is told at once. It keeps a
-trace of what the ESC was told and of what the thruster did, with its own time-out.
+The devices of `seatrial mock` are complete. This stand-in is small and reacts at once. It keeps a trace of the commands
+that the ESC received and of the motion of the thruster, with the ESC's own time-out.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from seatrial.daq.samples import Esc
 
 NODE, POLE_PAIRS, RPM_MAX = 1, 7, 4500.0
 ZERO_COUNTS, NEWTON_PER_COUNT = 84210.0, 0.001
-TIMEOUT_S = 4.0  # run seconds, the ESC's own
-SLOW_ESC_S = 40.0  # one that nobody has set
+TIMEOUT_S = 4.0  # run seconds, the time-out of the ESC itself
+SLOW_ESC_S = 40.0  # the default of a new controller
 
 RIG = """
 format = "seatrial-rig 1"
@@ -59,7 +59,7 @@ voltage_min_v = 10.0
 
 
 class Port:
-    """One pty with a symlink to it, and what was last seen on it."""
+    """Pty with a symlink to it, and the data last received on it."""
 
     def __init__(self, link: Path) -> None:
         self.link = link
@@ -67,7 +67,7 @@ class Port:
         self.plug()
 
     def plug(self) -> None:
-        """Make the pty and the link; again, after it was pulled."""
+        """Make the pty and the link, also again after the port was pulled."""
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
@@ -75,18 +75,18 @@ class Port:
         self.open = True
 
     def write(self, data: bytes) -> None:
-        """Send; a full pty loses it, as a serial line without flow control does."""
+        """Send data. A full pty drops it, like a serial line without flow control."""
         with contextlib.suppress(BlockingIOError, OSError):
             os.write(self.master, data)
 
     def read(self) -> bytes:
-        """Whatever has come."""
+        """Return the bytes received since the last call."""
         with contextlib.suppress(BlockingIOError, OSError):
             return os.read(self.master, 65536)
         return b""
 
     def pull(self) -> None:
-        """Pull the plug: the other side gets a hang-up and finds no port any more."""
+        """Unplug the port. The host gets a hang-up and no longer finds the port."""
         if self.open:
             self.open = False
             self.link.unlink()
@@ -95,7 +95,7 @@ class Port:
 
 
 class StandIn:
-    """ESC and load cell; a context manager that runs them on a thread."""
+    """ESC and load cell, as a context manager that runs them on a thread."""
 
     def __init__(self, folder: Path, speed: float = 4.0, timeout_s: float = TIMEOUT_S) -> None:
         self._timeout_s = timeout_s
@@ -104,11 +104,11 @@ class StandIn:
         self.speed = speed
         self.can, self.cell = Port(folder / "ports" / "can"), Port(folder / "ports" / "loadcell")
         self.commands: list[tuple[float, float]] = []  # (monotonic s, n) as received
-        self.motion: list[tuple[float, float]] = [(time.monotonic(), 0.0)]  # changes of what the thruster does
+        self.motion: list[tuple[float, float]] = [(time.monotonic(), 0.0)]  # changes of the thruster's motion
         self.extra_force = 0.0
         self._flicker = 1
         self.current_per_n = 20.0
-        self.temperature, self.voltage = 30.0, 24.0  # NaN: their status frames are not sent
+        self.temperature, self.voltage = 30.0, 24.0  # NaN: the status frames with this value are not sent
         self._garbage = b""
         self._pull: Port | None = None
         self._plug: Port | None = None
@@ -122,7 +122,7 @@ class StandIn:
         return self
 
     def __exit__(self, *reason: object) -> None:
-        """Stop them and take the ports away."""
+        """Stop the devices and remove the ports."""
         self._stop = True
         self._thread.join()
         for port in (self.can, self.cell):
@@ -130,25 +130,25 @@ class StandIn:
 
     @property
     def n(self) -> float:
-        """What the thruster does now."""
+        """Return the current duty of the thruster."""
         return self.motion[-1][1]
 
     def garble(self, data: bytes) -> None:
-        """Send these bytes on both ports, in between."""
+        """Send these bytes on both ports between the frames."""
         self._garbage = data
 
     def pull(self, port: Port) -> None:
-        """Pull a port's plug and wait until it is out."""
+        """Unplug a port and wait until it is gone."""
         self._pull = port
         until(lambda: not port.open, 5.0)
 
     def plug(self, port: Port) -> None:
-        """Put it in again."""
+        """Plug the port in again."""
         self._plug = port
         until(lambda: port.open, 5.0)
 
     def zero_after(self, t: float) -> float:
-        """Monotonic time from which the thruster stood still for good, `t` at the earliest; inf while it turns."""
+        """Return the monotonic time, not before `t`, from which the thruster stayed at zero; inf while it turns."""
         if self.n != 0.0:
             return float("inf")
         return max(t, self.motion[-1][0])
@@ -212,12 +212,12 @@ class StandIn:
     def _say_cell(self) -> None:
         if self.cell.open:
             force = 40.0 * self.n * abs(self.n) + self.extra_force
-            self._flicker = -self._flicker  # as the last digit of any converter
+            self._flicker = -self._flicker  # noise of the last digit, as in any converter
             self.cell.write(loadcell.encode(round(ZERO_COUNTS + force / NEWTON_PER_COUNT) + self._flicker))
 
 
 def until(condition: object, seconds: float) -> None:
-    """Wait until `condition()` holds; fails the test when it does not within `seconds` wall seconds."""
+    """Wait until `condition()` holds. Fail the test after `seconds` of wall time."""
     assert callable(condition)
     deadline = time.monotonic() + seconds
     while not condition():

@@ -1,4 +1,4 @@
-"""The commands of bench as a user types them: help with an example, files made, one line for what is wrong."""
+"""Tests of the commands of bench as typed by a user: help with an example, created files, one line for each error."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tests.missions import rig_of
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
-    """Exit status, stdout and stderr of one command line."""
+    """Return a function that runs a command line and returns exit status, stdout and stderr."""
     with pytest.raises(SystemExit) as left:
         command_line.main(words)
-    said = capsys.readouterr()
-    return int(left.value.code or 0), said.out, said.err
+    captured = capsys.readouterr()
+    return int(left.value.code or 0), captured.out, captured.err
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,9 @@ def test_every_command_helps_with_an_example(capsys: pytest.CaptureFixture[str],
     assert f"Example: seatrial {words[0]}" in " ".join(out.split())
 
 
-def test_steps_are_held_as_long_as_asked(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_steps_are_held_for_the_requested_time(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     plans: list[Mission] = []
     monkeypatch.setattr("seatrial.bench.cli._run", lambda plan, *_: plans.append(plan))
     rig = str(Path(__file__).resolve().parents[2] / "mocks/rigs/bench.toml")
@@ -153,7 +155,7 @@ def test_a_larger_command_than_the_rig_allows_is_refused_before_anything_opens(
     assert not log.exists()
 
 
-def test_a_run_ends_with_the_fit_that_suits_the_rig(tmp_path: Path) -> None:
+def test_a_run_ends_with_a_hint_at_the_fit_for_the_rig(tmp_path: Path) -> None:
     log = tmp_path / "my run.mcap"
     boat, bench, autopilot = rig_of("boat"), rig_of("bench"), mav_rig()
     lines = [

@@ -1,4 +1,4 @@
-"""mission.toml: what is written is read back, and what is wrong is named in one line."""
+"""Tests of mission.toml: a written mission is read back, and each error is named in one line."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ def test_the_documented_example_is_a_mission() -> None:
 
 
 finite = st.floats(-1.0, 1.0)
-names = st.text(st.characters(exclude_categories=["C", "Z"], include_characters=" "), max_size=12)  # printable
+# printable characters
+names = st.text(st.characters(exclude_categories=["C", "Z"], include_characters=" "), max_size=12)
 
 
 @st.composite
@@ -139,7 +140,7 @@ def test_slew_limit_holds_between_any_two_set_points_but_the_last(mission: Missi
     limited = replace(mission, slew_per_s=2.0)
     t, n = limited.setpoints()
     assert np.all(np.diff(t) > 0)
-    # A row holds until the next, so a change at t[k] belongs to the time since t[k-1].
+    # A row holds until the next row, so a change at t[k] belongs to the time since t[k-1].
     change = np.abs(np.diff(n[:-1], axis=0, prepend=np.zeros((1, n.shape[1]))))
     dt = np.diff(t[:-1], prepend=t[0] - 0.04)[:, None]
     assert np.all(change <= 2.0 * np.minimum(dt, 0.04) + 1e-9)

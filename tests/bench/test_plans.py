@@ -1,4 +1,4 @@
-"""Plans: what they promise about length, range, rest and repeatability; and how they look as text."""
+"""Tests of plans: duration, range, rest, repeatability, and their description as text."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def held(plan: Mission, dt: float = 0.01) -> np.ndarray:
 def test_bench_steps_climb_and_fall_on_both_sides() -> None:
     plan = mission_generators.bench_plan("steps", "left", n_max=0.6)
     ahead, astern = plan.segments[1].n[:, 0], plan.segments[3].n[:, 0]
-    low = [1 / 3, 2 / 3]  # where a dead band ends
+    low = [1 / 3, 2 / 3]  # at the edge of a dead band
     np.testing.assert_allclose(ahead, np.array([*low, 1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1, *low[::-1]]) * 0.1, atol=1e-6)
     np.testing.assert_array_equal(astern, -ahead)
 
@@ -65,14 +65,14 @@ def test_missions_repeat_with_their_seed_only(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", mission_generators.MISSION_KINDS)
 @pytest.mark.parametrize("seconds", [30.0, 61.7, 400.0])
-def test_missions_last_as_long_as_asked_and_keep_the_limit(kind: str, seconds: float) -> None:
+def test_missions_last_the_requested_time_and_keep_the_limit(kind: str, seconds: float) -> None:
     plan = mission_generators.make_mission(kind, seconds, 1, n_max=0.6)
     assert plan.end == pytest.approx(seconds, abs=0.01)
     assert max(np.abs(segment.n).max() for segment in plan.segments) <= 0.6
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_mixed_missions_excite_what_a_diagnosis_needs(seed: int) -> None:
+def test_mixed_missions_contain_all_excitations_that_a_diagnosis_needs(seed: int) -> None:
     n = held(mission_generators.make_mission("mixed", 400.0, seed))
     mean, difference = n.mean(axis=1), n[:, 0] - n[:, 1]
     assert np.mean(mean > 0.6) > 0.04  # fast
@@ -90,12 +90,12 @@ def test_unknown_kinds_are_refused() -> None:
         mission_generators.bench_plan("tour", "left")
 
 
-def test_the_range_of_a_command_is_that_of_the_values_held() -> None:
+def test_the_range_of_a_command_covers_the_held_values() -> None:
     t, n = np.array([1.0, 5.0]), np.array([1.0, -0.5])
     assert command_range(t, n, 0.0, 10.0) == (-0.5, 1.0)
-    assert command_range(t, n, 2.0, 5.0) == (1.0, 1.0)  # held from before, and the next one comes at the end
+    assert command_range(t, n, 2.0, 5.0) == (1.0, 1.0)  # it was held from before, and the next value comes at the end
     assert command_range(t, n, 6.0, 9.0) == (-0.5, -0.5)
-    assert command_range(t, n, 0.0, 1.0) == (0.0, 0.0)  # zero before the first
+    assert command_range(t, n, 0.0, 1.0) == (0.0, 0.0)  # zero holds before the first row
     assert command_range(t, n, 0.5, 2.0) == (0.0, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""What a design predicts of its mission: read back, shown as text, and refused in one line."""
+"""Tests of a design's prediction of its mission: read back, shown as text, and refused in one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SQUARE = Prediction("vehicle/model.toml", T, NORTH, EAST, np.linspace(0.0, 6.0, 
 ERRORS = {"m_u": 0.1, "d_v": 0.4}
 
 
-def test_it_is_read_back_as_it_was_written() -> None:
+def test_a_prediction_is_read_back_as_it_was_written() -> None:
     mission = replace(make_mission("steps", 60.0, 1), prediction=SQUARE, predicted_errors=ERRORS)
     again = parse_mission(dump_mission(mission), "mission.toml")
     assert again == mission
@@ -27,7 +27,7 @@ def test_it_is_read_back_as_it_was_written() -> None:
     assert replace(SQUARE, model="other") != SQUARE
 
 
-def test_show_prints_the_room_of_the_track_and_the_errors_before_and_after() -> None:
+def test_show_prints_the_space_of_the_track_and_the_errors_before_and_after() -> None:
     text = describe_mission(replace(make_mission("steps", 60.0, 1), prediction=SQUARE, predicted_errors=ERRORS))
     lines = text.splitlines()
     assert any(line.split() == ["m_u", "0.1", "(1.2)"] for line in lines)
@@ -36,7 +36,7 @@ def test_show_prints_the_room_of_the_track_and_the_errors_before_and_after() -> 
     assert "29 m north by 22 m east, at most 28 m from the start" in text
 
 
-def test_without_prediction_nothing_is_printed() -> None:
+def test_a_mission_without_prediction_prints_no_prediction() -> None:
     text = describe_mission(make_mission("steps", 60.0, 1))
     assert "predicted" not in text
     assert describe_errors({}, {}) == []
@@ -44,7 +44,7 @@ def test_without_prediction_nothing_is_printed() -> None:
     assert describe_track(Prediction("m", empty, empty, empty, empty)) == []
 
 
-def test_a_boat_at_rest_needs_no_room() -> None:
+def test_a_boat_at_rest_needs_no_space() -> None:
     zero = np.zeros(3)
     (_, line) = describe_track(Prediction("m", np.arange(3.0), zero, zero, zero))
     assert line.endswith("0 m north by 0 m east, at most 0 m from the start")

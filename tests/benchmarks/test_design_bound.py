@@ -1,4 +1,4 @@
-"""The upper bound on D: tight where the optimum is known, above what a search finds, and only for what it holds for."""
+"""Tests of the upper bound on D: tight at a known optimum, never below a search result, refused outside its scope."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from seatrial.ident.experiment_design.task import DesignLimits, DesignProblem
 from tests.ident.experiment_design.test_optimal_design import boat_task, gain_and_offset
 
 
-def test_it_is_tight_where_the_optimum_is_known() -> None:
+def test_the_bound_is_tight_at_a_known_optimum() -> None:
     task = DesignProblem(gain_and_offset(), StepInput(6, 1, 40.0, 0.4, 0.4), rates={"meter": 2.5}, grid=0.4)
     object.__setattr__(task, "actuation", replace(task.actuation, pole=np.inf))
     made = design(task, evaluations=3000)
@@ -23,7 +23,7 @@ def test_it_is_tight_where_the_optimum_is_known() -> None:
     assert bound.value == pytest.approx(2 * np.log(made.command.shape[0]), abs=0.15)
 
 
-def test_no_sequence_is_above_it() -> None:
+def test_no_sequence_exceeds_the_bound() -> None:
     made = design(boat_task(40.0, 8, seed=2), evaluations=600)
     bound = upper_bound(made, rounds=1, evaluations=1500)
     assert bound.value > made.value
@@ -34,17 +34,17 @@ def test_no_sequence_is_above_it() -> None:
     assert better.value < bound.value
 
 
-def test_only_for_what_it_holds_for() -> None:
+def test_the_bound_is_refused_outside_its_scope() -> None:
     made = design(boat_task(20.0, 4, limits=DesignLimits(energy=0.9)), evaluations=500)
     with pytest.raises(ValueError, match="without limits"):
         upper_bound(made)
 
 
-def test_a_command_as_a_point_of_finer_steps() -> None:
+def test_a_command_is_represented_on_finer_steps() -> None:
     steps = StepInput(12, 2, 30.0, 0.4, 0.2)
     coarse = StepInput(5, 2, 30.0, 1.0, 0.2)
     task = replace(boat_task(30.0, 5), steps=coarse)
     command = task.commands(coarse.random(1, np.random.default_rng(1)))[:, :, 0]
     again = replace(task, steps=steps).commands(as_point(steps, command, 0.2)[None])[:, :, 0]
-    assert np.mean(np.abs(again - command).max(axis=1) > 1e-9) < 0.2  # edges move by a row or two
+    assert np.mean(np.abs(again - command).max(axis=1) > 1e-9) < 0.2  # the edges of a step may move by one or two rows
     assert set(np.unique(again)) <= set(np.unique(command))

@@ -1,4 +1,4 @@
-"""The paper's tables and figures: what is written, and that the truth is found."""
+"""Tests of the paper's tables and figures: the content of the pages, and recovery of the true values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from seatrial.ident.estimation.standard_errors import AUTOCORRELATED_TOO_LONG
 from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log
 
-LIMIT = 6_000_000  # bytes
+LIMIT = 6_000_000  # length in bytes
 
 
 @pytest.mark.parametrize(("make", "paper"), [(yaw_experiment, printed.TABLE_3), (surge_experiment, printed.TABLE_4)])
@@ -29,7 +29,7 @@ def test_prediction_error_finds_the_truth_and_output_error_claims_too_much(make,
     robust = one.oe.robust_errors[one.oe.names.index(mass)]
     if mass == "m_r":
         assert robust > 2 * one.oe.estimate(mass)[1]
-    else:  # a push stays in the position for good: no error allows for that
+    else:  # a disturbance shifts the position permanently, which the standard errors do not include
         assert np.isnan(robust)
         assert (mass, AUTOCORRELATED_TOO_LONG) in one.oe.flags
     head, _, *rows = tables.tables_3_and_4(one, paper)
@@ -42,7 +42,7 @@ def test_prediction_error_finds_the_truth_and_output_error_claims_too_much(make,
         assert float(cells[3]) == pytest.approx(one.truth[name], rel=1e-3)
 
 
-def test_noise_at_rest_is_what_was_put_in() -> None:
+def test_the_noise_measured_at_rest_matches_the_simulated_noise() -> None:
     for name, one in at_rest(3).items():
         white, walk = one.truth
         assert abs(one.found.white - white) < 4 * one.found.white_error, name
@@ -50,7 +50,7 @@ def test_noise_at_rest_is_what_was_put_in() -> None:
 
 
 @pytest.mark.study
-def test_both_pages(tmp_path: Path) -> None:
+def test_both_pages_are_written(tmp_path: Path) -> None:
     log = bench_log(tmp_path / "bench.mcap", draw_bench(2))
     quick = ["--evaluations", "300", "--repeats", "8"]
     assert main(["--seed", "2", "--out", str(tmp_path), "--bench", str(log), *quick]) == 0
@@ -79,7 +79,7 @@ def test_a_log_that_is_no_bench_run_is_one_line(tmp_path: Path, capsys: pytest.C
     assert not (tmp_path / "thesis.md").exists()
 
 
-def test_a_page_of_figures_holds_its_curves(tmp_path: Path) -> None:
+def test_a_page_of_figures_contains_its_curves(tmp_path: Path) -> None:
     x = np.linspace(1.0, 10.0, 30)
     charts = [
         Chart("one <b>", [Curve("a", x, x, "measured"), Curve("b", x, -x, "band", x)]),

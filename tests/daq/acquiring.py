@@ -1,4 +1,4 @@
-"""An acquisition of the test boat, and what a test wants to know of it."""
+"""Acquisition of the test boat, and checks of its result."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.rig import Rig
 from tests.daq.ptys import TestBoat, wait_for
 
-MAGIC = b"\x89MCAP0\r\n"  # an MCAP file that was closed ends with it
+MAGIC = b"\x89MCAP0\r\n"  # a closed MCAP file ends with it
 
 
 @contextmanager
 def acquiring(boat: TestBoat, folder: Path) -> Iterator[tuple[Acquisition, Rig, RunClock]]:
-    """An acquisition of the boat into `folder`/run.mcap, with every device heard."""
+    """Start an acquisition of the boat into `folder`/run.mcap, and wait until every device has sent."""
     rig = load_rig(boat.rig_path)
     clock = RunClock(rig.speed)
     with Acquisition(rig, folder / "run.mcap", clock=clock) as acquisition:
@@ -28,7 +28,7 @@ def acquiring(boat: TestBoat, folder: Path) -> Iterator[tuple[Acquisition, Rig, 
 
 @contextmanager
 def living(acquisition: Acquisition) -> Iterator[None]:
-    """A runner that says it lives."""
+    """Send the runner's signs of life to the acquisition, as a running runner does."""
     ending = threading.Event()
 
     def live() -> None:
@@ -49,9 +49,9 @@ def is_closed(path: Path) -> bool:
 
 
 def assert_ends_at_zero(boat: TestBoat) -> None:
-    """The last thing that each thruster was told is zero, after having been told something else."""
+    """Check that the last command of each thruster is zero, after a command that was not zero."""
     boat.catch_up()
     for node in (1, 2):
-        told = [n for there, n in boat.ports["can"].commands() if there == node]
-        assert any(told), "no thrust was ever commanded"
-        assert told[-1] == 0.0
+        received = [n for there, n in boat.ports["can"].commands() if there == node]
+        assert any(received), "no thrust was ever commanded"
+        assert received[-1] == 0.0

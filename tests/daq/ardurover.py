@@ -1,6 +1,7 @@
-"""A real ArduPilot Rover in its own simulator, with a link that can be cut, and an ear and a hand beside it.
+"""A real ArduPilot Rover in its own simulator, with a link that can be cut, and a second station that listens and
+commands.
 
-SEATRIAL_ARDUROVER names the program: `ardurover`, as ArduPilot's `waf configure --board sitl; waf rover` builds it.
+SEATRIAL_ARDUROVER names the program `ardurover`, as ArduPilot's `waf configure --board sitl; waf rover` builds it.
 """
 
 from __future__ import annotations
@@ -58,10 +59,10 @@ rc_channel = 3
 pwm_us = [1000.0, 1500.0, 2000.0]
 position_m = [0.0, 0.15, 0.0]
 """
-READY = 1 | 2 | 16  # EKF_STATUS_REPORT: attitude, horizontal velocity and position
+READY = 1 | 2 | 16  # flags of EKF_STATUS_REPORT: attitude, horizontal velocity and position
 NEUTRAL_US = 10.0
-HEADING_DEG = 40.0  # at the start
-HURRY = 10.0  # times real time, until its estimator has a position
+HEADING_DEG = 40.0  # during the start
+HURRY = 10.0  # speed relative to real time until the estimator has a position
 
 
 def _socket() -> socket.socket:
@@ -71,13 +72,16 @@ def _socket() -> socket.socket:
 
 
 def free_port() -> int:
-    """A UDP port of this machine that nobody has."""
+    """Return a UDP port of this machine that is free."""
     with _socket() as sock:
         return int(sock.getsockname()[1])
 
 
 class Relay(threading.Thread):
-    """The radio link: the autopilot on one side, `port` on the other; `state` is open, cut (lost) or frozen (late)."""
+    """Relay of the radio link: the autopilot on one side, `port` on the other.
+
+    `state` is open, cut (lost) or frozen (late).
+    """
 
     def __init__(self, port: int) -> None:
         super().__init__(daemon=True)
@@ -89,11 +93,11 @@ class Relay(threading.Thread):
         self._ending = False
 
     def run(self) -> None:
-        """Until `end`."""
+        """Forward packets until `end`."""
         while not self._ending:
             ready, _, _ = select.select([self._inner, self._outer], [], [], 0.05)
             for sock in ready:
-                with contextlib.suppress(OSError):  # nobody is at home on the other side
+                with contextlib.suppress(OSError):  # no program is bound to the other port
                     data, who = sock.recvfrom(4096)
                     self._vehicle = who if sock is self._inner else self._vehicle
                     inbound = sock is self._outer
@@ -105,7 +109,7 @@ class Relay(threading.Thread):
                 sock.sendto(data, to)
 
     def end(self) -> None:
-        """Close both sides."""
+        """Close both sockets."""
         self._ending = True
         self.join()
         self._inner.close()
@@ -113,7 +117,7 @@ class Relay(threading.Thread):
 
 
 class Rover:
-    """One simulator with its relay; `outputs` are (monotonic time, us of output 1, us of output 3), newest last."""
+    """Simulator with its relay. `outputs` contains (monotonic time, us of output 1, us of output 3), newest last."""
 
     def __init__(
         self, folder: Path, parameters: Mapping[str, float] | None = None, model: str = "motorboat-skid"
@@ -126,11 +130,11 @@ class Rover:
         self.values: dict[str, float] = {}
         self.ekf = 0
         self._beats_as: tuple[int, int] | None = None
-        self._tlogs: list[BinaryIO] = []  # the last is written
+        self._tlogs: list[BinaryIO] = []  # the last one is written to
         self._ending = False
 
     def __enter__(self) -> Self:
-        """Start it, with an ear at its first link."""
+        """Start the simulator and a listener on its first link."""
         lines = "".join(f"{name} {value:g}\n" for name, value in self._parameters.items())
         (self.folder / "boat.parm").write_text(lines, encoding="ascii")
         self.relay = Relay(self.port)
@@ -151,7 +155,7 @@ class Rover:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Kill it."""
+        """Kill the simulator."""
         self._ending = True
         self.process.kill()
         self.process.wait()
@@ -181,7 +185,10 @@ class Rover:
                 self._ear.mav.heartbeat_send(6, 8, 0, 0, 4)
 
     def beat_as(self, system: int | None, component: int = 190) -> None:
-        """Send the heartbeats of this ground station from now on; None: of nobody, and commands are the ear's own."""
+        """Send the heartbeats of this ground station from now on.
+
+        None: send no heartbeats, and send commands as the listener.
+        """
         self._beats_as = None if system is None else (system, component)
         if system is None:
             self._ear.mav.srcSystem, self._ear.mav.srcComponent = 250, 0
@@ -197,29 +204,31 @@ class Rover:
             self.values[m.param_id] = m.param_value
 
     def record(self, path: Path, interval_us: float = 100_000) -> None:
-        """Write what the ear hears from now on to a tlog, attitude, IMU and fixes at this interval."""
+        """Write the messages that the listener receives from now on to a tlog, with attitude, IMU and fixes at this
+        interval.
+        """
         for name in ("ATTITUDE", "RAW_IMU", "GPS_RAW_INT"):
             self.command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, getattr(dialect, f"MAVLINK_MSG_ID_{name}"), interval_us)
-        self._tlogs.append(path.open("wb", buffering=0))  # pymavlink writes none of what comes by UDP
+        self._tlogs.append(path.open("wb", buffering=0))  # pymavlink does not write messages received by UDP
 
     def command(self, number: int, *values: float) -> None:
-        """COMMAND_LONG of the station beside us."""
+        """Send COMMAND_LONG as the second station."""
         self._ear.mav.command_long_send(1, 1, number, 0, *values, *[0.0] * (7 - len(values)))
 
     def set_parameter(self, name: str, value: float) -> None:
-        """PARAM_SET of the station beside us."""
+        """Send PARAM_SET as the second station."""
         self._ear.mav.param_set_send(1, 1, name.encode(), value, 9)
 
-    def until(self, condition: Callable[[], bool], seconds: float, what: str) -> None:
-        """Wait; raises TimeoutError."""
+    def until(self, condition: Callable[[], bool], seconds: float, awaited: str) -> None:
+        """Wait for a condition. Raise TimeoutError if it does not hold in time."""
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
-                raise TimeoutError(f"{what}: not in {seconds:g} s ({self.outputs[-1:]}, {self.beats[-1:]})")
+                raise TimeoutError(f"{awaited}: not in {seconds:g} s ({self.outputs[-1:]}, {self.beats[-1:]})")
             time.sleep(0.02)
 
     def until_ready(self) -> None:
-        """Until its estimator has a position, for which its time runs faster than ours."""
+        """Wait until the estimator has a position. Until then the simulation runs faster than real time."""
 
         def ready() -> bool:
             return self.ekf & READY == READY and not self.ekf & 128
@@ -233,30 +242,33 @@ class Rover:
                 self.set("SIM_SPEEDUP", 1.0)
 
     def set(self, name: str, value: float) -> None:
-        """Set one parameter, and see it."""
+        """Set one parameter and wait for its confirmation."""
         self.values.pop(name, None)
 
-        def told() -> bool:
+        def received() -> bool:
             self._ear.mav.param_set_send(1, 1, name.encode(), value, 9)
             time.sleep(0.2)
             return abs(self.values.get(name, 1e9) - value) < 1e-3 * max(1.0, abs(value))
 
-        self.until(told, 5.0, name)
+        self.until(received, 5.0, name)
 
     def get(self, name: str) -> float:
-        """The value of one parameter."""
+        """Return the value of one parameter."""
         self.values.pop(name, None)
 
-        def told() -> bool:
+        def received() -> bool:
             self._ear.mav.param_request_read_send(1, 1, name.encode(), -1)
             time.sleep(0.1)
             return name in self.values
 
-        self.until(told, 5.0, name)
+        self.until(received, 5.0, name)
         return self.values[name]
 
     def sign(self, key: bytes) -> None:
-        """From now on it signs, and obeys signed frames alone on all links but this ear's."""
+        """Turn on signing.
+
+        From now on the autopilot accepts only signed frames on all links except this listener's link.
+        """
         for _ in range(3):
             stamp = int((time.time() - 1_420_070_400) * 1e5)
             self._ear.mav.setup_signing_send(1, 1, key, stamp)
@@ -264,30 +276,32 @@ class Rover:
 
     @property
     def armed(self) -> bool:
-        """By its newest heartbeat."""
+        """Return whether the newest heartbeat reports the vehicle as armed."""
         return bool(self.beats) and self.beats[-1][1]
 
     @property
     def pushes(self) -> bool:
-        """Whether an output is away from neutral."""
+        """Return whether an output is away from neutral."""
         return bool(self.outputs) and _away(self.outputs[-1])
 
     def first_push(self) -> float:
-        """When the outputs left neutral last."""
+        """Return the time at which the outputs last left neutral."""
         k = len(self.outputs)
         while k and _away(self.outputs[k - 1]):
             k -= 1
         return self.outputs[k][0]
 
     def neutral_after(self, t: float) -> float:
-        """Seconds from monotonic time `t` to the first output of those at neutral that end the record; inf if none."""
+        """Return the time [s] from `t` (monotonic) to the first of the neutral outputs that end the record; inf if
+        there are none.
+        """
         rows = [row for row in self.outputs if row[0] > t]
         pushing = [k for k, row in enumerate(rows) if _away(row)]
         k = pushing[-1] + 1 if pushing else 0
         return rows[k][0] - t if k < len(rows) else float("inf")
 
     def last_push_after(self, t: float) -> float:
-        """Seconds from monotonic time `t` to the last output away from neutral; 0 if none."""
+        """Return the time [s] from `t` (monotonic) to the last output away from neutral; 0 if there is none."""
         return max((row[0] - t for row in self.outputs if row[0] > t and _away(row)), default=0.0)
 
 

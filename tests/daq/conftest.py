@@ -1,4 +1,4 @@
-"""What several tests of the log read."""
+"""Fixtures that several tests of the log share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.daq.logs import N_ROUNDS, write_everything
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A closed log with some of everything."""
+    """Return a closed log that contains some samples of every kind."""
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
     write_everything(path, N_ROUNDS)
     return path

@@ -1,4 +1,4 @@
-"""A map and a CSV file for the tests of the import, and what the log then holds."""
+"""Map and CSV file for the tests of the import, and the values that the log then contains."""
 
 from __future__ import annotations
 

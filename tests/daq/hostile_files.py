@@ -1,12 +1,13 @@
-"""Files of others over the commands that read them: `python -m tests.daq.hostile_files --n 2500 --seed 1`.
+"""Study of foreign files and the commands that read them: `python -m tests.daq.hostile_files --n 2500 --seed 1`.
 
-Logs, captures, bags, tables, rigs, missions and models, damaged (bits, pieces, lengths), hostile (names that are paths,
-code, bombs) and huge go through info, recover, export, check, replay, import, vehicle and diagnose. Each runs as a user
-would run it, with the limits of `seatrial.daq.bounds` where the command has them. It has to answer, or to fail in one
-line, in
-20 s of processor time and 2 GB of memory: nothing is written but the output that was named, nothing is executed, no
-traceback, nothing for the terminal to obey. Foreign formats and their attacks are made by `tests.daq.hostile_sources`.
-File number K of a seed is always the same: `--first K --n 1 --keep` makes it again and leaves it there.
+Logs, captures, bags, tables, rigs, missions and models go through info, recover, export, check, replay, import, vehicle
+and diagnose. The files are damaged (bits, pieces, lengths), hostile (names that are paths, code, bombs) or huge. Each
+command runs as a user would run it, with the limits of `seatrial.daq.bounds` if the command has them.
+
+A command has to succeed, or to fail with one line, in 20 s of processor time and 2 GB of memory. It may write only the
+named output. It must not execute anything, print a traceback, or print characters that control the terminal.
+`tests.daq.hostile_sources` makes the foreign formats and their attacks. File number K of a seed is always the same:
+`--first K --n 1 --keep` makes it again and leaves it in place.
 """
 
 from __future__ import annotations
@@ -54,14 +55,14 @@ from tests.daq.logs import write_everything
 from tests.ident.workflows.test_information import write_model
 from tests.missions import boat_log, boat_with
 
-MEMORY, SECONDS = 4 << 30, 20  # of address space, of which the libraries that fit reserve a part that they never use
+MEMORY, SECONDS = 4 << 30, 20  # bytes of address space; the libraries of a fit reserve a part that they never use
 RESIDENT = 2_000_000_000  # bytes
-OWN_LIBRARIES = 600_000_000  # bytes of address space, of a command that reads a foreign file
+OWN_LIBRARIES = 600_000_000  # bytes of address space of a command that reads a foreign file
 LARGE = f"more than {RESIDENT / 1e9:.0f} GB of memory"
 SLOW = f"{SECONDS} s of processor time"
-FITTING, SHARE = ("vehicle", "diagnose"), 0.2  # of the logs go through each of these, which take most of the time
-WALL_S = 600.0  # on a busy machine
-REPLAY_S = 1.5  # then it is interrupted
+FITTING, SHARE = ("vehicle", "diagnose"), 0.2  # share of the logs that go through each of these slow commands
+WALL_S = 600.0  # seconds, for a busy machine
+REPLAY_S = 1.5  # after this time the command is interrupted
 TRAPS = ("executed", "trap.py")  # in the folder `outside` of each file's box
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 RUNNING = ("os.exec", "os.fork", "os.forkpty", "os.posix_spawn", "os.spawn", "os.system", "pickle.find_class")
@@ -133,7 +134,7 @@ port = "slcan:/dev/null"
 dbc = "/dev/zero"
 rate_hz = 10.0
 """
-DIAGNOSE = ("--max-effects", "1", "--despite-faults")  # so that it goes beyond the checks, which `check` runs too
+DIAGNOSE = ("--max-effects", "1", "--despite-faults")  # the file then passes the checks, which `check` runs too
 YAML = [
     "!!python/object/apply:os.system ['touch outside/executed']\n",
     "a: &a [x,x,x,x,x,x,x,x,x]\n"
@@ -145,25 +146,25 @@ YAML = [
 
 
 class Command(NamedTuple):
-    """One command over one file, and what below the box it may write."""
+    """Command on one file, and the paths below the box that it may write."""
 
     words: tuple[str, ...]
     writes: str = ""
 
 
 class Outcome(NamedTuple):
-    """What came of one command: why it failed ("" where it did not), and whether it had an answer (exit status 0)."""
+    """Outcome of one command: the failure ("" if none), and whether it succeeded (exit status 0)."""
 
     why: str
     answered: bool
-    seconds: float  # of the processor
+    seconds: float  # seconds of processor time
     memory: int  # bytes
-    limited: bool  # whether a limit of `seatrial.daq.bounds` has ended it
+    limited: bool  # whether a limit of `seatrial.daq.bounds` ended the command
 
 
 @dataclass
 class Failure:
-    """What a command did that it may not."""
+    """Violation of the rules by a command."""
 
     number: int
     kind: str
@@ -173,14 +174,14 @@ class Failure:
 
 @dataclass
 class Summary:
-    """What came of all."""
+    """Summary of all commands."""
 
     files: int = 0
     runs: Counter[str] = field(default_factory=Counter)
-    answers: Counter[str] = field(default_factory=Counter)  # of them, those that ended well: exit status 0
-    seconds: float = 0.0  # of the slowest
-    memory: int = 0  # bytes of the largest
-    limited: Counter[str] = field(default_factory=Counter)  # kinds of files that only a limit of the command has ended
+    answers: Counter[str] = field(default_factory=Counter)  # number of commands that ended with exit status 0
+    seconds: float = 0.0  # of the slowest command
+    memory: int = 0  # bytes of the largest command
+    limited: Counter[str] = field(default_factory=Counter)  # kinds of files that only a limit of the command ended
     failures: list[Failure] = field(default_factory=list)
 
 
@@ -204,7 +205,7 @@ GUESSED = (
 
 
 class Bases:
-    """Files that are right, made once."""
+    """Valid files, made once."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -234,12 +235,14 @@ class Bases:
         self.sources = write_sources(folder / "sources")
 
     def read(self, name: str) -> bytes:
-        """The bytes of one of them."""
+        """Return the bytes of one valid file."""
         return (self.folder / name).read_bytes()
 
 
 def wounded(data: bytes, rng: random.Random) -> bytes:
-    """Up to eight wounds: bits, numbers, pieces that are gone, doubled, moved, zeroed or anything."""
+    """Damage data in up to eight places: bits and numbers changed, pieces removed, doubled, moved, zeroed or
+    randomised.
+    """
     out = bytearray(data)
     for _ in range(rng.randint(1, 8)):
         if not out:
@@ -266,7 +269,7 @@ def wounded(data: bytes, rng: random.Random) -> bytes:
 
 
 def rewritten(data: bytes, rng: random.Random) -> bytes:
-    """A log whose container is whole, and whose names, types, times, values, attachments or metadata are hostile."""
+    """Return a valid log container with hostile names, types, times, values, attachments or metadata."""
     kind = rng.choice(("topics", "values", "times", "schemas", "attachments", "metadata", "channels", "mixed"))
 
     def of(name: str, chance: float) -> bool:
@@ -319,9 +322,9 @@ def rewritten(data: bytes, rng: random.Random) -> bytes:
 
 
 def bomb(data: bytes, rng: random.Random) -> bytes:
-    """A chunk that grows, a length that lies, a record in a record, or a great many of them."""
+    """Return a log with a chunk that expands, a wrong length, a record in a record, or a great number of records."""
     magic, kind = data[:8], rng.randrange(6)
-    if kind == 0:  # 1 GiB of zeros in 32 KiB, with any size declared
+    if kind == 0:  # 1 GiB of zeros compressed to 32 KiB, with any declared size
         packed = zstandard.ZstdCompressor(level=1).compress(bytes(1 << 28)) * 4
         size = rng.choice((1 << 20, 1 << 26, 1 << 30, 1 << 62))
         body = (
@@ -347,7 +350,7 @@ def bomb(data: bytes, rng: random.Random) -> bytes:
 
 
 def _text(data: bytes, rng: random.Random) -> bytes:
-    """A TOML file with other words in it."""
+    """Return a TOML file with other words in it."""
     lines = data.decode(errors="replace").splitlines()
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(len(lines)) if lines else 0
@@ -380,7 +383,7 @@ def _text(data: bytes, rng: random.Random) -> bytes:
 
 
 class Maker:
-    """File number K of a seed: a kind, the file in its box, and the commands that it is for."""
+    """Maker of file number K of a seed: its kind, the file in its box, and the commands to run on it."""
 
     def __init__(self, bases: Bases, seed: int) -> None:
         self._bases, self._seed = bases, seed
@@ -402,7 +405,7 @@ class Maker:
         ]
 
     def make(self, number: int, box: Path) -> tuple[str, tuple[Command, ...]]:
-        """Write file `number` into an empty box; its kind and commands."""
+        """Write file `number` into an empty box. Return its kind and commands."""
         rng = random.Random(f"{self._seed}/{number}")
         for name in ("out", "outside", "home"):
             (box / name).mkdir(parents=True)
@@ -442,7 +445,7 @@ class Maker:
         else:
             path.write_bytes(rng.choice((b"", self._bases.read("boat.mcap")[:8], rng.randbytes(5000), RIG.encode())))
             if kind == 3:
-                os.truncate(path, 3 << 30)  # zeros, of which the disk knows nothing
+                os.truncate(path, 3 << 30)  # zeros in a sparse file, which takes no space on the disk
         return _of((*LOG, *FITS), "run.mcap")
 
     def _csv(self, box: Path, rng: random.Random) -> tuple[Command, ...]:
@@ -548,7 +551,7 @@ class Maker:
         text = (box / "model/model.toml").read_bytes()
         if rng.random() < 0.4:
             trap = rng.choice(("../outside/trap.py", "trap.py", str(box / "outside/trap.py"), "/dev/zero", "os"))
-            if trap == "trap.py":  # beside the model, but not the file that it was made with
+            if trap == "trap.py":  # beside the model, but not the file with which the model was made
                 shutil.copy(box / "outside/trap.py", box / "model")
             text = re.sub(rb"(?m)^source = .*", f'source = "{trap}:EFFECTS"'.encode(), text)
             text = re.sub(rb"(?m)^effects = .*", f'effects = ["{trap}:EFFECTS"]\nsha256 = "0"'.encode(), text)
@@ -599,7 +602,7 @@ def _main(words: Sequence[str]) -> int:
 
 
 def _child(command: Command, box: Path, cache: Path) -> None:
-    """Become the command; never returns."""
+    """Replace this process by the command. The function never returns."""
     status = 99
     try:
         os.chdir(box)
@@ -609,7 +612,7 @@ def _child(command: Command, box: Path, cache: Path) -> None:
         faulthandler.disable()
         sys.stdout, sys.stderr = (os.fdopen(number, "w", 1, "utf-8", closefd=False) for number in (1, 2))
         report = os.open(box.with_suffix(".audit"), os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-        sys.dont_write_bytecode = True  # what Python keeps of a module's code is not written for a file
+        sys.dont_write_bytecode = True  # Python then writes no bytecode, which would count as a file
         os.environ |= {"HOME": str(box / "home"), "SEATRIAL_CACHE": str(cache), "TMPDIR": str(box / "home")}
         tempfile.tempdir = None
         sys.argv = ["seatrial", *command.words]
@@ -632,7 +635,8 @@ def _child(command: Command, box: Path, cache: Path) -> None:
                 os.write(report, text.encode(errors="replace") + b"\n")
 
         sys.addaudithook(watch)
-        # This process has loaded the libraries of all commands. Those of the command itself count, with a usual size.
+        # This process has loaded the libraries of all commands. The memory of the command itself counts, with a usual
+        # size of libraries.
         loaded = resource.getpagesize() * int(Path("/proc/self/statm").read_bytes().split()[0])
         bounds.MEMORY_BYTES += max(loaded - OWN_LIBRARIES, 0)
         bounds.enable()
@@ -654,7 +658,7 @@ def _tree(box: Path) -> dict[str, tuple[int, int]]:
 
 
 def run(command: Command, box: Path, cache: Path) -> Outcome:
-    """Run a command over what is in its box."""
+    """Run a command on the file in its box."""
     before = _tree(box)
     child = os.fork()
     if child == 0:
@@ -723,14 +727,14 @@ def study(
     fits: bool = True,
     stopped: Callable[[], bool] = bool,
 ) -> Summary:
-    """Make files `first` to `first + n` of a seed and run their commands; failures are told as they come."""
+    """Make files `first` to `first + n` of a seed and run their commands. Print failures as they occur."""
     for name in ("seatrial.daq.tools", "seatrial.ident.checks.log_checks", *(MODULES if fits else ())):
         importlib.import_module(name)
     (folder / "bases").mkdir(parents=True)
     (folder / "cache").mkdir(mode=0o700)
     os.environ["SEATRIAL_CACHE"] = str(folder / "cache")
     maker, summary = Maker(Bases(folder / "bases"), seed), Summary()
-    gc.freeze()  # so that children share these pages
+    gc.freeze()  # so that the child processes share these pages
     for number in range(first, first + n):
         if stopped():
             break
@@ -741,7 +745,8 @@ def study(
             if command.words[1] in FITTING and not fits:
                 continue
             found = run(command, box, folder / "cache")
-            if found.why == SLOW:  # machine code is made once, and a computer that stood still counts that, too
+            # compiled code is made only once, and a machine that stood still also counts as slow here
+            if found.why == SLOW:
                 found = run(command, box, folder / "cache")
             name = command.words[command.words[0] == "ident"]
             summary.runs[name] += 1
@@ -769,7 +774,7 @@ def _lines(summary: Summary) -> Iterator[str]:
 
 
 def main() -> int:
-    """The study; exit status 1 where a command failed to keep what the page on threats promises."""
+    """Run the study. The exit status is 1 if a command broke a promise of the page on threats."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--n", type=int, default=2500)
     parser.add_argument("--seed", type=int, default=1)

@@ -1,6 +1,6 @@
-"""Foreign sources for the study of hostile files: valid files of every format, and whole attacks.
+"""Foreign sources for the study of hostile files: valid files of every format, and complete attacks.
 
-Each attack writes its files into an empty box and returns the commands that a user would run over them.
+Each attack writes its files into an empty box and returns the commands that a user would run on them.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ FACTORS = ("1e308", "-1e308", "1e400", "nan", "9" * 5000, "1e-400", "0")
 
 
 class Step(NamedTuple):
-    """One command of an attack, and what below the box it may write."""
+    """Command of an attack, and the paths below the box that it may write."""
 
     words: tuple[str, ...]
     writes: str = ""
 
 
 def import_of(name: str) -> tuple[Step, ...]:
-    """Guess a map of a source, and import the source by it."""
+    """Return the commands that guess a map of a source and import the source with it."""
     return (
         Step(("import", "--guess", name, "-o", "out/map.toml"), "out/map.toml"),
         Step(("import", "out/map.toml", name, "-o", "out/in.mcap"), "out/in.mcap"),
@@ -57,7 +57,7 @@ def import_of(name: str) -> tuple[Step, ...]:
 
 
 def reading(name: str) -> tuple[Step, ...]:
-    """The commands that read a log."""
+    """Return the commands that read a log."""
     return (
         Step(("info", name)),
         Step(("recover", name, "-o", "out/whole.mcap"), "out/whole.mcap"),
@@ -66,7 +66,7 @@ def reading(name: str) -> tuple[Step, ...]:
 
 
 def write_sources(folder: Path) -> tuple[str, ...]:
-    """Write a valid file of each foreign format into a folder; their names."""
+    """Write a valid file of each foreign format into a folder, and return the names."""
     messages = [
         can.Message(
             timestamp=1.7e9 + 0.05 * k, arbitration_id=291, is_extended_id=False, data=struct.pack("<Hh", 400 * k, k)
@@ -116,7 +116,7 @@ def _chunk(content: bytes) -> bytes:
 
 
 def private_records(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """Millions of records of an application, with a message between them or without."""
+    """Write millions of private records of an application, with or without a message between them."""
     one = _record(rng.randrange(0x80, 0x100), bytes(rng.choice((0, 0, 1))))
     if rng.random() < 0.5:
         one = one * rng.choice((1, 17, 70_000)) + _record(5, struct.pack("<HIQQ", 1, 0, 1, 1))
@@ -127,7 +127,7 @@ def private_records(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def long_names(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """Names of megabytes of an attachment, a channel or a schema, full of what a terminal obeys."""
+    """Write names of megabytes for an attachment, a channel or a schema, full of terminal control characters."""
     name = rng.choice(("\x1b", "x", "\u202e", "\n")) * rng.choice((70_000, 30_000_000 // 3))
     kind = rng.randrange(3)
     body = struct.pack("<QQ", 1, 1) + _text(name) + _text("text/plain") + struct.pack("<Q", 1) + b"x" + bytes(4)
@@ -141,7 +141,7 @@ def long_names(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def many_channels(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """65,536 channels, or nodes of thousands of digits."""
+    """Write 65,536 channels, or nodes with thousands of digits."""
     schema = rng.choice(("sensor_msgs/msg/Imu", "seatrial_msgs/msg/EscState"))
     content = _record(3, struct.pack("<H", 1) + _text(schema) + _text("ros2msg") + bytes(4))
     n = rng.choice((1, 65_536))
@@ -161,7 +161,7 @@ def _bag1_header(**fields: bytes) -> bytes:
 
 
 def bag_bomb(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """A bag of ROS 1 of some kilobytes whose chunk grows to gigabytes, or says so."""
+    """Write a ROS 1 bag of some kilobytes whose chunk expands to gigabytes, or declares so."""
     megabytes = rng.choice((1, 500, 2000))
     packer = bz2.BZ2Compressor(9)
     packed = b"".join([*(packer.compress(bytes(10**6)) for _ in range(megabytes)), packer.flush()])
@@ -185,7 +185,7 @@ def bag_bomb(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def tiny_bag(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """A bag of ROS 1 of some hundred bytes with a number that asks for gigabytes."""
+    """Write a ROS 1 bag of some hundred bytes with a number that requests gigabytes."""
     u32, q = struct.Struct("<I").pack, struct.Struct("<Q").pack
     big = rng.choice((2**31 - 1, 2**32 - 1, 10**8))
     head = _bag1_header(op=b"\x03", index_pos=q(4109), conn_count=u32(big), chunk_count=u32(rng.choice((1, big))))
@@ -208,7 +208,7 @@ def _bag2(folder: Path, plugin: StoragePlugin, mode: CompressionMode | None = No
 
 
 def zstd_bag(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """A bag of ROS 2 whose compressed database, or whose messages, grow to gigabytes."""
+    """Write a ROS 2 bag whose compressed database or messages expand to gigabytes."""
     mode = rng.choice((CompressionMode.FILE, CompressionMode.MESSAGE))
     data = _bag2(box / "bag", StoragePlugin.SQLITE3, mode)
     packer = zstandard.ZstdCompressor(level=3).compressobj()
@@ -223,7 +223,7 @@ def zstd_bag(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def database_beside(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """A database with something beside it that looks like the log of SQLite."""
+    """Write a database with a file beside it that looks like the write-ahead log of SQLite."""
     data = _bag2(box / "bag", StoragePlugin.SQLITE3)
     beside = data.with_name(data.name + rng.choice(("-wal", "-journal", "-shm")))
     kind = rng.randrange(4)
@@ -242,7 +242,7 @@ def database_beside(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def ulog_bomb(box: Path, rng: random.Random, flight: bytes) -> tuple[Step, ...]:
-    """A ULog with formats that multiply, arrays that are too long, and subscriptions without end."""
+    """Write a ULog with formats that multiply, arrays that are too long, or endless subscriptions."""
     kinds = (
         [f"a{k}:" + f"a{k + 1}[250] x;" * 9 for k in range(12)] + ["a12:uint64_t timestamp;double[250] x;"],
         ["a0:uint64_t timestamp;float[2000000000] x;"],
@@ -264,7 +264,7 @@ def ulog_bomb(box: Path, rng: random.Random, flight: bytes) -> tuple[Step, ...]:
 
 
 def pipes(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """A named pipe, a socket's place or a device where a file should be: a source, a member, a map, a DBC, a rig."""
+    """Put a named pipe, a socket or a device in place of a file: a source, a member, a map, a DBC, a rig."""
     kind = rng.randrange(7)
     for name in ("run.csv", "map.toml", "candump.log", "boat.dbc"):
         (box / name).write_text(ROWS if name == "run.csv" else MAP.format(csv="", time="", signal=""), encoding="utf-8")
@@ -305,7 +305,7 @@ def pipes(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def absurd_values(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """Values of a map or a DBC that ask for time, memory or code."""
+    """Write values of a map or a DBC that would take much time or memory, or run code."""
     kind = rng.randrange(5)
     csv, time, signal, dbc = "", "", "", DBC
     if kind == 0:
@@ -333,7 +333,7 @@ def absurd_values(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def planted(box: Path, rng: random.Random, log: bytes) -> tuple[Step, ...]:
-    """A link, dangling or not, or a pipe under the name of an output."""
+    """Put a link, dangling or not, or a pipe under the name of an output."""
     (box / "run.mcap").write_bytes(log)
     (box / "run.csv").write_text(ROWS * 9, encoding="utf-8")
     (box / "map.toml").write_text(MAP.format(csv="", time="", signal=""), encoding="utf-8")
@@ -349,7 +349,7 @@ def planted(box: Path, rng: random.Random, log: bytes) -> tuple[Step, ...]:
     )
     step = rng.choice(steps)
     name = next(word for word in step.words if word.startswith("out/x"))
-    folder = not Path(name).suffix  # the user may keep results behind a link to a folder
+    folder = not Path(name).suffix  # the user may keep results in a folder that is a link
     kind = rng.randrange(3 if folder else 4)
     if kind == 0:
         (box / name).symlink_to("../outside/new")
@@ -363,7 +363,7 @@ def planted(box: Path, rng: random.Random, log: bytes) -> tuple[Step, ...]:
 
 
 def names(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """Control characters and words of a shell in the names of files and signals."""
+    """Put control characters and shell commands into the names of files and signals."""
     name = rng.choice(NAMES)
     (box / name).write_text(rng.choice((ROWS, "", "x", "t,\x1b[2J\n1,2\n")), encoding="utf-8")
     (box / "map.toml").write_text(MAP.format(csv="", time="", signal=""), encoding="utf-8")
@@ -376,7 +376,7 @@ def names(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def foreign_hdf5(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """A MATLAB file whose data lies in other files, or that is in itself."""
+    """Write a MATLAB file whose data is in other files, or whose group contains itself."""
     (box / "outside/secret").write_bytes(b"secret" * 99)
     with h5py.File(box / "outside/secret.h5", "w") as file:
         file["x"] = np.arange(20.0)
@@ -389,7 +389,7 @@ def foreign_hdf5(box: Path, rng: random.Random) -> tuple[Step, ...]:
 
 
 def hdf5_bomb(box: Path, rng: random.Random) -> tuple[Step, ...]:
-    """A MATLAB file of some kilobytes with arrays of gigabytes, or a Parquet file with them."""
+    """Write a MATLAB or Parquet file of some kilobytes with arrays of gigabytes."""
     n = rng.choice((10**7, 4 * 10**8, 10**12))
     kind = rng.randrange(3)
     if kind == 2:
@@ -425,7 +425,7 @@ ATTACKS: Sequence[Callable[[Path, random.Random], tuple[Step, ...]]] = (
 
 
 def damaged_bag(box: Path, rng: random.Random, wounded: Callable[[bytes, random.Random], bytes]) -> tuple[Step, ...]:
-    """A bag of ROS 2, compressed or not, with wounds."""
+    """Damage a ROS 2 bag, compressed or not."""
     mode = rng.choice((None, CompressionMode.FILE, CompressionMode.MESSAGE))
     plugin = StoragePlugin.SQLITE3 if mode is CompressionMode.FILE else rng.choice(tuple(StoragePlugin))
     if plugin is StoragePlugin.SQLITE3 and mode is CompressionMode.STORAGE:
@@ -440,7 +440,7 @@ def damaged_bag(box: Path, rng: random.Random, wounded: Callable[[bytes, random.
 def damaged_source(
     folder: Path, names_: Sequence[str], box: Path, rng: random.Random, wounded: Callable[[bytes, random.Random], bytes]
 ) -> tuple[Step, ...]:
-    """A file of a foreign format with wounds."""
+    """Damage a file of a foreign format."""
     name = rng.choice(names_)
     (box / name).write_bytes(wounded((folder / name).read_bytes(), rng))
     if name.startswith("can") and rng.random() < 0.5:

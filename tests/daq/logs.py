@@ -1,4 +1,4 @@
-"""A rig and logs for the tests of recorder and reader."""
+"""Rig and logs for the tests of recorder and reader."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, PortHealth, Sample, Scalar
 
 NAN = math.nan
-N_ROUNDS = 12  # of everything, in the log `whole`
+N_ROUNDS = 12  # rounds of samples of every kind in the log `whole`
 T0 = 1_700_000_000.0  # run time at which these logs begin
 RIG = """
 format = "seatrial-rig 1"
@@ -46,7 +46,7 @@ def rig() -> Rig:
 
 
 class StoppedClock:
-    """A run clock that stands still."""
+    """Run clock that stands still."""
 
     speed = 1.0
     origin = (0.0, T0)
@@ -56,12 +56,12 @@ class StoppedClock:
 
 
 def recorder(path: Path, **extra: object) -> Recorder:
-    """A recorder whose clock says T0."""
+    """Return a recorder with a clock that stands at T0."""
     return Recorder(path, rig=rig(), clock=StoppedClock(), **extra)  # type: ignore[arg-type]
 
 
 def write_everything(path: Path, n_rounds: int = 1) -> None:
-    """A log with every kind of message in it, one round a second, a chunk a round."""
+    """Write a log with every kind of message, one round a second and one chunk a round."""
     log = recorder(path, attachments={"mission.toml": b"n = 1\n"}, metadata={"operator": "Ada"})
     for i in range(n_rounds):
         for k, (device, sample) in enumerate(SAMPLES):
@@ -76,7 +76,7 @@ def write_everything(path: Path, n_rounds: int = 1) -> None:
 
 
 def tables(log: Log) -> dict[str, list[tuple[object, ...]]]:
-    """Everything that a log gives, as rows that can be compared."""
+    """Return all content of a log as rows that can be compared."""
     found: dict[str, list[tuple[object, ...]]] = {"events": list(log.events())}
     for kind in (Ahrs, Gnss, LoadCell, Scalar):
         for source in log.sources(kind):
@@ -93,13 +93,13 @@ def tables(log: Log) -> dict[str, list[tuple[object, ...]]]:
     return found
 
 
-def same(one: tuple[object, ...], other: tuple[object, ...]) -> bool:
-    """Whether two rows are equal, NaN and all."""
-    return repr(one) == repr(other)
+def same(left: tuple[object, ...], right: tuple[object, ...]) -> bool:
+    """Return whether two rows are equal, with NaN equal to NaN."""
+    return repr(left) == repr(right)
 
 
 def is_prefix(part: dict[str, list[tuple[object, ...]]], all_of_it: dict[str, list[tuple[object, ...]]]) -> bool:
-    """Whether every table is the beginning of the one in ``all_of_it``."""
+    """Return whether every table is the beginning of the table in ``all_of_it``."""
     return all(
         len(rows) <= len(all_of_it[name]) and all(map(same, rows, all_of_it[name])) for name, rows in part.items()
     )

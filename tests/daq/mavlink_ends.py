@@ -1,4 +1,4 @@
-"""A ground station and a mock autopilot joined without a port: what either says, the other hears at once."""
+"""Ground station and mock autopilot joined without a port: each receives the messages of the other at once."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def mav_rig(folder: Path | None = None, **how: object) -> Rig:
 
 
 class Ends:
-    """Both ends on one clock; `run` moves it on."""
+    """Ground station and autopilot with one clock, which `run` advances."""
 
     def __init__(self, rig: Rig, key: Path | None = None, role: LinkRole = LinkRole.DRIVE) -> None:
         device = rig.device("autopilot")
@@ -67,7 +67,7 @@ class Ends:
         }
         self.autopilot = AutopilotEmulator(rig, device, self.controllers, 1_800_000_000.0)
         self.t = 0.0
-        self.deaf = False  # the ground station's words are lost
+        self.deaf = False  # whether messages of the ground station are lost
         self.frames: list[Frame] = []
         self.decoder.listener = lambda message: self.driver.receive(message, self.t)
 
@@ -79,7 +79,7 @@ class Ends:
             self.to_ground(self.autopilot.receive(data, self.t))
 
     def run(self, seconds: float) -> None:
-        """Loop by loop of the autopilot."""
+        """Advance the clock in steps of the autopilot's loop."""
         for _ in range(round(seconds * LOOP_HZ)):
             self.t += 1.0 / LOOP_HZ
             for controller in self.controllers.values():

@@ -72,7 +72,7 @@ n_max = 0.8
 
 
 def wait_for(condition: Callable[[], bool], seconds: float = 10.0, what: str = "the condition") -> None:
-    """Wait until `condition()` holds; AssertionError when it does not in time."""
+    """Wait until `condition()` holds. Raise AssertionError if it does not hold in time."""
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, f"{what} did not come true in {seconds} s"
@@ -80,7 +80,7 @@ def wait_for(condition: Callable[[], bool], seconds: float = 10.0, what: str = "
 
 
 class Pty:
-    """One port. `received` grows with what the host writes; `sent_at` and `heard` tell the times (monotonic)."""
+    """Port on a pty. `received` contains the bytes from the host; `sent_at` and `heard` contain times (monotonic)."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -97,7 +97,7 @@ class Pty:
         self.path.symlink_to(os.ttyname(self._slave))
 
     def pull(self) -> None:
-        """The port vanishes; whoever has it open gets a hang-up."""
+        """Remove the port. A program that has it open gets a hang-up."""
         if self._master >= 0:
             self.path.unlink()
             os.close(self._slave)
@@ -105,13 +105,13 @@ class Pty:
             self._master = self._slave = -1
 
     def write(self, data: bytes) -> None:
-        """Send; what does not fit because nobody reads is lost, as on a wire."""
+        """Send data. Bytes that do not fit because the host does not read are lost, as on a wire."""
         if self._master >= 0:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, data)
 
     def read(self) -> None:
-        """Take what the host has written."""
+        """Read the bytes that the host has written."""
         if self._master >= 0:
             with contextlib.suppress(BlockingIOError):
                 data = os.read(self._master, 65536)
@@ -119,12 +119,12 @@ class Pty:
                 self.heard.append((time.monotonic(), data))
 
     def commands(self) -> list[tuple[int, float]]:
-        """Node and duty of every command that the host has sent so far."""
+        """Return node and duty of every command that the host has sent so far."""
         return commands_in(bytes(self.received))
 
 
 def commands_in(data: bytes) -> list[tuple[int, float]]:
-    """Node and duty of the commands in slcan text."""
+    """Return node and duty of the commands in slcan text."""
     commands = []
     for frame in slcan.Decoder().feed(data, 0.0):
         identified = unpack_can(frame)
@@ -168,19 +168,19 @@ class TestBoat:
             self.ports[name].pull()
 
     def plug(self, name: str) -> None:
-        """Plug it in again: a new pty under the old name."""
+        """Plug it in again: a new pty under the same name."""
         with self._lock:
             self.ports[name].plug()
 
     def catch_up(self) -> None:
-        """Wait until all that the host has written so far has been read, however busy the machine is."""
+        """Wait until all bytes that the host has written so far were read, also on a busy machine."""
         if not self._thread.is_alive():
             return
         rounds = self._rounds
         wait_for(lambda: self._rounds >= rounds + 2, 30.0, "the devices' next round")
 
     def write(self, name: str, data: bytes) -> None:
-        """Send something else on a port."""
+        """Send additional bytes on a port."""
         with self._lock:
             self.ports[name].write(data)
 
@@ -197,7 +197,7 @@ class TestBoat:
 
     def _send(self, k: int) -> None:
         t = 0.01 * k * self._speed
-        said = {
+        messages = {
             "ahrs": vectornav.encode_binary(Ahrs(0.1, 0.0, 0.0, 0.0, 0.0, 1e-3 * k, 0.0, 0.0, -9.8), t),
             "can": b"".join(
                 slcan.encode(*frame)
@@ -207,10 +207,10 @@ class TestBoat:
             "cell": loadcell.encode(2000.0 + k % 100),
         }
         if k % 5 == 0:
-            said["gnss"] = nmea.encode(
+            messages["gnss"] = nmea.encode(
                 Gnss(1.8e9 + t, 41.0, -8.7, 1.0, 0.5, 0.1, fix=3, n_sat=9, hdop=1.0, sigma_h=0.5)
             )
-        for name, data in said.items():
+        for name, data in messages.items():
             if name not in self.silent:
                 self.ports[name].write(data)
                 self.sent[name] += 1

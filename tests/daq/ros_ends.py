@@ -1,4 +1,4 @@
-"""The other ends of live ROS 2: a Zenoh router, and a node written by rmw_zenoh's design, not by our code."""
+"""Other ends of live ROS 2: a Zenoh router, and a node written from the design of rmw_zenoh without our code."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def session(mode: str, connect: list[str], listen: list[str]) -> Any:
 
 
 class Router:
-    """A router of Zenoh on loopback, as `ros2 run rmw_zenoh_cpp rmw_zenohd` is one."""
+    """Router of Zenoh on loopback, in the role of `ros2 run rmw_zenoh_cpp rmw_zenohd`."""
 
     def __init__(self, address: str = "") -> None:
         self.address = address or f"tcp/127.0.0.1:{free_port()}"
@@ -51,7 +51,7 @@ class Router:
 
 
 class Commander:
-    """A node that commands thruster `left` at `rate` Hz; `n` may be changed at any time, None sends nothing."""
+    """Node that commands thruster `left` at `rate` Hz. `n` may be changed at any time; None sends no command."""
 
     def __init__(self, router: Router, rate: float = 50.0) -> None:
         self.n: float | bytes | None = 0.0
@@ -63,11 +63,11 @@ class Commander:
         self._thread.start()
 
     def command(self, n: float | bytes | None) -> None:
-        """Send this from here on."""
+        """Send this command from now on."""
         self.n = n
 
     def send(self, n: float | bytes, ago_s: float = 0.0) -> None:
-        """As if it had been under way for `ago_s` and more."""
+        """Send a command as if it had been sent at least `ago_s` earlier."""
         self._sent += 1
         attachment = struct.pack("<qqB", self._sent, time.time_ns() - round(ago_s * 1e9), 16) + self._gid
         data = n if isinstance(n, bytes) else b"\x00\x01\x00\x00" + struct.pack("<d", n)

@@ -1,4 +1,4 @@
-"""Ways to feed a decoder the same bytes, and what must not depend on the way."""
+"""Different ways to feed a decoder the same bytes, and checks that the result does not depend on the way."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.protocol.framing import sentence
 from seatrial.daq.samples import Frame
 
-# Of what a serial line brings that is no frame: text, starts of frames, every byte value.
+# Bytes on a serial line that are not frames: text, starts of frames, every byte value.
 GARBAGE = (
     b"",
     b"boot: ok\r\n",
@@ -24,24 +24,24 @@ GARBAGE = (
     bytes(range(256)),
 )
 
-# One second of a receiver that has never had a fix: it knows neither time nor place.
+# One second of a receiver that has never had a fix, so that time and position are unknown.
 COLD = b"".join(
     sentence(body) for body in ("GNRMC,,V,,,,,,,,,,N", "GNVTG,,,,,,,,,N", "GNGGA,,,,,,0,00,99.9,,,,,,", "GPGSV,1,1,00")
 )
 
 
 def said(frames: list[Frame]) -> list[tuple[Any, ...]]:
-    """The frames as values that compare equal where both are NaN."""
+    """Return the frames as values that compare equal, including NaN."""
     return [tuple(map(repr, (type(f.sample), astuple(f.sample), f.t_rx, f.t_device))) for f in frames]
 
 
 def counters(decoder: Decoder) -> tuple[int, int, int]:
-    """All that a decoder counts."""
+    """Return the counters of a decoder."""
     return decoder.frames, decoder.checksum_errors, decoder.unparsed_bytes
 
 
 def cuts(data: bytes, seed: int) -> Iterator[bytes]:
-    """`data` in random pieces."""
+    """Yield `data` in random pieces."""
     rng = random.Random(seed)
     at = 0
     while at < len(data):
@@ -51,7 +51,10 @@ def cuts(data: bytes, seed: int) -> Iterator[bytes]:
 
 
 def check_splits(make: Callable[[], Decoder], data: bytes) -> list[Frame]:
-    """Feed whole, byte by byte and in random pieces: same samples and counters each time. Returns the samples."""
+    """Feed data whole, byte by byte and in random pieces.
+
+    Check for the same samples and counters, and return the samples.
+    """
     whole = make()
     frames = whole.feed(data, 5.0)
     ways = [[data[i : i + 1] for i in range(len(data))], *(list(cuts(data, seed)) for seed in range(5))]
@@ -64,9 +67,9 @@ def check_splits(make: Callable[[], Decoder], data: bytes) -> list[Frame]:
 
 
 def check_garbage(make: Callable[[], Decoder], messages: list[bytes], expected: int, ending: bytes = b"") -> None:
-    """Garbage before, between and after the messages: the samples are those of the clean stream.
+    """Add garbage before, between and after the messages, and check that the samples are those of the clean stream.
 
-    `expected` is the number of samples; `ending` ends garbage where a protocol cannot tell it from a message else.
+    `expected` is the number of samples. `ending` ends garbage that a protocol could otherwise take for a message.
     """
     clean = make().feed(b"".join(messages), 5.0)
     assert len(clean) == expected
@@ -87,7 +90,7 @@ def check_garbage(make: Callable[[], Decoder], messages: list[bytes], expected: 
 
 
 def is_close(a: object, b: object, rel: float = 1e-9, tolerance: float = 1e-9) -> bool:
-    """Whether two samples agree field by field, NaN with NaN."""
+    """Return whether two samples agree field by field, with NaN equal to NaN."""
     pairs = zip(astuple(a), astuple(b), strict=True)  # type: ignore[call-overload]
     return all(
         (math.isnan(x) and math.isnan(y)) or math.isclose(x, y, rel_tol=rel, abs_tol=tolerance) for x, y in pairs

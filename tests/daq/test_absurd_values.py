@@ -1,4 +1,6 @@
-"""Values in files of others that would take gigabytes, minutes or an internal error: each is refused in one line."""
+"""Tests of values in foreign files that would take gigabytes, minutes or cause an internal error: each is refused in
+one line.
+"""
 
 from __future__ import annotations
 
@@ -39,20 +41,20 @@ BO_ 256 M: 8 A
 """
 
 
-def test_a_slew_limit_without_an_end_is_refused() -> None:
+def test_an_extremely_small_slew_limit_is_refused() -> None:
     with pytest.raises(SeatrialError, match=r"limits\.slew_per_s: 1e-09 per second makes ramps of up to"):
         parse_mission(MISSION.format(slew=1e-9, end=1e9), "m.toml")
     assert parse_mission(MISSION.format(slew=0.001, end=1e9), "m.toml").setpoints()[0].size == 12_502
 
 
-def test_rows_to_skip_end_with_the_file(tmp_path: Path) -> None:
+def test_the_number_of_rows_to_skip_is_limited_by_the_file(tmp_path: Path) -> None:
     csv_map, files = write(tmp_path, csv="skip_rows = 9000000000000000000")
     with pytest.raises(SeatrialError, match="the file is empty"):
         import_files(csv_map, files)
 
 
 @pytest.mark.parametrize("name", ["rot13", "hex", "base64", "undefined", "nothing"])
-def test_an_encoding_is_one_of_text(tmp_path: Path, name: str) -> None:
+def test_an_encoding_that_is_not_for_text_is_refused(tmp_path: Path, name: str) -> None:
     csv_map, files = write(tmp_path, csv=f'encoding = "{name}"')
     with pytest.raises(SeatrialError, match=f"'{name}' is not a text encoding"):
         import_files(csv_map, files)
@@ -61,14 +63,14 @@ def test_an_encoding_is_one_of_text(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("pattern", "why"), [("%Y %Y", "contains a field twice"), ("%Y %Q", "is not a strptime pattern")]
 )
-def test_a_pattern_of_times_is_one(tmp_path: Path, pattern: str, why: str) -> None:
+def test_an_invalid_pattern_of_times_is_refused(tmp_path: Path, pattern: str, why: str) -> None:
     csv_map, files = write(tmp_path, time=f'format = "{pattern}"')
     with pytest.raises(SeatrialError, match=rf"format: '{pattern}' {why}"):
         import_files(csv_map, files)
 
 
 @pytest.mark.parametrize("factor", ["1e308", "-1e200", "1e400"])
-def test_a_factor_of_a_dbc_gives_numbers(tmp_path: Path, factor: str) -> None:
+def test_a_dbc_factor_that_overflows_is_refused(tmp_path: Path, factor: str) -> None:
     path = tmp_path / "x.dbc"
     path.write_text(DBC.format(factor="0.25"), encoding="utf-8")
     assert load_dbc(str(path)).messages[0].signals[0].scale == 0.25
@@ -78,8 +80,8 @@ def test_a_factor_of_a_dbc_gives_numbers(tmp_path: Path, factor: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_dbc_that_a_map_names_is_a_file(tmp_path: Path) -> None:
-    """A pipe would wait for its writer, and a device never ends."""
+def test_a_dbc_that_is_not_a_regular_file_is_refused(tmp_path: Path) -> None:
+    """A read of a pipe would wait for its writer, and a device has no end."""
     os.mkfifo(tmp_path / "pipe.dbc")
     for path in (tmp_path / "pipe.dbc", Path("/dev/zero"), tmp_path):
         with pytest.raises(SeatrialError, match="is not a file"):
@@ -96,7 +98,7 @@ def test_more_topics_than_a_file_can_number_are_refused() -> None:
         writer.register_channel("/one-more", "cdr", 0, {})
 
 
-def test_a_node_of_thousands_of_digits_is_none(tmp_path: Path) -> None:
+def test_a_node_number_of_thousands_of_digits_is_ignored(tmp_path: Path) -> None:
     write_everything(tmp_path / "run.mcap", 3)
     with open_log(tmp_path / "run.mcap") as log:
         log.counts[f"/esc/{'1' * 5000}/state"] = 3

@@ -1,4 +1,4 @@
-"""Commands that read files of others run in a bounded child: limits, signals, and what is left behind."""
+"""Tests of commands that read foreign files in a bounded child process: limits, signals, and remaining files."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ def start(folder: Path, does: str, *words: str) -> subprocess.Popen[str]:
     [
         ("bytes(2 << 30)", "took more than 1.1 GB of memory"),
         ("while True: pass", "took more than 1 s of processor time"),
-        ("sum(range(10**12))", "took more than 1 s of processor time"),  # in C: the signal is never looked at
+        # an operation in C, during which Python does not handle the signal
+        ("sum(range(10**12))", "took more than 1 s of processor time"),
         ("part.write_bytes(bytes(8 << 20))", "wrote more than 4 MB to the disk"),
         (FULL, "wrote more than 4 MB to the disk"),
         ("os.kill(os.getpid(), 11)", "the reader of the file was ended by SIGSEGV"),
@@ -62,12 +63,12 @@ def start(folder: Path, does: str, *words: str) -> subprocess.Popen[str]:
 )
 def test_a_limit_ends_the_command_in_one_line_and_leaves_nothing(tmp_path: Path, does: str, line: str) -> None:
     process = start(tmp_path, does)
-    out, said = process.communicate(timeout=60.0)
+    out, err = process.communicate(timeout=60.0)
     assert (process.returncode, out) == (1, "began\n")
-    assert said.startswith("seatrial: run.mcap: ")
-    assert line in said
-    assert NAMED in said
-    assert said.count("\n") == 1
+    assert err.startswith("seatrial: run.mcap: ")
+    assert line in err
+    assert NAMED in err
+    assert err.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap"]
 
 
@@ -85,9 +86,9 @@ def test_a_signal_ends_both_processes(tmp_path: Path, number: signal.Signals) ->
         assert process.stdout is not None
         assert process.stdout.readline() == "began\n"
         before = time.monotonic()
-        process.send_signal(number)  # to the parent alone; its pipes end with the child
-        _, said = process.communicate(timeout=30.0)
+        process.send_signal(number)  # sent to the parent alone; its pipes end with the child
+        _, err = process.communicate(timeout=30.0)
     assert time.monotonic() - before < 20.0
     assert process.returncode != 0
-    assert "Traceback" not in said
+    assert "Traceback" not in err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.mcap"]

@@ -1,4 +1,4 @@
-"""Child processes: modules of this program are run, and no file of the working folder in the place of one."""
+"""Tests of child processes: they run modules of this program, and no file of the working folder instead."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def plant(folder: Path) -> Path:
-    """Put modules named like Python's own and ours into a folder; each leaves a file there when it is executed."""
+    """Put modules named like Python's and our own into a folder. Each writes a file there when it is executed."""
     for name in ("socket", "selectors", "struct", "daq", "numpy", "joblib"):
         (folder / f"{name}.py").write_text("open('executed', 'w').close()\n", encoding="ascii")
     return folder / "executed"
@@ -29,7 +29,7 @@ def test_acquisition_and_watchdog_execute_nothing_of_the_working_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     executed = plant(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", f"{os.pathsep}.")  # an empty entry means the working folder, too
+    monkeypatch.setenv("PYTHONPATH", f"{os.pathsep}.")  # an empty entry also means the working folder
     with TestBoat(tmp_path) as boat:
         monkeypatch.chdir(tmp_path)
         rig = load_rig(boat.rig_path)
@@ -45,7 +45,7 @@ def test_a_command_of_the_demo_executes_nothing_of_its_folder(tmp_path: Path) ->
 
 
 def test_processes_of_a_library_execute_nothing_of_the_working_folder(tmp_path: Path) -> None:
-    """joblib starts its own, as a study of recovery does, after the command's own start."""
+    """joblib starts its own processes, as in a study of recovery, after the command's own start."""
     executed = plant(tmp_path)
     code = """
 import contextlib, io, sys

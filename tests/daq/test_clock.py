@@ -1,4 +1,4 @@
-"""The run clock, and device clocks mapped onto it: known skew and delays in, the same times out."""
+"""Tests of the run clock, and of the map of device clocks to it with known skew and delays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from seatrial.daq.clock import ClockMap, RunClock
 
 
-def test_the_run_clock_starts_at_the_wall_clock_and_goes_at_its_speed() -> None:
+def test_the_run_clock_starts_at_the_wall_clock_and_runs_at_its_speed() -> None:
     clock = RunClock(speed=50.0)
     assert abs(clock.now() - time.time()) < 5.0
     before, wall = clock.now(), time.monotonic()
@@ -22,7 +22,7 @@ def test_the_run_clock_starts_at_the_wall_clock_and_goes_at_its_speed() -> None:
     assert passed >= clock.wall(2.5) - 1e-3
     assert clock.now() >= before + 2.5
     assert clock.now() - before == pytest.approx(50.0 * (time.monotonic() - wall), rel=0.2)
-    clock.sleep_until(before)  # has passed: returns at once
+    clock.sleep_until(before)  # this time has passed, so the call returns at once
 
 
 def test_another_process_with_the_same_origin_agrees() -> None:
@@ -34,13 +34,13 @@ def test_another_process_with_the_same_origin_agrees() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, math.nan, math.inf])
-def test_a_clock_that_does_not_go(speed: float) -> None:
+def test_an_invalid_clock_speed_is_refused(speed: float) -> None:
     with pytest.raises(ValueError, match="positive"):
         RunClock(speed)
 
 
 def run_map(skew: float, delays: np.ndarray, rate: float = 200.0) -> tuple[np.ndarray, np.ndarray, ClockMap]:
-    """Errors of the estimate [s], receive times, and the map, for a device clock that is off by `skew`."""
+    """Return the errors of the estimate [s], the receive times, and the map, for a device clock with this skew."""
     truth = 1.7e9 + np.arange(len(delays)) / rate
     device = 12.5 + (truth - 1.7e9) * (1.0 - skew)
     clock_map = ClockMap()
@@ -51,15 +51,15 @@ def run_map(skew: float, delays: np.ndarray, rate: float = 200.0) -> tuple[np.nd
     return estimates - truth, received - truth, clock_map
 
 
-def test_latency_of_a_usb_adapter_is_taken_out() -> None:
+def test_the_latency_of_a_usb_adapter_is_removed() -> None:
     rng = np.random.default_rng(1)
     n = 60_000  # 300 s at 200 Hz
-    # The adapter hands over what it has every 16 ms.
+    # The adapter delivers its data every 16 ms.
     truth = np.arange(n) / 200.0
     delays = np.ceil(truth / 0.016) * 0.016 - truth + rng.exponential(50e-6, n)
     errors, arrival, clock_map = run_map(30e-6, delays)
     settled = errors[2000:]
-    assert abs(arrival[2000:].mean()) > 7e-3  # what arrival time would have been off by
+    assert abs(arrival[2000:].mean()) > 7e-3  # the error of the arrival time
     assert abs(settled.mean()) < 150e-6
     assert settled.std() < 100e-6
     assert clock_map.bias == pytest.approx(arrival.mean(), abs=1e-3)
@@ -73,7 +73,7 @@ def test_skew_is_followed(skew: float) -> None:
     assert np.max(np.abs(errors[4000:])) < 1e-3
 
 
-def test_from_the_first_sample_on_it_is_no_worse_than_arrival() -> None:
+def test_from_the_first_sample_on_the_map_is_no_worse_than_the_arrival_time() -> None:
     rng = np.random.default_rng(3)
     errors, arrival, _ = run_map(30e-6, rng.uniform(0.0, 0.016, 400))
     assert np.all(errors <= arrival)
@@ -90,7 +90,7 @@ def test_a_device_that_restarts_starts_a_new_map() -> None:
 
 
 @pytest.mark.parametrize("jump", [3600.0, 2.0])
-def test_a_clock_that_is_set_forward_or_stood_still(jump: float) -> None:
+def test_the_map_follows_a_clock_that_is_set_forward_or_stood_still(jump: float) -> None:
     forward, behind = ClockMap(), ClockMap()
     for k in range(3000):
         t = 0.02 * k
@@ -105,8 +105,8 @@ def test_a_clock_that_is_set_forward_or_stood_still(jump: float) -> None:
 STEPS = [(step, rate) for step in (-0.3, -0.6, -0.9, -1.0) for rate in (1.0, 5.0, 50.0)]
 
 
-@pytest.mark.parametrize(("step", "rate"), STEPS[1:])  # 0.3 s late at 1 Hz is what a link with a queue does, too
-def test_a_clock_that_is_set_back_by_less_than_a_second(step: float, rate: float) -> None:
+@pytest.mark.parametrize(("step", "rate"), STEPS[1:])  # a link with a queue can also delay messages by 0.3 s at 1 Hz
+def test_the_map_follows_a_clock_that_is_set_back_by_less_than_a_second(step: float, rate: float) -> None:
     rng, clock_map, off = np.random.default_rng(4), ClockMap(), []
     for k in range(int(150 * rate)):
         t = 1000.0 + k / rate
@@ -115,12 +115,12 @@ def test_a_clock_that_is_set_back_by_less_than_a_second(step: float, rate: float
         assert t_rx - estimate < 0.05 or t < 1060.0 + ClockMap.LATER_FOR + 2.0 / rate + 1.0
         off.append(t_rx - estimate > 0.05)
     assert clock_map.resets == 1
-    # What runs back is known a second later; a step of less than the period by its lasting.
+    # A step back is recognised a second later. A step shorter than the period is recognised because it persists.
     runs_back = ClockMap.AGAIN_FOR + (ClockMap.AGAIN_N + 1) / rate
     assert sum(off) / rate <= (ClockMap.LATER_FOR + 2.0 if -step <= 1.0 / rate else runs_back)
 
 
-def test_a_step_is_seen_between_samples_of_other_kinds() -> None:
+def test_a_step_is_recognised_between_samples_of_other_kinds() -> None:
     clock_map, rng = ClockMap(), np.random.default_rng(5)
     late = []
     for k in range(100 * 50):
@@ -145,9 +145,11 @@ def test_packets_that_overtake_each_other_are_no_step() -> None:
 
 
 @pytest.mark.parametrize("jitter", [0.02, 0.05])
-def test_a_busy_link_is_no_step_though_a_message_has_several_samples(jitter: float) -> None:
-    """Late by an exponential time, one after the other, now and then a queue that drains, a packet overtaken; each
-    message tells of two outputs at one time."""
+def test_a_busy_link_with_several_samples_per_message_is_no_step(jitter: float) -> None:
+    """Each message is late by an exponential time.
+
+    Sometimes a queue drains, and sometimes a packet is overtaken. Each message reports two outputs at one time.
+    """
     rng, clock_map, ready, off = np.random.default_rng(7), ClockMap(), 0.0, []
     sent = 0.1 * np.arange(12_000) + rng.uniform(0.0, 0.002, 12_000)
     came = sent + 0.003 + rng.exponential(jitter, sent.size) + 0.15 * (sent % 20.0 < 0.5)
@@ -165,7 +167,7 @@ def test_a_time_that_is_repeated_for_a_while_is_no_step() -> None:
         t = 0.2 * k
         clock_map.estimate(10.0 if 10.0 < t < 15.0 else t, t + 0.05, True, "fix")
     assert clock_map.resets == 0
-    for k in range(500, 800):  # and for good
+    for k in range(500, 800):  # the repetition does not end
         clock_map.estimate(99.8, 0.2 * k + 0.05, True, "fix")
     assert 1 <= clock_map.resets <= 6
 
@@ -173,7 +175,7 @@ def test_a_time_that_is_repeated_for_a_while_is_no_step() -> None:
 def test_a_link_that_starts_slowly_is_no_step() -> None:
     clock_map = ClockMap()
     for k in range(3000):
-        t, queued = 0.02 * k, 0.4 if k < 100 else 0.0  # what the host had kept before the port was read
+        t, queued = 0.02 * k, 0.4 if k < 100 else 0.0  # bytes that the host had buffered before the port was read
         clock_map.estimate(t, 1000.0 + t + queued + 0.002, True, "attitude")
         clock_map.estimate(t - 0.3, 1000.0 + t + queued + 0.003, True, "fix")
     assert clock_map.resets == 0
@@ -182,7 +184,7 @@ def test_a_link_that_starts_slowly_is_no_step() -> None:
 @pytest.mark.skipif(not hasattr(time, "CLOCK_MONOTONIC_RAW"), reason="a system without a raw clock")
 def test_a_host_clock_that_is_slewed_does_not_reach_run_time(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, raw, plain = RunClock(), time.CLOCK_MONOTONIC_RAW, time.clock_gettime
-    monkeypatch.setattr(time, "monotonic", lambda: 1.08 * plain(time.CLOCK_MONOTONIC))  # as chrony slews
+    monkeypatch.setattr(time, "monotonic", lambda: 1.08 * plain(time.CLOCK_MONOTONIC))  # chrony slews in this way
     before, from_raw = clock.now(), plain(raw)
     time.sleep(0.2)
     assert clock.now() - before == pytest.approx(plain(raw) - from_raw, abs=0.01)
@@ -195,7 +197,7 @@ def test_a_pause_of_the_reader_is_no_jump() -> None:
     assert estimates == pytest.approx([1000.0 + 0.01 * k for k in range(2000)], abs=1e-6)
 
 
-def test_no_device_time_is_receive_time() -> None:
+def test_without_a_device_time_the_receive_time_is_used() -> None:
     clock_map = ClockMap()
     assert clock_map.update(math.nan, 7.0) == 7.0
     assert math.isnan(clock_map.bias)

@@ -1,4 +1,4 @@
-"""The one writer of outputs: whole files, no link followed, nothing but files replaced; and only files are read."""
+"""Tests of the writer of outputs: whole files, no followed link, only files are replaced, and only files are read."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.daq.logs import write_everything
 
 
 def planted(out: Path) -> Path:
-    """Make the output a dangling link; where it leads."""
+    """Make the output a dangling link, and return its target."""
     aim = out.parent / "elsewhere"
     out.symlink_to(aim)
     return aim
@@ -58,7 +58,7 @@ def test_a_planted_link_is_not_followed(tmp_path: Path, write: Callable[[Path, P
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "mat", "netcdf", "ros"])
 def test_no_form_of_export_follows_a_planted_link(tmp_path: Path, form: str) -> None:
-    """Every name that an export writes is taken by a dangling link, one after the other."""
+    """A dangling link takes each name that an export writes, one after the other."""
     write_everything(tmp_path / "run.mcap", 3)
     with open_log(tmp_path / "run.mcap") as log:
 
@@ -81,13 +81,13 @@ def write_half(out: Path) -> None:
 
 
 def write_late(out: Path) -> None:
-    """Another program makes the output while this one writes."""
+    """Write an output while another program makes a file of the same name."""
     with new_file(out, force=False) as part:
         part.write_text("ours")
         out.write_text("theirs")
 
 
-def test_an_output_is_whole_or_not_there(tmp_path: Path) -> None:
+def test_an_output_is_complete_or_absent(tmp_path: Path) -> None:
     out = tmp_path / "out.txt"
     with pytest.raises(RuntimeError):
         write_half(out)
@@ -101,14 +101,14 @@ def test_an_output_is_whole_or_not_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_a_file_that_comes_in_the_meantime_is_not_replaced(tmp_path: Path) -> None:
+def test_a_file_created_in_the_meantime_is_not_replaced(tmp_path: Path) -> None:
     out = tmp_path / "out.txt"
     with pytest.raises(SeatrialError, match="exists already"):
         write_late(out)
     assert out.read_text() == "theirs"
 
 
-def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
+def test_only_a_regular_file_is_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/null")):
         with pytest.raises(SeatrialError, match="exists already and is not a regular file"):

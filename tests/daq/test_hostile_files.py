@@ -1,4 +1,4 @@
-"""A few files of others over the commands that read them; `python -m tests.daq.hostile_files` is the study."""
+"""Test of the commands on a few foreign files. The full study is `python -m tests.daq.hostile_files`."""
 
 from __future__ import annotations
 
@@ -52,8 +52,8 @@ MISDEEDS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.mark.parametrize("why", list(MISDEEDS))
-def test_what_a_command_may_not_do_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
-    """Else the test above could not fail."""
+def test_a_violation_by_a_command_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, why: str) -> None:
+    """Without this, the test above could not fail."""
     box = tmp_path / "box"
     (box / "out").mkdir(parents=True)
     (box / "outside").mkdir()
@@ -68,7 +68,7 @@ def test_what_a_command_may_not_do_is_seen(tmp_path: Path, monkeypatch: pytest.M
     assert bool(found.why) == bool(why)
 
 
-def test_too_much_memory_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_much_memory_is_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     box = tmp_path / "box"
     (box / "home").mkdir(parents=True)
     (box / "run.mcap").write_bytes(b"nothing")
@@ -78,7 +78,7 @@ def test_too_much_memory_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert run(Command(("info", "run.mcap")), box, tmp_path / "cache").why == hostile_files.LARGE
 
 
-@pytest.mark.filterwarnings("default")  # of the command: a line for the user
+@pytest.mark.filterwarnings("default")  # the command itself prints a line for the user
 @pytest.mark.parametrize("attack", [one for one in dict.fromkeys(ATTACKS) if one.__name__ in QUICK])
 def test_quick_attacks_are_refused(tmp_path: Path, attack: Callable[[Path, random.Random], tuple[Step, ...]]) -> None:
     box = tmp_path / "box"

@@ -1,4 +1,4 @@
-"""Logs of PX4, written by their specification."""
+"""PX4 logs for tests, written by the specification of the format."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ needs_pyulog = pytest.mark.skipif(importlib.util.find_spec("pyulog") is None, re
 
 
 class Topic(NamedTuple):
-    """Fields behind the timestamp as a log declares them, their form for struct, their times [s] (n,), their rows."""
+    """Topic of a log: declared fields after the timestamp, struct format, times [s] (n,), rows."""
 
     fields: str
     form: str
@@ -24,12 +24,15 @@ class Topic(NamedTuple):
 
 
 def message(kind: bytes, body: bytes) -> bytes:
-    """A message of the format."""
+    """Return a message of the format."""
     return struct.pack("<Hc", len(body), kind) + body
 
 
 def write_ulog(path: Path, topics: Mapping[str, Topic], boot: float = 0.0) -> None:
-    """Header, definitions, data in the order of time; docs.px4.io, "ULog file format". `boot`: s, of its first byte."""
+    """Write header, definitions, and data in order of time; see docs.px4.io, "ULog file format".
+
+    `boot` is the time of the first byte [s].
+    """
     out = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", round(boot * 1e6)) + message(b"B", bytes(40))
     for name, topic in topics.items():
         out += message(b"F", f"{name}:uint64_t timestamp;{topic.fields};".encode())
@@ -45,7 +48,7 @@ def write_ulog(path: Path, topics: Mapping[str, Topic], boot: float = 0.0) -> No
 
 
 def _letters(form: str) -> str:
-    """A form of struct with its repetitions written out: 2f -> ff."""
+    """Return a form of struct with its repetitions written out: 2f -> ff."""
     out, count = "", ""
     for letter in form:
         if letter.isdigit():

@@ -1,7 +1,7 @@
-"""Every capture of SEATRIAL_DATA beside its independent decoding: `python -m tests.golden`.
+"""Comparison of every capture of SEATRIAL_DATA with its independent decoding: `python -m tests.golden`.
 
-Exit status 1 when fewer than 99.5 % of gpsd's fixes, of their speeds and dimensions, or of its headings are ours too,
-of those that can be compared, or when a capture is not as it has to be.
+The exit status is 1 in two cases. Either less than 99.5 % of gpsd's comparable fixes, speeds, dimensions or headings
+agree with ours, or one of the other captures fails its check.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NEEDED = 0.995
 
 
 def fixes_table(rows: Sequence[Comparison]) -> Table:
-    """gpsd's captures: all that have positions."""
+    """Print the table of gpsd's captures that contain positions."""
     table = Table(
         "capture", "samples", "checksum errors", "gpsd's fixes", "agree", "of these in", "misses", "speeds",
         "dimensions", "headings", box=None, padding=(0, 1, 0, 0),
@@ -29,9 +29,9 @@ def fixes_table(rows: Sequence[Comparison]) -> Table:
     for row in rows:
         if row.fixes or row.headings.comparable:
             misses = ", ".join(f"{count} {why}" for why, count in row.misses.items())
-            other = f"{row.by_sentence} RMC, GLL" if row.by_sentence else ""
+            extra = f"{row.by_sentence} RMC, GLL" if row.by_sentence else ""
             table.add_row(
-                row.name, str(row.samples), str(row.checksum_errors), str(row.fixes), str(row.agreeing), other, misses,
+                row.name, str(row.samples), str(row.checksum_errors), str(row.fixes), str(row.agreeing), extra, misses,
                 *(_text(share) for share in (row.speeds, row.modes, row.headings)),
             )  # fmt: skip
     return table
@@ -42,7 +42,7 @@ def _text(share: Share) -> str:
 
 
 def totals(rows: Sequence[Comparison]) -> dict[str, Share]:
-    """The shares of all captures together."""
+    """Print the shares of all captures together."""
     found = {"fixes": Share(sum(row.comparable for row in rows), sum(row.agreeing for row in rows))}
     for name in ("speeds", "modes", "headings"):
         shares = [getattr(row, name) for row in rows]
@@ -51,16 +51,16 @@ def totals(rows: Sequence[Comparison]) -> dict[str, Share]:
 
 
 def captures_table(rows: Sequence[Result]) -> Table:
-    """The other captures."""
+    """Print the table of the other captures."""
     table = Table("capture", "samples", "checksum errors", "unparsed bytes", "read", "", box=None)
     for row in rows:
         counts = (str(row.samples), str(row.checksum_errors), str(row.unparsed_bytes))
-        table.add_row(row.name, *counts, row.said, "right" if row.right else "WRONG")
+        table.add_row(row.name, *counts, row.summary, "right" if row.right else "WRONG")
     return table
 
 
 def main() -> int:
-    """Print both tables and what they come to."""
+    """Print both tables and the totals."""
     folder = os.environ.get("SEATRIAL_DATA")
     if not folder:
         print("SEATRIAL_DATA does not say where the captures are", file=sys.stderr)
@@ -73,9 +73,11 @@ def main() -> int:
     for name, share in shares.items():
         console.print(f"{name}: {_text(share)} agree within gpsd's printed digits ({100.0 * share.part:.2f} %)")
     console.print(f"no position with a time in {', '.join(without)}\n")
-    others = list(results(Path(folder)))
-    console.print(captures_table(others))
-    return 0 if all(share.part >= NEEDED for share in shares.values()) and all(row.right for row in others) else 1
+    other_captures = list(results(Path(folder)))
+    console.print(captures_table(other_captures))
+    return (
+        0 if all(share.part >= NEEDED for share in shares.values()) and all(row.right for row in other_captures) else 1
+    )
 
 
 if __name__ == "__main__":

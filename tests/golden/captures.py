@@ -1,4 +1,4 @@
-"""The captures that are not gpsd's: what each has to give, checked against what others made of it."""
+"""Captures that are not from gpsd, each checked against the decoding of another program or known values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from seatrial.daq.rig import DbcSignal
 from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss
 
 GAUSS, DEG = 1e-4, math.pi / 180.0
-# The logger's own parser left this one of its 99 frames out.
+# The parser of the logger itself left out this one of its 99 frames.
 LOST = 78
 KEPT = {
     "mx": ("MagX", GAUSS), "my": ("MagY", GAUSS), "mz": ("MagZ", GAUSS),
@@ -28,18 +28,18 @@ NMEA2000 = (DbcSignal("EngineParametersRapid", "EngineSpeed", "rpm", "EngineInst
 
 
 class Result(NamedTuple):
-    """One capture: what was read, and whether that is right."""
+    """Result of one capture: the decoded content, and whether it is correct."""
 
     name: str
     samples: int
     checksum_errors: int
     unparsed_bytes: int
-    said: str
+    summary: str
     right: bool
 
 
 def results(folder: Path) -> Iterator[Result]:
-    """Every capture below `folder` (what SEATRIAL_DATA names)."""
+    """Return the results of every capture below `folder`, the value of SEATRIAL_DATA."""
     yield _vn100(folder / "vectornav")
     yield _simulated(folder, "vn.bin", vectornav.Decoder, _gravity)
     yield _simulated(folder, "ms7.bin", mip.Decoder, _facing_east)
@@ -55,14 +55,17 @@ def _read(path: Path, decoder: Decoder) -> list[Frame]:
     return frames + (decoder.flush() if isinstance(decoder, (nmea.Decoder, ubx.Decoder)) else [])
 
 
-def _result(path: Path, decoder: Decoder, frames: list[Frame], said: str, right: bool) -> Result:
+def _result(path: Path, decoder: Decoder, frames: list[Frame], summary: str, right: bool) -> Result:
     name = f"{path.parent.name}/{path.name}"
     right = right and decoder.checksum_errors == 0
-    return Result(name, len(frames), decoder.checksum_errors, decoder.unparsed_bytes, said, right)
+    return Result(name, len(frames), decoder.checksum_errors, decoder.unparsed_bytes, summary, right)
 
 
 def _vn100(folder: Path) -> Result:
-    """A real VN-100 beside its logger's decoding: the largest difference relative to the value (1e-6 in Gauss)."""
+    """Compare a real VN-100 with the decoding of its logger.
+
+    The largest difference is relative to the value, or to 1e-6 (in Gauss) for smaller values.
+    """
     decoder = vectornav.Decoder()
     frames = _read(folder / "F00294", decoder)
     samples = [frame.sample for k, frame in enumerate(frames) if k != LOST]
@@ -83,9 +86,9 @@ def _simulated(
     decoder = make()
     frames = _read(folder / "ardurover" / name, decoder)
     times = [frame.t_device for frame in frames if math.isfinite(frame.t_device)]
-    said, right = check(frames)
+    summary, right = check(frames)
     right = right and all(b >= a for a, b in itertools.pairwise(times))
-    return _result(folder / "ardurover" / name, decoder, frames, said, right)
+    return _result(folder / "ardurover" / name, decoder, frames, summary, right)
 
 
 def _gravity(frames: list[Frame]) -> tuple[str, bool]:
@@ -95,7 +98,7 @@ def _gravity(frames: list[Frame]) -> tuple[str, bool]:
 
 
 def _facing_east(frames: list[Frame]) -> tuple[str, bool]:
-    """ArduPilot's simulated boat lies still, bow to the east."""
+    """Check that ArduPilot's simulated boat lies still with its bow to the east."""
     found = [f.sample for f in frames if isinstance(f.sample, Ahrs)]
     yaw, down = math.degrees(found[0].yaw), sum(s.az for s in found) / len(found)
     right = abs(yaw - 90.0) < 1.0 and abs(down + 9.81) < 0.05 and len(found) > 180
@@ -103,7 +106,7 @@ def _facing_east(frames: list[Frame]) -> tuple[str, bool]:
 
 
 def _place(frames: list[Frame]) -> tuple[str, bool]:
-    """ArduPilot's simulated boat stays within 60 m of where it begins."""
+    """Check that ArduPilot's simulated boat stays within 60 m of its start."""
     fixes = [f.sample for f in frames if isinstance(f.sample, Gnss) and f.sample.fix >= 2]
     north = max(abs(s.lat - 42.358) for s in fixes) * 111e3
     east = max(abs(s.lon + 71.08705) for s in fixes) * 82e3
@@ -113,52 +116,56 @@ def _place(frames: list[Frame]) -> tuple[str, bool]:
 
 
 def _vesc(path: Path) -> Result:
-    """Five frames of a motor at rest, its supply at 23.9 V and its controller at 25.3 degrees."""
+    """Check five frames of a motor at rest with a supply of 23.9 V and a controller at 25.3 degrees."""
     decoder = vesc.Decoder({4: 7})
     frames: list[Frame] = []
-    for line in [*path.read_text(encoding="ascii").splitlines()] * 2:  # voltage comes behind the state it belongs to
+    # the voltage comes after the state to which it belongs
+    for line in [*path.read_text(encoding="ascii").splitlines()] * 2:
         identifier, data = line.split()[2].split("#")
         frames += decoder.feed(pack_can(int(identifier, 16), bytes.fromhex(data)), 0.0)
     last = frames[-1].sample
     assert isinstance(last, Esc)
-    said = f"{last.rpm:.0f} rpm, {last.voltage:.1f} V, {last.temperature:.1f} deg C"
-    return _result(path, decoder, frames, said, said == "0 rpm, 23.9 V, 25.3 deg C")
+    summary = f"{last.rpm:.0f} rpm, {last.voltage:.1f} V, {last.temperature:.1f} deg C"
+    return _result(path, decoder, frames, summary, summary == "0 rpm, 23.9 V, 25.3 deg C")
 
 
 def _engine(path: Path) -> Result:
-    """NMEA 2000 of a ship under way: canboat says 781 to 818 rpm in its 314 messages of PGN 127488."""
+    """Check NMEA 2000 of a ship under way: canboat reads 781 to 818 rpm in its 314 messages of PGN 127488."""
     decoder = dbc.Decoder(dbc.load_dbc(str(Path(dbc.__file__).with_name("nmea2000.dbc"))), NMEA2000)
     frames: list[Frame] = []
     for line in path.read_text(encoding="ascii").splitlines():
         words = line.split(",")
         priority, pgn, source, target, length = map(int, words[1:6])
         if pgn >= 1 << 18 or length > 8:
-            continue  # the adapter's own, and what takes several frames
+            continue  # messages of the adapter itself, and messages that take several frames
         address = pgn | (target if pgn >> 8 & 0xFF < 0xF0 else 0)
         frames += decoder.feed(pack_can(priority << 26 | address << 8 | source, bytes.fromhex("".join(words[6:]))), 0.0)
     speeds = [f.sample.rpm for f in frames if isinstance(f.sample, Esc)]
-    said = f"{min(speeds):.0f} to {max(speeds):.0f} rpm"
+    summary = f"{min(speeds):.0f} to {max(speeds):.0f} rpm"
     return _result(
-        path, decoder, frames, said, (len(speeds), round(min(speeds)), round(max(speeds))) == (314, 781, 818)
+        path, decoder, frames, summary, (len(speeds), round(min(speeds)), round(max(speeds))) == (314, 781, 818)
     )
 
 
-# What the package nmea2000 2026.10.3, which reads by canboat's database, makes of the capture: count and sums.
+# Count and sums of the capture's values, read by the package nmea2000 2026.10.3 with canboat's database.
 N2K_HEADINGS, N2K_RATES = (619, 3077.1234), (628, 0.02511749999999999)  # address 15, from the first variation on
 N2K_FIXES = (31, (45266822604.0, 1629.128736, 169.30805016666667, -207.319997, 372.0, 19.6))  # address 18
 N2K_FIELDS = ("utc", "lat", "lon", "alt", "n_sat", "hdop")
 
 
 def _bus(path: Path) -> Result:
-    """The same ship's compasses and receivers; the adapter has joined the fast packets, which are taken apart again."""
+    """Check the compasses and receivers of the same ship.
+
+    The adapter has joined the fast packets; they are split again.
+    """
     decoder = nmea2000.Decoder(settle=0.0)
     frames: list[Frame] = []
-    variation: list[float] = []  # that was added to each heading
+    variation: list[float] = []  # variation that was added to each heading
     for number, line in enumerate(path.read_text(encoding="ascii").splitlines()):
         words = line.split(",")
         pgn, source, data = int(words[2]), int(words[3]), bytes.fromhex("".join(words[6:]))
         if pgn >= 1 << 18 or (len(data) > 8 and pgn != nmea2000.FIX) or (pgn, source) == (nmea2000.HEADING, 128):
-            continue  # the second compass is heard only until there is a variation for the first
+            continue  # the second compass is used only until the first one has a variation
         parts = [(nmea2000.identifier(pgn, source), data)]
         if len(data) > 8:
             size = bytes((len(data),))
@@ -179,8 +186,8 @@ def _bus(path: Path) -> Result:
     right = right and math.isclose(headings, N2K_HEADINGS[1], rel_tol=1e-12)
     right = right and math.isclose(math.fsum(rates), N2K_RATES[1], rel_tol=1e-9)
     right = right and all(math.isclose(a, b, rel_tol=1e-12) for a, b in zip(sums, N2K_FIXES[1], strict=True))
-    said = f"{len(yaws)} headings, {len(rates)} rates of turn, {len(fixes)} fixes"
-    return _result(path, decoder, frames, said, right)
+    summary = f"{len(yaws)} headings, {len(rates)} rates of turn, {len(fixes)} fixes"
+    return _result(path, decoder, frames, summary, right)
 
 
 def _yaws(frames: list[Frame]) -> list[float]:

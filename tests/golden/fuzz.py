@@ -1,7 +1,8 @@
-"""Every decoder on damaged input: `python -m tests.golden.fuzz --n 1000000`.
+"""Fuzz test of every decoder: `python -m tests.golden.fuzz --n 1000000`.
 
-An input is a few messages of the protocol with bytes flipped, cut out, doubled and put in. It is fed whole and in
-random pieces, every tenth byte by byte too: nothing may be raised, and samples and counters may not depend on the way.
+An input consists of a few messages of the protocol, with bytes flipped, removed, doubled and inserted. It is fed whole
+and in random pieces, and every tenth input also byte by byte. A decoder must raise no exception, and the samples and
+counters must be the same for each way of feeding.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ _AHRS = Ahrs(0.1, 0.2, -0.3, 0.01, 0.02, 0.03, 0.1, 0.2, -9.8, 1e-5, 2e-5, 4e-5)
 
 
 class Subject(NamedTuple):
-    """A decoder and what it understands."""
+    """A decoder and the messages that it decodes."""
 
     make: Callable[[], Decoder]
     messages: tuple[bytes, ...]
@@ -60,7 +61,7 @@ def _can(frames: list[tuple[int, bytes]]) -> tuple[bytes, ...]:
 
 
 def subjects() -> dict[str, Subject]:
-    """Every decoder of the table of devices that can be made without a rig."""
+    """Return every decoder of the table of devices that needs no rig."""
     n2k = dbc.load_dbc(str(Path(dbc.__file__).with_name("nmea2000.dbc")))
     headings = (
         "GPHDT,123.4,T",
@@ -104,7 +105,7 @@ RIG = parse_rig(rig_text(), Path("rig.toml"))
 
 
 def _autopilot_link() -> Decoder:
-    """The decoder of a link with the driver that hears everything it decodes."""
+    """Return the decoder of a link together with the driver that receives all its frames."""
     decoder = mavlink.make_decoder(RIG.devices[0], RIG)
     codec = Codec(255, 190)
     decoder.secure(codec)
@@ -119,7 +120,7 @@ def _autopilot_link() -> Decoder:
 
 
 def _mavlink() -> tuple[bytes, ...]:
-    """Right messages, and whole frames of every message that is listened to with anything for a content."""
+    """Return valid messages, and whole frames of each decoded message with random content."""
     codec, rng = Codec(1, 1), random.Random(5)
     right = [
         ("HEARTBEAT", 11, 3, 193, 0, 4, 3), ("ATTITUDE", 1020, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03),
@@ -146,7 +147,7 @@ def _velned() -> bytes:
 
 
 def damaged(messages: tuple[bytes, ...], rng: random.Random) -> bytes:
-    """Up to three messages with up to four wounds."""
+    """Return up to three messages with up to four damaged places."""
     data = bytearray(b"".join(rng.choices(messages, k=rng.randint(1, 3))))
     for _ in range(rng.randint(0, 4)):
         if not data:
@@ -180,7 +181,7 @@ def _pieces(data: bytes, rng: random.Random) -> list[bytes]:
 
 
 def fuzz(subject: Subject, n: int, seed: int) -> int:
-    """Feed `n` damaged inputs; returns how many samples came of them. AssertionError names the input that fails."""
+    """Feed `n` damaged inputs and return the number of samples. An AssertionError names the input that fails."""
     rng = random.Random(seed)
     n_samples = 0
     for k in range(n):
@@ -197,7 +198,7 @@ def fuzz(subject: Subject, n: int, seed: int) -> int:
 
 
 def main() -> int:
-    """Fuzz all decoders, or those that are named."""
+    """Fuzz all decoders, or the decoders named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, epilog="Example: python -m tests.golden.fuzz --n 10000 ubx")
     parser.add_argument("names", nargs="*", help="decoders (default: all)")
     parser.add_argument("--n", type=int, default=100_000, help="inputs for each")

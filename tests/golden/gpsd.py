@@ -1,23 +1,23 @@
-"""Captures of gpsd's test suite: what our decoders make of them beside what gpsd makes of them.
+"""Comparison of our decoders with gpsd on the captures of gpsd's test suite.
 
-Source: gpsd, test/daemon at 46977faa (BSD-2). A capture is what a receiver sent behind some lines with `#`; its `.chk`
-is gpsd's own decoding, one JSON report a line: positions in TPV, attitudes in ATT.
+Source: gpsd, test/daemon at 46977faa (BSD-2). A capture contains the bytes of a receiver after some lines with `#`. Its
+`.chk` contains gpsd's decoding, one JSON report a line: positions in TPV, attitudes in ATT.
 
-What gpsd concludes against the receiver's own words is not compared: a date moved by 1024 weeks, a speed made of two
-positions, three dimensions for a height where GSA says two.
+Conclusions of gpsd that contradict the receiver are not compared: a date moved by 1024 weeks, a speed computed from two
+positions, and three dimensions because of a height although GSA reports two.
 
-Why places differ at the right time. gpsd reports the place of each sentence. We give one sample an epoch, with the
-place of GGA, which has the most digits. Of the 1596 fixes that can be compared 1479 are ours to gpsd's last digit. Of
-the others the receiver has another place in RMC or GLL:
+Positions can differ at the same time. gpsd reports the position of each sentence. We give one sample an epoch, with the
+position of GGA, which has the most digits. Of the 1596 comparable fixes 1479 agree to gpsd's last digit. For the others
+the receiver sends another position in RMC or GLL:
 
-- A chart plotter goes on with the place between the sentences of one second (bundg_zeus_9, 103 fixes). 66 of its RMC
-  and GLL are 0.2 m, the way of a tenth of a second, from GGA of the same time. 37 have the place of the second before
-  under the time of this one, 2 m at 6 kn: to take these would be an error.
-- Its RMC has a digit less than GGA (ac12, ac12_binary, tcp-test, udp-test: 13 fixes, less than 1 m apart).
+- A chart plotter updates the position between the sentences of one second (bundg_zeus_9, 103 fixes).
+  66 of its RMC and GLL are 0.2 m, the distance of a tenth of a second, from GGA of the same time.
+  37 have the position of the previous second with the time of this second. The error is 2 m at 6 kn.
+- RMC has one digit less than GGA (ac12, ac12_binary, tcp-test, udp-test: 13 fixes, less than 1 m apart).
 
-Such a fix agrees where the sentence that gpsd took gives it by our decoder, too (`Comparison.by_sentence`), and
-`Comparison.late` counts those of the epoch before. One fix is left: ublox-lea-4t, where gpsd has not heard of the leap
-seconds.
+Such a fix agrees if our decoder gives the same position from the sentence that gpsd used (`Comparison.by_sentence`).
+`Comparison.late` counts the fixes with the position of the previous epoch. One fix remains: in ublox-lea-4t gpsd has
+not yet received the leap seconds.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from typing import Any, NamedTuple
 from seatrial.daq.protocol import nmea, ubx
 from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss
 
-TIME_DIGITS = 1e-3  # s, as gpsd prints
-SPEED_DIGITS = 6e-3  # m/s: a hundredth of a knot, and what gpsd prints
+TIME_DIGITS = 1e-3  # s, resolution of the times that gpsd prints
+SPEED_DIGITS = 6e-3  # m/s: a hundredth of a knot plus the resolution of gpsd's output
 ANGLE_DIGITS = 5.1e-3  # deg
 DAY = 86400.0
 EPOCH_S = 1.5  # s: the longest time between two epochs
@@ -44,7 +44,7 @@ MOVED_DATE = "same place, another date"
 
 
 class Fix(NamedTuple):
-    """One position: UTC [s since 1970], latitude and longitude [deg], speed over ground [m/s], dimensions."""
+    """One position fix: UTC [s since 1970], latitude and longitude [deg], speed over ground [m/s], dimensions."""
 
     utc: float
     lat: float
@@ -55,7 +55,7 @@ class Fix(NamedTuple):
 
 @dataclass
 class Reported:
-    """One of gpsd's fixes: decimals of its latitude, and what its reports say of speed [m/s] and dimensions."""
+    """Report of gpsd on a fix: decimals of its latitude, reported speeds [m/s] and dimensions."""
 
     decimals: int
     speeds: list[float] = field(default_factory=list)
@@ -64,20 +64,21 @@ class Reported:
 
 @dataclass
 class Share:
-    """How many of those that can be compared agree; what the others are."""
+    """Number of comparable values that agree, and the values that differ."""
 
     comparable: int = 0
     agreeing: int = 0
     differing: list[str] = field(default_factory=list)
-    by_sentence: int = 0  # of these: the receiver's word by another sentence than gpsd took, or beside its conclusion
+    # agreeing values that are in another sentence than gpsd used, or that contradict a conclusion of gpsd
+    by_sentence: int = 0
 
     @property
     def part(self) -> float:
-        """Part of the comparable ones that agree."""
+        """Return the share of agreeing values among the comparable values."""
         return self.agreeing / max(self.comparable, 1)
 
     def count(self, right: bool, text: str) -> None:
-        """One more."""
+        """Count one more value."""
         self.comparable += 1
         self.agreeing += right
         if not right:
@@ -86,15 +87,15 @@ class Share:
 
 @dataclass
 class Comparison:
-    """A capture: how many of gpsd's fixes are ours too, and why the others are not."""
+    """Result for one capture: the number of gpsd's fixes that agree with ours, and the reasons for the others."""
 
     name: str
     samples: int
     checksum_errors: int
     fixes: int
     agreeing: int
-    by_sentence: int = 0  # of these: with another sentence of the epoch than the one we take
-    late: int = 0  # of these: the place of the epoch before under the time of this one
+    by_sentence: int = 0  # agreeing fixes that are in another sentence of the epoch than the sentence we use
+    late: int = 0  # agreeing fixes that have the position of the previous epoch with the time of this epoch
     misses: Counter[str] = field(default_factory=Counter)
     speeds: Share = field(default_factory=Share)
     modes: Share = field(default_factory=Share)
@@ -102,12 +103,12 @@ class Comparison:
 
     @property
     def comparable(self) -> int:
-        """gpsd's fixes at the date that the receiver said."""
+        """Return the number of gpsd's fixes at the date that the receiver sent."""
         return self.fixes - self.misses[MOVED_DATE]
 
 
 def receiver_bytes(path: Path) -> bytes:
-    """The capture without its header."""
+    """Return the capture without its header."""
     data = path.read_bytes()
     while data.startswith(b"#"):
         data = data.partition(b"\n")[2]
@@ -115,7 +116,7 @@ def receiver_bytes(path: Path) -> bytes:
 
 
 def decode(data: bytes, near: float = 0.0) -> tuple[ubx.Decoder, list[Frame]]:
-    """The samples of a capture received at `near` [s], north magnetic; the decoder with its counters."""
+    """Return the decoder with its counters, and the frames of a capture received at `near` [s], north magnetic."""
     decoder = ubx.Decoder(declination=0.0)
     return decoder, decoder.feed(data, near) + decoder.flush()
 
@@ -130,7 +131,7 @@ def _time(words: dict[str, Any]) -> float:
 
 
 def reported(chk: Path) -> dict[Fix, Reported]:
-    """gpsd's fixes, each once."""
+    """Return gpsd's fixes without repetitions."""
     found: dict[Fix, Reported] = {}
     for words in _reports(chk, b"TPV"):
         if words.get("mode", 0) < 2 or "lat" not in words or "lon" not in words or "time" not in words:
@@ -144,25 +145,25 @@ def reported(chk: Path) -> dict[Fix, Reported]:
 
 
 def compare(path: Path) -> Comparison:
-    """Decode a capture and look up each of gpsd's fixes among our own.
+    """Decode a capture and look up each of gpsd's fixes among our fixes.
 
-    gpsd may have taken another sentence of an epoch than we do, and each has digits of its own: then the fix has to
-    be among what our decoder reads from the sentences of that kind alone.
+    gpsd may have used another sentence of an epoch than we do, and the sentences differ in digits. Then the fix has to
+    be among the fixes that our decoder reads from the sentences of one kind alone.
     """
     data, chk = receiver_bytes(path), path.with_name(path.name + ".chk")
     decoder, frames = decode(data)
     ours, theirs = _fixes(frames), reported(chk)
     result = Comparison(path.stem, len(ours), decoder.checksum_errors, len(theirs), 0)
-    others = _by_sentence(data, ours[-1].utc) if ours and theirs else []
+    alternatives = _by_sentence(data, ours[-1].utc) if ours and theirs else []
     _headings(result.headings, data, ours[-1].utc if ours else 0.0, chk)
-    said, is_ubx = Said(data), b"\xb5\x62\x01" in data
+    sent, is_ubx = SentValues(data), b"\xb5\x62\x01" in data
     for fix, report in theirs.items():
-        _motion(result, fix, report, ours, None if is_ubx else said)
+        _motion(result, fix, report, ours, None if is_ubx else sent)
         digits = 0.51 * 10.0**-report.decimals + 1e-12
         why = _difference(fix, digits, ours)
         if not why:
             result.agreeing += 1
-        elif not _difference(fix, digits, others):
+        elif not _difference(fix, digits, alternatives):
             result.agreeing += 1
             result.by_sentence += 1
             result.late += _is_late(fix, ours)
@@ -171,8 +172,8 @@ def compare(path: Path) -> Comparison:
     return result
 
 
-class Said:
-    """What the sentences of a receiver say by the time of the day [s]: speeds [m/s], and dimensions (GSA)."""
+class SentValues:
+    """Speeds [m/s] and dimensions (GSA) in the sentences of a receiver, by the time of day [s]."""
 
     def __init__(self, data: bytes) -> None:
         self.speeds: dict[float, set[float]] = defaultdict(set)
@@ -192,35 +193,38 @@ class Said:
                     self.speeds[now].add(float(words[column]) * unit)
 
 
-def _motion(result: Comparison, theirs: Fix, report: Reported, ours: list[Fix], said: Said | None) -> None:
-    """Compare speed and dimensions of gpsd's fix with ours of the same time; `said` None: not a receiver of NMEA."""
+def _motion(result: Comparison, theirs: Fix, report: Reported, ours: list[Fix], sent: SentValues | None) -> None:
+    """Compare speed and dimensions of gpsd's fix with our fix of the same time.
+
+    `sent` is None if the receiver does not send NMEA.
+    """
     own = min(
         (o for o in ours if abs(o.utc - theirs.utc) <= TIME_DIGITS),
         key=lambda o: abs(o.lat - theirs.lat) + abs(o.lon - theirs.lon),
         default=None,
     )
     if own is None:
-        return  # a position that is missing is counted as that
+        return  # a missing position is counted elsewhere
     at = round(theirs.utc % DAY, 3)
-    words = set() if said is None else said.speeds.get(at, set())
-    speeds = [s for s in report.speeds if said is None or _among(s, words)]
+    words = set() if sent is None else sent.speeds.get(at, set())
+    speeds = [s for s in report.speeds if sent is None or _among(s, words)]
     if _among(own.speed, speeds):
         result.speeds.count(True, "")
     elif speeds or (report.speeds and math.isfinite(own.speed)):
-        # gpsd has taken another sentence of the epoch, or drawn its own conclusion: ours has to be the receiver's.
+        # gpsd has used another sentence of the epoch, or its own conclusion: our value has to be that of the receiver
         result.speeds.by_sentence += (right := _among(own.speed, words))
         result.speeds.count(right, f"{theirs.utc}: {own.speed:.3f} m/s, gpsd {report.speeds}, receiver {words}")
-    by_receiver = set() if said is None else said.dimensions.get(at, set()) & {2, 3}
+    by_receiver = set() if sent is None else sent.dimensions.get(at, set()) & {2, 3}
     if not by_receiver or by_receiver & report.modes:
         result.modes.count(own.dimensions in report.modes, f"{theirs.utc}: {own.dimensions}, gpsd {report.modes}")
 
 
-def _among(speed: float, others: Iterable[float]) -> bool:
-    return any(abs(speed - other) <= SPEED_DIGITS for other in others)
+def _among(speed: float, alternatives: Iterable[float]) -> bool:
+    return any(abs(speed - other) <= SPEED_DIGITS for other in alternatives)
 
 
 def _headings(share: Share, data: bytes, near: float, chk: Path) -> None:
-    """Compare each new heading of gpsd's, with its time where it has one, with ours."""
+    """Compare each new heading of gpsd with ours, and its time if gpsd reports a time."""
     attitudes = [f for f in decode(data, near)[1] if isinstance(f.sample, Ahrs) and f.sample.yaw == f.sample.yaw]
     last: dict[str, Any] = {}
     for words in [*_reports(chk, b"ATT"), {}]:
@@ -244,7 +248,7 @@ def _fixes(frames: list[Frame]) -> list[Fix]:
 
 
 def _by_sentence(data: bytes, near: float) -> list[Fix]:
-    """The fixes of each kind of sentence alone; `near` [s] says the day where a kind has no date."""
+    """Return the fixes of each kind of sentence alone. `near` [s] supplies the day for kinds without a date."""
     found: list[Fix] = []
     for kind in (b"RMC", b"GGA", b"GLL", b"GNS"):
         decoder = nmea.Decoder()
@@ -254,7 +258,7 @@ def _by_sentence(data: bytes, near: float) -> list[Fix]:
 
 
 def _difference(theirs: Fix, digits: float, ours: list[Fix]) -> str:
-    """Why none of our fixes is this one; empty if one is."""
+    """Return the reason why no fix of ours equals this fix, or an empty string if one does."""
     same_place = [o for o in ours if abs(o.lat - theirs.lat) <= digits and abs(o.lon - theirs.lon) <= digits]
     same_time = [o for o in ours if abs(o.utc - theirs.utc) <= TIME_DIGITS]
     if any(abs(o.utc - theirs.utc) <= TIME_DIGITS for o in same_place):
@@ -269,7 +273,7 @@ def _difference(theirs: Fix, digits: float, ours: list[Fix]) -> str:
 
 
 def _is_late(theirs: Fix, ours: list[Fix]) -> bool:
-    """Whether a fix has rather the place of our epoch before than that of its own time."""
+    """Return whether the position of a fix is closer to our previous epoch than to our epoch of its own time."""
     away = {o.utc: max(abs(o.lat - theirs.lat), abs(o.lon - theirs.lon)) for o in ours}
     own = min((away[t] for t in away if abs(t - theirs.utc) <= TIME_DIGITS), default=NAN)
     return any(away[t] < 0.5 * own for t in away if TIME_DIGITS < theirs.utc - t <= EPOCH_S)

@@ -1,10 +1,11 @@
-"""MIP packets as the maker's own library reads them.
+"""Reference values of MIP packets, read by the library of their maker.
 
-`python -m tests.golden.mip_oracle` writes docs/data/mip-oracle.jsonl anew.
+`python -m tests.golden.mip_oracle` writes docs/data/mip-oracle.jsonl again.
 
-It needs pymscl (MicroStrain's MSCL), which not every system has wheels for: hence the file and not a dependency.
-Packets are random ones of each data set that our decoder reads, valid and not, and two that devices sent, published
-with the MIP SDK. MSCL reads from a connection alone, so that they are sent to it over a socket.
+It needs pymscl (MicroStrain's MSCL). Wheels of pymscl do not exist for every system, so the project keeps the file
+instead of a dependency. The packets are random ones of each data set that our decoder reads, valid and invalid, and two
+packets of real devices, published with the MIP SDK. MSCL reads only from a connection, so the packets are sent over a
+socket.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from pathlib import Path
 from seatrial.daq.protocol import mip
 
 FILE = Path(__file__).parents[2] / "docs/data/mip-oracle.jsonl"
-N = 30  # random packets of each data set
-NAMES = {  # of MSCL, and of the samples
+N = 30  # random packets for each data set
+NAMES = {  # names in MSCL and names in our samples
     "scaledAccelX": "ax", "scaledAccelY": "ay", "scaledAccelZ": "az", "scaledGyroX": "p", "scaledGyroY": "q",
     "scaledGyroZ": "r", "scaledMagX": "mx", "scaledMagY": "my", "scaledMagZ": "mz", "roll": "roll", "pitch": "pitch",
     "yaw": "yaw", "estRoll": "roll", "estPitch": "pitch", "estYaw": "yaw", "latitude": "lat", "longitude": "lon",
@@ -31,7 +32,7 @@ NAMES = {  # of MSCL, and of the samples
     "downVelocity": "vel_d", "groundSpeed": "speed", "horizontalDOP": "hdop", "gnssFixType": "fix",
     "gnssFixSvCount": "n_sat",
 }  # fmt: skip
-# A 3DM-CV7's sensor data, and filter data of a device that has no solution yet.
+# Sensor data of a 3DM-CV7, and filter data of a device that has no solution yet.
 REAL = (
     "7565804c0ad5000000055ee67cc00ad6000000014e434a000e043d9ee88d387fdb00bf7aaf030e05bb0c1e30bb572e68bbaa24ae0e07bc8a"
     "ac80bc72c50ebcc4e2c10e083eee3d9fbd66daddc0afdef59196",
@@ -43,7 +44,7 @@ REAL = (
 
 
 def packets() -> Iterator[bytes]:
-    """What is sent."""
+    """Return the packets to send."""
     rng = random.Random(17)
     yield from map(bytes.fromhex, REAL)
 
@@ -67,13 +68,13 @@ def packets() -> Iterator[bytes]:
 
 
 def read(sent: list[bytes]) -> list[dict[str, float]]:
-    """The values of each packet that MSCL calls valid, by the names of our samples, in its own units."""
+    """Return the values of each packet that MSCL calls valid, under the names of our samples, in MSCL's units."""
     mscl = importlib.import_module("mscl")
     server = socket.create_server(("127.0.0.1", 0))
     node = mscl.InertialNode(mscl.Connection.TcpIp("127.0.0.1", server.getsockname()[1]))
     connection, _ = server.accept()
     threading.Thread(target=lambda: [time.sleep(3.0), connection.sendall(b"".join(sent))], daemon=True).start()
-    connection.sendall(mip.packet(mip.SENSOR, {0x0E: bytes(4)}))  # what comes while MSCL sets itself up is lost
+    connection.sendall(mip.packet(mip.SENSOR, {0x0E: bytes(4)}))  # packets that arrive while MSCL initialises are lost
     found: list[dict[str, float]] = []
     while len(found) < len(sent):
         for packet in node.getDataPackets(500):

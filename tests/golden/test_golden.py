@@ -1,4 +1,4 @@
-"""The captures of other people's devices, decoded by other people's programs, beside our own decoding."""
+"""Tests of our decoders on captures of real devices that other programs have decoded too."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ def test_fixes_and_headings_are_those_that_gpsd_reads() -> None:
     assert all(share.part >= 0.995 for share in shares.values())
     assert all(shares[name].comparable > 1550 for name in ("fixes", "speeds", "modes"))
     assert sum(row.speeds.by_sentence for row in found) < 0.07 * shares["speeds"].comparable
-    # The places of RMC and GLL where GGA of the same time has another one
+    # Fixes whose position in RMC or GLL differs from GGA of the same time
     by_sentence = {row.name: (row.by_sentence, row.late) for row in found if row.by_sentence > 1}
     assert by_sentence == {"ac12": (7, 0), "ac12_binary": (4, 1), "bundg_zeus_9": (103, 37)}
-    # neo-m8n: gpsd takes 2015 for 2034; lea-4t: gpsd has not heard of the leap seconds yet.
+    # neo-m8n: gpsd reads 2015 instead of 2034. lea-4t: gpsd has not received the leap seconds yet.
     assert {row.name for row in found if row.misses} == {"neo-m8n", "ublox-lea-4t"}
-    # The first GSA of the capture that has dimensions follows the fix.
+    # The first GSA with dimensions in this capture comes after the fix.
     assert {row.name for row in found for s in (row.speeds, row.modes, row.headings) if s.differing} == {"garmin25lp"}
     attitudes = {row.name: row.headings.agreeing for row in found if row.headings.comparable}
     assert attitudes == {"hemi": 4, "pypilot": 7, "skytraq-PX1172RH_DS": 9}
 
 
 @pytest.mark.measured
-def test_all_other_captures_are_read_as_they_have_to_be() -> None:
+def test_all_other_captures_are_decoded_correctly() -> None:
     found = list(results(measured("gpsd").parent))
     assert [row.name for row in found if not row.right] == []
     assert len(found) == 9
 
 
-def test_a_difference_is_named() -> None:
+def test_a_difference_from_gpsd_is_named() -> None:
     ours = [Fix(1000.0, 41.0, -8.0)]
     assert _difference(Fix(1000.0, 41.0, -8.0), 5e-10, ours) == ""
     assert _difference(Fix(1000.0, 41.000001, -8.0), 5e-10, ours) == "same time, below 1 m apart"
@@ -51,14 +51,14 @@ def test_a_difference_is_named() -> None:
     assert _difference(Fix(1001.0, 42.0, -8.0), 5e-10, ours) == "no sample of ours at this time"
 
 
-def test_a_place_of_the_epoch_before_is_late() -> None:
+def test_a_position_of_the_previous_epoch_is_late() -> None:
     ours = [Fix(1000.0 + k, 41.0 + 1e-5 * k, -8.0) for k in range(5)]
     assert _is_late(Fix(1003.0, 41.0 + 2e-5, -8.0), ours)
     assert not _is_late(Fix(1003.0, 41.0 + 2.9e-5, -8.0), ours)
 
 
 @pytest.mark.measured
-def test_the_header_of_a_capture_is_not_the_receivers() -> None:
+def test_the_header_of_a_capture_is_not_decoded() -> None:
     data = receiver_bytes(measured("gpsd/daemon/ublox-neo-m8u.log"))
     assert not data.startswith(b"#")
     assert b"\xb5\x62" in data[:5000]

@@ -1,4 +1,4 @@
-"""A plant without noise, sailed straight on."""
+"""Noise-free simulation of a plant with constant commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""`seatrial mock` as a process of its own: ports, ESC time-out, faults, the ground-truth file, and its last line."""
+"""Tests of `seatrial mock` as a separate process: ports, ESC time-out, faults, the ground-truth file, and the last
+line.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ from seatrial.daq.protocol import vectornav, vesc
 from seatrial.daq.samples import Ahrs, Esc
 from seatrial.mocks.hidden_effects.catalogue import DEMO
 
-PATIENCE = 20.0  # wall s for what takes a moment
+PATIENCE = 20.0  # wall seconds allowed for a short operation
 
 
 def seatrial(*words: str | Path) -> list[str]:
@@ -47,7 +49,7 @@ def packaged(name: str, folder: Path, speed: float = 10.0, timeout_s: float = 3.
 
 @contextlib.contextmanager
 def mock(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
-    """The mock from its word `ready` on; ended by SIGTERM, and it must end well."""
+    """Run the mock from its message `ready` on, end it with SIGTERM, and check that it ends without an error."""
     command = seatrial("mock", *words)
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -61,17 +63,17 @@ def mock(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
         assert re.fullmatch(r"mock: \d+\.\d s of run time, (samples left|FELL BEHIND) .* ms( late)?\n", err), err
 
 
-def awaited(condition: Callable[[], Any], what: str) -> Any:
-    """What ``condition`` returns as soon as that is true."""
+def awaited(condition: Callable[[], Any], description: str) -> Any:
+    """Return the value of ``condition`` as soon as it is true."""
     deadline = time.monotonic() + PATIENCE
     while not (value := condition()):
-        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        assert time.monotonic() < deadline, f"waited in vain for {description}"
         time.sleep(0.005)
     return value
 
 
 def ahrs_samples(port: serial.Serial, decoder: vectornav.Decoder, count: int) -> list[Ahrs]:
-    """The next ``count`` samples."""
+    """Return the next ``count`` samples."""
     samples: list[Ahrs] = []
     deadline = time.monotonic() + PATIENCE
     while len(samples) < count:
@@ -109,13 +111,13 @@ def test_an_esc_obeys_and_stops_by_itself_within_its_timeout(tmp_path: Path) -> 
         rows = awaited(lambda: [r for r in trace(log) if r["why"] == "timeout"][1:] and trace(log), "both time-outs")
         drive(bus, 1, 0.3)
         awaited(lambda: len(trace(log)) > 4, "a command after the time-out")
-    told = {row["node"]: row for row in rows if row["why"] == "command"}
-    assert (told[1]["n"], told[2]["n"]) == (0.5, -0.4)
+    commanded = {row["node"]: row for row in rows if row["why"] == "command"}
+    assert (commanded[1]["n"], commanded[2]["n"]) == (0.5, -0.4)
     for row in rows:
         if row["why"] == "timeout":
-            command = told[row["node"]]
+            command = commanded[row["node"]]
             assert row["n"] == 0.0
-            assert row["t"] - command["t"] > 3.0 - 1e-5  # a pause of the mock itself is given to the sender
+            assert row["t"] - command["t"] > 3.0 - 1e-5  # a pause of the mock itself does not count against the sender
             assert 0.3 <= row["wall"] - command["wall"] < 3.0
     assert not (tmp_path / "ports" / "can").is_symlink()
 
@@ -155,7 +157,7 @@ def test_a_pulled_port_vanishes_and_returns_on_schedule_and_on_the_signal(tmp_pa
             assert len(ahrs_samples(port, vectornav.Decoder(), 5)) >= 5
 
 
-def test_a_dead_esc_gives_no_thrust_and_no_word(tmp_path: Path) -> None:
+def test_a_dead_esc_gives_neither_thrust_nor_telemetry(tmp_path: Path) -> None:
     rig, log = packaged("bench", tmp_path, timeout_s=1000.0), tmp_path / "trace.jsonl"
     words = ("bench", rig, "--trace", log, "--fault", "esc-dead/thruster@usr1")
     with mock(*words) as process, can_bus(rig, "bench_can") as bus:
@@ -170,7 +172,7 @@ def test_a_dead_esc_gives_no_thrust_and_no_word(tmp_path: Path) -> None:
 
 
 def test_the_truth_file_holds_the_hidden_effect_and_the_true_parameters(tmp_path: Path) -> None:
-    told = []
+    truths = []
     for run_number in (0, 1):
         folder = tmp_path / str(run_number)
         folder.mkdir()
@@ -179,15 +181,15 @@ def test_the_truth_file_holds_the_hidden_effect_and_the_true_parameters(tmp_path
             *("boat", rig, "--seed", "11", "--run", str(run_number), "--effect", "draw", "--truth-file", truth)
         ) as process:
             assert process.stdout is not None
-            told.append(json.loads(truth.read_text()))
+            truths.append(json.loads(truth.read_text()))
             assert stat.S_IMODE(os.stat(truth).st_mode) == 0o600
-    first, second = told
+    first, second = truths
     assert first["effect"] in DEMO
     assert first["parameters"]
     assert len(first["sentence"]) > 20
     assert 30.0 < first["true_parameters"]["m_u"] < 45.0
     assert (first.pop("run"), second.pop("run")) == (0, 1)
-    assert first == second  # the same boat, with other noise
+    assert first == second  # the same boat with other noise
 
 
 def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Offline runs: what they return, that they can be repeated, and that they are fast."""
+"""Tests of offline runs: results, repeatability and speed."""
 
 from __future__ import annotations
 
@@ -61,12 +61,12 @@ def test_the_sensors_see_the_truth_through_their_noise() -> None:
     assert float(north.std()) == pytest.approx(0.15, rel=0.2)
     assert table["gnss"]["utc"][-1] == pytest.approx(120.0)
     rpm = table["esc/1/state"]["rpm"] - 4500.0 * np.interp(table["esc/1/state"]["t"], truth["t"], truth["n_left"])
-    # Between the truth's samples the shaft bends; where it turns steadily only the noise is left.
+    # The shaft speed bends between the samples of the truth. At steady speed only the noise remains.
     assert float(np.median(np.abs(rpm))) < 10.0
 
 
-def test_a_metre_north_and_east_is_a_metre() -> None:
-    """Against the length of a degree at 38.766 deg on WGS 84 (published series in cosines of the latitude)."""
+def test_offsets_in_metres_match_the_length_of_a_degree() -> None:
+    """The reference is the length of a degree at 38.766 deg on WGS 84 (published series in cosines of the latitude)."""
     lat0, lon0 = geodetic(0.0, 0.0)
     phi = math.radians(lat0)
     per_lat = 111132.92 - 559.82 * math.cos(2 * phi) + 1.175 * math.cos(4 * phi)
@@ -76,7 +76,7 @@ def test_a_metre_north_and_east_is_a_metre() -> None:
     assert (lon - lon0) * per_lon == pytest.approx(-50.0, rel=1e-5)
 
 
-def test_the_bench_offline() -> None:
+def test_an_offline_bench_run_measures_the_thrust_curve() -> None:
     bench = draw_bench(3)
     readings, truth = simulate_bench(bench, [1.0, 11.0], [0.6, 0.0], 30.0)
     table = tables(readings)

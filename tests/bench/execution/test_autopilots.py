@@ -1,4 +1,4 @@
-"""What an autopilot puts out against what was commanded, and whether it disarms, on statuses made by hand."""
+"""Tests of the autopilot guard with statuses made by hand: outputs compared with commands, arming and disarming."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from seatrial.daq.samples import Servo
 from tests.daq.mavlink_ends import Ends, mav_rig
 
 T = 1_763_616_000.0
-LATE_S = 0.06  # a command, the autopilot's loop and the message about it
+LATE_S = 0.06  # delay between a command and the reported output: the loop of the autopilot and the message
 
 
 def command(t: float) -> float:
-    """Steps, a ramp as fast as none on water, and a chirp."""
+    """Return the command at a time: steps, a ramp slower than any on water, and a chirp."""
     if t < 4.0:
         return 0.6 if t > 1.0 else 0.0
     return 2.0 * t - 9.0 if t < 5.0 else math.sin(2.0 * math.pi * t * t / 4.0)
 
 
 def run(output: Callable[[float], float], seconds: float = 8.0, node: int = 1) -> tuple[float, str]:
-    """Time of the end and the reason; infinite and empty without."""
+    """Return the time at which the guard ended the run, and the reason; infinity and "" if it did not."""
     check = OutputCheck(replace(mav_rig().thrusters[0], node=node), 1.0)
     name = mav_rig().thrusters[0].name
     for k in range(round(seconds / 0.05)):
@@ -48,7 +48,7 @@ def run(output: Callable[[float], float], seconds: float = 8.0, node: int = 1) -
     return math.inf, ""
 
 
-def test_outputs_that_follow_are_not_held_against_it() -> None:
+def test_outputs_that_follow_the_command_do_not_end_the_run() -> None:
     assert run(command) == (math.inf, "")
     assert run(lambda t: command(t) + 0.9 * TOLERANCE) == (math.inf, "")
 
@@ -58,23 +58,23 @@ def test_outputs_that_follow_are_not_held_against_it() -> None:
     [lambda n: 0.0, lambda n: -n, lambda n: 0.7 * n, lambda n: min(n, 0.4)],
     ids=["blocked", "reversed", "scaled", "cut off"],
 )
-def test_an_output_that_is_not_the_command_ends_the_run(bent: Callable[[float], float]) -> None:
+def test_an_output_that_differs_from_the_command_ends_the_run(bent: Callable[[float], float]) -> None:
     at, reason = run(lambda t: bent(command(t)), seconds=4.0)
     assert 1.0 + LASTS_S < at < 1.0 + 0.5
     assert "puts out n" in reason
 
 
-def test_one_wrong_output_is_no_reason() -> None:
-    """A command lost on the way, or an output told in the middle of a change."""
+def test_a_single_wrong_output_does_not_end_the_run() -> None:
+    """A command lost on the link, or an output reported in the middle of a change, must not end the run."""
     assert run(lambda t: command(t) + (0.5 if round(t / 0.05) % 8 == 0 else 0.0)) == (math.inf, "")
 
 
-def test_an_output_that_is_not_known_is_no_reason() -> None:
+def test_an_unknown_output_does_not_end_the_run() -> None:
     assert run(lambda t: math.nan) == (math.inf, "")
 
 
-def test_an_output_that_the_mission_does_not_command_is_watched_too() -> None:
-    """A crossed channel: the one that is commanded rests, and its neighbour pushes."""
+def test_outputs_that_the_mission_does_not_command_are_watched_too() -> None:
+    """With crossed channels, the commanded output rests and its neighbour pushes."""
     guard = started()
     ports, links = dict(Told(LINK).status().ports), {"autopilot": LINK}
     outputs = {("autopilot", node): Latest(Servo(node, 1500.0, n), T) for node, n in ((1, 0.0), (3, 0.3))}
@@ -101,13 +101,13 @@ def started(changes: int = 0) -> SafetyGuard:
 
 
 def judged(guard: SafetyGuard, link: LinkStatus) -> Stop | None:
-    """Return the stop of the guard on an autopilot in this state, whose output is at neutral."""
+    """Return the stop of the guard for an autopilot in this state with its output at neutral."""
     outputs = {("autopilot", 1): Latest(Servo(1, 1500.0, 0.0), T)}
     return guard.step(T, replace(Told(link).status(), latest=outputs)).stop
 
 
 class Told:
-    """An acquisition with an autopilot that is always of this state; it keeps what it is to log."""
+    """Acquisition whose autopilot is always in the same state. It keeps the messages that it has to log."""
 
     path = Path("run.mcap")
 
@@ -125,7 +125,9 @@ class Told:
 
 
 def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, message: str = "") -> Autopilots:
-    """Those of a rig with one autopilot of this state, while a mission of the left thruster is under way."""
+    """Return the outcome of the fitness check for a rig with one autopilot in this state, while a mission commands its
+    left thruster.
+    """
     acquisition = cast("Acquisition", Told(link, message))
     say: Callable[[str], None] = (lambda line: None) if said is None else said.append
     vehicles = Autopilots(mav_rig(), ("left",), acquisition, RunClock(1.0), time.sleep, say, n_max)
@@ -157,7 +159,7 @@ def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, mes
         ),
     ],
 )
-def test_whatever_an_autopilot_does_by_itself_ends_a_run(link: LinkStatus, code: StopCode, reason: str) -> None:
+def test_a_state_change_by_the_autopilot_itself_ends_the_run(link: LinkStatus, code: StopCode, reason: str) -> None:
     guard = started()
     assert judged(guard, replace(LINK, age=2.8)) is None
     stop = judged(guard, link)
@@ -166,7 +168,7 @@ def test_whatever_an_autopilot_does_by_itself_ends_a_run(link: LinkStatus, code:
     assert stop.reason.startswith(reason)
 
 
-def test_a_parameter_that_changed_before_it_was_checked_is_no_reason() -> None:
+def test_a_parameter_that_changed_before_its_check_does_not_end_the_run() -> None:
     link = replace(LINK, changed=("A was changed: 1 to 0", "B was changed: 1 to 0"))
     assert judged(started(2), link) is None
     stop = judged(started(1), link)
@@ -175,7 +177,7 @@ def test_a_parameter_that_changed_before_it_was_checked_is_no_reason() -> None:
 
 
 def answered(**wrong: float) -> dict[str, float]:
-    """The parameters of a vehicle that is set up as it has to be, but for these."""
+    """Return the parameters of a vehicle that is set up correctly, except for the given changes."""
     return {**Ends(mav_rig()).autopilot.vehicle.parameters, **wrong}
 
 
@@ -192,7 +194,7 @@ def answered(**wrong: float) -> dict[str, float]:
         (replace(LINK, parameters=answered()), 0.9, "a link test is needed; it was never done"),
     ],
 )  # fmt: skip
-def test_what_is_not_fit_to_be_driven_is_refused(
+def test_an_autopilot_that_is_not_fit_to_drive_is_refused(
     link: LinkStatus, n_max: float, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(autopilots, "AWAIT_S", 0.2)
@@ -200,7 +202,7 @@ def test_what_is_not_fit_to_be_driven_is_refused(
         fit(link, n_max, message="its port is shut").await_ready()
 
 
-def test_what_does_not_forbid_to_drive_is_said_and_logged() -> None:
+def test_a_problem_that_allows_driving_is_printed_and_logged() -> None:
     said: list[str] = []
     link = replace(LINK, parameters=answered(MOT_SLEWRATE=9.0), refused=("RAW_IMU at 50 Hz: denied",), ekf=0x33F)
     vehicles = fit(link, said=said)
@@ -213,8 +215,10 @@ def test_what_does_not_forbid_to_drive_is_said_and_logged() -> None:
 
 
 class Stubborn:
-    """An acquisition with an autopilot that disarms at the request of that number; its heartbeats are 0.1 s old, but
-    for the first second, when the last one came before it was armed."""
+    """Acquisition whose autopilot disarms only at a given request.
+
+    Its heartbeats are 0.1 s old. In the first second the newest heartbeat is from before the arming.
+    """
 
     def __init__(self, obeys_at: float, beats_at: float = 0.0) -> None:
         self.obeys_at, self.asked, self.begun, self.beats_at = obeys_at, 0, time.monotonic(), beats_at
@@ -231,7 +235,7 @@ class Stubborn:
 
 
 @pytest.mark.parametrize("obeys_at", [3, math.inf])
-def test_a_normal_end_asks_to_disarm_until_it_is_and_fails_where_it_is_not(
+def test_a_normal_end_repeats_the_disarm_request_and_fails_if_it_is_not_obeyed(
     obeys_at: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(autopilots, "ASK_S", 0.1)
@@ -251,8 +255,8 @@ def test_a_normal_end_asks_to_disarm_until_it_is_and_fails_where_it_is_not(
         assert vehicles.maybe_armed() == ["autopilot"]
 
 
-def test_a_heartbeat_of_before_the_arming_says_nothing_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C right after the request to arm: the last heartbeat says disarmed, the next one armed."""
+def test_a_heartbeat_from_before_the_arming_does_not_count_as_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C right after the request to arm: the last heartbeat reports disarmed, and the next one armed."""
     monkeypatch.setattr(autopilots, "LEAVE_S", 1.5)
     link = Stubborn(math.inf, beats_at=0.5)
     acquisition = cast("Acquisition", link)

@@ -1,4 +1,4 @@
-"""A thruster on DroneCAN by the public commands, against the mock's controller: runs, guard, deadman, watchdog."""
+"""Tests of a DroneCAN thruster with the public commands and the mock controller: run, guard, deadman and watchdog."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from tests.bench.runs import AT_ONCE_S, DEADMAN_S, acquisition_of, watchdog_of
 from tests.bench.standin import until
 
 SPEED = 4.0
-ESC_S = 1.0  # wall, the controller's own time-out
+ESC_S = 1.0  # wall seconds: the time-out of the controller itself
 SEATRIAL = [sys.executable, "-m", "seatrial"]
 
 
 def write_files(folder: Path, seconds: float) -> None:
-    """The mocks' bench with its controller on DroneCAN, reversed; and a mission: rest, ahead, astern."""
+    """Write the mock bench, with a reversed DroneCAN controller, and a mission: rest, ahead, astern."""
     text = files("seatrial.mocks").joinpath("rigs", "bench.toml").read_text(encoding="utf-8")
     text = text.replace('protocol = "vesc"', 'protocol = "dronecan"').replace("pole_pairs = 7\n", "reversed = true\n")
     text = re.sub(r"speed = [\d.]+", f"speed = {SPEED}", text)
@@ -47,13 +47,13 @@ def write_files(folder: Path, seconds: float) -> None:
 
 
 class Bench:
-    """The mock bench and one run on it."""
+    """Mock bench and one run on it."""
 
     def __init__(self, folder: Path, devices: subprocess.Popen[str], run: subprocess.Popen[str]) -> None:
         self.folder, self.devices, self.run, self.log = folder, devices, run, folder / "run.mcap"
 
     def trace(self) -> list[dict[str, Any]]:
-        """Changes of the thruster's effective command so far."""
+        """Return the changes of the thruster's effective command so far."""
         lines = (self.folder / "trace.jsonl").read_text(encoding="utf-8").splitlines()
         return [json.loads(line) for line in lines if line.endswith("}")]
 
@@ -66,7 +66,7 @@ class Bench:
         assert self.run.poll() is None, self.run.communicate()
 
     def zero_after(self, begun: float) -> float:
-        """Seconds until it stood."""
+        """Return the time from `begun` until the thruster stands [s]."""
         until(lambda: not self.turning(), 10.0)
         return float(self.trace()[-1]["wall"]) - begun
 
@@ -95,20 +95,21 @@ def test_a_run_from_command_to_log(tmp_path: Path) -> None:
     with bench(tmp_path, seconds=8.0) as it:
         _, err = it.run.communicate(timeout=60)
         assert it.run.returncode == 0, err
-        told = {row["n"] for row in it.trace()}
+        commanded = {row["n"] for row in it.trace()}
         assert not it.turning()
-    assert sorted(told) == pytest.approx([-0.4, 0.0, 0.6], abs=1e-4)
+    assert sorted(commanded) == pytest.approx([-0.4, 0.0, 0.6], abs=1e-4)
     assert replay(it.log).stop is None
     with open_log(it.log) as log:
         assert not log.warnings
         assert set(np.round(log.table(Command, "esc", node=1)["n_cmd"], 3)) == {0.6, -0.4, 0.0}
         esc = log.table(Esc, "esc", node=1)
-    assert esc["rpm"].max() == pytest.approx(0.6 * 4500.0, rel=0.05)  # positive is ahead, reversed or not
+    # positive is ahead, also if the thruster is reversed
+    assert esc["rpm"].max() == pytest.approx(0.6 * 4500.0, rel=0.05)
     assert esc["rpm"].min() == pytest.approx(-0.4 * 4500.0, rel=0.05)
     assert 10.0 < np.nanmean(esc["voltage"]) < 60.0
 
 
-def test_the_guard_reads_its_current(tmp_path: Path) -> None:
+def test_the_guard_reads_the_current_of_a_dronecan_controller(tmp_path: Path) -> None:
     with bench(tmp_path, "--fault", "overload/esc@usr1:3") as it:
         it.until_turning()
         begun = time.monotonic()
@@ -120,11 +121,12 @@ def test_the_guard_reads_its_current(tmp_path: Path) -> None:
     assert "thrust is zero" in err
 
 
-# Of the others: tests/bench/execution/test_stops.py and test_with_mocks.py. Here the watchdog has to speak DroneCAN.
+# The same faults with other rigs: tests/bench/execution/test_stops.py and test_with_mocks.py. Here the watchdog itself
+# has to send DroneCAN.
 @pytest.mark.parametrize(
     "who", ["acquisition", *(pytest.param(who, marks=pytest.mark.study) for who in ("runner", "everything"))]
 )
-def test_kill_9_ends_thrust(tmp_path: Path, who: str) -> None:
+def test_kill_9_ends_thrust_of_a_dronecan_controller(tmp_path: Path, who: str) -> None:
     with bench(tmp_path) as it:
         it.until_turning()
         acquisition, watchdog = acquisition_of(it.run.pid), watchdog_of(it.run.pid)

@@ -1,4 +1,7 @@
-"""A sample of the fault trials, of what no other test lets fail; all of them: python -m tests.bench.fault_trials."""
+"""Tests of a sample of the fault trials, limited to faults that no other test injects.
+
+The full study is `python -m tests.bench.fault_trials`.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ def test_thrust_is_zero_in_time_and_the_log_says_why(name: str) -> None:
     assert found.said
 
 
-def test_what_was_interrupted_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_an_interrupted_study_continues_where_it_stopped(tmp_path: Path) -> None:
     path, kinds = tmp_path / "trials.jsonl", KINDS[:2]
     store = Store(path)
     assert parts(kinds, PART + 1, 1, store.results) == [
@@ -49,17 +52,17 @@ def test_what_was_interrupted_goes_on_where_it_was(tmp_path: Path) -> None:
 
 
 def between(marks: tuple[str, str]) -> str:
-    """What the page has between these marks."""
+    """Return the text of the page between these marks."""
     return (ROOT / "docs/safety.md").read_text(encoding="utf-8").partition(marks[0])[2].partition(marks[1])[0].strip()
 
 
-def test_the_tables_of_the_page_are_those_of_the_kept_trials() -> None:
+def test_the_tables_of_the_safety_page_match_the_kept_trials() -> None:
     assert between(MARKS) == page(Store(ROOT / "docs/data/fault-trials.jsonl").results, KINDS).strip()
     rows = autopilot_faults.kept(ROOT / "docs/data/autopilot-faults.jsonl")
     assert between(autopilot_faults.MARKS) == autopilot_faults.page(rows).strip()
 
 
-def test_every_fault_and_parameter_was_tried_on_a_real_autopilot_and_was_as_it_has_to_be() -> None:
+def test_every_fault_and_parameter_passed_on_a_real_autopilot() -> None:
     rows = autopilot_faults.kept(ROOT / "docs/data/autopilot-faults.jsonl")
     assert [row for row in rows if not row.good] == []
     settings = autopilot_faults.SETTINGS
@@ -68,14 +71,14 @@ def test_every_fault_and_parameter_was_tried_on_a_real_autopilot_and_was_as_it_h
     assert {(row.fault, row.setting) for row in rows} == wanted
 
 
-def test_a_trial_that_ended_for_another_reason_is_not_as_it_has_to_be() -> None:
+def test_a_trial_that_ended_for_another_reason_is_not_good() -> None:
     says = "autopilot: 1 parameter forbids to drive, yours to set: FS_ACTION is 1"
     refused = autopilot_faults.Trial("FS_ACTION 1", "", 0.0, 0.5, says, True, False)
     ended = refused._replace(fault="RC1_DZ 190", seconds=0.4, says="autopilot puts out n = +0.00 for left, commanded")
     assert refused.good
     assert ended.good
     for bad in (
-        refused._replace(fault="RC_OPTIONS 34"),  # another parameter was the reason
+        refused._replace(fault="RC_OPTIONS 34"),  # the run names another parameter as the reason
         refused._replace(seconds=0.1),  # thrust before the refusal
         refused._replace(disarmed=False),
         refused._replace(says="stopped by Ctrl-C: thrust is zero"),

@@ -1,4 +1,4 @@
-"""Thrusters commanded over ROS 2, by real sockets and ptys: whatever the sender does, thrust goes to zero."""
+"""Tests of `mission follow` over real sockets and ptys: thrust goes to zero whatever the sender of commands does."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ with Commander(Router({address!r})) as commander:
 
 @contextmanager
 def following(standin: StandIn, folder: Path, router: Router) -> Iterator[Run]:
-    """A run that waits for zero."""
+    """Start a run that waits for a zero command."""
     text = standin.rig.read_text(encoding="utf-8")
     standin.rig.write_text(f'{text}[ros2]\nrouter = "{router.address}"\ncommands = true\n', encoding="utf-8")
     with running(folder, FOLLOW) as run:
@@ -42,7 +42,7 @@ def following(standin: StandIn, folder: Path, router: Router) -> Iterator[Run]:
 
 
 def until_following(run: Run, command: Callable[[float], object], standin: StandIn, n: float = 0.5) -> None:
-    """Zero and `n` in turns, until the devices are ready and the thruster does it."""
+    """Send zero and `n` in turns until the devices are ready and the thruster follows."""
     for _ in range(20):
         command(0.0)
         time.sleep(0.4)
@@ -56,12 +56,12 @@ def until_following(run: Run, command: Callable[[float], object], standin: Stand
     raise AssertionError("it is not followed")
 
 
-def test_what_is_commanded_is_driven_recorded_and_published(standin: StandIn, tmp_path: Path) -> None:
+def test_commands_over_ros_are_driven_recorded_and_published(standin: StandIn, tmp_path: Path) -> None:
     with Router() as router, following(standin, tmp_path, router) as run, Commander(router) as commander:
         commander.n = 0.4
         until(lambda: run.log.exists(), 20.0)
         time.sleep(1.5)
-        assert standin.n == 0.0  # neutral first
+        assert standin.n == 0.0  # neutral comes first
         until_following(run, commander.command, standin, 0.5)
         commander.n = -0.2
         until(lambda: abs(standin.n + 0.2) < 1e-3, 5.0)
@@ -123,7 +123,7 @@ BAD: dict[str, tuple[Callable[[Commander], object], str]] = {
 
 
 @pytest.mark.parametrize("kind", BAD)
-def test_a_sender_that_raves_ends_the_run_at_zero(standin: StandIn, tmp_path: Path, kind: str) -> None:
+def test_a_sender_of_invalid_commands_ends_the_run_at_zero(standin: StandIn, tmp_path: Path, kind: str) -> None:
     rave, words = BAD[kind]
     with Router() as router, following(standin, tmp_path, router) as run, Commander(router) as commander:
         until_following(run, commander.command, standin)
@@ -146,8 +146,8 @@ def test_a_second_sender_ends_the_run(standin: StandIn, tmp_path: Path) -> None:
     assert standin.n == 0.0
 
 
-def test_the_guard_and_the_deadman_stand_behind_it(standin: StandIn, tmp_path: Path) -> None:
-    """A limit ends it as it ends a mission, and so does a runner that hangs."""
+def test_the_guard_and_the_deadman_end_a_run_that_follows_commands(standin: StandIn, tmp_path: Path) -> None:
+    """A limit ends the run as in a mission, and so does a runner that hangs."""
     with Router() as router, following(standin, tmp_path, router) as run, Commander(router) as commander:
         until_following(run, commander.command, standin)
         assert acquisition_of(run.process.pid)
@@ -169,7 +169,7 @@ def test_the_guard_and_the_deadman_stand_behind_it(standin: StandIn, tmp_path: P
     assert standin.n == 0.0
 
 
-def test_a_rig_that_does_not_say_so_is_not_commanded(standin: StandIn, tmp_path: Path) -> None:
+def test_a_rig_without_permission_is_not_commanded(standin: StandIn, tmp_path: Path) -> None:
     with running(tmp_path, FOLLOW) as run:
         assert run.end() == 1
     assert "commands = true" in run.line()

@@ -1,4 +1,6 @@
-"""What the log of a link test proves: how soon an output that pushed came to neutral, and nothing where none pushed."""
+"""Tests of the evaluation of a link test: the time from the last frame to neutral outputs, and no result if no output
+pushed.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,11 @@ from seatrial.daq.drivers.base import LinkStatus
 from seatrial.daq.errors import SeatrialError
 from tests.daq.mavlink_ends import mav_rig
 
-SILENT, ENDED = 3.0, 3.5  # s: nothing is sent from here on, and the thrust is over
+SILENT, ENDED = 3.0, 3.5  # s: the sender stops here; thrust ends later
 
 
 def measured(left: float, right: float = N_TEST, receiver: bool | None = None) -> LinkTest:
-    """Of a log in which both outputs are at these n until ENDED."""
+    """Return the result for a log in which both outputs have these values until ENDED."""
     rig, t = mav_rig(), np.arange(0.0, 10.0, 0.025)
     outputs = {1: left, 3: right}
 
@@ -46,14 +48,14 @@ def test_the_time_from_the_last_frame_to_neutral_is_measured() -> None:
 
 
 @pytest.mark.parametrize("n", [0.0, 0.4 * N_TEST, np.nan])
-def test_an_output_that_never_pushed_proves_nothing(n: float) -> None:
+def test_a_link_test_without_thrust_has_no_result(n: float) -> None:
     for outputs, name in (((n, N_TEST), "left"), ((N_TEST, n), "right")):
         with pytest.raises(SeatrialError, match=f"link.mcap: {name} did not push before the silence") as caught:
             measured(*outputs)
         assert "\n" not in str(caught.value)
 
 
-def test_a_limit_below_its_command_is_said() -> None:
+def test_a_limit_below_the_test_command_is_reported() -> None:
     rig = mav_rig()
     assert link_test_plan(replace(rig, limits=replace(rig.limits, n_max=N_TEST))).n_max == N_TEST
     with pytest.raises(SeatrialError, match=r"commands n = 0\.1, and limits\.n_max is 0\.05"):

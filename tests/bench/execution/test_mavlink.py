@@ -1,4 +1,4 @@
-"""Missions over MAVLink by the public commands, against the mock autopilot on loopback UDP and TCP."""
+"""Tests of missions over MAVLink with the public commands, against the mock autopilot on loopback UDP and TCP."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ from tests.bench.standin import until
 
 SEATRIAL = [sys.executable, "-m", "seatrial"]
 SPEED = 4.0
-OVERRIDE_S = 1.0  # wall: timeout_s of the rig over the speed
-AT_ONCE_S = 0.5  # wall; the machine is shared
+OVERRIDE_S = 1.0  # wall seconds: timeout_s of the rig divided by the speed
+AT_ONCE_S = 0.5  # wall seconds, for a machine that runs other programs too
 RIG = (Path(__file__).resolve().parents[3] / "mocks/rigs/mavboat.toml").read_text(encoding="utf-8")
 
 
@@ -45,7 +45,7 @@ def free_port(kind: socket.SocketKind) -> int:
 
 
 def write_files(folder: Path, seconds: float, kind: str = "udp") -> None:
-    """A rig with a free port, and a mission: rest, both thrusters in steps, rest."""
+    """Write a rig with a free port and a mission: rest, both thrusters in steps, rest."""
     number = free_port(socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM)
     text = RIG.replace("udp:127.0.0.1:14550", f"{kind}:127.0.0.1:{number}")
     (folder / "rig.toml").write_text(text, encoding="utf-8")
@@ -98,7 +98,7 @@ def now_of(folder: Path) -> dict[int, float]:
 
 
 def stopped_at(folder: Path) -> float:
-    """Wall time (monotonic s) of the last change, which left nothing turning."""
+    """Return the wall time (monotonic, s) of the last change, after which no thruster turned."""
     until(lambda: not turning(folder), 10.0)
     return float(trace(folder)[-1]["wall"])
 
@@ -108,7 +108,7 @@ def until_turning(folder: Path, run: subprocess.Popen[str]) -> None:
     assert run.poll() is None, run.communicate()
 
 
-def test_a_mission_runs_end_to_end_and_its_outputs_are_the_input(tmp_path: Path) -> None:
+def test_a_mission_runs_and_its_reported_outputs_are_the_input_of_a_fit(tmp_path: Path) -> None:
     write_files(tmp_path, 8.0)
     with mock(tmp_path), running(tmp_path, "--arm") as run:
         out, err = run.communicate(timeout=60)
@@ -127,15 +127,15 @@ def test_a_mission_runs_end_to_end_and_its_outputs_are_the_input(tmp_path: Path)
         assert set(np.round(commands["n_cmd"], 3)) == {0.0, 0.6, -0.3}
         assert set(np.round(outputs["n"], 2)) == {0.0, 0.6, -0.3}
         found = channels(log)
-    # The input of a fit is what the autopilot put out, at its rate, and not the few commands.
-    # Between its samples it is a straight line, by the mean over each step of a grid of 10 ms.
+    # The input of a fit is the output that the autopilot reports at its own rate, not the few commands.
+    # Between samples the output is interpolated linearly and averaged over each step of a 10 ms grid.
     line = np.interp(outputs["t"], found["n_cmd_left"].t + 0.005, found["n_cmd_left"].value)
     assert np.abs(line - outputs["n"]).mean() < 0.003
     assert np.abs(line - outputs["n"]).max() < 0.2
     assert found["n_cmd_left"].t.size > 200 > commands.size
     stepped = outputs["t"][np.argmax(outputs["n"] > 0.5)] - commands["t"][np.argmax(commands["n_cmd"] > 0.5)]
-    assert -0.05 < stepped < AT_ONCE_S * SPEED  # the mock takes a command up to a step of its plant too early
-    assert found["n_left"].value.max() == pytest.approx(0.6, abs=0.05)  # the shaft, from its telemetry
+    assert -0.05 < stepped < AT_ONCE_S * SPEED  # the mock applies a command up to one step of its plant too early
+    assert found["n_left"].value.max() == pytest.approx(0.6, abs=0.05)  # shaft speed from telemetry
     assert {"x", "y", "psi", "r", "ax", "voltage_left"} <= set(found)
 
 
@@ -149,7 +149,7 @@ def test_a_disarmed_vehicle_is_not_armed_unless_told(tmp_path: Path) -> None:
     assert trace(tmp_path) == []
 
 
-def test_a_wrong_parameter_forbids_to_drive_and_is_not_changed(tmp_path: Path) -> None:
+def test_a_wrong_parameter_is_refused_and_not_changed(tmp_path: Path) -> None:
     write_files(tmp_path, 8.0)
     rig = tmp_path / "rig.toml"
     rig.write_text(rig.read_text().replace("timeout_s = 4.0", "timeout_s = 12.0"))  # RC_OVERRIDE_TIME of the mock: 3 s
@@ -161,33 +161,33 @@ def test_a_wrong_parameter_forbids_to_drive_and_is_not_changed(tmp_path: Path) -
     assert trace(tmp_path) == []
 
 
-@pytest.mark.parametrize("what", ["runner killed", "link cut"])
-def test_whatever_dies_thrust_ends(tmp_path: Path, what: str) -> None:
+@pytest.mark.parametrize("failure", ["runner killed", "link cut"])
+def test_thrust_ends_if_a_process_dies_or_hangs(tmp_path: Path, failure: str) -> None:
     write_files(tmp_path, 60.0)
-    impatient = what == "link cut"  # and does not come back
+    impatient = failure == "link cut"  # the thrust does not return
     fault = ("--fault", "pull/autopilot@usr1:60")
     with mock(tmp_path, *fault) as devices, running(tmp_path, "--arm", impatient=impatient) as run:
         until_turning(tmp_path, run)
         acquisition = acquisition_of(run.pid)
         begun = time.monotonic()
-        if what == "link cut":
+        if failure == "link cut":
             devices.send_signal(signal.SIGUSR1)
         else:
             run.kill()
-        # What nobody is left to say is said by the autopilot's own time-out.
-        own = OVERRIDE_S if what == "link cut" else 0.25
+        # If no process is left to send zero, the time-out of the autopilot ends thrust.
+        own = OVERRIDE_S if failure == "link cut" else 0.25
         assert stopped_at(tmp_path) - begun < own + AT_ONCE_S
         _, err = run.communicate(timeout=60)
         until(lambda: not is_alive(acquisition), 10.0)
     log = open_log(tmp_path / "run.mcap")
     assert len(log.table(Ahrs, "autopilot")) > 10
-    if what == "runner killed":
+    if failure == "runner killed":
         texts = [text for _, kind, text in log.events() if kind == "stop"]
         assert any("parent" in text for text in texts)
         assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]
     else:
         assert err.count("\n") == 1
-    if what == "link cut":
+    if failure == "link cut":
         assert run.returncode == 3
         assert "autopilot WAS ARMED BY US AND MAY STILL BE" in err
 
@@ -199,7 +199,7 @@ def test_on_a_signed_link_the_watchdogs_zero_is_obeyed_and_confirmed(tmp_path: P
     (tmp_path / "key").write_bytes(bytes(range(32)))
     with mock(tmp_path), running(tmp_path, "--arm") as run:
         until_turning(tmp_path, run)
-        time.sleep(2.0)  # the autopilot's clock of signatures goes on meanwhile
+        time.sleep(2.0)  # meanwhile the signature time of the autopilot advances
         begun = time.monotonic()
         os.kill(acquisition_of(run.pid), signal.SIGKILL)
         assert stopped_at(tmp_path) - begun < AT_ONCE_S
@@ -223,7 +223,7 @@ def test_a_wrong_signing_key_is_named_and_leaves_no_log(tmp_path: Path) -> None:
         assert not list(tmp_path.glob("run*"))
 
 
-def test_ctrl_c_is_zero_at_once_and_disarmed(tmp_path: Path) -> None:
+def test_ctrl_c_sends_zero_at_once_and_disarms(tmp_path: Path) -> None:
     write_files(tmp_path, 60.0)
     with mock(tmp_path), running(tmp_path, "--arm") as run:
         until_turning(tmp_path, run)
@@ -237,19 +237,23 @@ def test_ctrl_c_is_zero_at_once_and_disarmed(tmp_path: Path) -> None:
         assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]
 
 
-def test_a_check_is_answered_though_it_is_no_ground_station(tmp_path: Path) -> None:
+def test_a_check_gets_parameters_without_acting_as_a_ground_station(tmp_path: Path) -> None:
     write_files(tmp_path, 4.0)
     with mock(tmp_path):
         done = subprocess.run(
             [*SEATRIAL, "check", "rig.toml", "--json"], cwd=tmp_path, capture_output=True, text=True, check=False
         )
-    told = json.loads(done.stdout)["findings"]
-    assert not [f for f in told if f["check"] in ("parameters", "limits", "alive") and f["level"] == "fault"], told
-    assert "temperature_c 80 of thruster left by autopilot" in next(f["text"] for f in told if f["check"] == "limits")
+    reported = json.loads(done.stdout)["findings"]
+    assert not [f for f in reported if f["check"] in ("parameters", "limits", "alive") and f["level"] == "fault"], (
+        reported
+    )
+    assert "temperature_c 80 of thruster left by autopilot" in next(
+        f["text"] for f in reported if f["check"] == "limits"
+    )
 
 
 @pytest.mark.parametrize("kind", ["udp", pytest.param("tcp", marks=pytest.mark.study)])
-def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: Path, kind: str) -> None:
+def test_devices_writes_the_rig_of_the_mock_from_its_parameters(tmp_path: Path, kind: str) -> None:
     write_files(tmp_path, 4.0, kind)
     rig = load_rig(tmp_path / "rig.toml")
     with mock(tmp_path):
@@ -257,11 +261,11 @@ def test_the_rig_of_the_mock_is_what_devices_makes_of_its_parameters(tmp_path: P
         done = subprocess.run([*SEATRIAL, *words], cwd=tmp_path, capture_output=True, text=True, check=True)
     (tmp_path / "found.toml").write_text(done.stdout)
     found = load_rig(tmp_path / "found.toml")
-    assert "was not answered" not in done.stdout  # whatever is judged was asked for
+    assert "was not answered" not in done.stdout  # every parameter that is checked has been requested
     assert [(t.name, t.node, t.output) for t in found.thrusters] == [(t.name, t.node, t.output) for t in rig.thrusters]
 
 
-# the second is below a link test's own command: the test itself needs none
+# the second limit is below the command of a link test, so a link test is not needed
 @pytest.mark.parametrize("allowed", [pytest.param(0.3, marks=pytest.mark.study), 0.05])
 def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path, allowed: float) -> None:
     write_files(tmp_path, 4.0)
@@ -291,7 +295,7 @@ def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path, allowed: float)
     assert np.diff(sent).max() > kept["seconds"] * SPEED
 
 
-def test_a_link_test_counts_for_its_parameters_and_only_when_passed(tmp_path: Path) -> None:
+def test_a_link_test_is_valid_if_passed_and_its_parameters_are_unchanged(tmp_path: Path) -> None:
     (tmp_path / "rig.toml").write_text(RIG, encoding="utf-8")
     rig = load_rig(tmp_path / "rig.toml")
     parameters = {"RC_OVERRIDE_TIME": 1.0, "FS_ACTION": 2.0, "MOT_SLEWRATE": 0.0}

@@ -1,4 +1,4 @@
-"""What is shown while a plan runs, and signals as flags."""
+"""Tests of the display of a run and of signals as flags."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from seatrial.bench.execution.operator_interface import (
 VIEW = MissionStatus("steps forward", 12.0, 70.0, (0.3,), (1350.0,), force=3.62)
 
 
-def test_the_values_are_command_rpm_force_and_the_guard() -> None:
+def test_the_display_shows_command_rpm_force_and_the_guard() -> None:
     assert VIEW.values() == "n +0.30  rpm +1350  force   +3.6 N  guard ok"
     boat = MissionStatus("zigzag", 1.0, 2.0, (0.5, -0.25), (float("nan"), -900.0), speed=1.234, warning="gnss: no fix")
     assert boat.values() == "n +0.50 -0.25  rpm   --  -900  speed 1.23 m/s  warning: gnss: no fix"
@@ -33,7 +33,7 @@ def test_the_values_are_command_rpm_force_and_the_guard() -> None:
     assert lost.values() == "n +0.50  rpm  +900  force   -- N  speed   -- m/s  guard ok"
 
 
-def test_plain_lines_come_with_segments_not_with_every_status(capsys: pytest.CaptureFixture[str]) -> None:
+def test_plain_lines_are_printed_per_segment_not_per_status(capsys: pytest.CaptureFixture[str]) -> None:
     with PlainDisplay() as display:
         for _ in range(50):
             display.show(VIEW)
@@ -44,7 +44,7 @@ def test_plain_lines_come_with_segments_not_with_every_status(capsys: pytest.Cap
     assert "30.0/70 s  rest" in lines[1]
 
 
-def test_live_display_draws_the_view_and_keeps_what_is_said() -> None:
+def test_the_live_display_draws_the_view_and_keeps_printed_lines() -> None:
     out = io.StringIO()
     console = Console(file=out, force_terminal=True, width=120, color_system=None)
     with LiveDisplay(console) as display:
@@ -70,12 +70,12 @@ def test_a_terminal_of_80_columns_loses_nothing() -> None:
 
 
 def test_a_pipe_gets_plain_lines() -> None:
-    assert isinstance(make_display(), PlainDisplay)  # pytest's captured output is no terminal
+    assert isinstance(make_display(), PlainDisplay)  # the captured output of pytest is not a terminal
 
 
 @pytest.fixture
 def handlers() -> Iterator[None]:
-    """Put the handlers back, whatever the test does with them."""
+    """Restore the signal handlers after the test."""
     before = [(number, signal.getsignal(number)) for number in CAUGHT]
     yield
     for number, handler in before:
@@ -94,11 +94,11 @@ def test_signals_end_the_wait_at_once_and_never_raise(number: signal.Signals) ->
         assert time.monotonic() - start < 1.0
         assert signals.caught is number
         os.kill(os.getpid(), signal.SIGINT)
-        assert signals.caught is number  # the first one is the reason
+        assert signals.caught is number  # the first signal is the reason
     assert signal.getsignal(number) is signal.SIG_IGN
 
 
-def test_a_key_that_is_held_or_hit_twice_counts_once() -> None:
+def test_a_key_that_is_held_or_pressed_twice_counts_once() -> None:
     keys = Keys()
     assert keys._once(" ", 10.0) == " "
     assert [keys._once("  p", 10.0 + 0.03 * k) for k in range(100)] == [""] * 100
@@ -117,6 +117,6 @@ def test_handlers_come_back_when_no_signal_came() -> None:
 @pytest.mark.usefixtures("handlers")
 def test_signals_survive_a_flood() -> None:
     with StopSignals() as signals:
-        for _ in range(70_000):  # more than a pipe holds
+        for _ in range(70_000):  # more signals than a pipe holds
             signal.raise_signal(signal.SIGINT)
         assert signals.wait(0.0)

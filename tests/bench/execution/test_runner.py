@@ -1,4 +1,4 @@
-"""The runner against real ptys: what is asked is done, and nothing moves that should not."""
+"""Tests of the runner on real ptys: a mission is carried out, and no thruster moves without a command."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_a_mission_is_driven_recorded_and_tared(standin: StandIn, tmp_path: Path
     assert standin.n == 0.0
     levels = [n for _, n in standin.motion]
     np.testing.assert_allclose(levels, [0.0, 0.6, -0.3, 0.0], atol=1e-4)
-    assert assert_plan_was_run(run.log, mission) == 0  # rows are a second of wall time apart
+    assert assert_plan_was_run(run.log, mission) == 0  # the rows are one second of wall time apart
     assert "skipped" not in run.out
     hold = np.diff([t for t, _ in standin.motion[1:]]) * SPEED
     np.testing.assert_allclose(hold, 4.0, atol=0.6)
@@ -65,7 +65,7 @@ def test_a_mission_is_driven_recorded_and_tared(standin: StandIn, tmp_path: Path
     assert found.stop.reason.startswith("force is 1")
 
 
-def test_a_plan_whose_set_points_were_overtaken_says_so(standin: StandIn, tmp_path: Path) -> None:
+def test_skipped_set_points_are_reported(standin: StandIn, tmp_path: Path) -> None:
     levels = 0.3 + 0.01 * np.arange(30.0)
     segments = (Segment("rows", 2.0 + 0.2 * np.arange(30.0), levels[:, None]),)  # every 0.05 s of wall time
     mission = Mission("rows", "steps", ("left",), segments, 15.0, n_max=0.9)
@@ -74,15 +74,15 @@ def test_a_plan_whose_set_points_were_overtaken_says_so(standin: StandIn, tmp_pa
         run.until_turning(standin)
         child = acquisition_of(run.process.pid)
         os.kill(child, signal.SIGSTOP)
-        time.sleep(0.2)  # less than what the acquisition process takes for a pause of its own
+        time.sleep(0.2)  # shorter than the pause that the acquisition process counts as its own
         os.kill(child, signal.SIGCONT)
         assert run.end() == 0, run.err
     skipped = assert_plan_was_run(run.log, mission)
     assert skipped >= 3
     assert f"skipped: {skipped} of 31 set-points" in run.out
     sent = [n for _, n in standin.commands]
-    told = [n for k, n in enumerate(sent) if k == 0 or n != sent[k - 1]]
-    assert told == [*sorted(told[:-1]), 0.0]  # an old one never after a newer one
+    changes = [n for k, n in enumerate(sent) if k == 0 or n != sent[k - 1]]
+    assert changes == [*sorted(changes[:-1]), 0.0]  # an older command never follows a newer command
 
 
 def test_garbage_on_the_lines_is_counted_and_the_run_goes_on(standin: StandIn, tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_garbage_on_the_lines_is_counted_and_the_run_goes_on(standin: StandIn, t
     assert log.table(LoadCell, "loadcell")["force"].min() > -60.0
 
 
-def test_a_plan_beyond_the_rigs_limit_moves_nothing(standin: StandIn, tmp_path: Path) -> None:
+def test_a_plan_beyond_the_rigs_limit_is_refused_before_thrust(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, n=0.9)
     text = standin.rig.read_text(encoding="utf-8")
     standin.rig.write_text(text.replace("n_max = 0.9", "n_max = 0.5"), encoding="utf-8")
@@ -110,7 +110,7 @@ def test_a_plan_beyond_the_rigs_limit_moves_nothing(standin: StandIn, tmp_path: 
     assert not run.log.exists()
 
 
-def test_a_missing_device_is_named_and_nothing_moves(standin: StandIn, tmp_path: Path) -> None:
+def test_a_missing_device_is_named_before_thrust(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path)
     standin.pull(standin.cell)
     with running(tmp_path, impatient=True) as run:

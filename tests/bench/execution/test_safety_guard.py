@@ -1,4 +1,4 @@
-"""The guard on statuses made by hand: silent within the limits, one clear reason beyond each of them."""
+"""Tests of the safety guard with statuses made by hand: no stop within the limits, one reason beyond each limit."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def guard(rig: Rig) -> SafetyGuard:
     return guard
 
 
-def test_nothing_is_said_within_the_limits(guard: SafetyGuard) -> None:
+def test_the_guard_does_not_stop_within_the_limits(guard: SafetyGuard) -> None:
     for k in range(1, 200):
         guard.check(status(0.05 * k, 1000 + k))
 
@@ -108,7 +108,7 @@ NAN = float("nan")
         ),
         (
             "gnss",
-            Gnss(T, 41.18 + 96 / 111_195, -8.70, speed=1.0, fix=3),  # without a course
+            Gnss(T, 41.18 + 96 / 111_195, -8.70, speed=1.0, fix=3),  # without a course over ground
             "96 m from the start by gnss and 4 m to stop from 1.0 m/s, limit 100 m",
         ),
         ("esc", Esc(1, -4001.0), "speed of node 1 is -4001 rpm, limit 4000"),
@@ -120,7 +120,7 @@ NAN = float("nan")
 )
 def test_each_limit_stops_with_its_reason(guard: SafetyGuard, name: str, sample: Sample, words: str) -> None:
     if name == "gnss":
-        guard.check(status(0.1, 1001, **{name: sample}))  # a jump: one fix alone may be wrong
+        guard.check(status(0.1, 1001, **{name: sample}))  # a jump: a single fix may be wrong
     assert reason(guard, status(0.2, 1002, **{name: sample})) == words
 
 
@@ -128,28 +128,28 @@ def test_each_limit_stops_with_its_reason(guard: SafetyGuard, name: str, sample:
     ("name", "sample"),
     [
         ("esc", Esc(1, 900.0, 39.9, 0.2, 10.1, 79.9)),
-        ("esc", Esc(1)),  # nothing reported but that it is there
+        ("esc", Esc(1)),  # the sample reports only that the source exists
         ("loadcell", LoadCell(9e6, 9000.0, 2)),  # a spike that the decoder has flagged
         ("loadcell", LoadCell(8388607, 8300.0, 1)),  # saturated once
         ("gnss", Gnss(T, 41.18 + 99 / 111_195, -8.70, fix=3)),
         ("gnss", Gnss(T, NAN, NAN, fix=0)),
         ("gnss", Gnss(T, 10.0, 10.0, fix=0)),
-        ("gnss", Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=-1.0, vel_e=0.0, fix=3)),  # on its way back
+        ("gnss", Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=-1.0, vel_e=0.0, fix=3)),  # already on the way back
         ("ahrs", Ahrs(NAN, NAN, NAN, r=1.0)),
         ("ahrs/battery", Battery()),
     ],
 )
-def test_what_is_no_danger_does_not_stop(guard: SafetyGuard, name: str, sample: Sample) -> None:
+def test_harmless_samples_do_not_stop_the_run(guard: SafetyGuard, name: str, sample: Sample) -> None:
     guard.check(status(0.1, **{name: sample}))
 
 
-def test_a_cell_that_stays_saturated_stops(guard: SafetyGuard) -> None:
+def test_a_load_cell_that_stays_saturated_stops_the_run(guard: SafetyGuard) -> None:
     saturated = LoadCell(8388607, 8300.0, 1)
     guard.check(status(0.1, 1001, loadcell=saturated))
     assert "saturated" in reason(guard, status(0.2, 1002, loadcell=saturated))
 
 
-def test_a_cell_that_stays_saturated_stops_beside_one_that_is_not(rig: Rig) -> None:
+def test_a_saturated_load_cell_stops_the_run_if_a_second_cell_is_fine(rig: Rig) -> None:
     guard = SafetyGuard(rig, 1.0, ("left",))
     guard.check(status(0.0))
 
@@ -165,7 +165,7 @@ def test_a_cell_that_stays_saturated_stops_beside_one_that_is_not(rig: Rig) -> N
     ("name", "kind", "words"),
     [("ahrs", "Ahrs", "no roll"), ("gnss", "Gnss", "no position"), ("loadcell", "LoadCell", "no force")],
 )
-def test_a_dead_sensor_watches_nothing(guard: SafetyGuard, name: str, kind: str, words: str) -> None:
+def test_a_dead_sensor_does_not_count_as_a_source(guard: SafetyGuard, name: str, kind: str, words: str) -> None:
     def dead(t: float) -> Status:
         now = status(t, 1000 + round(100 * t))
         return replace(now, ports=now.ports | {name: replace(port(name), stuck=(kind,))})
@@ -198,7 +198,7 @@ def test_a_silent_device_stops(rig: Rig, name: str, speed: float, patience: floa
     assert reason(guard, late).startswith(f"{name} (")
 
 
-def test_a_slow_device_has_five_periods_but_no_more_than_the_ceiling(rig: Rig) -> None:
+def test_a_slow_device_may_be_silent_for_five_periods_up_to_a_maximum(rig: Rig) -> None:
     slow = replace(rig.device("gnss"), rate_hz=0.5)
     others = tuple(device for device in rig.devices if device.name != "gnss")
     guard = SafetyGuard(replace(rig, devices=(*others, slow)), 1.0, ("left",))
@@ -208,7 +208,7 @@ def test_a_slow_device_has_five_periods_but_no_more_than_the_ceiling(rig: Rig) -
 
 
 @pytest.mark.parametrize("age", [float("inf"), NAN])
-def test_an_age_that_is_no_number_is_silence(guard: SafetyGuard, age: float) -> None:
+def test_an_age_of_nan_counts_as_silence(guard: SafetyGuard, age: float) -> None:
     now = status(0.1)
     assert reason(guard, replace(now, ports={**now.ports, "esc": port("esc", age)})).startswith("esc (")
 
@@ -216,8 +216,8 @@ def test_an_age_that_is_no_number_is_silence(guard: SafetyGuard, age: float) -> 
 def test_a_silent_controller_on_a_busy_bus_stops(guard: SafetyGuard) -> None:
     now = status(0.1)
     latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
-    said = reason(guard, replace(now, latest=latest))
-    assert said == "thruster left (node 1 on esc) is silent for 1.1 s"
+    message = reason(guard, replace(now, latest=latest))
+    assert message == "thruster left (node 1 on esc) is silent for 1.1 s"
 
 
 def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:
@@ -225,8 +225,8 @@ def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:
     assert "does not grow" in reason(guard, status(3.1))
 
 
-def test_the_way_to_a_stop_is_that_of_the_boats_own_drag() -> None:
-    """Against the equation stepped by hand."""
+def test_the_stopping_distance_follows_from_the_drag_of_the_boat() -> None:
+    """The numerical integration of the equation of drag is the reference."""
     vehicle = {"m_u": 37.0, "d_u": 2.0, "d_uu": 25.0}
     u, x, dt = 1.4, 0.0, 1e-4
     while u > STOPPED:
@@ -236,7 +236,7 @@ def test_the_way_to_a_stop_is_that_of_the_boats_own_drag() -> None:
     assert stopping_distance(1.0, {"m_u": 10.0, "d_u": 5.0}) == pytest.approx(10.0 / 5.0 * 0.95)
 
 
-def test_a_rig_without_limits_has_the_two_that_need_none(rig: Rig) -> None:
+def test_a_rig_without_limits_still_has_the_two_built_in_limits(rig: Rig) -> None:
     bare = replace(rig, limits=replace(rig.limits, force_n=None, current_a=None, temperature_c=None, radius_m=None))
     guard = SafetyGuard(bare, 1.0, ("left",))
     guard.check(status(0.0, loadcell=LoadCell(0.0, 1e6), esc=Esc(1, 0.0, 1e6, temperature=1e6)))
@@ -244,7 +244,7 @@ def test_a_rig_without_limits_has_the_two_that_need_none(rig: Rig) -> None:
     assert "does not grow" in reason(guard, status(3.2, 1001))
 
 
-SILENT: list[tuple[str, Sample, str, float]] = [  # a source, a sample of it without the quantity, the limit, patience
+SILENT: list[tuple[str, Sample, str, float]] = [  # a source, a sample without the quantity, the limit, the patience
     ("esc", Esc(1, NAN, 5.0, 0.2, 24.0, 30.0), "rpm", QUICK),
     ("esc", Esc(1, 900.0, NAN, 0.2, 24.0, 30.0), "current_a", QUICK),
     ("esc", Esc(1, 900.0, 5.0, 0.2, 24.0, NAN), "temperature_c", SLOW),
@@ -259,12 +259,12 @@ SILENT: list[tuple[str, Sample, str, float]] = [  # a source, a sample of it wit
 
 
 @pytest.mark.parametrize(("name", "sample", "limit", "patience"), SILENT)
-def test_a_limit_that_nothing_reports_any_more_stops(
+def test_a_limit_whose_quantity_is_no_longer_reported_stops(
     guard: SafetyGuard, name: str, sample: Sample, limit: str, patience: float
 ) -> None:
     guard.check(status(patience - 0.05, 1001, **{name: sample}))
-    said = reason(guard, status(patience + 0.05, 1002, **{name: sample}))
-    assert said.startswith(f"limits.{limit} is not watched any more")
+    message = reason(guard, status(patience + 0.05, 1002, **{name: sample}))
+    assert message.startswith(f"limits.{limit} is not watched any more")
 
 
 @pytest.mark.parametrize(("name", "sample", "limit", "patience"), SILENT)
@@ -273,10 +273,10 @@ def test_a_limit_without_a_source_is_named_before_anything_moves(
 ) -> None:
     (missing,) = SafetyGuard(rig, 1.0, ("left",)).unwatched(status(0.0, **{name: sample}))
     assert missing.key == limit
-    said = missing.refusal(T)
-    assert f"limits.{limit} = " in said
-    assert f'unwatched = ["{limit}"]' in said
-    assert "since the start" in said
+    message = missing.refusal(T)
+    assert f"limits.{limit} = " in message
+    assert f'unwatched = ["{limit}"]' in message
+    assert "since the start" in message
     free = replace(rig, limits=replace(rig.limits, unwatched=(limit,)))
     assert not SafetyGuard(free, 1.0, ("left",)).unwatched(status(0.0, **{name: sample}))
 
@@ -289,7 +289,7 @@ def test_a_voltage_is_watched_by_the_controller_or_by_the_battery(rig: Rig) -> N
     assert missing.key == "voltage_min_v"
 
 
-def test_a_limit_that_need_not_be_watched_still_stops(rig: Rig) -> None:
+def test_a_limit_that_may_be_unwatched_still_stops(rig: Rig) -> None:
     guard = SafetyGuard(replace(rig, limits=replace(rig.limits, unwatched=("temperature_c",))), 1.0, ("left",))
     guard.check(status(0.0, esc=Esc(1, 900.0, 5.0, 0.2, 24.0)))
     guard.check(status(2.9, 1001, esc=Esc(1, 900.0, 5.0, 0.2, 24.0)))
@@ -306,7 +306,7 @@ def test_each_thruster_and_each_cell_needs_its_own_source(rig: Rig) -> None:
     ]  # fmt: skip
 
 
-def test_what_was_last_said_long_ago_is_no_value_of_now() -> None:
+def test_an_outdated_value_is_not_a_current_value() -> None:
     guard, now = SafetyGuard(mav_rig(), 1.0, ("left",)), status(200.0)
 
     def with_ages(speed: float, rpm: float) -> Status:
@@ -322,7 +322,7 @@ def test_what_was_last_said_long_ago_is_no_value_of_now() -> None:
     assert math.isnan(rpm["autopilot", 1])
 
 
-def test_a_fix_that_was_lost_among_headings_is_no_value_of_long_ago(guard: SafetyGuard) -> None:
+def test_a_position_lost_among_headings_becomes_outdated(guard: SafetyGuard) -> None:
     now = status(200.0)
     fix, compass = Latest(Gnss(T, 41.0, -8.0, fix=3, speed=0.5), now.t - 2.2), Latest(Ahrs(1.0, NAN, NAN), now.t)
     both = replace(now, latest={("gnss", None): fix, ("gnss/ahrs", None): compass})
@@ -332,7 +332,7 @@ def test_a_fix_that_was_lost_among_headings_is_no_value_of_long_ago(guard: Safet
     assert math.isnan(alone)
 
 
-def test_of_two_receivers_the_one_that_speaks_counts(guard: SafetyGuard) -> None:
+def test_of_two_receivers_the_one_that_sends_counts(guard: SafetyGuard) -> None:
     now = status(200.0)
     old, new = (Latest(Gnss(T, 41.0, -8.0, fix=3, speed=v), now.t - age) for v, age in ((1.37, 120.0), (0.5, 0.1)))
     for pair in ((old, new), (new, old)):

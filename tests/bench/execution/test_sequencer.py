@@ -1,4 +1,4 @@
-"""Pauses, repeats, marks and retries: on a run clock of our own, and once with keys on a real terminal."""
+"""Tests of pauses, repeats, marks and retries: with a simulated run clock, and once with keys on a real terminal."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ GOOD = Status(0.0, {"esc": PORT}, {}, {}, 0, "run.mcap", 1, 1, 0.0, "", ())
 
 
 class Acquisition:
-    """Keeps what it is told; zero clears what is to come, as the real one does."""
+    """Acquisition that keeps its commands. Zero clears the pending rows, as in the real acquisition."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -62,7 +62,7 @@ class Acquisition:
 
 
 class Drive:
-    """A course from run time 100 on, looked at 20 times a second."""
+    """Mission under control of the sequencer from run time 100 on, polled 20 times a second."""
 
     def __init__(self, retries: int = 0) -> None:
         self.acquisition, self.said = Acquisition(), list[str]()
@@ -84,7 +84,7 @@ class Drive:
         return [text for kind, text in self.acquisition.events if kind in kinds]
 
 
-def test_a_mission_runs_as_it_stands() -> None:
+def test_a_mission_runs_without_changes_if_no_key_is_pressed() -> None:
     drive = Drive()
     drive.until(200.0)
     rows = [(0.0, 0.0), (2.0, 0.4), (3.0, 0.8), (4.0, -0.4), (6.0, 0.0), (8.0, 0.0)]
@@ -93,14 +93,15 @@ def test_a_mission_runs_as_it_stands() -> None:
     assert drive.now == pytest.approx(108.0, abs=0.1)
 
 
-def test_a_pause_is_zero_and_resumes_with_the_beginning_of_the_step() -> None:
+def test_a_pause_commands_zero_and_resumes_at_the_beginning_of_the_step() -> None:
     drive = Drive()
     drive.until(103.5)
     drive.until(110.0, " ")
     assert drive.n(105.0) == 0.0
     assert not drive.course.is_over(500.0)
     assert drive.course.paused
-    assert drive.course.elapsed(110.0) == pytest.approx(3.5, abs=0.1)  # the mission's clock stands still
+    # the clock of the mission stands still during the pause
+    assert drive.course.elapsed(110.0) == pytest.approx(3.5, abs=0.1)
     drive.until(200.0, " ")
     assert drive.said[-1] == "resumed with the beginning of one"
     assert drive.n(110.1) == 0.0
@@ -134,7 +135,7 @@ def test_a_step_is_repeated_and_a_moment_is_marked() -> None:
         ({"ports": {"esc": replace(PORT, age=0.7)}}, "esc was silent for 0.7 s"),
     ],
 )
-def test_a_spoilt_step_is_run_again_as_often_as_was_allowed(fault: dict[str, object], words: str) -> None:
+def test_a_failed_step_is_repeated_up_to_the_allowed_number(fault: dict[str, object], words: str) -> None:
     drive = Drive(retries=1)
     drive.until(103.0)
     drive.status = replace(GOOD, **fault)  # type: ignore[arg-type]
@@ -162,7 +163,7 @@ def test_the_last_step_is_judged_too(retries: int) -> None:
     assert drive.now == pytest.approx(108.0 + retries * 2.2, abs=0.2)
 
 
-def test_a_slew_limit_begins_at_zero_after_a_restart() -> None:
+def test_the_slew_limit_starts_from_zero_after_a_restart() -> None:
     timeline = Schedule(replace(MISSION, slew_per_s=0.8), 0.0)
     assert timeline.rows(3.4)[-1][1]["left"] > 0.4
     timeline.restart(1, 50.0)
@@ -183,7 +184,7 @@ def test_keys_on_a_terminal_pause_and_resume_a_run(standin: StandIn, tmp_path: P
         until(lambda: standin.n != 0.0 or run.poll() is not None, 30.0)
         os.write(terminal, b" ")
         until(lambda: standin.n == 0.0, 5.0)
-        time.sleep(1.2 * AGAIN_S)  # paused is paused, and a key that comes again sooner is the same press
+        time.sleep(1.2 * AGAIN_S)  # wait for the pause: a second press that comes too soon counts as the same press
         assert standin.commands[-1][1] == 0.0
         os.write(terminal, b"m ")
         until(lambda: standin.n != 0.0, 10.0)
@@ -195,7 +196,7 @@ def test_keys_on_a_terminal_pause_and_resume_a_run(standin: StandIn, tmp_path: P
     assert [kind for kind in kinds if kind in ("pause", "mark", "resume")] == ["pause", "mark", "resume"]
 
 
-# The terminal has to be the controlling one of a session whose foreground is the run.
+# The terminal has to be the controlling terminal of a session, and the run its foreground process.
 _ON_A_TERMINAL = """
 import fcntl, os, sys, termios
 os.setsid()
@@ -205,7 +206,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 
 class Following:
-    """A follower of `left` on a run clock of our own, looked at 50 times a second; a command may come each time."""
+    """Follower of `left` on a simulated run clock, polled 50 times a second. A command may come at each poll."""
 
     def __init__(self) -> None:
         self.acquisition, self.said, self.waiting = Acquisition(), list[str](), list[ReceivedCommand]()
@@ -236,7 +237,7 @@ class Following:
         return self.acquisition.sent[-1][1] if self.acquisition.sent else 0.0
 
 
-def test_nothing_is_followed_before_zero() -> None:
+def test_commands_are_not_followed_before_a_zero_command() -> None:
     drive = Following()
     drive.until(102.0, 0.03)
     assert drive.acquisition.sent == []
@@ -250,7 +251,7 @@ def test_nothing_is_followed_before_zero() -> None:
     assert drive.course.is_over(160.0)
 
 
-def test_without_commands_thrust_is_zero_and_zero_comes_first_again() -> None:
+def test_missing_commands_set_zero_and_a_new_zero_command_is_required() -> None:
     drive = Following()
     drive.until(101.0, 0.0)
     assert drive.acquisition.sent == []
@@ -267,8 +268,8 @@ def test_without_commands_thrust_is_zero_and_zero_comes_first_again() -> None:
     assert drive.n == -0.5
 
 
-def test_what_comes_after_a_silence_does_not_hide_it() -> None:
-    """One sender falls silent, and another one is first heard by the look in which the time is over."""
+def test_a_command_after_a_silence_does_not_hide_the_silence() -> None:
+    """One sender stops. The first command of another sender arrives in the poll in which the time-out ends."""
     drive = Following()
     drive.until(101.0, 0.0)
     drive.until(103.0, 0.5)
@@ -282,7 +283,7 @@ def test_what_comes_after_a_silence_does_not_hide_it() -> None:
 
 
 @pytest.mark.parametrize("n", [math.nan, math.inf, 0.81, -1.0])
-def test_a_command_that_is_none_or_beyond_the_limit_ends_the_run(n: float) -> None:
+def test_an_invalid_command_or_one_beyond_the_limit_ends_the_run(n: float) -> None:
     drive = Following()
     drive.until(101.0, 0.0)
     with pytest.raises(SafetyStop, match=r"only -0\.8 to 0\.8"):
@@ -295,7 +296,7 @@ def test_a_second_sender_and_a_flood_end_the_run() -> None:
     with pytest.raises(SafetyStop, match="two senders"):
         drive.until(101.1, 0.0, b"b")
     drive.until(102.0)
-    drive.until(103.0, 0.0, b"b")  # one after the other may
+    drive.until(103.0, 0.0, b"b")  # one sender after the other is allowed
     drive.waiting = [ReceivedCommand(0.0, b"b", number=1)] * 512
     with pytest.raises(SafetyStop, match="too fast"):
         drive.until(103.1)
@@ -313,14 +314,14 @@ def test_a_command_that_is_repeated_or_out_of_order_ends_the_run(number: int) ->
     drive = Following()
     drive.waiting = [ReceivedCommand(0.0, b"a", number=5)]
     drive.until(100.0)
-    drive.waiting = [ReceivedCommand(0.0, b"a", number=7)]  # number 6 was lost: that is no reason
+    drive.waiting = [ReceivedCommand(0.0, b"a", number=7)]  # number 6 was lost, which does not end the run
     drive.until(100.1)
     drive.waiting = [ReceivedCommand(0.0, b"a", number=number)]
     with pytest.raises(SafetyStop, match=f"command number {number} for left came after number 7"):
         drive.until(100.2)
 
 
-def test_a_pause_is_zero_until_zero_was_commanded() -> None:
+def test_after_a_pause_thrust_stays_zero_until_zero_was_commanded() -> None:
     drive = Following()
     drive.until(101.0, 0.0)
     drive.until(103.0, 0.5)
@@ -333,7 +334,7 @@ def test_a_pause_is_zero_until_zero_was_commanded() -> None:
     assert drive.n == 0.5
 
 
-def test_only_a_rig_that_says_so_is_commanded_by_others() -> None:
+def test_only_a_rig_with_permission_accepts_external_commands() -> None:
     rig = parse_rig(RIG.format(speed=1.0), Path("rig.toml"))
     with pytest.raises(SeatrialError, match=r"commands = true.*\[ros2\]"):
         follow_plan(rig, 60.0, None, 1.0)

@@ -1,4 +1,4 @@
-"""Every way a run can end, on purpose or not: zero thrust, one clear line, a log that opens."""
+"""Tests of every way a run can end, planned or not: zero thrust, one clear line, a readable log."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from tests.bench.standin import SLOW_ESC_S, TIMEOUT_S, StandIn, until
 
 
 @pytest.mark.parametrize("moment", [0, *(pytest.param(k, marks=pytest.mark.study) for k in (1, 2, 3))])
-def test_ctrl_c_at_any_moment_is_zero_at_once(standin: StandIn, tmp_path: Path, moment: int) -> None:
+def test_ctrl_c_at_any_moment_sends_zero_at_once(standin: StandIn, tmp_path: Path, moment: int) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
-        time.sleep(random.Random(moment).uniform(0.0, 1.5))  # the moment is the point of the test
+        time.sleep(random.Random(moment).uniform(0.0, 1.5))  # the test needs interruptions at many different times
         sent = time.monotonic()
         run.process.send_signal(signal.SIGINT)
         assert run.end() == 130
@@ -53,10 +53,13 @@ def test_ctrl_c_at_any_moment_is_zero_at_once(standin: StandIn, tmp_path: Path, 
     assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
 
 
-def test_a_program_that_stood_still_at_rest_does_not_begin_in_the_middle_of_the_plan(
+def test_a_run_that_was_suspended_at_rest_does_not_resume_in_the_middle_of_the_plan(
     standin: StandIn, tmp_path: Path
 ) -> None:
-    """A terminal that holds it up, a debugger, a machine that swaps: nothing is commanded, so nobody else sees it."""
+    """A blocked terminal, a debugger or a swapping machine can cause such a pause.
+
+    No command is active, so no other process detects it.
+    """
     segments = (
         Segment("static", np.array([0.0]), np.zeros((1, 1))),
         Segment("steps", np.array([10.0 * SPEED]), np.array([[0.6]])),
@@ -81,7 +84,7 @@ def test_zero_is_repeated_for_half_a_second(standin: StandIn, tmp_path: Path) ->
     last = max(k for k, (_, n) in enumerate(standin.commands) if n != 0.0)
     zeros = [t for t, _ in standin.commands[last + 1 :]]
     assert zeros[-1] - zeros[0] > 0.9 * ZERO_FOR_S
-    assert len({round(t, 2) for t in zeros}) > 0.5 * ZERO_FOR_S / REPEAT_S  # and not some at once
+    assert len({round(t, 2) for t in zeros}) > 0.5 * ZERO_FOR_S / REPEAT_S  # and not all at once
 
 
 @pytest.mark.parametrize("after", [pytest.param(0.3, marks=pytest.mark.study), 1.0])
@@ -91,19 +94,19 @@ def test_a_port_that_comes_back_gets_its_zero_though_the_run_has_ended(tmp_path:
         run.until_turning(standin)
         standin.pull(standin.can)
         time.sleep(after)
-        assert standin.n != 0.0  # nobody could tell it
-        told = len(standin.commands)
+        assert standin.n != 0.0  # no process could send it before
+        n_before = len(standin.commands)
         standin.plug(standin.can)
         until(lambda: standin.n == 0.0, 3.0)
         assert run.end() == 3
-    assert "thrust is zero" in run.line()  # its status came after that
-    zeros = [t for t, n in standin.commands[told:] if n == 0.0]
-    assert len(zeros) == len(standin.commands[told:])
+    assert "thrust is zero" in run.line()  # its status arrived after the port returned
+    zeros = [t for t, n in standin.commands[n_before:] if n == 0.0]
+    assert len(zeros) == len(standin.commands[n_before:])
     assert zeros[-1] - zeros[0] > 0.9 * ZERO_FOR_S
     assert not open_log(run.log).warnings
 
 
-def test_a_closed_terminal_ends_it_like_any_signal(standin: StandIn, tmp_path: Path) -> None:
+def test_a_closed_terminal_ends_the_run_like_a_signal(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     master, slave = os.openpty()
     words = ["-m", "seatrial", "mission", "run", "mission.toml", "bench-rig.toml", "-o", "run.mcap"]
@@ -126,7 +129,7 @@ def test_a_closed_terminal_ends_it_like_any_signal(standin: StandIn, tmp_path: P
     assert any("SIGHUP" in text for _, kind, text in log.events() if kind == "stop")
 
 
-def test_a_log_that_is_deleted_ends_it(standin: StandIn, tmp_path: Path) -> None:
+def test_a_deleted_log_ends_the_run(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -137,14 +140,14 @@ def test_a_log_that_is_deleted_ends_it(standin: StandIn, tmp_path: Path) -> None
     assert "the log was deleted" in run.line()
 
 
-def test_ctrl_c_again_and_again_does_not_keep_it_from_zero(standin: StandIn, tmp_path: Path) -> None:
+def test_repeated_ctrl_c_does_not_prevent_zero_thrust(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
         sent = time.monotonic()
         while run.process.poll() is None and time.monotonic() < sent + 1.0:
             run.process.send_signal(signal.SIGINT)
-            time.sleep(0.003)  # a hand on the keyboard is slower
+            time.sleep(0.003)  # a person presses keys more slowly
         assert run.end() == 130
     assert standin.zero_after(sent) - sent < AT_ONCE_S
     assert not open_log(run.log).warnings
@@ -160,12 +163,14 @@ def test_ctrl_c_before_anything_moves(standin: StandIn, tmp_path: Path) -> None:
     open_log(run.log)
 
 
-# SIGHUP comes with a closed terminal, too.
+# SIGHUP also comes with a closed terminal.
 @pytest.mark.parametrize(
     ("number", "word"),
     [(signal.SIGTERM, "SIGTERM"), pytest.param(signal.SIGHUP, "SIGHUP", marks=pytest.mark.study)],
 )
-def test_other_signals_end_it_the_same_way(standin: StandIn, tmp_path: Path, number: signal.Signals, word: str) -> None:
+def test_other_signals_end_the_run_like_ctrl_c(
+    standin: StandIn, tmp_path: Path, number: signal.Signals, word: str
+) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -177,7 +182,7 @@ def test_other_signals_end_it_the_same_way(standin: StandIn, tmp_path: Path, num
     assert not open_log(run.log).warnings
 
 
-def test_a_signal_to_the_acquisition_process_is_said_as_what_it_is(standin: StandIn, tmp_path: Path) -> None:
+def test_a_signal_to_the_acquisition_process_is_reported_as_such(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -192,7 +197,7 @@ def test_a_signal_to_the_acquisition_process_is_said_as_what_it_is(standin: Stan
     assert any("SIGTERM" in text for _, kind, text in log.events() if kind == "stop")
 
 
-def test_a_reader_of_its_output_that_leaves_is_no_danger(standin: StandIn, tmp_path: Path) -> None:
+def test_a_closed_output_pipe_does_not_endanger_the_run(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -205,7 +210,7 @@ def test_a_reader_of_its_output_that_leaves_is_no_danger(standin: StandIn, tmp_p
     assert "stop" in kinds(run.log)
 
 
-def test_kill_9_of_the_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Path) -> None:
+def test_after_kill_9_of_the_runner_the_deadman_sends_zero(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -214,20 +219,20 @@ def test_kill_9_of_the_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path:
         run.process.kill()
         until(lambda: standin.n == 0.0, 5.0)
         assert standin.zero_after(sent) - sent < DEADMAN_S + AT_ONCE_S
-        assert standin.commands[-1][1] == 0.0  # it was told, it did not have to time out
+        assert standin.commands[-1][1] == 0.0  # it received zero and did not time out
         until(lambda: not is_alive(acquisition), 10.0)
         run.end()
     assert standin.n == 0.0
-    # The runner cannot print its last line any more; the acquisition process does.
+    # The killed runner cannot print its last line, so the acquisition process prints it.
     why, _, thrust = run.line().partition(": ")[2].partition(": ")
     assert why in ("the parent process is gone", "no heartbeat of the parent for 0.25 s")
     assert thrust == f"zero was sent, not confirmed; the log is {run.log}"
     log = open_log(run.log)
-    assert not log.warnings  # closed, not salvaged
+    assert not log.warnings  # closed regularly, not salvaged
     assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
 
 
-def test_a_hanging_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Path) -> None:
+def test_if_the_runner_hangs_the_deadman_sends_zero(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -236,7 +241,7 @@ def test_a_hanging_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Pat
         until(lambda: standin.n == 0.0, 5.0)
         assert standin.zero_after(sent) - sent < DEADMAN_S + AT_ONCE_S
         assert run.process.stderr is not None
-        first = run.process.stderr.readline()  # from the acquisition process: the runner still hangs
+        first = run.process.stderr.readline()  # printed by the acquisition process, because the runner still hangs
         assert first == (
             f"seatrial: no heartbeat of the parent for 0.25 s: zero was sent, not confirmed; the log is {run.log}\n"
         )
@@ -247,9 +252,9 @@ def test_a_hanging_runner_is_zero_by_the_deadman(standin: StandIn, tmp_path: Pat
     open_log(run.log)
 
 
-# Of both: tests/bench/execution/test_watchdog.py, with an ESC that waits long.
+# Kills of both processes: tests/bench/execution/test_watchdog.py, with an ESC that has a long time-out.
 @pytest.mark.parametrize("both", [False, pytest.param(True, marks=pytest.mark.study)])
-def test_kill_9_of_the_acquisition_is_zero_by_the_esc(standin: StandIn, tmp_path: Path, both: bool) -> None:
+def test_after_kill_9_of_the_acquisition_the_esc_stops(standin: StandIn, tmp_path: Path, both: bool) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -263,7 +268,8 @@ def test_kill_9_of_the_acquisition_is_zero_by_the_esc(standin: StandIn, tmp_path
         status = run.end()
     if not both:
         assert status == 3
-        assert "zero was sent, not confirmed" in run.line()  # by the watchdog, which hears no controller
+        # by the watchdog, which receives no frames from a controller
+        assert "zero was sent, not confirmed" in run.line()
         assert "run.mcap" in run.line()
     log = open_log(run.log)
     assert log.warnings  # salvaged
@@ -281,7 +287,7 @@ def test_a_pulled_can_port_is_a_safety_stop(standin: StandIn, tmp_path: Path) ->
     until(lambda: standin.n == 0.0, 5.0)
     assert standin.zero_after(sent) - sent < TIMEOUT_S / SPEED + AT_ONCE_S
     assert run.line().startswith("seatrial: esc ")
-    assert "zero was sent, not confirmed: left was not reached" in run.line()  # no command can reach it
+    assert "zero was sent, not confirmed: left was not reached" in run.line()  # no command can reach the controller
     assert "stop" in kinds(run.log)
 
 
@@ -350,7 +356,7 @@ def test_a_limited_quantity_that_falls_silent_ends_the_run_at_zero(standin: Stan
     assert open_log(run.log).table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
 
 
-def test_a_limit_may_be_left_unwatched_in_so_many_words(standin: StandIn, tmp_path: Path) -> None:
+def test_a_limit_may_be_explicitly_left_unwatched(standin: StandIn, tmp_path: Path) -> None:
     mission = short_mission(tmp_path, seconds=2.0)
     standin.temperature = math.nan
     with standin.rig.open("a", encoding="utf-8") as file:

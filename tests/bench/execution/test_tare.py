@@ -1,4 +1,4 @@
-"""The load cell's zero and drift from a log with a known zero."""
+"""Tests of the tare of a load cell: zero and drift from a log with known rest."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def rig(tmp_path: Path) -> Rig:
 
 
 def recorded(path: Path, rig: Rig, seconds: float) -> None:
-    """Readings at 20 Hz that drift linearly, with noise of 10 counts and flagged spikes; thrust in the middle."""
+    """Record readings at 20 Hz with linear drift, noise of 10 counts, flagged spikes, and thrust in the middle."""
     rng = np.random.default_rng(1)
     recorder = Recorder(path, rig=rig, clock=RunClock(1.0, (0.0, START)), attachments={}, metadata={})
     for k, t in enumerate(np.arange(0.0, seconds, 0.05)):
@@ -49,7 +49,7 @@ def test_zero_at_start_and_end_and_the_drift(tmp_path: Path, rig: Rig) -> None:
     assert first.counts == pytest.approx(ZERO_COUNTS + DRIFT * 5.0 / plan.end, abs=4 * first.standard_error)
     assert last.counts == pytest.approx(ZERO_COUNTS + DRIFT * (1 - 3.5 / plan.end), abs=4 * last.standard_error)
     assert first.standard_error == pytest.approx(10.2 / np.sqrt(first.n_samples), rel=0.3)
-    assert 165 <= first.n_samples <= 175  # 200 readings less every seventh
+    assert 165 <= first.n_samples <= 175  # 200 readings without every seventh
 
     lines = describe_tares([first, last], rig)
     assert len(lines) == 3
@@ -58,6 +58,6 @@ def test_zero_at_start_and_end_and_the_drift(tmp_path: Path, rig: Rig) -> None:
     assert f"loadcell drift: {drift:+.1f} counts = {drift * NEWTON_PER_COUNT:+.3f} N in " in lines[2]
 
 
-def test_no_rest_no_tare(tmp_path: Path, rig: Rig) -> None:
+def test_a_log_without_rest_gives_no_tare(tmp_path: Path, rig: Rig) -> None:
     recorded(tmp_path / "run.mcap", rig, 20.0)
     assert measure_tares(tmp_path / "run.mcap", rig, [("start", START - 100.0, START - 50.0)]) == []

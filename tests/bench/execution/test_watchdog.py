@@ -1,4 +1,4 @@
-"""The process behind the deadman: it steps in when the acquisition hangs or dies, and its own death is noticed."""
+"""Tests of the watchdog process: it ends thrust if the acquisition hangs or dies, and its own death ends the run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.bench.standin import SLOW_ESC_S, StandIn, until
 
 
 def looks(watch: HeartbeatMonitor, t: float, seconds: float, words: bytes = b"") -> tuple[float, str | None]:
-    """Look every POLL_S for so long; the time at which there is something to do, and what."""
+    """Poll every POLL_S for `seconds`. Return the time at which the watchdog has to act, and the reason."""
     end = t + seconds
     while t < end:
         t += POLL_S
@@ -42,14 +42,14 @@ def test_silence_is_a_reason_only_while_thrust_is_commanded() -> None:
     assert "no sign of life" in reason
 
 
-def test_a_pause_of_its_own_is_not_held_against_anybody() -> None:
+def test_a_pause_of_the_watchdog_itself_does_not_count_as_silence() -> None:
     watch = HeartbeatMonitor(0.0)
     assert watch.look(0.0, ACTIVE) is None
     assert watch.look(5.0, b"") is None
     assert looks(watch, 5.0, HANG_S / 2)[1] is None
 
 
-def test_on_a_slow_machine_a_hang_is_found_later_and_found() -> None:
+def test_on_a_slow_machine_a_hang_is_found_late_but_found() -> None:
     watch = HeartbeatMonitor(0.0)
     assert watch.look(0.0, ACTIVE) is None
     looks_at = (0.07 * k for k in range(1, 100))
@@ -57,7 +57,7 @@ def test_on_a_slow_machine_a_hang_is_found_later_and_found() -> None:
     assert HANG_S < t < 4.0 * HANG_S
 
 
-def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_moved() -> None:
+def test_a_closed_socket_is_a_reason_unless_announced_or_at_zero_thrust() -> None:
     assert HeartbeatMonitor(0.0).look(0.0, None) == ""
     moving = HeartbeatMonitor(0.0)
     assert moving.look(0.0, ACTIVE) is None
@@ -66,32 +66,33 @@ def test_the_end_of_the_line_is_a_reason_unless_it_was_announced_or_nothing_move
     assert leaving.look(0.0, ACTIVE + IDLE + FINISHED) == ""
 
 
-def test_it_loads_only_what_it_needs_to_send_zero() -> None:
+def test_the_watchdog_imports_only_the_modules_for_sending_zero() -> None:
     program = "import sys, seatrial.daq.acquisition.watchdog; from seatrial.daq.log import write_note; "
     program += "print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert not {"numpy", "mcap", "zstandard", "pymavlink", "can"} & set(done.stdout.split())
 
 
-@pytest.mark.parametrize("what", ["acquisition hangs", "acquisition killed", "both killed"])
-def test_what_hangs_or_dies_is_zero_long_before_the_esc_gives_up(tmp_path: Path, what: str) -> None:
+@pytest.mark.parametrize("failure", ["acquisition hangs", "acquisition killed", "both killed"])
+def test_after_a_hang_or_death_zero_comes_long_before_the_esc_timeout(tmp_path: Path, failure: str) -> None:
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, 4.0, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
         run.until_turning(standin)
         acquisition = acquisition_of(run.process.pid)
         begun = time.monotonic()
-        os.kill(acquisition, signal.SIGSTOP if what == "acquisition hangs" else signal.SIGKILL)
-        if what == "both killed":  # after the other, which would end by itself when it misses its parent
+        os.kill(acquisition, signal.SIGSTOP if failure == "acquisition hangs" else signal.SIGKILL)
+        # killed after the acquisition, because it would end by itself when its parent is gone
+        if failure == "both killed":
             run.process.kill()
         until(lambda: standin.n == 0.0, 10.0)
         took = standin.zero_after(begun) - begun
-        assert took < (HANG_S if what == "acquisition hangs" else 0.0) + AT_ONCE_S
-        assert standin.commands[-1][1] == 0.0  # it was told, it did not have to time out
+        assert took < (HANG_S if failure == "acquisition hangs" else 0.0) + AT_ONCE_S
+        assert standin.commands[-1][1] == 0.0  # it received zero and did not time out
         status = run.end()
         until(lambda: not is_alive(acquisition), 10.0)
         until(lambda: "zero was sent" in read_note(run.log), 10.0)
         assert standin.n == 0.0
-    if what != "both killed":
+    if failure != "both killed":
         assert status in (1, 3)
         assert "watchdog" in run.line() or "has not answered" in run.line()
     log = open_log(run.log)
@@ -102,7 +103,7 @@ def test_a_note_that_cannot_be_written_does_not_keep_thrust_on(tmp_path: Path) -
     short_mission(tmp_path, seconds=60.0)
     with StandIn(tmp_path, 4.0, timeout_s=SLOW_ESC_S) as standin, running(tmp_path) as run:
         run.until_turning(standin)
-        os.mkfifo(note_path(run.log))  # to open it waits for a reader, as a write may wait for a disk
+        os.mkfifo(note_path(run.log))  # opening a FIFO blocks until it has a reader, as a write to a disk can block
         watchdog = watchdog_of(run.process.pid)
         begun = time.monotonic()
         os.kill(acquisition_of(run.process.pid), signal.SIGKILL)
@@ -112,7 +113,7 @@ def test_a_note_that_cannot_be_written_does_not_keep_thrust_on(tmp_path: Path) -
         until(lambda: not is_alive(watchdog), 10.0)
 
 
-def test_a_note_is_not_written_to_what_a_link_shows(tmp_path: Path) -> None:
+def test_a_note_is_not_written_through_a_link(tmp_path: Path) -> None:
     log, other = tmp_path / "run.mcap", tmp_path / "other.txt"
     other.write_text("somebody else's")
     note_path(log).symlink_to(other)
@@ -120,7 +121,7 @@ def test_a_note_is_not_written_to_what_a_link_shows(tmp_path: Path) -> None:
     assert other.read_text() == "somebody else's"
 
 
-def test_without_its_watchdog_nothing_goes_on_driving(standin: StandIn, tmp_path: Path) -> None:
+def test_a_run_ends_if_its_watchdog_dies(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path) as run:
         run.until_turning(standin)
@@ -133,7 +134,7 @@ def test_without_its_watchdog_nothing_goes_on_driving(standin: StandIn, tmp_path
     assert "stop" in kinds(run.log)
 
 
-def test_a_watchdog_that_hangs_is_no_watchdog(standin: StandIn, tmp_path: Path) -> None:
+def test_a_run_ends_if_its_watchdog_hangs(standin: StandIn, tmp_path: Path) -> None:
     short_mission(tmp_path, seconds=60.0)
     with running(tmp_path, impatient=True) as run:
         run.until_turning(standin)

@@ -1,4 +1,6 @@
-"""The public commands against the real mock devices: a bench run, kill -9 with the mock's trace, the preflight."""
+"""Tests of the public commands against the mock devices: a bench run, kill -9 checked in the trace of the mock, the
+preflight.
+"""
 
 from __future__ import annotations
 
@@ -25,20 +27,20 @@ from tests.bench.runs import assert_plan_was_run
 from tests.bench.standin import until
 
 SPEED = 10.0
-CALM = 3.0  # where rates are judged: little enough to do that a busy machine still does it in time
+CALM = 3.0  # speed of tests that judge rates: slow enough that a busy machine still keeps up
 SEATRIAL = [sys.executable, "-m", "seatrial"]
 
 
 @contextmanager
 def mock(folder: Path, kind: str, *words: str, speed: float = SPEED) -> Iterator[subprocess.Popen[str]]:
-    """A mock of `kind` in `folder`, ready."""
+    """Start a mock of `kind` in `folder` and wait until it is ready."""
     write_demo_rig(kind, folder, speed)
     with mock_process(folder, kind, f"{kind}-rig.toml", "--seed", "5", "--trace", "trace.jsonl", *words) as process:
         yield process
 
 
 def trace(folder: Path) -> list[dict[str, Any]]:
-    """Changes of a thruster's effective command so far."""
+    """Return the changes of a thruster's effective command so far."""
     lines = (folder / "trace.jsonl").read_text(encoding="utf-8").splitlines()
     return [json.loads(line) for line in lines if line.endswith("}")]
 
@@ -70,7 +72,7 @@ def test_bench_steps_end_to_end(tmp_path: Path) -> None:
     log = open_log(tmp_path / "run.mcap")
     assert not log.warnings
     assert replay(tmp_path / "run.mcap").stop is None
-    # A set-point of this plan holds for 0.18 s of wall time: a busy machine may miss one, and then it says so.
+    # A set-point of this plan holds for 0.18 s of wall time. A busy machine may miss one; the run then reports it.
     plan = parse_mission(log.attachments["mission.toml"].decode(), "log")
     levels = plan.setpoints()[1]
     assert (levels.max(), levels.min()) == (0.9, -0.9)
@@ -88,7 +90,7 @@ def test_bench_steps_end_to_end(tmp_path: Path) -> None:
     assert len(spacing) == pytest.approx(50.0 * log.duration, rel=0.15)  # a busy machine starts late
 
 
-# Of the runner alone: tests/bench/execution/test_stops.py.
+# Kills of the runner alone: tests/bench/execution/test_stops.py.
 @pytest.mark.parametrize("everything", [pytest.param(False, marks=pytest.mark.study), True])
 def test_kill_9_stops_the_mock_thruster(tmp_path: Path, everything: bool) -> None:
     with mock(tmp_path, "bench") as devices:
@@ -103,7 +105,7 @@ def test_kill_9_stops_the_mock_thruster(tmp_path: Path, everything: bool) -> Non
             run.kill()
         killed = time.monotonic()
         until(lambda: not turning(tmp_path), 5.0)
-        # The ESC's own time-out is 10 run seconds, 1 s here; the deadman's is 0.25 s.
+        # The time-out of the ESC is 10 run seconds, 1 s here. The time of the deadman is 0.25 s.
         assert time.monotonic() - killed < (1.0 if everything else 0.25) + 0.5
         run.communicate()
         assert devices.poll() is None
@@ -111,7 +113,7 @@ def test_kill_9_stops_the_mock_thruster(tmp_path: Path, everything: bool) -> Non
     assert len(log.table(LoadCell, "loadcell")) > 100
 
 
-def test_check_says_good_and_bad(tmp_path: Path) -> None:
+def test_check_reports_good_and_bad_devices(tmp_path: Path) -> None:
     with mock(tmp_path, "boat", "--fault", "pull/gnss@0.1:10000", speed=CALM):
         done = subprocess.run(
             [*SEATRIAL, "check", "boat-rig.toml"], cwd=tmp_path, capture_output=True, text=True, check=False
@@ -124,7 +126,7 @@ def test_check_says_good_and_bad(tmp_path: Path) -> None:
     assert "not as it should be: gnss" in done.stderr
 
 
-def test_check_of_a_healthy_boat(tmp_path: Path) -> None:
+def test_check_of_a_healthy_boat_has_no_findings(tmp_path: Path) -> None:
     with mock(tmp_path, "boat", speed=CALM):
         done = subprocess.run(
             [*SEATRIAL, "check", "boat-rig.toml"], cwd=tmp_path, capture_output=True, text=True, check=False

@@ -1,4 +1,4 @@
-"""What a check says of one device by itself: each question answered with a fault or a warning where there is one."""
+"""Tests of the check of a single device: each problem is reported as a fault or a warning."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ from tests.missions import push, write_log
 G = 9.81  # m/s2
 
 
-def told(path: Path) -> list[Finding]:
+def findings_of(path: Path) -> list[Finding]:
+    """Return the findings of a log."""
     with open_log(path) as log:
         return alarms(list(check_devices(log)))
 
@@ -42,7 +43,7 @@ def told(path: Path) -> list[Finding]:
     ],
 )
 def test_faults_of_one_device(tmp_path: Path, fault: str, level: str, code: str, where: str, text: str) -> None:
-    found = told(logged(tmp_path / "run.mcap", 3, Case("", "", "", fault), actuators=True))
+    found = findings_of(logged(tmp_path / "run.mcap", 3, Case("", "", "", fault), actuators=True))
     assert [f for f in found if (f.level, f.code, f.where) == (level, code, where) and text in f.text], found
 
 
@@ -60,47 +61,47 @@ def _ahrs(change: Callable[[Ahrs], Ahrs]) -> Callable[[Sample], Sample]:
         (lambda s: replace(s, n_sat=4) if isinstance(s, Gnss) else s, "few-satellites", "4 "),
     ],
 )
-def test_values_that_no_sensor_of_a_boat_has(
+def test_implausible_sensor_values_are_reported(
     tmp_path: Path, change: Callable[[Sample], Sample], code: str, text: str
 ) -> None:
     readings = [r._replace(sample=change(r.sample)) for r in sailed(3, actuators=True).readings]
-    found = told(write_log(tmp_path / "run.mcap", "boat", readings))
+    found = findings_of(write_log(tmp_path / "run.mcap", "boat", readings))
     assert [f for f in found if f.code == code and text in f.text], found
 
 
-def test_a_receiver_that_holds_its_position_at_rest_is_not_stuck(tmp_path: Path) -> None:
+def test_a_receiver_with_constant_position_at_rest_is_not_stuck(tmp_path: Path) -> None:
     held = [
         r._replace(sample=replace(s, lat=63.4, lon=9.4, vel_n=0.0, vel_e=0.0)) if isinstance(s := r.sample, Gnss) else r
         for r in sailed(3, actuators=True).readings
     ]
-    assert "sensor-stuck" not in {f.code for f in told(write_log(tmp_path / "run.mcap", "boat", held))}
+    assert "sensor-stuck" not in {f.code for f in findings_of(write_log(tmp_path / "run.mcap", "boat", held))}
 
 
-def test_a_boat_that_turns_most_of_the_time_is_judged_by_the_rest(tmp_path: Path) -> None:
+def test_a_boat_that_turns_most_of_the_time_is_judged_at_rest(tmp_path: Path) -> None:
     turned = [
         r._replace(sample=replace(s, r=0.9, ay=0.9 * G)) if isinstance(s := r.sample, Ahrs) and r.t % 30.0 > 10.0 else r
         for r in sailed(3, actuators=True).readings
     ]
-    codes = {f.code for f in told(write_log(tmp_path / "run.mcap", "boat", turned))}
+    codes = {f.code for f in findings_of(write_log(tmp_path / "run.mcap", "boat", turned))}
     assert "specific-force-not-gravity" not in codes
 
 
-def test_a_load_cell_that_is_saturated(tmp_path: Path) -> None:
+def test_a_saturated_load_cell_is_reported(tmp_path: Path) -> None:
     readings = push(draw_bench(2), kind="steps")[0].readings
-    healthy = told(write_log(tmp_path / "healthy.mcap", "bench", readings))
+    healthy = findings_of(write_log(tmp_path / "healthy.mcap", "bench", readings))
     assert not healthy
     spoilt = [
         r._replace(sample=replace(r.sample, flags=1)) if isinstance(r.sample, LoadCell) and k % 20 == 0 else r
         for k, r in enumerate(readings)
     ]
-    (found,) = told(write_log(tmp_path / "spoilt.mcap", "bench", spoilt))
+    (found,) = findings_of(write_log(tmp_path / "spoilt.mcap", "bench", spoilt))
     assert found.code == "load-cell-saturated"
 
 
-def test_a_log_that_was_cut_off_says_so(tmp_path: Path) -> None:
+def test_a_truncated_log_is_reported(tmp_path: Path) -> None:
     whole = logged(tmp_path / "whole.mcap", 3, actuators=True).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
-    assert "cut off" in next(f.text for f in told(tmp_path / "cut.mcap") if f.code == "log-damaged")
+    assert "cut off" in next(f.text for f in findings_of(tmp_path / "cut.mcap") if f.code == "log-damaged")
 
 
 def test_check_refuses_thrusters_behind_px4() -> None:
@@ -117,7 +118,7 @@ def test_check_refuses_thrusters_behind_px4() -> None:
     ("frames", "n_bytes", "text"),
     [(0, 0, "nothing received"), (0, 900, "wrong baud rate"), (30, 900, "30 frames of mavlink understood")],
 )
-def test_a_device_without_a_sample_is_told_from_a_wrong_baud_rate(frames: int, n_bytes: int, text: str) -> None:
+def test_a_device_without_samples_is_distinguished_from_a_wrong_baud_rate(frames: int, n_bytes: int, text: str) -> None:
     port = PortStatus("autopilot", "mavlink", "", 25.0, NAN, math.inf, 0, frames, 0, 0, 0, 0, n_bytes, NAN, NAN, "")
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
     (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "device-silent"]
@@ -145,20 +146,20 @@ GOOD = LinkStatus(
     ],
     ids=lambda value: value if isinstance(value, str) and "-" in value else "",
 )
-def test_what_an_autopilot_says_of_itself_is_judged(link: LinkStatus, level: str, code: str, text: str) -> None:
+def test_the_reported_state_of_an_autopilot_is_judged(link: LinkStatus, level: str, code: str, text: str) -> None:
     port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 999, 999, 0, 0, 0, 0, 9999, 0.0, 0.0, "")
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
     found = next(one for one in check_ports(mav_rig(), status) if one.code == code and text in one.text)
     assert (found.level, found.where) == (level, "autopilot")
-    few = replace(link, lost=9)  # less than 1 % of what came
+    few = replace(link, lost=9)  # fewer than 1 % of the received bytes
     status = replace(status, links={"autopilot": few})
     assert not [one for one in check_ports(mav_rig(), status) if one.code == "frames-lost"]
 
 
 @pytest.mark.parametrize("remark", ["", "frames of node 7, which no thruster of the rig has"])
-def test_what_is_only_to_be_known_of_a_stream_is_no_fault(remark: str) -> None:
-    said = remark or "[Errno 5] it hung up"
-    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, said, remark)
+def test_a_remark_on_a_stream_is_not_a_fault(remark: str) -> None:
+    expected = remark or "[Errno 5] it hung up"
+    port = PortStatus("autopilot", "mavlink", "", 25.0, 25.0, 0.01, 9, 9, 0, 0, 0, 0, 99, 0.0, 0.0, expected, remark)
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", ())
     (found,) = [one for one in check_ports(mav_rig(), status) if one.code == "port-error"]
-    assert (found.level, found.text) == (WARNING if remark else FAULT, said)
+    assert (found.level, found.text) == (WARNING if remark else FAULT, expected)

@@ -1,4 +1,4 @@
-"""`seatrial check RIG` against mock devices: thrusters turn only when asked, and what is wired wrongly is named."""
+"""Tests of `seatrial check RIG` against mock devices: thrusters turn only on request, and wrong wiring is named."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def wired_wrongly(folder: Path) -> None:
-    """A rig whose author took the left plug for the right one; the boat of the mock is wired as its own rig says."""
+    """Write a rig whose left and right thrusters are swapped. The boat of the mock is wired as in its own rig."""
     text = (folder / "boat-rig.toml").read_text(encoding="utf-8")
     text = text.replace('name = "left"', 'name = "was_left"').replace('name = "right"', 'name = "left"')
     (folder / "wrong.toml").write_text(text.replace('name = "was_left"', 'name = "right"'), encoding="utf-8")
@@ -44,10 +44,10 @@ def test_the_actuator_test_finds_swapped_sides_and_ends_at_zero(tmp_path: Path) 
         done = check(tmp_path, "wrong.toml", "--actuators", "--yes", "--json", "-o", "test.mcap", "--seconds", "2")
         turned = trace(tmp_path)
     assert done.returncode == 1, done.stderr
-    told = json.loads(done.stdout)["findings"]
-    faults = [(f["check"], f["where"]) for f in told if f["level"] == "fault"]
-    assert ("sides", "right and left") in faults or ("sides", "left and right") in faults, told
-    assert {"rate", "noise", "limits", "disk", "delay", "dead band"} <= {f["check"] for f in told}
+    reported = json.loads(done.stdout)["findings"]
+    faults = [(f["check"], f["where"]) for f in reported if f["level"] == "fault"]
+    assert ("sides", "right and left") in faults or ("sides", "left and right") in faults, reported
+    assert {"rate", "noise", "limits", "disk", "delay", "dead band"} <= {f["check"] for f in reported}
     last = {row["node"]: row["n"] for row in turned}
     assert last == {1: 0.0, 2: 0.0}
     assert 0.25 < max(abs(row["n"]) for row in turned) <= 0.301
@@ -55,12 +55,12 @@ def test_the_actuator_test_finds_swapped_sides_and_ends_at_zero(tmp_path: Path) 
         assert [log.table(Command, "esc", node)["n_cmd"][-1] for node in (1, 2)] == [0.0, 0.0]
 
 
-def test_nothing_turns_unless_it_is_asked_for_and_agreed(tmp_path: Path) -> None:
+def test_no_thruster_turns_unless_requested_and_confirmed(tmp_path: Path) -> None:
     with mock(tmp_path, "boat", "--fault", "silence/gnss@0:10000", speed=FAST):
         asked = check(tmp_path, "boat-rig.toml", "--actuators")
         assert asked.returncode == 2
         assert "say --yes" in asked.stderr
-        # A preflight that has found a fault already does not go on to turn propellers.
+        # A preflight with a fault does not go on to turn propellers.
         done = check(tmp_path, "boat-rig.toml", "--actuators", "--yes", "--seconds", "1")
         assert done.returncode == 1
         assert "not tested: there are faults already: repair first: gnss" in done.stdout
@@ -68,7 +68,7 @@ def test_nothing_turns_unless_it_is_asked_for_and_agreed(tmp_path: Path) -> None
     assert not list(tmp_path.rglob("*.mcap"))
 
 
-def test_a_limit_without_a_source_is_a_fault_and_the_others_name_theirs(tmp_path: Path) -> None:
+def test_a_limit_without_a_source_is_a_fault_and_the_others_name_their_source(tmp_path: Path) -> None:
     with StandIn(tmp_path) as standin:
         standin.temperature = math.nan
         done = check(tmp_path, "bench-rig.toml", "--seconds", "1", "--json")
@@ -76,14 +76,14 @@ def test_a_limit_without_a_source_is_a_fault_and_the_others_name_theirs(tmp_path
             file.write('unwatched = ["temperature_c"]\n')
         without = check(tmp_path, "bench-rig.toml", "--seconds", "1", "--json")
     assert done.returncode == 1
-    told = [f for f in json.loads(done.stdout)["findings"] if f["check"] == "limits"]
-    assert [f["level"] for f in told] == ["fault", "ok"]
-    assert "limits.temperature_c = 80 is not watched" in told[0]["text"]
-    assert "unwatched" in told[0]["advice"]
-    assert "force_n 60 by loadcell" in told[1]["text"]
-    assert "temperature_c" not in told[1]["text"]
-    told = [f for f in json.loads(without.stdout)["findings"] if f["check"] == "limits"]
-    assert [f["level"] for f in told] == ["warning", "ok"]
+    reported = [f for f in json.loads(done.stdout)["findings"] if f["check"] == "limits"]
+    assert [f["level"] for f in reported] == ["fault", "ok"]
+    assert "limits.temperature_c = 80 is not watched" in reported[0]["text"]
+    assert "unwatched" in reported[0]["advice"]
+    assert "force_n 60 by loadcell" in reported[1]["text"]
+    assert "temperature_c" not in reported[1]["text"]
+    reported = [f for f in json.loads(without.stdout)["findings"] if f["check"] == "limits"]
+    assert [f["level"] for f in reported] == ["warning", "ok"]
 
 
 def test_a_log_without_samples_does_not_pass(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_a_log_without_samples_does_not_pass(tmp_path: Path) -> None:
     assert [f["level"] for f in json.loads(done.stdout)["findings"] if f["check"] == "log"] == ["fault"]
 
 
-def test_ctrl_c_in_the_actuator_test_is_zero_thrust(tmp_path: Path) -> None:
+def test_ctrl_c_in_the_actuator_test_sends_zero_thrust(tmp_path: Path) -> None:
     command = [*SEATRIAL, "check", "boat-rig.toml", "--actuators", "--yes", "--seconds", "1", "-o", "test.mcap"]
     with mock(tmp_path, "boat", speed=FAST):
         test = subprocess.Popen(
@@ -103,18 +103,18 @@ def test_ctrl_c_in_the_actuator_test_is_zero_thrust(tmp_path: Path) -> None:
         )
         until(lambda: (tmp_path / "trace.jsonl").exists() and turning(tmp_path), 30.0)
         test.send_signal(signal.SIGINT)
-        _, said = test.communicate(timeout=30)
+        _, stderr_text = test.communicate(timeout=30)
         until(lambda: not turning(tmp_path), 1.0)
-    assert test.returncode == 130, said
-    assert "thrust is zero" in said
+    assert test.returncode == 130, stderr_text
+    assert "thrust is zero" in stderr_text
 
 
-def test_a_mission_is_run_dry_before_anything_is_there(tmp_path: Path) -> None:
+def test_a_mission_is_checked_without_any_device(tmp_path: Path) -> None:
     write_demo_rig("boat", tmp_path, FAST)
     save_mission(make_mission("mixed", 60.0, 1), tmp_path / "mission.toml")
     done = check(tmp_path, "boat-rig.toml", "--mission", "mission.toml", "--seconds", "0.5", "--json")
-    assert done.returncode == 1  # there is no boat
-    told = {(f["check"], f["where"]): f for f in json.loads(done.stdout)["findings"]}
-    assert {where for check, where in told if check == "alive"} >= {"ahrs", "gnss", "esc"}
-    assert told["limits", "mixed, seed 1"]["level"] == "ok"
-    assert "no c1" in told["fence", "mixed, seed 1"]["text"]
+    assert done.returncode == 1  # no boat is connected
+    reported = {(f["check"], f["where"]): f for f in json.loads(done.stdout)["findings"]}
+    assert {where for check, where in reported if check == "alive"} >= {"ahrs", "gnss", "esc"}
+    assert reported["limits", "mixed, seed 1"]["level"] == "ok"
+    assert "no c1" in reported["fence", "mixed, seed 1"]["text"]

@@ -1,4 +1,4 @@
-"""`seatrial check LOG`: each injected fault is found and named, a healthy run is left alone."""
+"""Tests of `seatrial check LOG`: each injected fault is found and named, and a healthy run has no findings."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "expected"),
     [
         (["a.toml", "b.mcap"], "give one RIG"),
         (["b.mcap", "--actuators"], "need a RIG"),
@@ -87,8 +87,8 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         (["a.toml", "--actuators", "--link-test", "--thrust", "0.2"], "0.1 of thrust always"),
     ],
 )
-def test_what_does_not_go_together_is_wrong_usage(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+def test_options_that_exclude_each_other_are_wrong_usage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], expected: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for word in words:
@@ -96,7 +96,7 @@ def test_what_does_not_go_together_is_wrong_usage(
             Path(word).touch()
     status, _, err = run(capsys, "check", *words)
     assert status == 2
-    assert said in err
+    assert expected in err
 
 
 def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,7 +108,7 @@ def test_a_file_that_is_no_log_is_one_line(tmp_path: Path, capsys: pytest.Captur
     assert err.count("\n") == 1
 
 
-def test_the_delay_and_the_dead_band_are_those_of_the_thruster() -> None:
+def test_the_reported_delay_and_dead_band_match_the_thruster() -> None:
     recording = sailed(5, None, actuators=True)
     table = tables(recording.readings)
     told = Channel(table["esc/1/command"]["t"].copy(), table["esc/1/command"]["n_cmd"].copy())
@@ -116,12 +116,12 @@ def test_the_delay_and_the_dead_band_are_those_of_the_thruster() -> None:
     assert isinstance(found, Response)
     assert found.delay == pytest.approx(0.345, abs=0.06)
     assert found.time_constant == pytest.approx(1 / 7.2115, abs=0.1)
-    assert 0.05 < found.band <= 0.1  # between the stairs at 0.05 and 0.1, and it is 0.086
+    assert 0.05 < found.band <= 0.1  # it lies between the steps at 0.05 and 0.1: the true value is 0.086
     assert found.scale == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("late", [-0.8, 0.0, 0.5])
-def test_a_late_gyro_is_measured(late: float) -> None:
+def test_the_delay_of_a_gyro_is_measured(late: float) -> None:
     c = channels_of(sailed(5))
     moved = Channel(c["r"].t + late, c["r"].value)
     found = heading_match(c | {"r": moved})
@@ -151,18 +151,22 @@ def test_units_of_velocity_and_shaft_speed_are_recognised() -> None:
 
 
 @pytest.mark.parametrize("actuators", [False, True], ids=["mission", "actuators"])
-def test_a_lost_propeller_turns_and_gives_no_thrust(actuators: bool) -> None:
+def test_a_thruster_without_a_propeller_is_named(actuators: bool) -> None:
     t, n = mission(7, actuators).setpoints()
     whole = channels_of(sailed(7, actuators=actuators))
-    without = channels_of(simulate(draw_boat(7), t, n * [1.0, 0.0], float(t[-1]), 7))  # nothing comes of the right one
+    # the right thruster gives no thrust
+    without = channels_of(simulate(draw_boat(7), t, n * [1.0, 0.0], float(t[-1]), 7))
     sides = {"left": -0.15, "right": 0.15}
     assert [f.code for f in check_motion(whole, sides)] == ["thruster-sides-agree"]
     (found,) = check_motion(without | {"n_right": whole["n_right"]}, sides)
     assert (found.level, found.code, found.where) == ("fault", "thruster-without-effect", "right")
 
 
-def test_a_thruster_that_hardly_turns_the_boat_in_a_minute_is_not_dead() -> None:
-    """Its share of the turning in this minute is not to be seen; that it pushes ahead is, at 3.6 standard errors."""
+def test_a_thruster_that_hardly_turns_the_boat_is_not_reported_as_dead() -> None:
+    """Its share of the turning in this minute cannot be resolved.
+
+    Its thrust ahead is resolved with 3.6 standard errors.
+    """
     seed = RigCase("short", NONE, 9718).boat_seed
     t, n = make_mission("mixed", 60.0, 100 + seed).setpoints()
     boat = draw_boat(seed, [], draw_thruster(seed))
@@ -171,8 +175,8 @@ def test_a_thruster_that_hardly_turns_the_boat_in_a_minute_is_not_dead() -> None
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.study) for k in (2, 3))])
-def test_an_antenna_away_from_the_origin_is_not_late(seed: int) -> None:
-    """It has a velocity of its own in every turn, which 0.2 to 0.35 s of either sign explained in part."""
+def test_the_lever_arm_of_an_antenna_is_not_reported_as_delay(seed: int) -> None:
+    """The antenna has its own velocity in each turn. A delay of 0.2 to 0.35 s of either sign explained a part of it."""
     c = channels_of(sail(boat_with("lever-arm", seed, 1.5), 200.0, seed)[0])
     assert not [f.text for f in check_signals(c, {"left": -0.15, "right": 0.15}) if f.code == "sensor-late"]
 
@@ -195,7 +199,7 @@ def clocks(device: np.ndarray, received: np.ndarray) -> list[Finding]:
     return [f for f in found if f.check in ("clock", "gap")]
 
 
-def test_clocks_that_jump_run_back_drift_or_lag() -> None:
+def test_clocks_that_jump_run_back_drift_or_lag_are_reported() -> None:
     t = np.arange(0.0, 120.0, 0.02)
     rng = np.random.default_rng(2)
     received = t + 0.003 * rng.exponential(size=t.size)
@@ -212,11 +216,12 @@ def test_clocks_that_jump_run_back_drift_or_lag() -> None:
         assert number in found.text
         assert found.level != "ok"
     rounded = t.copy()
-    rounded[1] = np.nextafter(t[0], -1.0)  # one moment, once in ms and once in us: an autopilot's attitude and IMU
+    # same instant, once in ms and once in us: the attitude and the IMU of an autopilot
+    rounded[1] = np.nextafter(t[0], -1.0)
     assert [f.code for f in clocks(rounded, received)] == ["clock-steady"]
     bunched = np.ceil(t / 0.4) * 0.4 + 0.003
     assert "samples-late" in {f.code for f in clocks(t, bunched)}
-    few = np.array([0.0, 0.5, 1.0, 1.5, 1.5, 2.0])  # a battery at 2 Hz, twice in one read
+    few = np.array([0.0, 0.5, 1.0, 1.5, 1.5, 2.0])  # a battery at 2 Hz, two samples in one read
     assert "samples-bunched" not in {f.code for f in check_timestamps("battery", stamped(few, few), 2.0)}
     assert "samples-bunched" in {f.code for f in check_timestamps("ahrs", stamped(t, np.ceil(t / 0.4) * 0.4), 120.0)}
     lost = (t < 30.0) | (t > 42.0)
@@ -224,7 +229,7 @@ def test_clocks_that_jump_run_back_drift_or_lag() -> None:
     assert "missing: 1 section, 12.0 s" in gap.text
 
 
-def test_time_stamps_that_lost_their_zeros() -> None:
+def test_time_stamps_without_leading_zeros_are_reported() -> None:
     rng = np.random.default_rng(3)
     t = np.cumsum(rng.uniform(0.08, 0.12, 1000))
     assert not list(lost_zeros("n", t))
@@ -233,10 +238,10 @@ def test_time_stamps_that_lost_their_zeros() -> None:
     (found,) = lost_zeros("n", wrong)
     assert found.code == "lost-zeros"
     assert "unpadded-ns" in found.advice
-    assert not list(lost_zeros("gnss", 0.5 + np.arange(1000.0)))  # a device that always speaks at the half second
+    assert not list(lost_zeros("gnss", 0.5 + np.arange(1000.0)))  # a device that always sends at the half second
 
 
-def test_a_table_for_people() -> None:
+def test_the_findings_are_printed_as_a_table() -> None:
     found = [Finding("ok", "code", "a", "x", "fine"), Finding("fault", "code", "bb", "yy", "bad", "mend it")]
     assert findings_lines(worst_first(found)) == ["fault    yy  bb  bad: mend it", "ok       x   a   fine"]
     assert findings_summary(found) == "1 fault, 0 warnings, 1 in order"

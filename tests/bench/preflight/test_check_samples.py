@@ -1,4 +1,4 @@
-"""What a check says of the samples of one device: their rate, what repeats itself, noise, gaps and clocks."""
+"""Tests of the check of one device's samples: rate, repeated values, noise, gaps and clocks."""
 
 from __future__ import annotations
 
@@ -47,7 +47,9 @@ def sampled(make: Callable[[float], Sample], rate: float, seconds: float, first:
     return [Reading(name, make(k / rate), first + k / rate) for k in range(round(rate * seconds))]
 
 
-def told(path: Path, rig: Rig, readings: Iterable[Reading], metadata: dict[str, str] | None = None) -> list[Finding]:
+def findings_of(
+    path: Path, rig: Rig, readings: Iterable[Reading], metadata: dict[str, str] | None = None
+) -> list[Finding]:
     device = rig.devices[0].name
     rows = sorted((r._replace(device=device) for r in readings), key=lambda r: r.t)
     with open_log(record(path / "run.mcap", rig, rows, metadata=metadata)) as log:
@@ -82,49 +84,53 @@ def test_a_compass_that_repeats_itself_is_not_stuck(tmp_path: Path, degrees: flo
         steps = round((40.0 + swing * math.sin(0.2 * t)) / degrees)
         return Ahrs(math.radians(degrees * steps), NAN, NAN)
 
-    assert "sensor-stuck" not in codes(told(tmp_path, rig_with("nmea", 10.0), sampled(rounded, 10.0, 60.0)))
+    assert "sensor-stuck" not in codes(findings_of(tmp_path, rig_with("nmea", 10.0), sampled(rounded, 10.0, 60.0)))
 
 
-def test_a_receiver_that_knows_nothing_yet_is_not_stuck(tmp_path: Path) -> None:
+def test_a_receiver_before_its_first_fix_is_not_stuck(tmp_path: Path) -> None:
     def cold(t: float) -> Gnss:
         return Gnss(NAN, NAN, NAN) if t < 20.0 else fix(t)
 
-    assert "sensor-stuck" not in codes(told(tmp_path, rig_with("ubx", 5.0), sampled(cold, 5.0, 60.0)))
+    assert "sensor-stuck" not in codes(findings_of(tmp_path, rig_with("ubx", 5.0), sampled(cold, 5.0, 60.0)))
 
 
 @pytest.mark.parametrize(
     ("counts", "stuck"), [(0.0, False), (0.02, False), (3.0, False), (512.34, True), (60.0, True), (84210.0, True)]
 )
-def test_a_scale_at_rest_is_not_stuck_and_a_converter_is(tmp_path: Path, counts: float, stuck: bool) -> None:
-    found = told(tmp_path, rig_with("loadcell", 10.0, more=COUNTS), sampled(lambda t: LoadCell(counts), 10.0, 10.0))
+def test_constant_counts_at_rest_are_fine_from_a_scale_but_not_from_a_converter(
+    tmp_path: Path, counts: float, stuck: bool
+) -> None:
+    found = findings_of(
+        tmp_path, rig_with("loadcell", 10.0, more=COUNTS), sampled(lambda t: LoadCell(counts), 10.0, 10.0)
+    )
     assert ("sensor-stuck" in codes(found)) == stuck
 
 
 @pytest.mark.parametrize("stuck", [False, True])
-def test_a_load_cell_of_small_counts_that_hangs_under_thrust_is_stuck(tmp_path: Path, stuck: bool) -> None:
+def test_a_load_cell_with_small_counts_that_repeats_under_thrust_is_stuck(tmp_path: Path, stuck: bool) -> None:
     def pull(t: float) -> LoadCell:
-        """At rest it stays at its tare, under thrust it flickers until it hangs."""
+        """Return counts that equal the tare at rest and vary under thrust until the cell gets stuck."""
         held = 30.0 if stuck and t > 30.0 else t
         return LoadCell(0.02 if t < 20.0 else round(512.34 + 100.0 * float(NOISE[round(100 * held)]), 2))
 
     cell = rig_with("loadcell", 10.0, more=COUNTS)
-    found = [f for f in told(tmp_path, cell, sampled(pull, 10.0, 40.0)) if f.code == "sensor-stuck"]
+    found = [f for f in findings_of(tmp_path, cell, sampled(pull, 10.0, 40.0)) if f.code == "sensor-stuck"]
     assert [f.text for f in found] == ["the same reading for 9.9 s, from 30.0 s on"] * stuck
 
 
-def test_an_attitude_that_hangs_between_accelerations_that_do_not_is_stuck(tmp_path: Path) -> None:
+def test_an_attitude_that_repeats_between_changing_accelerations_is_stuck(tmp_path: Path) -> None:
     def acceleration(t: float) -> Ahrs:
         return Ahrs(NAN, NAN, NAN, ax=float(NOISE[round(100 * t)]), ay=0.0, az=-9.81)
 
     hung = sampled(lambda t: attitude(min(t, 5.0)), 10.0, 20.0)
     (found,) = [
-        f for f in told(tmp_path, mav_rig(rate=10.0), [*hung, *sampled(acceleration, 10.0, 20.0, 0.03)])
+        f for f in findings_of(tmp_path, mav_rig(rate=10.0), [*hung, *sampled(acceleration, 10.0, 20.0, 0.03)])
         if f.code == "sensor-stuck"
     ]  # fmt: skip
     assert found.text.startswith("the same reading for 14.9 s, from 5.0 s on")
 
 
-def test_the_search_for_a_stuck_sensor_is_quick() -> None:
+def test_the_search_for_a_stuck_sensor_is_fast() -> None:
     noise = np.random.default_rng(4).standard_normal(50_000)
     table = np.zeros(noise.size, dtype=[(name, float) for name in ("t", "yaw", "p", "q", "r", "ax", "ay", "az")])
     table["t"], table["yaw"] = 0.01 * np.arange(noise.size), noise
@@ -138,32 +144,34 @@ def test_the_search_for_a_stuck_sensor_is_quick() -> None:
     assert min(seconds(lambda: list(_stuck(Ahrs, "ahrs", table))) for _ in range(2)) < 40.0 * sort
 
 
-def test_headings_count_for_the_rate_of_a_ships_bus(tmp_path: Path) -> None:
-    others = [*sampled(turning, 10.0, 20.0, 0.01), *sampled(fix, 5.0, 20.0, 0.02)]
-    (of_rate,) = [f for f in told(tmp_path, bus(), [*sampled(heading, 10.0, 20.0), *others]) if f.check == "rate"]
+def test_the_rate_of_an_nmea_2000_bus_is_that_of_its_headings(tmp_path: Path) -> None:
+    other_samples = [*sampled(turning, 10.0, 20.0, 0.01), *sampled(fix, 5.0, 20.0, 0.02)]
+    (of_rate,) = [
+        f for f in findings_of(tmp_path, bus(), [*sampled(heading, 10.0, 20.0), *other_samples]) if f.check == "rate"
+    ]
     assert (of_rate.code, of_rate.text) == ("rate-as-expected", "10 Hz, expected 10")
 
 
-def test_fixes_count_for_the_rate_of_a_ships_bus_without_a_compass(tmp_path: Path) -> None:
+def test_the_rate_of_an_nmea_2000_bus_without_a_compass_is_that_of_its_fixes(tmp_path: Path) -> None:
     rows = [*sampled(turning, 10.0, 20.0), *sampled(fix, 5.0, 20.0, 0.02)]
-    (of_rate,) = [f for f in told(tmp_path, bus(5.0), rows) if f.check == "rate"]
+    (of_rate,) = [f for f in findings_of(tmp_path, bus(5.0), rows) if f.check == "rate"]
     assert (of_rate.code, of_rate.text) == ("rate-as-expected", "5 Hz, expected 5")
 
 
 @pytest.mark.parametrize("noise", [False, True])
-def test_the_noise_of_headings_between_rates_of_turn_is_seen(tmp_path: Path, noise: bool) -> None:
+def test_the_noise_of_headings_between_rates_of_turn_is_reported(tmp_path: Path, noise: bool) -> None:
     def shaken(t: float) -> Ahrs:
         return Ahrs(heading(t).yaw + 150.0 * noise * float(NOISE[round(100 * t)]), NAN, NAN)
 
-    found = told(tmp_path, bus(), [*sampled(shaken, 10.0, 20.0), *sampled(turning, 10.0, 20.0, 0.05)])
+    found = findings_of(tmp_path, bus(), [*sampled(shaken, 10.0, 20.0), *sampled(turning, 10.0, 20.0, 0.05)])
     assert ("sensor-noisy" in codes(found)) == noise
 
 
-def test_one_heading_that_is_missing_does_not_hide_the_noise_of_the_others(tmp_path: Path) -> None:
+def test_a_missing_heading_does_not_hide_the_noise_of_the_others(tmp_path: Path) -> None:
     def shaken(t: float) -> Ahrs:
         return Ahrs(NAN if t == 1.0 else 100.0 * float(NOISE[round(100 * t)]), 0.0, 0.0, r=0.0)
 
-    assert "sensor-noisy" in codes(told(tmp_path, rig_with("nmea", 10.0), sampled(shaken, 10.0, 20.0)))
+    assert "sensor-noisy" in codes(findings_of(tmp_path, rig_with("nmea", 10.0), sampled(shaken, 10.0, 20.0)))
 
 
 @pytest.mark.parametrize(
@@ -172,43 +180,44 @@ def test_one_heading_that_is_missing_does_not_hide_the_noise_of_the_others(tmp_p
         (10.0, {}, "rate-as-expected", "10 Hz, expected 10"),
         (4.0, {}, "rate-off", "4 Hz, expected 10"),
         (0.01, {}, "rate-off", "no attitudes, expected 10"),
-        (4.0, {"import": "mavlink"}, "rate-measured", "9.0"),  # the rates of a ground station; all kinds together
+        # the rates of a ground station, for all kinds of samples together
+        (4.0, {"import": "mavlink"}, "rate-measured", "9.0"),
     ],
 )
-def test_attitudes_count_for_the_rate_of_an_autopilot(
+def test_the_rate_of_an_autopilot_is_that_of_its_attitudes(
     tmp_path: Path, rate: float, metadata: dict[str, str], code: str, text: str
 ) -> None:
     rows = [*sampled(attitude, rate, 20.0), *sampled(fix, 5.0, 20.0, 0.02)]
-    (of_rate,) = [f for f in told(tmp_path, mav_rig(rate=10.0), rows, metadata) if f.check == "rate"]
+    (of_rate,) = [f for f in findings_of(tmp_path, mav_rig(rate=10.0), rows, metadata) if f.check == "rate"]
     assert of_rate.code == code
     assert of_rate.text.startswith(text)
 
 
 @pytest.mark.parametrize("first", [1.0, 4.0])
 @pytest.mark.parametrize(("then", "code"), [(25.0, "rate-as-expected"), (15.0, "rate-off")])
-def test_what_an_autopilot_sends_before_it_is_asked_does_not_count(
+def test_samples_of_an_autopilot_before_the_request_of_rates_do_not_count(
     tmp_path: Path, first: float, then: float, code: str
 ) -> None:
     rows = [*sampled(attitude, first, 1.0), *sampled(attitude, then, 2.0, 1.0)]
-    (of_rate,) = [f for f in told(tmp_path, mav_rig(rate=25.0), rows) if f.check == "rate"]
+    (of_rate,) = [f for f in findings_of(tmp_path, mav_rig(rate=25.0), rows) if f.check == "rate"]
     assert of_rate.code == code
 
 
-def test_an_autopilot_that_says_only_how_it_is_has_no_attitudes(tmp_path: Path) -> None:
-    found = told(tmp_path, mav_rig(), sampled(lambda t: Autopilot(0, 0, 3), 1.0, 5.0))
+def test_an_autopilot_that_sends_only_its_state_has_no_attitudes(tmp_path: Path) -> None:
+    found = findings_of(tmp_path, mav_rig(), sampled(lambda t: Autopilot(0, 0, 3), 1.0, 5.0))
     assert [(f.level, f.text) for f in found if f.code == "rate-off"] == [("fault", "no attitudes, expected 25")]
 
 
-def test_three_losses_of_half_a_minute_are_said(tmp_path: Path) -> None:
+def test_three_losses_of_half_a_minute_are_reported(tmp_path: Path) -> None:
     rows = [r._replace(t=r.t + 30.0 * (k // 25)) for k, r in enumerate(sampled(fix, 1.0, 100.0))]
-    (gap,) = [f for f in told(tmp_path, rig_with("ubx", 1.0), rows) if f.check == "gap"]
+    (gap,) = [f for f in findings_of(tmp_path, rig_with("ubx", 1.0), rows) if f.check == "gap"]
     assert gap.code == "sections-missing"
     assert gap.text.startswith("missing: 3 sections, 93.0 s in all")
 
 
-def test_a_pause_of_a_device_whose_samples_come_in_bunches_is_named(tmp_path: Path) -> None:
+def test_a_pause_of_a_device_whose_samples_arrive_in_groups_is_reported(tmp_path: Path) -> None:
     rows = [r._replace(t=0.2 * (k // 2) + 60.0 * (k >= 700)) for k, r in enumerate(sampled(attitude, 10.0, 140.0))]
-    found = told(tmp_path, rig_with("nmea", 10.0), rows)
+    found = findings_of(tmp_path, rig_with("nmea", 10.0), rows)
     assert {"samples-bunched", "sections-missing", "rate-as-expected"} <= codes(found), found
     (gap,) = [f for f in found if f.code == "sections-missing"]
     assert gap.text == "missing: 1 section, 60.2 s in all, the longest at 69.8 s"
@@ -229,6 +238,6 @@ def test_the_clock_of_a_slow_device_is_compared(period: float) -> None:
     assert "clock-jumps" in codes(check_timestamps("gnss", _with_clock(t, jumps), t[-1]))
 
 
-def test_too_few_samples_of_a_clock_end_in_no_error() -> None:
+def test_too_few_samples_of_a_clock_cause_no_error() -> None:
     t = np.sort(np.concatenate([1e-3 * np.arange(49.0), [500.0, 900.0]]))
     list(check_timestamps("gnss", _with_clock(t, np.zeros(t.size)), t[-1]))

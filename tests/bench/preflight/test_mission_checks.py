@@ -1,4 +1,4 @@
-"""The dry run of a mission: limits, duration, and the way of the rig's nominal vehicle against the fence."""
+"""Tests of the dry run of a mission: limits, duration, and the track of the nominal vehicle relative to the fence."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def ahead(n: float, seconds: float) -> Mission:
     )
 
 
-def told(mission: Mission, rig: Rig) -> list[tuple[str, str]]:
+def findings_of(mission: Mission, rig: Rig) -> list[tuple[str, str]]:
     return [(f.check, f.level) for f in check_mission(mission, rig)]
 
 
-def test_the_track_comes_to_the_steady_speed_of_its_equation() -> None:
+def test_the_predicted_track_reaches_the_steady_speed_of_the_model() -> None:
     t, x, y = track(ahead(0.5, 60.0), RIG)
     push, d, dd = 2 * (40.05 + 1.11) * 0.25, RIG.vehicle["d_u"], RIG.vehicle["d_uu"]
     steady = (-d + np.sqrt(d * d + 4 * dd * push)) / (2 * dd)
@@ -40,34 +40,36 @@ def test_the_track_comes_to_the_steady_speed_of_its_equation() -> None:
     assert np.abs(y).max() < 1e-9
 
 
-def test_the_track_turns_as_the_mock_boat_does() -> None:
+def test_the_predicted_track_turns_like_the_mock_boat() -> None:
     n = np.array([[0.6, 0.3]])
     mission = Mission("turn", "mission", ("left", "right"), (Segment("go", np.array([0.0]), n),), 30.0)
     _, x, y = track(mission, RIG)
     boat = draw_boat(4)
     truth = simulate(replace(boat, current=(0.0, 0.0)), [0.0], n, 30.0, disturbed=False).truth
     far = np.hypot(truth["x"] - truth["x"][0], truth["y"] - truth["y"][0]).max()
-    assert np.hypot(x, y).max() == pytest.approx(far, rel=0.3)  # another hull, within 10 % of the nominal one
+    assert np.hypot(x, y).max() == pytest.approx(far, rel=0.3)  # another hull, within 10 % of the nominal hull
 
 
 def test_leaving_the_fence_is_a_fault_and_coming_close_a_warning() -> None:
     _, x, _ = track(ahead(0.5, 60.0), RIG)
     for radius, level in ((0.9 * x[-1], "fault"), (1.1 * x[-1], "warning"), (2.0 * x[-1], "ok")):
         fenced = replace(RIG, limits=replace(RIG.limits, radius_m=radius))
-        assert told(ahead(0.5, 60.0), fenced) == [("limits", "ok"), ("fence", level)]
+        assert findings_of(ahead(0.5, 60.0), fenced) == [("limits", "ok"), ("fence", level)]
 
 
-def test_a_rig_without_thrust_says_that_nothing_is_predicted() -> None:
-    assert told(ahead(0.5, 60.0), BOAT) == [("limits", "ok"), ("fence", "warning")]
-    assert told(ahead(0.5, 60.0), replace(BOAT, limits=replace(BOAT.limits, radius_m=None))) == [("limits", "ok")]
+def test_a_rig_without_a_thrust_curve_gets_no_prediction() -> None:
+    assert findings_of(ahead(0.5, 60.0), BOAT) == [("limits", "ok"), ("fence", "warning")]
+    assert findings_of(ahead(0.5, 60.0), replace(BOAT, limits=replace(BOAT.limits, radius_m=None))) == [
+        ("limits", "ok")
+    ]
 
 
-def test_a_light_boat_with_much_damping_comes_to_its_steady_speed_too() -> None:
+def test_a_light_boat_with_high_damping_reaches_its_steady_speed() -> None:
     light = replace(RIG, vehicle={**RIG.vehicle, "m_u": 0.5, "d_uu": 60.0})
     t, x, _ = track(ahead(0.5, 60.0), light)
     steady = np.sqrt(2 * (40.05 + 1.11) * 0.25 / 60.0)
     assert np.diff(x[t > 5.0]).mean() / 0.05 == pytest.approx(steady, rel=0.01)
-    assert told(ahead(0.5, 60.0), light) == [("limits", "ok"), ("fence", "ok")]
+    assert findings_of(ahead(0.5, 60.0), light) == [("limits", "ok"), ("fence", "ok")]
 
 
 @pytest.mark.parametrize(
@@ -76,17 +78,17 @@ def test_a_light_boat_with_much_damping_comes_to_its_steady_speed_too() -> None:
         ({"m_u": 0.0}, "has m_u not above zero"),
         ({"m_u": -1.0, "m_r": 0.0}, "has m_u and m_r not above zero"),
         ({"m_r": 0.02, "d_r": 0.0, "d_rr": 0.0}, "makes it diverge"),
-        ({"d_u": -740.0}, "makes it diverge"),  # STEP times it is m_u
+        ({"d_u": -740.0}, "makes it diverge"),  # multiplied by STEP it equals m_u
     ],
 )
-def test_a_vehicle_that_cannot_be_is_not_predicted(vehicle: dict[str, float], why: str) -> None:
+def test_an_invalid_vehicle_is_not_predicted(vehicle: dict[str, float], why: str) -> None:
     turn = Mission("turn", "mission", ("left", "right"), (Segment("go", np.zeros(1), np.array([[0.9, 0.3]])),), 60.0)
     (_, fence) = check_mission(turn, replace(RIG, vehicle={**RIG.vehicle, **vehicle}))
     assert (fence.level, fence.code) == ("warning", "track-not-predicted")
     assert fence.text.endswith(f"[vehicle] of the rig {why}")
 
 
-def test_what_the_design_predicts_comes_first() -> None:
+def test_the_prediction_of_the_design_comes_first() -> None:
     t = np.array([0.0, 30.0, 60.0])
     prediction = Prediction("m", t, np.array([0.0, 250.0, 10.0]), np.zeros(3), np.array([0.0, 60.0, 60.0]))
     (_, fence) = check_mission(replace(ahead(0.1, 60.0), prediction=prediction), RIG)
@@ -96,8 +98,8 @@ def test_what_the_design_predicts_comes_first() -> None:
 
 def test_a_plan_beyond_the_limit_is_a_fault() -> None:
     limited = replace(RIG, limits=replace(RIG.limits, n_max=0.4))
-    assert told(ahead(0.5, 60.0), limited) == [("limits", "fault")]
-    assert told(ahead(np.nan, 60.0), RIG) == [("limits", "fault")]
+    assert findings_of(ahead(0.5, 60.0), limited) == [("limits", "fault")]
+    assert findings_of(ahead(np.nan, 60.0), RIG) == [("limits", "fault")]
 
 
 def test_the_actuator_test_is_low_short_and_ends_at_zero() -> None:

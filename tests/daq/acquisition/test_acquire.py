@@ -1,4 +1,4 @@
-"""The acquisition process, with real ptys for its ports: what is logged, and what is said of a port that fails."""
+"""Tests of the acquisition process on real ptys: the logged samples, and the messages about a port that fails."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_every_device_is_logged(tmp_path: Path) -> None:
         assert 40 <= len(table) <= sent[name]
         assert np.all(np.diff(table["t"]) >= 0)
         assert np.all(table["t"] <= table["t_rx"] + 1e-6)
-    # No sample is missing between the first and the last: each carries its number.
+    # Each sample carries its number, so no sample is missing between the first and the last.
     assert np.allclose(np.diff(ahrs["r"]), 1e-3, atol=1e-6)
     assert set(np.diff(cell["counts"])) <= {1.0, -99.0}
     assert np.allclose(cell["force"], (cell["counts"] - 1000.0) * 0.01)
@@ -68,7 +68,7 @@ def test_garbage_is_counted_and_costs_no_message(tmp_path: Path) -> None:
     assert np.allclose(np.diff(open_log(tmp_path / "run.mcap").table(Ahrs, "ahrs")["r"]), 1e-3, atol=1e-6)
 
 
-def test_a_cable_that_is_pulled_and_put_back(tmp_path: Path) -> None:
+def test_a_cable_that_is_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, _):
         boat.pull("cell")
         wait_for(lambda: any("is not there" in warning for warning in acquisition.status().warnings))
@@ -83,7 +83,7 @@ def test_a_cable_that_is_pulled_and_put_back(tmp_path: Path) -> None:
     assert any(kind == "warning" and "cell" in text and "is not there" in text for _, kind, text in events)
 
 
-def test_a_port_that_is_missing_at_the_start_is_waited_for(tmp_path: Path) -> None:
+def test_the_acquisition_waits_for_a_port_that_is_missing_at_the_start(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         boat.pull("gnss")
         rig = load_rig(boat.rig_path)
@@ -94,18 +94,18 @@ def test_a_port_that_is_missing_at_the_start_is_waited_for(tmp_path: Path) -> No
             assert acquisition.status().ports["gnss"].reconnects == 0
 
 
-def test_bytes_that_are_never_a_frame_are_spoken_of(tmp_path: Path) -> None:
+def test_bytes_without_a_frame_are_reported(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         boat.silent.add("ahrs")
         rig = load_rig(boat.rig_path)
         with Acquisition(rig, tmp_path / "run.mcap", clock=RunClock()) as acquisition:
             wait_for(lambda: acquisition.status().ports["esc"].samples > 0)
 
-            def spoken_of() -> bool:
+            def reported() -> bool:
                 boat.write("ahrs", b"\x55\xaa" * 200)
                 return "wrong baud rate or protocol?" in acquisition.status().ports["ahrs"].message
 
-            wait_for(spoken_of)
-            wait_for(lambda: not spoken_of() or acquisition.status().ports["ahrs"].bytes_in > 10_000)
+            wait_for(reported)
+            wait_for(lambda: not reported() or acquisition.status().ports["ahrs"].bytes_in > 10_000)
     warned = [text for _, kind, text in open_log(tmp_path / "run.mcap").events() if kind == "warning"]
     assert warned == [f"ahrs ({tmp_path / 'ahrs'}): no valid frame in 2000 bytes: wrong baud rate or protocol?"]

@@ -1,4 +1,4 @@
-"""The acquisition process, with real ptys for its ports: set-points, and that thrust ends whatever happens."""
+"""Tests of the acquisition process on real ptys: set-points, and the end of thrust in every failure."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_set_points_are_sent_in_time_and_repeated(tmp_path: Path) -> None:
             wait_for(lambda: acquisition.status().commanded["left"] == pytest.approx(0.5))
             assert acquisition.status().commanded["right"] == pytest.approx(-0.5)
             wait_for(lambda: acquisition.status().commanded["left"] == 0.0)
-        told = boat.ports["can"].commands()
+        reported = boat.ports["can"].commands()
     log = open_log(tmp_path / "run.mcap")
     for node, sign in ((1, 1.0), (2, -1.0)):
         commands = log.table(Command, "esc", node=node)[: len(plan)]
@@ -51,9 +51,9 @@ def test_set_points_are_sent_in_time_and_repeated(tmp_path: Path) -> None:
         assert np.allclose(commands["n_cmd"], [sign * 0.05 * k for k in range(1, 11)])
         assert np.all(late >= -1e-6)
         assert np.median(late) < 0.005
-    # On the wire the reversed thruster hears the other sign, and each set-point comes again every 20 ms.
-    assert {round(n, 5) for node, n in told if node == 2} == {round(0.05 * k, 5) for k in range(11)}
-    assert len([n for node, n in told if node == 1 and n]) > 0.5 * 1.1 / REPEAT_S
+    # On the wire the reversed thruster receives the opposite sign, and each set-point is repeated every 20 ms.
+    assert {round(n, 5) for node, n in reported if node == 2} == {round(0.05 * k, 5) for k in range(11)}
+    assert len([n for node, n in reported if node == 1 and n]) > 0.5 * 1.1 / REPEAT_S
     assert_ends_at_zero(boat)
 
 
@@ -64,8 +64,8 @@ def test_set_points_a_millisecond_of_wall_time_apart(tmp_path: Path) -> None:
         living(acquisition),
     ):
         start = clock.now() + 4.0
-        times = start + 0.04 * np.arange(500)  # 2 ms wall
-        levels = np.random.default_rng(1).permutation(np.linspace(0.1, 0.7, 500))  # each tells which row it is
+        times = start + 0.04 * np.arange(500)  # 2 ms of wall time
+        levels = np.random.default_rng(1).permutation(np.linspace(0.1, 0.7, 500))  # each value identifies its row
         acquisition.schedule([(float(t), {"left": float(n)}) for t, n in zip(times, levels, strict=True)])
         waited = waited_for_a_core(child_of(acquisition))
         wait_for(lambda: acquisition.status().pending == 0 and acquisition.status().t > times[-1])
@@ -73,22 +73,26 @@ def test_set_points_a_millisecond_of_wall_time_apart(tmp_path: Path) -> None:
         skipped = acquisition.status().skipped
     log = open_log(tmp_path / "run.mcap")
     sent = log.table(Command, "esc", node=1)
-    told = sum(int(text.split()[0]) for _, kind, text in log.events() if kind == "skipped")
-    # What was due while the machine gave its cores to others may be overtaken, and is told of; nothing else may.
+    reported = sum(int(text.split()[0]) for _, kind, text in log.events() if kind == "skipped")
+    # Rows that were due while the machine gave its cores to other programs may be skipped, and are reported; no other
+    # rows.
     sent = sent[sent["n_cmd"] != 0.0]
     assert len(sent) + skipped == len(times)
-    assert told == skipped
+    assert reported == skipped
     assert skipped <= 50 + waited / 0.002
     at = np.abs(levels - sent["n_cmd"][:, None]).argmin(axis=1)
     assert np.allclose(levels[at], sent["n_cmd"], atol=1e-6)
-    assert np.all(np.diff(at) > 0)  # an old command never follows a newer one
-    late = (sent["t"] - times[at]) / 20.0  # wall
+    assert np.all(np.diff(at) > 0)  # an older command never follows a newer one
+    late = (sent["t"] - times[at]) / 20.0  # wall seconds
     assert np.all(late >= -1e-6)
     assert np.median(late) < 0.002
 
 
 def waited_for_a_core(pid: int) -> float:
-    """Seconds that the threads of a process were ready to run and had to wait; where nobody says, all there are."""
+    """Return the time that the threads of a process were ready to run and had to wait [s].
+
+    Without such statistics of the system, return the time since boot.
+    """
     if not Path("/proc/self/schedstat").exists():
         return time.monotonic()
     waited = 0.0
@@ -102,7 +106,7 @@ def waited_for_a_core(pid: int) -> float:
     ("row", "message"),
     [({"middle": 0.1}, "no thruster 'middle'"), ({"left": 0.9}, "-0.8 to 0.8"), ({"left": float("nan")}, "allowed")],
 )
-def test_set_points_that_cannot_be(tmp_path: Path, row: dict[str, float], message: str) -> None:
+def test_invalid_set_points_are_refused(tmp_path: Path, row: dict[str, float], message: str) -> None:
     with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, clock):
         with pytest.raises(SeatrialError, match=message):
             acquisition.schedule([(clock.now(), row)])
@@ -137,7 +141,7 @@ def test_a_runner_that_falls_silent_ends_thrust_and_the_log(tmp_path: Path) -> N
         assert last_thrust - fell_silent < 0.6
     log = open_log(tmp_path / "run.mcap")
     stop = next(t for t, kind, text in log.events() if kind == "stop" and "no sign of life" in text)
-    assert log.table(Ahrs, "ahrs")["t"][-1] - stop > 0.8  # it recorded on
+    assert log.table(Ahrs, "ahrs")["t"][-1] - stop > 0.8  # the recording went on
 
 
 def test_without_thrust_a_silent_runner_ends_nothing(tmp_path: Path) -> None:
@@ -202,7 +206,7 @@ def test_sigterm_ends_at_zero_and_closes_the_log(tmp_path: Path) -> None:
         with acquiring(boat, tmp_path) as (acquisition, _, clock), living(acquisition):
             acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5})])
             wait_for(lambda: acquisition.status().commanded["left"] == 0.5)
-            os.kill(child_of(acquisition), signal.SIGINT)  # Ctrl-C is not for this process
+            os.kill(child_of(acquisition), signal.SIGINT)  # the acquisition process ignores Ctrl-C
             os.kill(child_of(acquisition), signal.SIGTERM)
             wait_for(lambda: is_closed(tmp_path / "run.mcap"), seconds=3.0)
         assert_ends_at_zero(boat)
@@ -224,7 +228,7 @@ def test_an_acquisition_process_that_dies_is_one_clear_line(tmp_path: Path) -> N
         acquisition.stop()
 
 
-def test_a_log_that_cannot_be_made(tmp_path: Path) -> None:
+def test_an_acquisition_overwrites_no_log(tmp_path: Path) -> None:
     (tmp_path / "run.mcap").write_text("mine")
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
@@ -236,7 +240,7 @@ def test_a_log_that_cannot_be_made(tmp_path: Path) -> None:
     assert (tmp_path / "run.mcap").read_text() == "mine"
 
 
-def test_a_bus_that_is_lost_under_thrust_does_not_start_it_again(tmp_path: Path) -> None:
+def test_a_bus_lost_under_thrust_does_not_resume_thrust_when_it_returns(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, clock), living(acquisition):
         acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5}), (clock.now() + 60.0, {"left": 0.7})])
         wait_for(lambda: len(boat.ports["can"].commands()) > 4)
@@ -245,12 +249,12 @@ def test_a_bus_that_is_lost_under_thrust_does_not_start_it_again(tmp_path: Path)
         assert "esc" in acquisition.status().stopped
         boat.plug("can")
         boat.ports["can"].received.clear()
-        acquisition.schedule([(clock.now(), {"left": 0.6})])  # was under way: not taken
+        acquisition.schedule([(clock.now(), {"left": 0.6})])  # a command that was under way: not accepted
         wait_for(lambda: len(boat.ports["can"].commands()) >= 2, what="zero after the return")
         assert {n for _, n in boat.ports["can"].commands()} == {0.0}
         assert acquisition.status().pending == 0
         stopped = acquisition.status().stopped
-        acquisition.zero("pause")  # of an operator who has not seen it
+        acquisition.zero("pause")  # a command of an operator who has not seen the loss
         acquisition.schedule([(clock.now(), {"left": 0.3})])
         seen = acquisition.status().t
         wait_for(lambda: acquisition.status().t > seen + 1.0)
@@ -277,7 +281,8 @@ def test_a_log_that_cannot_grow_any_more_ends_thrust(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
         clock = RunClock()
-        resource.setrlimit(resource.RLIMIT_FSIZE, (700_000, hard))  # as a full disk; inherited by the process
+        # the process inherits this limit, which acts like a full disk
+        resource.setrlimit(resource.RLIMIT_FSIZE, (700_000, hard))
         try:
             acquisition = Acquisition(rig, tmp_path / "run.mcap", clock=clock)
             acquisition.__enter__()
@@ -298,20 +303,22 @@ def test_a_log_that_cannot_grow_any_more_ends_thrust(tmp_path: Path) -> None:
     assert len(open_log(tmp_path / "run.mcap").table(Ahrs, "ahrs")) > 10
 
 
-def driving_loop(boat: TestBoat, setpoints: Setpoints, said: list[str]) -> DeviceLoop:
-    """The thread of the boat's thrusters; `said` gets why thrust was ended."""
+def driving_loop(boat: TestBoat, setpoints: Setpoints, reasons: list[str]) -> DeviceLoop:
+    """Return the thread of the boat's thrusters. `reasons` receives the reason for the end of thrust."""
     rig = load_rig(boat.rig_path)
     device = rig.device("esc")
     decoder = make_decoder(device, rig)
     driver = make_driver(device, rig, decoder, LinkRole.DRIVE)
-    return DeviceLoop(device, make_port(device), decoder, RunClock(), LogSink(), setpoints, driver, said.append)
+    return DeviceLoop(device, make_port(device), decoder, RunClock(), LogSink(), setpoints, driver, reasons.append)
 
 
-def test_after_a_pause_of_its_own_no_old_command_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """SIGSTOP and SIGCONT of all programs: the first frame of after the pause is zero."""
+def test_after_a_pause_of_the_process_no_old_command_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGSTOP and SIGCONT of all programs: the first frame after the pause is zero."""
     with TestBoat(tmp_path) as boat:
-        setpoints, said = Setpoints(), list[str]()
-        loop = driving_loop(boat, setpoints, said)
+        setpoints, reasons = Setpoints(), list[str]()
+        loop = driving_loop(boat, setpoints, reasons)
         paused, wait = [0.0], loop._wait
 
         def waiting(fd: int, seconds: float) -> bool:
@@ -325,33 +332,35 @@ def test_after_a_pause_of_its_own_no_old_command_is_repeated(tmp_path: Path, mon
         setpoints.append([(0.0, {1: 0.5}), (time.time() + 60.0, {1: 0.6})])
         loop.wake()
         wait_for(lambda: (1, 0.5) in boat.ports["can"].commands())
-        paused[0] = 0.5 * STUCK_S  # a busy machine
+        paused[0] = 0.5 * STUCK_S  # a pause of a busy machine
         wait_for(lambda: paused[0] == 0.0)
         before = len(boat.ports["can"].commands())
         wait_for(lambda: len(boat.ports["can"].commands()) > before + 3)
-        assert said == []
+        assert reasons == []
         paused[0] = 1.5 * STUCK_S
-        wait_for(lambda: bool(said))
+        wait_for(lambda: bool(reasons))
         loop.end()
         loop.join()
         wait_for(lambda: boat.ports["can"].commands()[-1] == (1, 0.0))
         commands = boat.ports["can"].commands()
-    assert said[0].startswith("the acquisition process stood still for 0.")
+    assert reasons[0].startswith("the acquisition process stood still for 0.")
     first_zero = commands.index((1, 0.0))
     assert set(commands[first_zero:]) == {(1, 0.0)}
 
 
-def test_after_a_suspend_a_command_of_before_is_zero(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_suspend_an_earlier_command_is_replaced_by_zero(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     asleep = [0.0]
     monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
     with TestBoat(tmp_path) as boat:
-        setpoints, said = Setpoints(), list[str]()
-        loop = driving_loop(boat, setpoints, said)
+        setpoints, reasons = Setpoints(), list[str]()
+        loop = driving_loop(boat, setpoints, reasons)
         loop.start()
         setpoints.append([(0.0, {1: 0.5}), (time.time() + 60.0, {1: 0.6})])
         loop.wake()
         wait_for(lambda: (1, 0.5) in boat.ports["can"].commands())
-        asleep[0] = 0.05  # the clocks are not read at the same instant
+        asleep[0] = 0.05  # the two clocks are not read at the same instant
         before = len(boat.ports["can"].commands())
         wait_for(lambda: len(boat.ports["can"].commands()) > before + 3)
         assert boat.ports["can"].commands()[-1] == (1, 0.5)
@@ -362,16 +371,16 @@ def test_after_a_suspend_a_command_of_before_is_zero(tmp_path: Path, monkeypatch
         last = boat.ports["can"].commands()[-1]
     assert last == (1, 0.0)
     assert not setpoints.active
-    assert said == ["the computer was suspended for 7.0 s"]
+    assert reasons == ["the computer was suspended for 7.0 s"]
 
 
 @pytest.mark.parametrize("place", ["_received", "_check_suspend", "_log"])
 def test_a_pause_at_any_place_of_the_loop_ends_thrust(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
-    setpoints, said, paused = Setpoints(), list[str](), [0.0]
+    setpoints, reasons, paused = Setpoints(), list[str](), [0.0]
     with TestBoat(tmp_path) as boat:
-        loop = driving_loop(boat, setpoints, said)
+        loop = driving_loop(boat, setpoints, reasons)
         through = getattr(loop, place)
 
         def pausing(*words: object) -> object:
@@ -385,15 +394,15 @@ def test_a_pause_at_any_place_of_the_loop_ends_thrust(
         loop.wake()
         wait_for(lambda: (1, 0.5) in boat.ports["can"].commands())
         paused[0] = 1.5 * STUCK_S
-        boat.ports["can"].write(b"\r")  # something to receive
-        wait_for(lambda: bool(said))
+        boat.ports["can"].write(b"\r")  # the port has bytes to receive
+        wait_for(lambda: bool(reasons))
         loop.end()
         loop.join()
         wait_for(lambda: boat.ports["can"].commands()[-1] == (1, 0.0))
-    assert said[0].startswith("the acquisition process stood still for 0.")
+    assert reasons[0].startswith("the acquisition process stood still for 0.")
 
 
-def test_neither_fixes_nor_attitudes_of_one_port_hide_the_other(tmp_path: Path) -> None:
+def test_fixes_and_attitudes_of_one_port_are_both_in_the_status(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
         for name, protocol in (("gnss", "nmea"), ("gnss", "ubx"), ("ahrs", "mip"), ("ahrs", "vectornav")):
@@ -406,20 +415,20 @@ def test_a_suspend_at_rest_ends_thrust_too(tmp_path: Path, monkeypatch: pytest.M
     asleep = [0.0]
     monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
     with TestBoat(tmp_path) as boat:
-        setpoints, said = Setpoints(), list[str]()
-        loop = driving_loop(boat, setpoints, said)
+        setpoints, reasons = Setpoints(), list[str]()
+        loop = driving_loop(boat, setpoints, reasons)
         loop.start()
         setpoints.append([(0.0, {1: 0.0})])
         loop.wake()
         wait_for(lambda: (1, 0.0) in boat.ports["can"].commands())
         asleep[0] = 3600.0
-        wait_for(lambda: bool(said))
+        wait_for(lambda: bool(reasons))
         loop.end()
         loop.join()
-    assert said == ["the computer was suspended for 3600.0 s"]
+    assert reasons == ["the computer was suspended for 3600.0 s"]
 
 
-def test_the_clocks_that_tell_of_a_suspend_agree_while_there_is_none() -> None:
+def test_the_clocks_that_reveal_a_suspend_agree_without_a_suspend() -> None:
     detector = SuspendDetector()
     for _ in range(1000):
         assert detector.slept() == 0.0

@@ -1,4 +1,6 @@
-"""A real ArduPilot Rover (its own simulator on loopback) logged, checked and driven by the public commands."""
+"""Tests with a real ArduPilot Rover in its own simulator on loopback: logged, checked and driven by the public
+commands.
+"""
 
 from __future__ import annotations
 
@@ -20,35 +22,35 @@ from seatrial.daq.samples import Ahrs, Gnss, Servo
 from tests.bench.autopilot_faults import FAULTS, SETTINGS, link_test, ready_rover, start, try_fault, try_parameter
 from tests.daq.ardurover import HEADING_DEG, MISSING, PROGRAM, RIG, Rover
 
-FORCED = 21196.0  # param2 of an arming that is forced
-FAILSAFE_S = 8.0  # after the last heartbeat of a ground station: FS_GCS_TIMEOUT, FS_TIMEOUT and 1.5 s
-BUSY_S = 0.3  # more than where nothing else runs
+FORCED = 21196.0  # param2 of a forced arming
+FAILSAFE_S = 8.0  # time after the last heartbeat of a ground station: FS_GCS_TIMEOUT, FS_TIMEOUT and 1.5 s
+BUSY_S = 0.3  # longer than on an idle machine
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not PROGRAM, reason=MISSING)]
 
 
 @pytest.fixture(scope="module")
 def rover(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rover]:
-    """A boat at rest in MANUAL, disarmed, without a transmitter."""
+    """Yield a boat at rest in MANUAL, disarmed, without a transmitter."""
     with Rover(tmp_path_factory.mktemp("sitl"), {"SIM_RC_FAIL": 1}) as rover:
         yield rover
 
 
 @pytest.fixture(scope="module")
 def signed() -> Iterator[tuple[Path, Rover]]:
-    """A boat without a transmitter that signs, with a mission for it."""
+    """Yield a boat with a signed link and without a transmitter, and a mission for it."""
     with ready_rover(SETTINGS[3]) as found:
         yield found
 
 
 @pytest.fixture(scope="module")
 def measured(signed: tuple[Path, Rover]) -> float:
-    """Seconds that its link test measures."""
+    """Return the time that the link test measures [s]."""
     return link_test(signed[0])
 
 
 @pytest.fixture
 def port(rover: Rover, tmp_path: Path) -> int:
-    """Where it is heard."""
+    """Return the port on which the boat is received."""
     rover.until(lambda: bool(rover.beats), 20.0, "a heartbeat")
     return rover.port
 
@@ -73,7 +75,7 @@ def test_attitude_and_outputs_of_a_real_autopilot_are_logged(tmp_path: Path, por
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     with open_log(tmp_path / "run.mcap") as log:
-        ahrs = log.table(Ahrs, "autopilot")  # ATTITUDE with RAW_IMU, 25 Hz once the rates are asked for
+        ahrs = log.table(Ahrs, "autopilot")  # ATTITUDE with RAW_IMU, 25 Hz after the request of rates
         outputs = [log.table(Servo, "autopilot", node) for node in (1, 3)]  # SERVO_OUTPUT_RAW
         source = log.health("autopilot")[-1][1]
     assert source.checksum_errors == 0
@@ -88,8 +90,11 @@ def test_attitude_and_outputs_of_a_real_autopilot_are_logged(tmp_path: Path, por
         assert np.all(output["n"][-20:] == 0.0)
 
 
-def test_a_fix_that_a_real_autopilot_loses_is_told(tmp_path: Path, rover: Rover) -> None:
-    """Its time of a fix stands still without one, at 0 since boot: neither a duplicate nor a device time."""
+def test_a_fix_that_a_real_autopilot_loses_is_reported(tmp_path: Path, rover: Rover) -> None:
+    """Without a fix the time of the fix stands still, at 0 since boot.
+
+    The samples are neither duplicates nor do they have a device time.
+    """
     rover.until(lambda: bool(rover.beats), 20.0, "a heartbeat")
     rover.record(tmp_path / "run.tlog", 200_000)
     rover.until_ready()
@@ -121,19 +126,17 @@ def test_the_rig_that_devices_writes_passes_the_check(tmp_path: Path, port: int,
     assert [(t.name, t.node, t.output) for t in found] == [(t.name, t.node, t.output) for t in wanted]
     command = [sys.executable, "-m", "seatrial", "check", "rig.toml", "--json"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    told = json.loads(done.stdout)["findings"]
-    assert [f for f in told if f["level"] != "ok"] == []
-    assert any("ArduPilot Rover" in f["text"] for f in told)
+    reported = json.loads(done.stdout)["findings"]
+    assert [f for f in reported if f["level"] != "ok"] == []
+    assert any("ArduPilot Rover" in f["text"] for f in reported)
 
 
-def test_who_only_looks_is_no_ground_station_whose_loss_drives_the_boat_home(
-    tmp_path: Path, port: int, rover: Rover
-) -> None:
-    """With FS_ACTION 1 a station that beats and vanishes makes an armed boat drive home 6.5 s later."""
+def test_the_end_of_a_log_does_not_drive_the_boat_home(tmp_path: Path, port: int, rover: Rover) -> None:
+    """With FS_ACTION 1 an armed boat drives home 6.5 s after the last heartbeat of a ground station."""
     (tmp_path / "rig.toml").write_text(RIG.format(port=port, more=""), encoding="utf-8")
     before = rover.get("FS_ACTION")
     rover.until_ready()
-    rover.set("SIM_RC_FAIL", 0.0)  # without a receiver it would hold at once
+    rover.set("SIM_RC_FAIL", 0.0)  # without a receiver the boat would hold at once
     rover.set("FS_ACTION", 1.0)
     try:
         rover.command(400, 1.0, FORCED)
@@ -144,7 +147,7 @@ def test_who_only_looks_is_no_ground_station_whose_loss_drives_the_boat_home(
             done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
             assert "armed, a receiver was heard" in done.stdout or "log" in words, done.stdout
             time.sleep(FAILSAFE_S)
-            manual = {(True, 0)}  # armed, and its mode
+            manual = {(True, 0)}  # armed state and mode
             assert {(armed, mode) for t, armed, mode in rover.beats if t > begun} == manual, words
             assert not rover.pushes, words
     finally:
@@ -156,7 +159,7 @@ def test_who_only_looks_is_no_ground_station_whose_loss_drives_the_boat_home(
 
 
 @pytest.mark.usefixtures("measured")
-def test_a_refusal_to_arm_has_its_reason(signed: tuple[Path, Rover]) -> None:
+def test_a_refusal_to_arm_states_its_reason(signed: tuple[Path, Rover]) -> None:
     folder, rover = signed
     rover.set("BATT_ARM_VOLT", 20.0)
     with start(folder) as run:
@@ -167,14 +170,14 @@ def test_a_refusal_to_arm_has_its_reason(signed: tuple[Path, Rover]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         pytest.param("acquisition killed", DISARMED, marks=pytest.mark.study),
         ("link cut for 8 s", "thrust is zero"),
     ],
 )
 def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
-    signed: tuple[Path, Rover], measured: float, name: str, said: str
+    signed: tuple[Path, Rover], measured: float, name: str, message: str
 ) -> None:
     folder, rover = signed
     (fault,) = [fault for fault in FAULTS if fault.name == name]
@@ -182,7 +185,7 @@ def test_a_fault_on_a_signed_link_ends_thrust_and_disarms(
     assert trial.seconds < trial.allowed + BUSY_S, trial
     assert trial.disarmed
     assert json.loads((folder / "rig.link-test.json").read_text())["devices"]["autopilot"]["receiver"] is False
-    assert said in trial.says
+    assert message in trial.says
 
 
 @pytest.mark.parametrize(
@@ -198,7 +201,7 @@ def test_a_wrong_parameter_is_refused_or_ended(signed: tuple[Path, Rover], name:
     assert trial._replace(allowed=trial.allowed + BUSY_S).good, trial
 
 
-def test_an_unsigned_rig_is_told_of_the_signature(signed: tuple[Path, Rover]) -> None:
+def test_an_unsigned_rig_gets_a_message_about_the_signature(signed: tuple[Path, Rover]) -> None:
     folder, _ = signed
     rig = (folder / "rig.toml").read_text(encoding="utf-8").replace('key_file = "key"\n', "")
     (folder / "unsigned.toml").write_text(rig, encoding="utf-8")

@@ -1,4 +1,6 @@
-"""Messages between the processes of an acquisition: each type survives its line of JSON, whole and in pieces."""
+"""Tests of the messages between the processes of an acquisition: each type survives its line of JSON, whole and in
+pieces.
+"""
 
 from __future__ import annotations
 
@@ -41,10 +43,10 @@ def test_there_is_an_example_of_each_message() -> None:
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
-def test_what_is_encoded_is_decoded(message: ipc.Message) -> None:
+def test_a_decoded_message_equals_the_encoded_message(message: ipc.Message) -> None:
     line = ipc.encode_message(message)
     assert line.count(b"\n") == 1
-    assert repr(ipc.decode_message(line)) == repr(message)  # NaN is equal in its text only
+    assert repr(ipc.decode_message(line)) == repr(message)  # NaN is equal only as text
 
 
 def test_a_message_may_come_in_pieces() -> None:

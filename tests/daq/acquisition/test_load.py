@@ -1,4 +1,4 @@
-"""Four devices at 5,000 frames a second for a moment: every frame is in the log, or counted where it was lost.
+"""Test of four devices with 5,000 frames a second for a short time: every frame is in the log or counted as lost.
 
 `python -m benchmarks.acquisition --seconds 600 --days 7` measures the same for ten minutes, and a week in segments.
 """
@@ -16,7 +16,7 @@ from seatrial.daq.samples import Ahrs, PortHealth
 SECONDS = 1.0
 
 
-def test_no_frame_is_lost_without_a_trace(tmp_path: Path) -> None:
+def test_every_frame_is_logged_or_counted_as_lost(tmp_path: Path) -> None:
     said, dropped = record(tmp_path, 4, LOSS_RATE, SECONDS, busy=False)
     assert said["sent"] == 4 * LOSS_RATE * SECONDS
     with open_log(tmp_path / "log.mcap") as log:

@@ -1,4 +1,4 @@
-"""What the acquisition process says of itself reaches the parent each time and the log once."""
+"""Tests of the status reporter: each problem reaches the parent process every time, and the log once."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_hint_is_in_every_status_and_once_in_the_log(tmp_path: Path) -> None:
     line = f"ahrs ({here.devices[0].port}): {HINT}"
     statuses = [reported(), reported(), reported("the disk is full")]
     assert [status.hints for status in statuses] == [(line,)] * 3
-    assert statuses[0].warnings == ()  # no fault: a run may begin with it
+    assert statuses[0].warnings == ()  # not a fault: a run may begin in this state
     assert statuses[2].warnings == ("thrust was stopped: the disk is full",)
     assert events == [("hint", line), ("warning", "thrust was stopped: the disk is full")]
     console = Console(width=200)

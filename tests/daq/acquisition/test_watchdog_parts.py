@@ -1,4 +1,6 @@
-"""The parts of the watchdog without processes: heartbeats over a socket, the monitor, the sender of zero on a pty."""
+"""Tests of the parts of the watchdog without processes: heartbeats over a socket, the monitor, the sender of zero on a
+pty.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,7 @@ from tests.daq.ptys import TestBoat
 
 @pytest.fixture
 def beating(tmp_path: Path) -> Iterator[tuple[Heartbeat, socket.socket]]:
-    """The acquisition's side of a heartbeat, and the watchdog's end of its socket."""
+    """Yield the heartbeat of the acquisition, and the watchdog's end of its socket."""
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
     ours, theirs = socket.socketpair()
@@ -73,12 +75,12 @@ def words(sock: socket.socket) -> bytes:
 
 
 def test_the_limits_are_those_of_the_safety_page() -> None:
-    """An ESC stops after a second: the watchdog has to be sooner, and later than a busy machine pauses."""
+    """An ESC stops after a second. The watchdog has to act earlier, but later than the pauses of a busy machine."""
     assert (HANG_S, ANSWER_S, POLL_S, HEARTBEAT_S) == (0.6, 1.0, 0.02, 0.02)
     assert (watchdog.OPEN_S, watchdog.ZERO_S, watchdog.READY_S, watchdog.READ_BYTES) == (3.0, 1.0, 20.0, 4096)
 
 
-def test_a_heartbeat_says_whether_thrust_is_commanded_and_not_too_often(
+def test_a_heartbeat_reports_commanded_thrust_at_a_limited_rate(
     beating: tuple[Heartbeat, socket.socket],
 ) -> None:
     heartbeat, theirs = beating
@@ -95,7 +97,7 @@ def test_a_heartbeat_says_whether_thrust_is_commanded_and_not_too_often(
     assert heartbeat.trouble == ""
 
 
-def test_a_watchdog_that_does_not_answer_is_trouble_after_its_time(beating: tuple[Heartbeat, socket.socket]) -> None:
+def test_a_watchdog_that_does_not_answer_in_time_is_a_problem(beating: tuple[Heartbeat, socket.socket]) -> None:
     heartbeat, theirs = beating
     t = 100.0
     while not heartbeat.trouble and t < 105.0:
@@ -106,7 +108,7 @@ def test_a_watchdog_that_does_not_answer_is_trouble_after_its_time(beating: tupl
     assert heartbeat.trouble == f"the watchdog has not answered for {ANSWER_S:g} s"
 
 
-def test_a_watchdog_that_answers_is_no_trouble_nor_is_a_pause_of_our_own(
+def test_an_answering_watchdog_or_a_pause_of_the_acquisition_is_no_problem(
     beating: tuple[Heartbeat, socket.socket],
 ) -> None:
     heartbeat, theirs = beating
@@ -114,7 +116,7 @@ def test_a_watchdog_that_answers_is_no_trouble_nor_is_a_pause_of_our_own(
         heartbeat.beat(True, 100.0 + 0.05 * k)
         if k % 10 == 0:
             theirs.send(ANSWER)
-    heartbeat.beat(True, 110.0)  # this process stood still, and the answer may be on its way
+    heartbeat.beat(True, 110.0)  # this process stood still, and the answer may be in the socket
     assert heartbeat.trouble == ""
     for k in range(1, 19):
         heartbeat.beat(True, 110.0 + 0.05 * k)
@@ -124,11 +126,11 @@ def test_a_watchdog_that_answers_is_no_trouble_nor_is_a_pause_of_our_own(
     assert "has not answered" in heartbeat.trouble
 
 
-def test_a_watchdog_that_is_gone_is_trouble_and_one_that_does_not_read_is_not_yet(
+def test_a_closed_watchdog_is_a_problem_but_a_full_socket_is_not(
     beating: tuple[Heartbeat, socket.socket],
 ) -> None:
     heartbeat, theirs = beating
-    for _ in range(100_000):  # until the socket's buffer is full
+    for _ in range(100_000):  # until the buffer of the socket is full
         heartbeat.beat(True, 100.0, at_once=True)
         if heartbeat.trouble:
             break
@@ -138,7 +140,7 @@ def test_a_watchdog_that_is_gone_is_trouble_and_one_that_does_not_read_is_not_ye
     assert heartbeat.trouble == "the watchdog is gone"
 
 
-def test_the_monitor_steps_in_after_its_time_to_within_a_look() -> None:
+def test_the_monitor_acts_in_time_to_within_one_poll() -> None:
     watch = HeartbeatMonitor(0.0)
     assert watch.look(POLL_S, ACTIVE) is None
     t = POLL_S
@@ -146,11 +148,11 @@ def test_the_monitor_steps_in_after_its_time_to_within_a_look() -> None:
         assert t < 2.0 * HANG_S
     assert HANG_S < t - POLL_S <= HANG_S + 1.5 * POLL_S
     idle = HeartbeatMonitor(0.0)
-    assert idle.look(POLL_S, ACTIVE + IDLE) is None  # the last word counts
+    assert idle.look(POLL_S, ACTIVE + IDLE) is None  # the last message counts
     assert all(idle.look(POLL_S * k, b"") is None for k in range(2, 100))
 
 
-def test_a_pause_of_the_monitor_counts_as_one_look() -> None:
+def test_a_pause_of_the_monitor_counts_as_one_poll() -> None:
     watch = HeartbeatMonitor(0.0)
     assert watch.look(POLL_S, ACTIVE) is None
     t = 10.0
@@ -158,7 +160,7 @@ def test_a_pause_of_the_monitor_counts_as_one_look() -> None:
     while watch.look(t := t + POLL_S, b"") is None:
         assert t < 10.0 + 2.0 * HANG_S
     assert t - 10.0 == pytest.approx(HANG_S - POLL_S, abs=1.5 * POLL_S)
-    # Looks that are a little late, three periods at most, are no pause.
+    # A poll that is late by at most three periods is no pause.
     late, t = HeartbeatMonitor(0.0), 0.0
     assert late.look(0.0, ACTIVE) is None
     while late.look(t := t + 2.9 * POLL_S, b"") is None:
@@ -189,7 +191,7 @@ def test_the_watch_answers_and_returns_why_it_ends(sent: bytes, closed: bool, re
         if closed:
             ours.close()
         thread.join(5.0)
-        assert theirs.gettimeout() == 0.0  # a wake-up without a word must not stop the watch
+        assert theirs.gettimeout() == 0.0  # a wake-up without a message must not end the watch
     assert found == [reason]
     took = time.monotonic() - begun
     assert took < (HANG_S if not closed and reason != "" else 0.0) + 0.3
@@ -213,13 +215,13 @@ def test_zero_is_sent_for_its_time_and_to_every_thruster(tmp_path: Path) -> None
     assert {node for node, _ in commands} == {t.node for t in rig.thrusters if t.device == "esc"}
     assert {n for _, n in commands} == {0.0}
     assert len(commands) > 20
-    assert sender._port.fileno() < 0  # it is closed again: the next program needs it
+    assert sender._port.fileno() < 0  # the port is closed again, because the next program needs it
 
 
-def test_a_port_that_stays_shut_is_tried_for_its_time(tmp_path: Path) -> None:
+def test_a_port_that_cannot_be_opened_is_tried_for_a_limited_time(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
-    sender = FailsafeSender(rig.device("esc"), rig)  # its port is gone
+    sender = FailsafeSender(rig.device("esc"), rig)  # the port has vanished
     begun = time.monotonic()
     sender.start()
     sender.join(10.0)
@@ -228,8 +230,8 @@ def test_a_port_that_stays_shut_is_tried_for_its_time(tmp_path: Path) -> None:
     assert sender.outcome != "not tried"
 
 
-def test_what_a_driver_needs_is_loaded_before_it_is_urgent(tmp_path: Path) -> None:
-    """Modules that are loaded while thrust has to end cost a tenth of a second."""
+def test_the_modules_of_a_driver_are_imported_in_advance(tmp_path: Path) -> None:
+    """An import while thrust has to end would cost a tenth of a second."""
     with TestBoat(tmp_path) as boat:
         text = boat.rig_path.read_text(encoding="utf-8").replace('protocol = "vesc"', 'protocol = "dronecan"')
         rig = parse_rig(text, boat.rig_path)
@@ -243,7 +245,7 @@ def test_what_a_driver_needs_is_loaded_before_it_is_urgent(tmp_path: Path) -> No
         first = sender._driver
         sender.start()
         sender.join(10.0)
-        assert sender._driver is not first  # prepared anew: a signature of long ago would be refused
+        assert sender._driver is not first  # the frames are made again, because an old signature would be refused
         assert sender.outcome == "zero was sent"
 
 
@@ -259,7 +261,7 @@ def test_a_watchdog_that_does_not_get_ready_is_an_error_after_a_while(
 
 
 class _Sender(FailsafeSender):
-    """A sender that only notes that it was started."""
+    """Sender that only records that it was started."""
 
     log = Path()
 
@@ -271,12 +273,12 @@ class _Sender(FailsafeSender):
         deadline = time.monotonic() + 2.0
         while not note_path(self.log).exists() and time.monotonic() < deadline:
             time.sleep(0.01)
-        # The reason is written before the senders are done: nobody may live to write it later.
+        # The reason is written before the senders have finished, because the process may not live to write it later.
         assert "watchdog: the acquisition process" in read_note(self.log)
         self.outcome = "zero was sent"
 
 
-def test_what_hangs_is_killed_and_what_died_is_not(tmp_path: Path) -> None:
+def test_a_hanging_process_is_killed_and_a_dead_one_is_not(tmp_path: Path) -> None:
     victims = [subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"]) for _ in range(2)]
     reasons = ("the acquisition process gave no sign of life", "the acquisition process died")
     for victim, reason, code in zip(victims, reasons, (-signal.SIGKILL, None), strict=True):
@@ -288,7 +290,7 @@ def test_what_hangs_is_killed_and_what_died_is_not(tmp_path: Path) -> None:
         if code is not None:
             assert victim.wait(5.0) == code
         else:
-            assert victim.poll() is None  # that number may be another process by now
+            assert victim.poll() is None  # another process may have this number by now
         note = read_note(log)
         assert f"watchdog: {reason}" in note
         assert "esc: zero was sent" in note
@@ -297,7 +299,7 @@ def test_what_hangs_is_killed_and_what_died_is_not(tmp_path: Path) -> None:
         victim.wait()
 
 
-def test_the_process_ignores_signals_and_ends_when_it_is_told(tmp_path: Path) -> None:
+def test_the_watchdog_ignores_signals_and_ends_on_request(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
     ours, theirs = socket.socketpair()
@@ -328,7 +330,7 @@ def start_watchdog(end: socket.socket) -> subprocess.Popen[bytes]:
 
 
 def test_the_computers_watchdog_timer_is_kept_running_and_disarmed_at_the_end(tmp_path: Path) -> None:
-    timer = tmp_path / "timer"  # a file shows what a device would get
+    timer = tmp_path / "timer"  # a file receives the bytes that a device would receive
     timer.touch()
     with TestBoat(tmp_path) as boat:
         text = boat.rig_path.read_text(encoding="utf-8")
@@ -340,7 +342,7 @@ def test_the_computers_watchdog_timer_is_kept_running_and_disarmed_at_the_end(tm
     while time.monotonic() - begun < 1.3:
         heartbeat.beat(False, time.monotonic())
         time.sleep(0.01)
-    assert set(timer.read_bytes()) == {0}  # it beats and is armed
+    assert set(timer.read_bytes()) == {0}  # the watchdog writes to the timer and is armed
     heartbeat.end()
     assert process.wait(5.0) == 0
     ours.close()
@@ -361,7 +363,7 @@ def test_a_watchdog_timer_that_cannot_be_opened_is_named_before_anything_moves(t
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="needs the scheduling classes of Linux")
-def test_the_watchdog_is_urgent_where_the_system_lets_it(tmp_path: Path) -> None:
+def test_the_watchdog_has_real_time_priority_if_the_system_permits(tmp_path: Path) -> None:
     with TestBoat(tmp_path) as boat:
         rig = load_rig(boat.rig_path)
     probe = [sys.executable, "-c", "from seatrial.daq.realtime_priority import *; set_realtime_priority(); import os;"

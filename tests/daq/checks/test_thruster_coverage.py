@@ -1,4 +1,4 @@
-"""Which controllers of a rig a log has: silent ones, unknown ones, and telemetry with an index of its own."""
+"""Tests of the thruster controllers in a log: silent ones, unknown ones, and telemetry with another index."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ rpm_max = 3000.0
 
 
 def findings(folder: Path, telemetry: dict[int, int], offset: int = 0) -> list[Finding]:
-    """Findings of ten seconds of a bus; ``telemetry``: every how many tenths of a second each index reports."""
+    """Return the findings for ten seconds of a bus.
+
+    ``telemetry`` is the report interval of each index in tenths of a second.
+    """
     (folder / "rig.toml").write_text(RIG.format(offset=offset))
     lines = []
     for k in range(100):
@@ -61,13 +64,13 @@ def codes(found: Sequence[Finding]) -> list[tuple[str, str]]:
     return [(f.code, f.where) for f in found]
 
 
-def test_all_controllers_at_their_rates(tmp_path: Path) -> None:
+def test_controllers_at_their_rates_have_no_findings(tmp_path: Path) -> None:
     found = findings(tmp_path, {0: 1, 1: 1})
     assert codes(found) == [("thruster-rate-measured", "left"), ("thruster-rate-measured", "right")]
     assert all(f.level == "ok" and "10 Hz" in f.text for f in found)
 
 
-def test_telemetry_that_counts_from_one_is_named_and_can_be_shifted(tmp_path: Path) -> None:
+def test_telemetry_with_an_index_from_one_is_named_and_can_be_shifted(tmp_path: Path) -> None:
     found = findings(tmp_path, {1: 1, 2: 1})
     assert codes(found)[:2] == [("node-unknown", "esc"), ("thruster-not-heard", "left")]
     assert found[1].level == "fault"
@@ -77,7 +80,7 @@ def test_telemetry_that_counts_from_one_is_named_and_can_be_shifted(tmp_path: Pa
         assert log.table(Esc, "esc", 0)["rpm"][0] == 1100.0
 
 
-def test_a_silent_and_a_slow_controller(tmp_path: Path) -> None:
+def test_a_silent_and_a_slow_controller_are_reported(tmp_path: Path) -> None:
     (silent,) = [f for f in findings(tmp_path, {1: 1}) if f.level == "fault"]
     assert (silent.code, silent.where) == ("thruster-not-heard", "left")
     assert "index_offset" not in silent.advice
@@ -88,7 +91,7 @@ def test_a_silent_and_a_slow_controller(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("speed", "n_named"), [(1200.0, 1), (0.0, 0)])
 def test_a_speed_without_rpm_max_is_named(tmp_path: Path, speed: float, n_named: int) -> None:
-    """Behind an autopilot rpm_max may be left out; a fit then has no shaft speed."""
+    """Behind an autopilot rpm_max may be missing. A fit then has no shaft speed."""
     rig = mav_rig()
     rows = [
         SignalRow(1.7e9 + 0.1 * k, "autopilot", Frame(Esc(node, speed, 2.0, 0.0, 14.8, 30.0), 1.7e9 + 0.1 * k, NAN))
@@ -103,7 +106,7 @@ def test_a_speed_without_rpm_max_is_named(tmp_path: Path, speed: float, n_named:
 
 
 @pytest.mark.parametrize("offset", [20, -20, "1.5"])
-def test_an_index_offset_that_cannot_be(tmp_path: Path, offset: object) -> None:
+def test_an_invalid_index_offset_is_refused(tmp_path: Path, offset: object) -> None:
     (tmp_path / "rig.toml").write_text(RIG.format(offset=offset))
     with pytest.raises(SeatrialError, match="index_offset"):
         load_rig(tmp_path / "rig.toml")

@@ -1,3 +1,5 @@
+"""Tests of the rig file: the documented example is read, and each error is named in one line."""
+
 from __future__ import annotations
 
 import os
@@ -56,7 +58,7 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         ("speed = 20.0", "speed = nan", r"clock\.speed: must be a finite number"),
         ("speed = 20.0", "speed = true", r"clock\.speed: must be a number, not true"),
         ('protocol = "vectornav"', 'protocol = "xsens"', r"device\[1\]\.protocol: must be one of vectornav, "),
-        ("baud = 38400", "", r"^$"),  # a default
+        ("baud = 38400", "", r"^$"),  # a default value
         ("rate_hz = 50.0", "rate_hz = -1", r"device\[1\]\.rate_hz: must be above zero"),
         ("rate_hz = 50.0", "", r"device\[1\]\.rate_hz: missing; this key is required"),
         ("rate_hz = 50.0", "rate_hz = 50.0\nbitrate = 500000", r"device\[1\]\.bitrate: unknown key"),
@@ -79,7 +81,7 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         ("timeout_s = 0.3", "timeout_s = 30.0", r"ros2\.timeout_s: must be within 0\.05 \.\. 2\.0"),
     ],
 )
-def test_what_is_wrong_is_named_in_one_line(example: str, old: str, new: str, line: str) -> None:
+def test_an_error_in_a_rig_is_named_in_one_line(example: str, old: str, new: str, line: str) -> None:
     text = example.replace(old, new, 1)
     assert text != example
     if line == "^$":
@@ -91,7 +93,7 @@ def test_what_is_wrong_is_named_in_one_line(example: str, old: str, new: str, li
     assert "\n" not in str(caught.value)
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+def test_an_unreadable_rig_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match=r"none\.toml: No such file"):
         load_rig(tmp_path / "none.toml")
     (tmp_path / "latin.toml").write_bytes(b"name = '\xe5'")
@@ -99,7 +101,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         load_rig(tmp_path / "latin.toml")
 
 
-def test_names_that_are_not_there(example: str) -> None:
+def test_unknown_names_in_a_rig_are_refused(example: str) -> None:
     rig = parse_rig(example, "rig.toml")
     with pytest.raises(SeatrialError, match="no device 'cell'; there is: ahrs, gnss, esc, loadcell"):
         rig.device("cell")
@@ -125,7 +127,7 @@ def test_two_devices_on_one_port_are_refused(port: str, kind: str) -> None:
     "more",
     [f"x = {'[' * 20_000}", f"x = {'9' * 5_000}", f"[live]\nport = {'9' * 4_000}", f"[clock]\nspeed = {'9' * 4_000}"],
 )
-def test_what_is_too_deep_or_too_long_is_one_line(example: str, more: str) -> None:
+def test_a_rig_that_is_too_deep_or_too_long_is_one_line(example: str, more: str) -> None:
     text = example.replace("[clock]\nspeed = 20.0", "") if "clock" in more else example
     with pytest.raises(SeatrialError) as caught:
         parse_rig(f"{text}\n{more}" if more[0] == "[" else f"{more}\n{text}", "rig.toml")
@@ -133,7 +135,7 @@ def test_what_is_too_deep_or_too_long_is_one_line(example: str, more: str) -> No
 
 
 @pytest.mark.timeout(10)
-def test_a_named_pipe_in_the_place_of_a_rig_holds_up_no_command(tmp_path: Path) -> None:
+def test_a_named_pipe_in_place_of_a_rig_does_not_block_a_command(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "rig.toml")
     with pytest.raises(SeatrialError, match=r"rig\.toml: is not a file"):
         load_rig(tmp_path / "rig.toml")

@@ -1,4 +1,4 @@
-"""The keys of a [[device]] that belong to some protocols only, and the decoder that comes of them."""
+"""Tests of the keys of a [[device]] that belong to single protocols, and of the resulting decoder."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_every_protocol_of_the_table_has_a_decoder_with_its_keys_at_their_defaul
         rig(protocol, "port" if bus else "socketcan:can0")
 
 
-def test_a_dbc_with_its_signals() -> None:
+def test_a_dbc_and_its_signals_make_a_decoder() -> None:
     loaded = rig("dbc", "slcan:ports/can", f'dbc = "nmea2000"\nbitrate = 250000\n{SIGNAL}')
     device = loaded.devices[0]
     assert Path(device.dbc).name == "nmea2000.dbc"
@@ -60,12 +60,12 @@ def test_a_dbc_with_its_signals() -> None:
         (f'dbc = "nmea2000"\n{SIGNAL.replace("rpm", "speed")}', r"signal\[1\]\.field: must be one of rpm, current"),
     ],
 )
-def test_what_is_wrong_with_a_dbc_is_one_line(more: str, line: str) -> None:
+def test_an_error_with_a_dbc_is_one_line(more: str, line: str) -> None:
     with pytest.raises(SeatrialError, match=line):
         rig("dbc", "socketcan:can0", more)
 
 
-def test_a_declination_is_in_radians() -> None:
+def test_a_declination_is_converted_to_radians() -> None:
     assert rig("nmea", more="declination_deg = -3.0").devices[0].declination == pytest.approx(math.radians(-3.0))
     assert rig("ubx").devices[0].declination is None
     with pytest.raises(SeatrialError, match="declination_deg: unknown key"):
@@ -81,7 +81,7 @@ def test_a_query_is_plain_text() -> None:
         rig("mantracourt", more='query = "a\\tb"')
 
 
-def test_segments() -> None:
+def test_the_segment_settings_of_a_rig_are_read() -> None:
     assert rig("nmea").segments == Segments(None, None, 50.0)
     log = "[log]\nsegment_mb = 200\nsegment_s = 600\nfree_mb = 0"
     assert rig("nmea", before=log).segments == Segments(200.0, 600.0, 0.0)

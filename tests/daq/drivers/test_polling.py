@@ -1,4 +1,4 @@
-"""A device that answers only when asked: on its own clock, and on a real port."""
+"""Tests of a device that answers only when polled: with a simulated clock, and on a real port."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ newton_per_count = 2.0
 """
 
 
-def test_it_asks_at_its_rate_and_makes_up_for_nothing() -> None:
+def test_polls_come_at_the_rate_and_missed_polls_are_not_made_up() -> None:
     driver = PollingDriver(b"?", 0.1)
     driver.opened(5.0)
     assert [driver.poll(5.0), driver.poll(5.05), driver.poll(5.11), driver.poll(5.12)] == [b"?", b"", b"?", b""]
@@ -40,7 +40,7 @@ def test_it_asks_at_its_rate_and_makes_up_for_nothing() -> None:
     assert [driver.poll(9.0), driver.poll(9.05), driver.poll(9.1)] == [b"?", b"", b"?"]
 
 
-def test_a_converter_is_asked_and_its_answers_are_logged(tmp_path: Path) -> None:
+def test_a_converter_is_polled_and_its_answers_are_logged(tmp_path: Path) -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     (tmp_path / "cell").symlink_to(os.ttyname(slave))

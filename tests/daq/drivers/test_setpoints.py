@@ -1,4 +1,4 @@
-"""Set-points: what is due when, repeated until when, and what zero does."""
+"""Tests of set-points: due times, repetition, and the effect of zero."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_rows_are_due_at_their_time_and_repeated_in_between() -> None:
     assert setpoints.held == {1: 0.5, 2: 0.25}
 
 
-def test_zero_is_repeated_for_a_while_then_the_bus_is_left_alone() -> None:
+def test_zero_is_repeated_for_some_time_and_then_nothing_is_sent() -> None:
     setpoints = Setpoints()
     setpoints.append([(1.0, {1: 0.5}), (2.0, {1: 0.0})])
     setpoints.due(1.0, 10.0)
@@ -47,7 +47,7 @@ def test_zero_clears_the_schedule_at_once() -> None:
     assert setpoints.wait(9.0, 10.0 + ZERO_FOR_S, 1.0) == math.inf
 
 
-def test_zero_is_settled_when_it_was_written_and_repeated_not_when_it_is_wanted() -> None:
+def test_zero_is_settled_only_after_it_was_written_and_repeated() -> None:
     setpoints = Setpoints()
     assert setpoints.is_settled(10.0)
     setpoints.append([(1.0, {1: 0.5})])
@@ -55,9 +55,9 @@ def test_zero_is_settled_when_it_was_written_and_repeated_not_when_it_is_wanted(
     setpoints.written()
     setpoints.zero(10.0)
     late = 11.0 + ZERO_FOR_S
-    assert not setpoints.is_settled(late)  # the port's thread has not even taken it
+    assert not setpoints.is_settled(late)  # the thread of the port has not taken it yet
     setpoints.due(1.0, late)
-    assert not setpoints.is_settled(late)  # the write hangs
+    assert not setpoints.is_settled(late)  # the write blocks
     setpoints.written()
     assert not setpoints.is_settled(late)
     assert setpoints.is_settled(late + ZERO_FOR_S)
@@ -70,7 +70,7 @@ def test_zero_before_any_command_sends_nothing() -> None:
     assert setpoints.due(2.0, 1.0) == []
 
 
-def test_of_rows_that_are_late_only_the_newest_is_sent() -> None:
+def test_of_several_late_rows_only_the_newest_is_sent() -> None:
     setpoints = Setpoints()
     setpoints.append([(1.0, {1: 0.1, 2: 0.9}), (2.0, {1: 0.2}), (3.0, {1: 0.3}), (9.0, {1: 0.4})])
     assert setpoints.due(5.0, 1.0) == [Due(1, 0.3, True), Due(2, 0.9, True)]
@@ -78,21 +78,21 @@ def test_of_rows_that_are_late_only_the_newest_is_sent() -> None:
     assert setpoints.pending == 1
 
 
-def test_only_what_a_later_row_overtook_counts_as_skipped() -> None:
+def test_only_rows_replaced_by_a_later_row_count_as_skipped() -> None:
     setpoints = Setpoints()
-    setpoints.append([(1.0, {1: 0.1}), (1.0, {1: 0.2}), (1.5, {2: 0.3})])  # at one time the later one replaces
+    setpoints.append([(1.0, {1: 0.1}), (1.0, {1: 0.2}), (1.5, {2: 0.3})])  # of two rows at one time the later row holds
     assert setpoints.due(2.0, 0.0) == [Due(1, 0.2, True), Due(2, 0.3, True)]
     assert setpoints.skipped == 0
     setpoints.zero(1.0)
     setpoints.append([(3.0, {1: 0.4})])
-    assert setpoints.due(3.0, 2.0) == [Due(1, 0.4, True), Due(2, 0.0, True)]  # zero is no row of the plan
+    assert setpoints.due(3.0, 2.0) == [Due(1, 0.4, True), Due(2, 0.0, True)]  # zero is not a row of the plan
     assert setpoints.skipped == 0
     setpoints.append([(4.0, {1: 0.5, 2: 0.5}), (5.0, {1: 0.6}), (6.0, {1: 0.7})])
     assert setpoints.due(7.0, 3.0) == [Due(1, 0.7, True), Due(2, 0.5, True)]
     assert setpoints.skipped == 2
 
 
-def test_rows_in_any_order() -> None:
+def test_rows_may_be_given_in_any_order() -> None:
     setpoints = Setpoints()
     setpoints.append([(3.0, {1: 0.3})])
     setpoints.append([(1.0, {1: 0.1}), (3.0, {1: 0.4})])

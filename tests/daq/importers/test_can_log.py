@@ -1,4 +1,6 @@
-"""CAN logs written by python-can: our own decoders with a rig and without one, a DBC, and logs as if recorded."""
+"""Tests of the import of CAN logs written by python-can: with a rig, without a rig, with a DBC, and compared with a
+recording.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +75,7 @@ reversed = true
 
 
 def write_log(folder: Path, form: str) -> Path:
-    """Two VESCs and an engine that a DBC knows, 20 times a second."""
+    """Write a log of two VESCs and an engine described by a DBC, 20 times a second."""
     path = folder / f"run.{'log' if form == 'candump' else form}"
     with WRITERS[form](path, channel="can0" if form == "candump" else 1) as writer:
         for k in range(N):
@@ -98,7 +100,7 @@ def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 def test_without_a_rig_the_protocol_is_found(log: Path, tmp_path: Path) -> None:
     tables = {table.topic: table for table in read_can(log, SourceOptions())}
     assert sorted(tables) == ["esc_1", "esc_2"]
-    np.testing.assert_allclose(tables["esc_2"].columns["rpm"], -700.0 * np.arange(N))  # electrical
+    np.testing.assert_allclose(tables["esc_2"].columns["rpm"], -700.0 * np.arange(N))  # electrical speed
     t = tables["esc_1"].t
     assert t is not None
     np.testing.assert_allclose(np.diff(t), 0.05, atol=2e-3)
@@ -107,7 +109,7 @@ def test_without_a_rig_the_protocol_is_found(log: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(values(out, "n_right")[1], -np.arange(N) / (N - 1.0), rtol=1e-6)
 
 
-def test_a_dbc_makes_a_topic_of_each_message(log: Path, tmp_path: Path) -> None:
+def test_each_message_of_a_dbc_becomes_a_topic(log: Path, tmp_path: Path) -> None:
     (tmp_path / "engine.dbc").write_text(DBC)
     text = 'format = "seatrial-import 1"\ncan = { dbc = "engine.dbc" }\n'
     text += '[[signal]]\nname = "force"\ntopic = "Engine"\nfield = "Thrust"\nunit = "N"\n'
@@ -133,7 +135,7 @@ BO_ 293 Compass: 4 A
 """
 
 
-def test_a_guess_by_a_dbc_knows_messages_and_units(tmp_path: Path) -> None:
+def test_a_guess_with_a_dbc_has_messages_and_units(tmp_path: Path) -> None:
     (tmp_path / "dbc").mkdir()
     (tmp_path / "maps").mkdir()
     (tmp_path / "dbc/boat.dbc").write_text(BOAT)
@@ -161,7 +163,7 @@ def test_a_guess_by_a_dbc_knows_messages_and_units(tmp_path: Path) -> None:
 
 
 def by_dbc(folder: Path, *lines: str) -> list[Table]:
-    """The tables of a candump, a frame each 0.1 s, by `MANY`."""
+    """Return the tables of a candump, with a frame each 0.1 s, read by the DBC `MANY`."""
     (folder / "many.dbc").write_text(MANY)
     text = "".join(f"({T0 + 0.1 * k:.6f}) {line}\n" for k, line in enumerate(lines))
     (folder / "run.log").write_text(text)
@@ -175,8 +177,8 @@ def test_two_buses_are_two_topics(tmp_path: Path) -> None:
     assert [table.topic for table in by_dbc(tmp_path, ahead)] == ["Motor"]
 
 
-def test_a_controller_on_each_of_two_buses(tmp_path: Path) -> None:
-    """Without a rig: the same node twice is two controllers."""
+def test_the_same_node_on_two_buses_is_two_controllers(tmp_path: Path) -> None:
+    """Without a rig, the same node on two buses is two controllers."""
     rows = [(k, bus) for k in range(N) for bus in (0, 1)]
     text = "".join(f"({T0 + 0.05 * k:.6f}) can{bus} 00000901#{1000 * k * (bus + 1):08X}00000000\n" for k, bus in rows)
     (tmp_path / "run.log").write_text(text)
@@ -187,12 +189,12 @@ def test_a_controller_on_each_of_two_buses(tmp_path: Path) -> None:
     assert 'name = "n_right", topic = "can1_esc_1"' in text
 
 
-def test_a_field_of_j1939_that_is_not_available(tmp_path: Path) -> None:
+def test_an_unavailable_field_of_j1939_is_left_out(tmp_path: Path) -> None:
     (table,) = by_dbc(tmp_path, "can0 18F00400#FFFFFF4038FFFFFF", "can0 18F00400#FFFFFFFFFFFFFFFF")
     np.testing.assert_array_equal(table.columns["EngSpeed"], [1800.0, np.nan])
 
 
-def test_frames_that_the_dbc_does_not_fit_are_counted(tmp_path: Path) -> None:
+def test_frames_that_do_not_match_the_dbc_are_counted(tmp_path: Path) -> None:
     (table,) = by_dbc(tmp_path, "can0 101#0001000000000000", "can0 101#0501000000000000", "can0 101#00")
     assert table.columns["a"].tolist() == [1.0]
     text = 'format = "seatrial-import 1"\ncan = { dbc = "many.dbc" }\n'
@@ -205,21 +207,21 @@ def test_frames_that_the_dbc_does_not_fit_are_counted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["RUN.ASC", "run.txt", "run.log"])
-def test_what_log_it_is_says_its_content(tmp_path: Path, name: str) -> None:
+def test_the_kind_of_a_log_is_found_by_its_content(tmp_path: Path, name: str) -> None:
     path = write_log(tmp_path, "asc").rename(tmp_path / name)
     assert len(read_can(path, SourceOptions())) == 2
 
 
-def test_a_rig_makes_the_log_that_it_would_have_recorded(tmp_path: Path) -> None:
+def test_an_import_with_a_rig_equals_a_recording(tmp_path: Path) -> None:
     path = write_log(tmp_path, "candump")
     (tmp_path / "rig.toml").write_text(RIG)
-    out, said = import_can(path, tmp_path / "rig.toml", out=tmp_path / "run.mcap")
-    assert said == f"{2 * N} samples of {3 * N} frames"
+    out, summary = import_can(path, tmp_path / "rig.toml", out=tmp_path / "run.mcap")
+    assert summary == f"{2 * N} samples of {3 * N} frames"
     with open_log(out) as log:
         left, right = log.table(Esc, "esc", 1), log.table(Esc, "esc", 2)
         raw = list(log.raw("esc"))
         assert log.rig is not None
-    np.testing.assert_allclose(left["rpm"], 100.0 * np.arange(N))  # of the shaft
+    np.testing.assert_allclose(left["rpm"], 100.0 * np.arange(N))  # speed of the shaft
     np.testing.assert_allclose(right["rpm"], 100.0 * np.arange(N))  # reversed by the rig
     np.testing.assert_allclose(left["t"], T0 + 0.001 + 0.05 * np.arange(N), atol=1e-5)
     assert len(raw) == 3 * N

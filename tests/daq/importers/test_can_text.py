@@ -1,4 +1,4 @@
-"""CAN logs as text: the forms of candump, ASC with its date, BusMaster, and NMEA 2000 of three gateways."""
+"""Tests of the import of CAN logs as text: candump, ASC with its date, BusMaster, and NMEA 2000 of three gateways."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def fix(k: int) -> bytes:
 
 
 def lines_of_frames(line: Callable[[int, str, bytes], str]) -> list[str]:
-    """A line for each heading: its number, its identifier in hexadecimal digits, its data."""
+    """Return a line for each heading: its number, its identifier in hexadecimal, its data."""
     return [line(k, f"{identifier(HEADING, SOURCE):08X}", heading(k)) for k in range(N)]
 
 
@@ -59,7 +59,7 @@ BUSMASTER = [
 ASC = ["date Sun May 12 09:00:00.000 am 2024", "base hex  timestamps absolute", "no internal events logged",
        "Begin Triggerblock Sun May 12 09:00:00.000 am 2024", "   0.000000 Start of measurement"]  # fmt: skip
 MIDNIGHT = 86400.0 * (T0 // 86400.0)
-DIALECTS: dict[str, tuple[list[str], float]] = {  # the lines of a log, and its first time [s]
+DIALECTS: dict[str, tuple[list[str], float]] = {  # the lines of a log and its first time [s]
     "candump -L": (lines_of_frames(lambda k, i, d: f"({T0 + T[k]:.6f}) can0 {i}#{d.hex()}"), T0),
     "candump -ta": (lines_of_frames(lambda k, i, d: f" ({T0 + T[k]:.6f})  can0  {i}   [8]  {spaced(d)}"), T0),
     "candump -ta -a": (
@@ -131,7 +131,7 @@ def test_each_dialect_gives_all_frames_with_their_times(dialect: str, tmp_path: 
     frames = read_frames(path)
     assert [(frame.word, frame.data) for frame in frames] == [
         (identifier(HEADING, SOURCE) | EXTENDED, heading(k)) for k in range(N)
-    ]  # the first one, too
+    ]  # the first frame is included
     if dialect == "candump -td":
         np.testing.assert_allclose(np.diff([frame.t for frame in frames])[:2], [0.05, 0.15], atol=1e-9)
     else:
@@ -141,8 +141,8 @@ def test_each_dialect_gives_all_frames_with_their_times(dialect: str, tmp_path: 
 
 
 @pytest.mark.parametrize("name", ["N2K", "canboat"])
-def test_a_message_that_is_longer_than_a_frame(name: str, tmp_path: Path) -> None:
-    """Gateways write a fix in one line; the decoder of the bus takes its frames."""
+def test_a_message_longer_than_a_frame_is_split_into_frames(name: str, tmp_path: Path) -> None:
+    """A gateway writes a fix in one line. The decoder of the bus needs it as several frames."""
     lines = []
     for k in range(N):
         if name == "N2K":
@@ -154,7 +154,7 @@ def test_a_message_that_is_longer_than_a_frame(name: str, tmp_path: Path) -> Non
     np.testing.assert_allclose(table.numbers("lat")[-3:], 54.1 + 1e-5 * np.arange(N - 3, N), atol=1e-9)
 
 
-def test_frames_behind_midnight(tmp_path: Path) -> None:
+def test_frames_after_midnight_belong_to_the_next_day(tmp_path: Path) -> None:
     lines, _ = DIALECTS["Yacht Devices"]
     late = [line.replace("09:00:0", "23:59:5", 1) for line in lines[:10]]
     early = [line.replace("09:00:0", "00:00:0", 1) for line in lines[10:]]
@@ -164,7 +164,7 @@ def test_frames_behind_midnight(tmp_path: Path) -> None:
 
 
 def test_a_log_without_times_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    """As candump writes it without an option."""
+    """candump without options writes such lines."""
     path = write(tmp_path, lines_of_frames(lambda k, i, d: f"  can0  {i}   [8]  {spaced(d)}"))
     with pytest.raises(SeatrialError, match=r"its frames have no times; record again with times: candump -ta can0"):
         guess_map(path)
@@ -172,7 +172,7 @@ def test_a_log_without_times_is_refused_with_what_to_do(tmp_path: Path) -> None:
 
 def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
     lines = DIALECTS["candump -ta"][0].copy()
-    lines[7] = lines[7][:40]  # data is missing
+    lines[7] = lines[7][:40]  # the data is missing
     lines[9] = " (1715504401.000000)  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME"
     with pytest.warns(SeatrialWarning, match="1 line left out, not CAN frames; the first is line 8"):
         frames = read_frames(write(tmp_path, lines))

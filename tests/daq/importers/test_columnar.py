@@ -1,4 +1,6 @@
-"""MATLAB files of versions 5 and 7.3 and Parquet: workspaces, structs, matrices, times of their own."""
+"""Tests of the import of MATLAB files (versions 5 and 7.3) and Parquet: workspaces, structs, matrices, several time
+axes.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ RUN: dict[str, Any] = {
 
 
 def save_73(path: Path, run: dict[str, Any]) -> None:
-    """As MATLAB does: HDF5 behind 512 bytes of heading, matrices column by column, structs as groups."""
+    """Write a file as MATLAB does: HDF5 after a header of 512 bytes, matrices by column, structs as groups."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, value in run.items():
             if isinstance(value, dict):
@@ -49,7 +51,7 @@ def save(request: pytest.FixtureRequest) -> Any:
     return savemat if request.param == "5" else save_73
 
 
-def test_vectors_of_two_clocks_by_their_guess(save: Any, tmp_path: Path) -> None:
+def test_vectors_with_two_time_axes_are_imported_by_their_guess(save: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
     save(path, RUN)
     assert source_kind(path).name == "matlab"
@@ -63,17 +65,17 @@ def test_vectors_of_two_clocks_by_their_guess(save: Any, tmp_path: Path) -> None
     assert values(out, "n_right") == (RUN["t_cmd"].tolist(), RUN["cmd_right"].tolist())
 
 
-def test_structs_and_matrices(save: Any, tmp_path: Path) -> None:
+def test_structs_and_matrices_become_columns(save: Any, tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
     save(path, {"log": {"t": T, "psi": 0.2 * T}, "pos": np.stack([T, 2 * T, 3 * T], axis=1), "g": 9.81})
     tables = {table.topic: table for table in read_matlab(path, SourceOptions())}
     assert sorted(tables["log"].names) == ["psi", "t"]
     np.testing.assert_array_equal(tables["log"].columns["psi"], 0.2 * T)
-    assert sorted(tables[""].names) == ["pos[0]", "pos[1]", "pos[2]"]  # g is no column
+    assert sorted(tables[""].names) == ["pos[0]", "pos[1]", "pos[2]"]  # g is not a column
     np.testing.assert_array_equal(tables[""].columns["pos[2]"], 3 * T)
 
 
-def test_matlab_files_that_hold_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_matlab_files_without_data_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     savemat(tmp_path / "a.mat", {"name": "boat"})
     with pytest.raises(SeatrialError, match=r"a\.mat: contains no vectors of numbers; objects \(timetable"):
         read_matlab(tmp_path / "a.mat", SourceOptions())
@@ -86,7 +88,7 @@ def test_matlab_files_that_hold_nothing(tmp_path: Path, monkeypatch: pytest.Monk
         read_matlab(tmp_path / "c.mat", SourceOptions())
 
 
-def test_datenum(tmp_path: Path) -> None:
+def test_a_datenum_becomes_a_time(tmp_path: Path) -> None:
     days = 739_000.0 + np.arange(20) / 86400.0
     savemat(tmp_path / "run.mat", {"datenum": days, "psi": np.arange(20.0)})
     lines = '[time]\ncolumn = "datenum"\nformat = "datenum"\n[[signal]]\nname = "psi"\ncolumn = "psi"\nunit = "deg"\n'
@@ -96,7 +98,7 @@ def test_datenum(tmp_path: Path) -> None:
     assert values(out, "psi")[0][0] == pytest.approx((739_000 - 719_529) * 86400.0)
 
 
-def test_parquet_with_whole_numbers_that_a_float_rounds(tmp_path: Path) -> None:
+def test_large_integers_of_parquet_are_exact(tmp_path: Path) -> None:
     stamps = 1_700_000_000_000_000_123 + 100_000_000 * np.arange(20, dtype=np.int64)
     pq.write_table(pa.table({"stamp_ns": stamps, "heading": np.arange(20.0)}), tmp_path / "run.parquet")
     (tmp_path / "map.toml").write_text(guess_map(tmp_path / "run.parquet").text)
@@ -104,7 +106,7 @@ def test_parquet_with_whole_numbers_that_a_float_rounds(tmp_path: Path) -> None:
     np.testing.assert_allclose(values(out, "psi")[0], 1e-9 * stamps, rtol=0, atol=3e-7)
 
 
-def test_parquet_with_times_of_its_own(tmp_path: Path) -> None:
+def test_timestamps_of_parquet_become_times(tmp_path: Path) -> None:
     stamps = pa.array((1_700_000_000_000_000_000 + 1e8 * np.arange(20)).astype("datetime64[ns]"))
     table = pa.table({"time": stamps, "heading": pa.array(np.arange(20.0)), "who": pa.array(["a"] * 20)})
     pq.write_table(table, tmp_path / "run.parquet")
@@ -124,16 +126,16 @@ def test_parquet_with_times_of_its_own(tmp_path: Path) -> None:
 
 
 def clock(path: Path, columns: dict[str, Any]) -> Clock:
-    """The clock of a Parquet file with these columns."""
+    """Return the clock of a Parquet file with these columns."""
     pq.write_table(pa.table(columns), path)
     return clock_of(read_parquet(path, SourceOptions())[0])
 
 
-def test_types_of_parquet(tmp_path: Path) -> None:
+def test_the_types_of_parquet_define_the_clock(tmp_path: Path) -> None:
     path, n = tmp_path / "run.parquet", np.arange(20)
     ns = 1_700_000_000_000_000_000 + 100_000_000 * n
     stamps = pa.array(ns.astype("datetime64[ns]"))
-    assert clock(path, {"k": n, "timestamp_ns": stamps}) == Clock("timestamp_ns")  # its type goes before its name
+    assert clock(path, {"k": n, "timestamp_ns": stamps}) == Clock("timestamp_ns")  # the type has priority over the name
     assert clock(path, {"k": n, "when": stamps}) == Clock("when")
     assert clock(path, {"k": n, "elapsed": pa.array(n * 10**8, pa.duration("ns"))}) == Clock("elapsed")
     texts = pa.array([f"2025-05-01T12:00:{k:02d}" for k in n])

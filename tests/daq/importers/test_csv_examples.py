@@ -1,4 +1,4 @@
-"""The maps of the docs are valid, and the measured runs come in by them as they are."""
+"""Tests of the import maps in the docs: the maps are valid, and the measured runs are imported with them unchanged."""
 
 from __future__ import annotations
 
@@ -58,24 +58,24 @@ def column(path: Path, name: str) -> list[float]:
 
 
 @pytest.mark.measured
-def test_blueboat(folder: Path, measured: Path) -> None:
+def test_the_blueboat_runs_are_imported_by_their_map(folder: Path, measured: Path) -> None:
     files = sorted((measured / "blueboat").glob("*.csv"))
     logs = import_files(EXAMPLES / "blueboat" / "blueboat.toml", files)
     assert len(logs) == 11
     for path, out in zip(files, logs, strict=True):
         t, psi = values(out, "psi")
         np.testing.assert_allclose(np.cos(psi), np.cos(np.radians(column(path, "yaw"))), atol=1e-9)
-        assert np.abs(np.diff(psi)).max() < 0.5  # unwrapped
+        assert np.abs(np.diff(psi)).max() < 0.5  # the angle is unwrapped
         assert values(out, "f_left")[1] == column(path, "left_force")
         np.testing.assert_allclose(np.diff(t), 0.1, atol=1e-6)
-    # The unit of yaw_rate, over the run with the most turning: d(psi)/dt = 1.0 r.
+    # Check of the unit of yaw_rate, in the run with the most turning: d(psi)/dt = 1.0 r.
     t, psi = map(np.array, values(logs[7], "psi"))
     r = np.array(values(logs[7], "r")[1])
     assert np.gradient(psi, t) @ r / (r @ r) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.measured
-def test_kingfisher(folder: Path, measured: Path) -> None:
+def test_the_kingfisher_runs_are_imported_by_their_map(folder: Path, measured: Path) -> None:
     files = sorted((measured / "kingfisher").glob("surge_*.csv"))
     (out,) = import_files(EXAMPLES / "kingfisher" / "surge.toml", files)
     assert (len(values(out, "n_left")[0]), len(values(out, "speed_x")[0])) == (14669, 22716)
@@ -83,16 +83,17 @@ def test_kingfisher(folder: Path, measured: Path) -> None:
     assert [path.stem for path in steps] == [f"surge_steps_step{i}" for i in (1, 2, 3, 4)]
     assert open_log(steps[0]).duration == pytest.approx(215.0 - 171.0, abs=0.15)
     t, _ = values(steps[3], "speed_x")
-    assert np.median(np.diff(t)) == pytest.approx(0.25, abs=0.06)  # the receiver's rate, not the logger's
+    assert np.median(np.diff(t)) == pytest.approx(0.25, abs=0.06)  # the rate of the receiver, not of the logger
     t, n = map(np.array, values(steps[2], "n_left"))
-    assert set(n) == {0.0, 0.4}  # at rest until the step's first command
+    assert set(n) == {0.0, 0.4}  # at rest until the first command of the step
     assert t[n > 0][0] == pytest.approx(402.69, abs=0.01)
     (bollard,) = import_files(
         EXAMPLES / "kingfisher" / "bollard.toml", [measured / "kingfisher" / "bollard_loadcell_raw_20files.csv"]
     )
     n, force = np.array(values(bollard, "n_left")[1]), np.array(values(bollard, "force")[1])
     assert len(np.unique(n)) == 20
-    assert force[n == 1.0].mean() == pytest.approx(2 * 20.3, rel=0.01)  # tcurve.csv has half of it: one thruster
+    # tcurve.csv has half of this thrust, for one thruster
+    assert force[n == 1.0].mean() == pytest.approx(2 * 20.3, rel=0.01)
 
 
 @pytest.mark.measured

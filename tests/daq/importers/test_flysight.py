@@ -1,4 +1,4 @@
-"""Files of FlySight 2, as its firmware of 2023 and later writes them."""
+"""Tests of the import of FlySight 2 files, as written by its firmware of 2023 and later."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def track() -> list[str]:
 
 
 def sensors() -> list[str]:
-    """Gyros with the time since power-on, whose clock is 1e-4 fast, and the time of GPS now and then."""
+    """Return gyro rows with the time since power-on, whose clock is 1e-4 fast, and some rows with GPS time."""
     lines = [*HEAD, "$COL,IMU,time,wx,wy,wz,ax,ay,az,temperature", "$UNIT,IMU,s,deg/s,deg/s,deg/s,g,g,g,deg C"]
     lines += ["$COL,TIME,time,tow,week", "$UNIT,TIME,s,s,", "$DATA"]
     week, tow = divmod(START - GPS_S + LEAP_S, WEEK_S)
@@ -41,11 +41,11 @@ def sensors() -> list[str]:
     return lines
 
 
-def test_a_track(tmp_path: Path) -> None:
+def test_a_flysight_track_is_imported(tmp_path: Path) -> None:
     source = tmp_path / "TRACK.CSV"
     source.write_text("\r\n".join(track()) + "\r\n")
     guess = guess_map(source)
-    assert guess.problem.startswith("no commands, shaft speeds or forces")  # a receiver alone
+    assert guess.problem.startswith("no commands, shaft speeds or forces")  # the file contains only a receiver
     (tmp_path / "map.toml").write_text(guess.text)
     (path,) = import_files(tmp_path / "map.toml", [source], out=tmp_path / "t.mcap")
     with open_log(path) as log:
@@ -58,7 +58,7 @@ def test_a_track(tmp_path: Path) -> None:
 def test_sensors_get_the_time_of_gps(tmp_path: Path) -> None:
     source = tmp_path / "SENSOR.CSV"
     lines = sensors()
-    source.write_text("\n".join([*lines[:60], lines[60][:20], *lines[61:]]) + "\n")  # one line is cut
+    source.write_text("\n".join([*lines[:60], lines[60][:20], *lines[61:]]) + "\n")  # one line is cut off
     guess = guess_map(source)
     assert '{ name = "r", topic = "IMU", field = "wz", unit = "deg/s" }' in guess.text
     (tmp_path / "map.toml").write_text(guess.text)
@@ -73,12 +73,12 @@ def test_sensors_get_the_time_of_gps(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_sensors_among_fixes_get_their_time(late: int, tmp_path: Path) -> None:
-    """Without the time of GPS: most fixes come late, behind a further row of the gyros."""
+    """There is no GPS time. Most fixes come late, after a further row of the gyros."""
     lines = [line for line in sensors() if "TIME" not in line][:-N]
     lines[-1:] = [line for line in track() if line.startswith(("$COL", "$UNIT"))] + ["$DATA"]
     fixes = [line for line in track() if line.startswith("$GNSS")]
     gyros = [f"$IMU,{7.0 + 0.2 * k:.3f},0.1,0.2,{0.1 * k:.2f},0.0,0.01,1.0,25.1" for k in range(N)]
-    behind = [k + late * (k % 10 > 0) for k in range(N)]  # the row of the gyros behind which each fix stands
+    behind = [k + late * (k % 10 > 0) for k in range(N)]  # the row of the gyros after which each fix stands
     for k in range(N):
         lines += [gyros[k], *(fixes[j] for j in range(N) if behind[j] == k)]
     (tmp_path / "ALL.CSV").write_text("\n".join(lines) + "\n")

@@ -1,4 +1,6 @@
-"""`import --guess`: styles of text, names of columns with their units, messages of ROS and mavros, the choice."""
+"""Tests of `import --guess`: styles of text, column names with units, messages of ROS and mavros, and the choice of
+signals.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,8 @@ N = 30
 TIME = 0.1 * np.arange(N)
 
 
-def guessed(path: Path) -> dict[str, dict[str, Any]]:
-    """The signals of a guessed map by name; the map imports."""
+def guessed_signals(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the signals of a guessed map by name, after an import with the map."""
     text = guess_map(path).text
     map_path = path.with_suffix(".map.toml")
     map_path.write_text(text, encoding="utf-8")
@@ -79,7 +81,7 @@ def test_blanks_between_columns_other_encodings_and_blank_rows(tmp_path: Path) -
     path = tmp_path / "run.dat"
     rows = "".join(f"  {0.1 * k:.1f}   {10 + k}.0 \n\n" for k in range(N))
     path.write_bytes(f"Kurs \N{DEGREE SIGN}\n time  yaw[deg]\n{rows}".encode("latin-1"))
-    assert guessed(path)["psi"]["unit"] == "deg"
+    assert guessed_signals(path)["psi"]["unit"] == "deg"
     t, psi = values(tmp_path / "run.mcap", "psi")
     np.testing.assert_allclose(t, TIME, atol=1e-9)
     np.testing.assert_allclose(psi, np.radians(10.0 + np.arange(N)))
@@ -87,16 +89,16 @@ def test_blanks_between_columns_other_encodings_and_blank_rows(tmp_path: Path) -
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-16 BE with its mark"])
 def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
-    """As Excel saves "Unicode text"."""
+    """Excel saves "Unicode text" in this way."""
     text = "t\tKurs \N{DEGREE SIGN}\tyaw[deg]\r\n" + "".join(f"{0.1 * k:.1f}\t1\t{10 + k}.0\r\n" for k in range(N))
     name, _, mark = encoding.partition(" ")
     path = tmp_path / "run.txt"
     path.write_bytes(b"\xfe\xff" + text.encode("utf-16-be") if mark else text.encode(name))
-    assert guessed(path)["psi"]["unit"] == "deg"
+    assert guessed_signals(path)["psi"]["unit"] == "deg"
     np.testing.assert_allclose(values(tmp_path / "run.mcap", "psi")[1], np.radians(10.0 + np.arange(N)))
     path.write_bytes(text.encode())
-    said = r"run\.txt: is not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
-    with pytest.raises(SeatrialError, match=said) as caught:
+    message = r"run\.txt: is not utf-16 text \(.*\); save it as UTF-8" if not name[6:] else "run.txt: "
+    with pytest.raises(SeatrialError, match=message) as caught:
         import_files(tmp_path / "run.map.toml", [path], out=tmp_path / "again.mcap")
     assert "\n" not in str(caught.value)
 
@@ -112,19 +114,19 @@ def test_text_of_two_bytes_a_character(tmp_path: Path, encoding: str) -> None:
         ("Speed [rpm]", "", "rev/min"),
     ],
 )  # fmt: skip
-def test_names_of_columns(column: str, meaning: str, unit: str) -> None:
+def test_a_column_name_gives_meaning_and_unit(column: str, meaning: str, unit: str) -> None:
     name = read_name(column)
     assert (name.meaning, name.unit) == (meaning, unit)
 
 
-def test_a_receiver_and_a_pwm(tmp_path: Path) -> None:
-    """Speed and course, latitude and longitude, pulses by side, milliseconds."""
+def test_columns_of_a_receiver_and_of_pulses_are_found(tmp_path: Path) -> None:
+    """Speed and course, latitude and longitude, pulses for each side, and milliseconds."""
     path = write(tmp_path, {
         "timestamp": 1e5 + 100.0 * np.arange(N), "lat": 63.0 + 1e-5 * np.arange(N), "lon": 10.0 + 0 * TIME,
         "sog_kn": 2.0 + 0 * TIME, "cog": 90.0 + 0 * TIME,
         "pwm_port": 1500.0 + np.arange(N), "pwm_stbd": 1500.0 - np.arange(N),
     })  # fmt: skip
-    found = guessed(path)
+    found = guessed_signals(path)
     assert set(found) == {"x", "y", "vx", "vy", "n_left", "n_right"}
     log = tmp_path / "run.mcap"
     np.testing.assert_allclose(np.diff(values(log, "x")[1]), 1.1146, rtol=1e-3)
@@ -135,18 +137,18 @@ def test_a_receiver_and_a_pwm(tmp_path: Path) -> None:
     np.testing.assert_allclose(t, 100.0 + TIME, atol=1e-6)
 
 
-def test_a_heading_that_mavlink_does_not_know_is_none(tmp_path: Path) -> None:
+def test_an_unknown_heading_of_mavlink_is_left_out(tmp_path: Path) -> None:
     hdg = np.where(np.arange(N) < 5, 65535.0, 35_000.0 + 40.0 * np.arange(N)) % 65536
     path = write(tmp_path, {"t": TIME, "hdg": np.where(hdg == 65535, hdg, hdg % 36_000)})
-    assert guessed(path)["psi"]["unit"] == "cdeg"
+    assert guessed_signals(path)["psi"]["unit"] == "cdeg"
     t, psi = values(tmp_path / "run.mcap", "psi")
     np.testing.assert_allclose(t, TIME[5:], atol=1e-9)
     np.testing.assert_allclose(np.diff(psi), np.radians(0.4), atol=1e-9)
 
 
-def test_a_unit_that_is_none_is_a_caveat(tmp_path: Path) -> None:
+def test_an_unknown_unit_is_a_caveat(tmp_path: Path) -> None:
     path = write(tmp_path, {"t": TIME, "x [fathom]": TIME, "y [cm]": TIME, "heading [m]": 100.0 + TIME})
-    found = guessed(path)
+    found = guessed_signals(path)
     assert [found[name]["unit"] for name in ("x", "y", "psi")] == ["m", "cm", "deg"]
     text = guess_map(path).text
     assert "  # caveat: 'fathom' in 'x [fathom]' is not a unit of this signal and is ignored\n" in text
@@ -154,7 +156,7 @@ def test_a_unit_that_is_none_is_a_caveat(tmp_path: Path) -> None:
 
 
 def thrusters(guess: Guess) -> dict[str, tuple[str, str, str]]:
-    """Column, unit and hold of each signal of a guess."""
+    """Return column, unit and hold of each signal of a guess."""
     signals = tomllib.loads(guess.text)["signal"]
     usual = {"input": "zero", "output": "linear"}
     return {
@@ -163,7 +165,7 @@ def thrusters(guess: Guess) -> dict[str, tuple[str, str, str]]:
 
 
 def columns(*names: str, top: float = 40.0) -> Table:
-    """Columns that swing up to about `top`."""
+    """Return columns with a swing of up to about `top`."""
     return Table(Path("x"), "", {name: top * np.sin(TIME + k) for k, name in enumerate(names)}, TIME)
 
 
@@ -182,7 +184,7 @@ def columns(*names: str, top: float = 40.0) -> Table:
         (("X [kgf]", "N [Nm]"), {"X": ("X [kgf]", "kgf", "zero"), "N": ("N [Nm]", "Nm", "zero")}, ""),
     ],
 )
-def test_capitals_are_forces_or_a_position(
+def test_capital_letters_are_forces_or_a_position(
     guess_of: Guessing, names: tuple[str, ...], found: dict[str, tuple[str, str, str]], caveat: str
 ) -> None:
     guess = guess_of("matlab", columns(*names))
@@ -218,7 +220,7 @@ def test_capitals_are_forces_or_a_position(
         ("motor_left [deg]", 90.0, None, ""),
     ],
 )  # fmt: skip
-def test_the_numbers_of_a_thruster(
+def test_the_unit_of_a_thruster_follows_from_its_numbers(
     guess_of: Guessing, name: str, top: float, found: tuple[str, str, str] | None, caveat: str
 ) -> None:
     guess = guess_of("matlab", Table(Path("x"), "", {name: np.linspace(0.5 * top, top, N)}, TIME))
@@ -226,15 +228,15 @@ def test_the_numbers_of_a_thruster(
     assert (f"# caveat: {caveat}" in guess.text) if caveat else ("# caveat" not in guess.text)
 
 
-def test_north_has_no_share_in_the_scale_of_the_thrusters(guess_of: Guessing) -> None:
+def test_the_column_n_for_north_does_not_affect_the_thruster_scale(guess_of: Guessing) -> None:
     table = columns("N", "E", "yaw", "n_left", "n_right", top=0.5)
     table.columns["N"] = 100.0 * table.columns["N"]
     found = thrusters(guess_of("matlab", table))
     assert [found[name][1] for name in ("n_left", "n_right", "x")] == ["1", "1", "m"]
 
 
-def test_left_and_right_are_of_one_quantity(guess_of: Guessing) -> None:
-    """A measurement before its set-point, a pair before a single one, whatever comes first."""
+def test_left_and_right_use_the_same_quantity(guess_of: Guessing) -> None:
+    """A measurement precedes its set-point and a pair precedes a single column, in any order of the columns."""
     names = ("rpm_left_setpoint", "rpm_left", "rpm_right", "rpm_right_setpoint")
     found = thrusters(guess_of("matlab", columns(*names, top=500.0)))
     assert found == {"n_left": ("rpm_left", "1", "linear"), "n_right": ("rpm_right", "1", "linear")}
@@ -249,26 +251,26 @@ def test_left_and_right_are_of_one_quantity(guess_of: Guessing) -> None:
 
 
 def test_no_pulse_is_a_thruster_at_rest(tmp_path: Path) -> None:
-    """Disarmed, an autopilot sends none; the last command does not hold until the end."""
+    """A disarmed autopilot sends no pulses. The last command does not hold until the end."""
     pulses = np.where(TIME < 1.0, 1900.0, 0.0)
-    guessed(write(tmp_path, {"t": TIME, "yaw_deg": 100.0 + TIME, "pwm_left": pulses, "pwm_right": pulses}))
+    guessed_signals(write(tmp_path, {"t": TIME, "yaw_deg": 100.0 + TIME, "pwm_left": pulses, "pwm_right": pulses}))
     t, n = values(tmp_path / "run.mcap", "n_left")
     assert len(t) == N
     np.testing.assert_allclose(n, np.where(TIME < 1.0, 1.0, 0.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("top", [800.0, 90.0, 0.9])
-def test_left_and_right_have_one_scale(tmp_path: Path, top: float) -> None:
-    """That of the side which goes further: equal numbers stay equal."""
+def test_left_and_right_have_the_same_scale(tmp_path: Path, top: float) -> None:
+    """The scale is that of the side with the larger range, so that equal numbers stay equal."""
     speed = np.abs(np.sin(TIME))
     path = write(tmp_path, {"t": TIME, "yaw_deg": 100.0 + TIME, "cmd_left": 1000.0 * speed, "cmd_right": top * speed})
-    guessed(path)
+    guessed_signals(path)
     n_left, n_right = (np.array(values(tmp_path / "run.mcap", name)[1]) for name in ("n_left", "n_right"))
     assert n_left.max() == pytest.approx(1.0)
     np.testing.assert_allclose(n_right, 1e-3 * top * n_left, rtol=1e-6)
 
 
-def test_controllers_have_one_scale() -> None:
+def test_controllers_have_the_same_scale() -> None:
     tables = [Table(Path("x"), f"esc_{k}", {"rpm": 1000.0 / k + 0 * TIME}, TIME, "Esc") for k in (1, 2)]
     assert {c.signals[0].extra.split(",")[0] for c in outputs(tables)} == {"scale = 0.001"}
 
@@ -283,7 +285,8 @@ def test_controllers_have_one_scale() -> None:
         ("time", 1.7e12 + 100.0 * np.arange(N), "ms", ""),
         ("time", 1.7e15 + 1e5 * np.arange(N), "us", ""),
         ("time", 1.7e18 + 1e8 * np.arange(N), "ns", ""),
-        ("time", 1.5e9 + 2e4 * np.arange(N), "us", "steps of 2e+04 are assumed to be microseconds"),  # since its start
+        # microseconds since the start
+        ("time", 1.5e9 + 2e4 * np.arange(N), "us", "steps of 2e+04 are assumed to be microseconds"),
         ("time", 1.5e12 + 2e7 * np.arange(N), "ns", "steps of 2e+07 are assumed to be nanoseconds"),
         ("time", 739_000.5 + TIME / 86400.0, "datenum", ""),
         ("time", 1.0 * np.arange(N), "s", "steps of 1 are assumed to be seconds"),
@@ -296,7 +299,7 @@ def test_controllers_have_one_scale() -> None:
         ("utc", 120000.0 + TIME, "s", "a time of day, hhmmss, has"),
         ("utc", np.append(55.0 + np.arange(5), 100.0 + np.arange(10)), "s", "a time of day, hhmmss, has"),
         ("t", 12000.0 + 5.0 * TIME, "s", "a time of day, hhmmss, has"),
-        ("t", 12050.0 + 5.0 * TIME, "s", ""),  # no minute has more than 59 seconds
+        ("t", 12050.0 + 5.0 * TIME, "s", ""),  # seconds of a minute do not exceed 59
     ],
 )  # fmt: skip
 def test_the_unit_of_a_time(name: str, times: np.ndarray, form: str, caveat: str) -> None:
@@ -306,26 +309,26 @@ def test_the_unit_of_a_time(name: str, times: np.ndarray, form: str, caveat: str
     assert bool(caveat) == bool(clock.caveat)
 
 
-def test_a_first_column_that_is_a_command_or_a_signal_is_no_time() -> None:
+def test_a_first_column_with_a_command_or_a_signal_is_not_a_time() -> None:
     for name in ("PWM (µs)", "yaw"):
         assert clock_of(Table(Path("x"), "", {name: TIME, "force": TIME})) == Clock()
     assert clock_of(Table(Path("x"), "", {"k": TIME, "yaw": TIME})).caveat.startswith("its first column rises evenly")
 
 
 def test_each_table_has_its_own_clock(tmp_path: Path) -> None:
-    """Two names that are one, in s and ms; and a table in front of which nothing is taken."""
+    """Two names of the same clock, in s and ms, and a table before which no time is taken."""
     battery = {"t_batt": np.arange(7.0), "volts": 12.0 + np.arange(7.0)}
     path = tmp_path / "run.mat"
     savemat(path, {
         **battery, "t": TIME, "x": TIME, "y": TIME, "cmd_left": np.sin(TIME), "cmd_right": np.cos(TIME),
         "imu": {"t": 50.0 * np.arange(40), "yaw": 200.0 + np.arange(40)}, "yaw_rate": np.arange(11.0),
     })  # fmt: skip
-    found = guessed(path)
+    found = guessed_signals(path)
     text = guess_map(path).text
     assert tomllib.loads(text)["time"] == {"column": "t", "format": "s"}
     assert (found["psi"]["time"], found["psi"]["time_format"]) == ("t", "ms")
     assert "# caveat: imu, 't': steps of 50 are assumed to be milliseconds" in text
-    assert "r" not in found  # it has no times
+    assert "r" not in found  # the table has no times
     assert '# { name = "r", column = "yaw_rate"' in text
     log = tmp_path / "run.mcap"
     assert [values(log, name)[0][-1] for name in ("x", "n_left", "psi")] == pytest.approx([2.9, 2.9, 1.95])
@@ -334,7 +337,7 @@ def test_each_table_has_its_own_clock(tmp_path: Path) -> None:
 def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("time,yaw_deg\n" + "".join(f"12:00:{k:02d},{90 + k}\n" for k in range(N)))
-    assert "psi" in guessed(path)
+    assert "psi" in guessed_signals(path)
     assert "# caveat: times of day without a date: give the date, origin =" in guess_map(path).text
     assert values(tmp_path / "run.mcap", "psi")[0] == [43200.0 + k for k in range(N)]
 
@@ -342,8 +345,8 @@ def test_times_of_a_day_are_imported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("values", "unit", "caveat"),
     [
-        (np.mod(300.0 + 10.0 * np.arange(N), 360.0), "deg", ""),  # it jumps
-        (200.0 + TIME, "deg", ""),  # it begins beyond a turn
+        (np.mod(300.0 + 10.0 * np.arange(N), 360.0), "deg", ""),  # the angle jumps
+        (200.0 + TIME, "deg", ""),  # the angle begins beyond one turn
         (0.5 * np.arange(N), "deg", "an angle of up to 14.5, without a jump by a turn, is assumed to be in degrees"),
         (5.0 + 100.0 * np.arange(N), "deg", "an angle of up to 2905, without a jump"),
         (TIME, "rad", "an angle of at most 2.90 is assumed to be in radians"),
@@ -360,7 +363,7 @@ def test_the_unit_of_an_angle(guess_of: Guessing, values: np.ndarray, unit: str,
     assert bool(caveat) == ("# caveat" in text)
 
 
-def test_units_that_no_name_says_have_caveats(guess_of: Guessing) -> None:
+def test_assumed_units_have_caveats(guess_of: Guessing) -> None:
     columns = {"sog": TIME, "acc_x": TIME, "acc_y": TIME, "lat": 3845.95 + TIME, "lon": 9012.5 + TIME}
     text = guess_of("matlab", Table(Path("x"), "", columns, TIME)).text
     assert "# caveat: a speed of at most 2.9 is assumed to be in m/s\n" in text
@@ -371,23 +374,25 @@ def test_units_that_no_name_says_have_caveats(guess_of: Guessing) -> None:
     assert "# caveat" not in guess_of("matlab", Table(Path("x"), "", known, TIME)).text
 
 
-def test_the_unit_of_a_rate_is_told_by_the_heading(tmp_path: Path) -> None:
+def test_the_unit_of_a_rate_follows_from_the_heading(tmp_path: Path) -> None:
     psi = 60.0 * np.sin(0.8 * TIME)  # deg, 10 Hz
     degrees = {"t": TIME, "yaw": psi, "yaw_rate": 48.0 * np.cos(0.8 * TIME)}
-    assert guessed(write(tmp_path, degrees))["r"]["unit"] == "deg/s"
+    assert guessed_signals(write(tmp_path, degrees))["r"]["unit"] == "deg/s"
     assert "# caveat: deg/s if the heading is in deg\n" in guess_map(tmp_path / "run.csv").text
     radians = {**degrees, "yaw_rate": np.radians(degrees["yaw_rate"])}
-    assert guessed(write(tmp_path, radians))["r"]["unit"] == "rad/s"
+    assert guessed_signals(write(tmp_path, radians))["r"]["unit"] == "rad/s"
     against = {**radians, "yaw_rate": -radians["yaw_rate"]}
     assert (
         "it has the opposite sign of the heading's derivative; sign = -1 may be needed"
         in guess_map(write(tmp_path, against)).text
     )
     slow = {"t": TIME, "yaw": 100.0 + 0.1 * psi, "yaw_rate": 4.8 * np.cos(0.8 * TIME)}
-    assert guessed(write(tmp_path, slow))["r"]["unit"] == "deg/s"  # by the heading, not by the greatest number
+    assert (
+        guessed_signals(write(tmp_path, slow))["r"]["unit"] == "deg/s"
+    )  # according to the heading, not to the largest number
 
 
-def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
+def test_the_parameters_of_an_autopilot_define_its_outputs() -> None:
     tables = [
         Table(Path("x"), f"servo_{k}", {"pwm": 1500.0 + TIME}, TIME, "Servo", parameters=PARAMETERS) for k in (1, 2, 3)
     ]
@@ -415,7 +420,7 @@ def test_the_parameters_of_an_autopilot_tell_its_outputs() -> None:
         ({"SERVO1_FUNCTION": 33.0, "SERVO2_FUNCTION": 34.0}, "SERVO1_FUNCTION 33, SERVO2_FUNCTION 34"),
     ],
 )  # fmt: skip
-def test_outputs_that_are_no_left_and_right_throttle(
+def test_outputs_without_left_and_right_throttle_are_a_problem(
     guess_of: Guessing, parameters: dict[str, float], problem: str
 ) -> None:
     pulses = {"pwm": 1500.0 + TIME}
@@ -429,7 +434,7 @@ def test_outputs_that_are_no_left_and_right_throttle(
 @pytest.mark.parametrize(
     "parameters", [{"SERVO1_FUNCTION": 73.0}, {"SERVO2_FUNCTION": 0.0}, {"SERVO3_FUNCTION": 74.0}, {}]
 )
-def test_outputs_whose_functions_are_not_known_are_the_usual_ones(parameters: dict[str, float]) -> None:
+def test_outputs_with_unknown_functions_have_the_usual_numbers(parameters: dict[str, float]) -> None:
     pulses = {"pwm": 1500.0 + TIME}
     tables = [Table(Path("x"), f"servo_{k}", pulses, TIME, "Servo", parameters=parameters) for k in (1, 2, 3)]
     found = {c.signals[0].name: (c.table.topic, bool(c.caveat)) for c in outputs(tables)}
@@ -454,7 +459,7 @@ RC_OUT = "std_msgs/Header header\nuint16[] channels\n"
 STORE.register(get_types_from_msg(RC_OUT, "mavros_msgs/msg/RCOut"))
 
 
-def test_the_topics_of_mavros(tmp_path: Path) -> None:
+def test_the_topics_of_mavros_are_found(tmp_path: Path) -> None:
     """Earth-fixed and body velocities by their topics, the compass in degrees from north, outputs 1 and 3."""
     types = STORE.types
 
@@ -470,18 +475,18 @@ def test_the_topics_of_mavros(tmp_path: Path) -> None:
     def pulses(k: int) -> Any:
         return types["mavros_msgs/msg/RCOut"](head(k), np.array([1500 + k, 0, 1500 - k, 0], np.uint16))
 
-    said = {
+    topics = {
         "/mavros/local_position/velocity_local": ("geometry_msgs/msg/TwistStamped", twist),
         "/mavros/setpoint_velocity/cmd_vel": ("geometry_msgs/msg/TwistStamped", twist),
         "/mavros/global_position/compass_hdg": ("std_msgs/msg/Float64", lambda k: types["std_msgs/msg/Float64"](90.0)),
         "/mavros/rc/out": ("mavros_msgs/msg/RCOut", pulses),
     }
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for topic, (kind, make) in said.items():
+        for topic, (kind, make) in topics.items():
             connection = writer.add_connection(topic, kind, typestore=STORE)
             for k in range(N):
                 writer.write(connection, round((100 + 0.01 * k) * 1e9), STORE.serialize_cdr(make(k), kind))
-    found = guessed(tmp_path / "bag")
+    found = guessed_signals(tmp_path / "bag")
     assert {name: signal["topic"].rpartition("/")[2] for name, signal in found.items()} == {
         "vx": "velocity_local", "vy": "velocity_local", "psi": "compass_hdg", "n_left": "out", "n_right": "out",
     }  # fmt: skip
@@ -496,7 +501,7 @@ Guessing = Callable[..., Guess]
 
 @pytest.fixture
 def guess_of(monkeypatch: pytest.MonkeyPatch) -> Guessing:
-    """The guess of a source that has these tables."""
+    """Return a function that guesses the map of a source with the given tables."""
 
     def guess_of(kind: str, *tables: Table) -> Guess:
         monkeypatch.setattr(guess, "source_kind", lambda path: SourceKind(kind, lambda path, options: list(tables)))
@@ -506,7 +511,7 @@ def guess_of(monkeypatch: pytest.MonkeyPatch) -> Guessing:
 
 
 def scalar(topic: str, values: np.ndarray) -> Table:
-    """A topic of numbers alone."""
+    """Return a topic that contains only numbers."""
     return Table(Path("x"), topic, {"data": values}, TIME, "std_msgs/msg/Float64")
 
 
@@ -518,7 +523,9 @@ def scalar(topic: str, values: np.ndarray) -> Table:
         ("/vel", "nedlib", False),
     ],
 )  # fmt: skip
-def test_axes_of_a_topic_by_its_name_or_its_frame(guess_of: Guessing, topic: str, frame_id: str, is_ned: bool) -> None:
+def test_the_axes_of_a_topic_follow_from_its_name_or_frame(
+    guess_of: Guessing, topic: str, frame_id: str, is_ned: bool
+) -> None:
     velocity = {"vector.x": TIME, "vector.y": TIME}
     table = Table(Path("x"), topic, velocity, TIME, "geometry_msgs/msg/Vector3Stamped", frame_id)
     signals = tomllib.loads(guess_of("ros", table).text)["signal"]
@@ -534,7 +541,9 @@ def test_axes_of_a_topic_by_its_name_or_its_frame(guess_of: Guessing, topic: str
         ("/state/yaw_ned", "NED", ""),
     ],
 )
-def test_a_heading_alone_in_a_bag(guess_of: Guessing, topic: str, frame: str | None, caveat: str) -> None:
+def test_the_axes_of_a_heading_without_a_position(
+    guess_of: Guessing, topic: str, frame: str | None, caveat: str
+) -> None:
     text = guess_of("ros", scalar(topic, 200.0 + TIME)).text
     (signal,) = tomllib.loads(text)["signal"]
     assert signal.get("frame") == frame
@@ -547,7 +556,7 @@ def test_yaw_and_its_rate_alone_have_the_axes_of_the_bag(guess_of: Guessing) -> 
     assert "assumed positive to port" in text
 
 
-def test_a_topic_of_px4_does_not_turn_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_topic_of_px4_does_not_change_the_axes_of_the_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     local = dict.fromkeys(("x", "y", "vx", "vy"), TIME)
     pose = {f"pose.pose.position.{axis}": TIME for axis in "xy"}
     tables = [
@@ -562,7 +571,7 @@ def test_a_topic_of_px4_does_not_turn_the_others(tmp_path: Path, monkeypatch: py
     assert frames["vx"] == ("/fmu/out/vehicle_local_position", "NED")
 
 
-def test_the_command(tmp_path: Path) -> None:
+def test_the_import_command_writes_a_log(tmp_path: Path) -> None:
     path = write(tmp_path, {"t": TIME, "yaw_deg": 10.0 + TIME})
     run = CliRunner()
     done = run.invoke(cli.import_, ["--guess", str(path)])

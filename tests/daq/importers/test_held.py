@@ -1,4 +1,6 @@
-"""Repeats of held values are left out by the import, found by --guess, and by the check of a log."""
+"""Tests of repeated values from sample-and-hold: left out by the import, found by --guess, and found by the check of a
+log.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ T = np.arange(0.0, SECONDS, 1.0 / HZ)
 
 @pytest.fixture
 def table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Rows at 20 Hz with a receiver of 1 Hz, a heading of each row, a shaft speed of 5 Hz and a command."""
+    """Write rows at 20 Hz with a receiver of 1 Hz, a heading in each row, a shaft speed of 5 Hz and a command."""
     monkeypatch.chdir(tmp_path)
     columns = {
         "time": T,
@@ -54,19 +56,19 @@ def imported(path: Path, root: str = "", of_x: str = "") -> Path:
     return import_files(path.parent / "map.toml", [path], force=True)[0]
 
 
-def test_repeats_are_left_out_by_signal_and_said(table: Path) -> None:
-    with pytest.warns(SeatrialWarning) as told:
+def test_repeats_are_left_out_by_signal_and_reported(table: Path) -> None:
+    with pytest.warns(SeatrialWarning) as warnings:
         log = imported(table)
-    lines = [str(one.message).partition("run.csv: ")[2] for one in told]
-    what = "values repeat the previous value and are left out"
+    lines = [str(one.message).partition("run.csv: ")[2] for one in warnings]
+    reason = "values repeat the previous value and are left out"
     assert lines == [
-        f"x, y: held between measurements 1 s apart; 1900 of 2000 {what}",
-        f"n_left: held between measurements 0.2 s apart; 1500 of 2000 {what}",
+        f"x, y: held between measurements 1 s apart; 1900 of 2000 {reason}",
+        f"n_left: held between measurements 0.2 s apart; 1500 of 2000 {reason}",
     ]
     counts = {n: len(values(log, n)[0]) for n in ("x", "y", "psi", "n_left", "n_cmd_left", "shaft")}
     assert (counts["x"], counts["y"], counts["psi"]) == (100, 100, 2000)
-    assert counts["n_left"] == pytest.approx(500, abs=3)  # a sensor's: no value comes back
-    assert (counts["n_cmd_left"], counts["shaft"]) == (2000, 2000)  # steps of a command stay steps
+    assert counts["n_left"] == pytest.approx(500, abs=3)  # a sensor: the same value does not occur twice
+    assert (counts["n_cmd_left"], counts["shaft"]) == (2000, 2000)  # the steps of a command stay
     assert values(log, "x")[0][1] == pytest.approx(1.0)
     assert not [f for f in findings(log) if f.code == "values-held"]
 
@@ -96,7 +98,7 @@ def test_maps_of_the_first_format_keep_repeats(table: Path) -> None:
     assert len(values(log, "x")[0]) == 2000
 
 
-def test_the_guess_says_which_are_held(table: Path) -> None:
+def test_the_guess_names_the_held_columns(table: Path) -> None:
     text = guess_map(table).text
     of_fixes, of_shaft = [line for line in text.splitlines() if "held between measurements" in line]
     assert of_fixes.startswith("# caveat: x, y: ")
@@ -105,12 +107,12 @@ def test_the_guess_says_which_are_held(table: Path) -> None:
     assert "0.2 s apart" in of_shaft
 
 
-def propulsion(what: str, every: int) -> np.ndarray:
-    """A command that holds for 3 to 9 s, or the shaft that follows it with 0.25 s, held for ``every`` rows."""
+def propulsion(quantity: str, every: int) -> np.ndarray:
+    """Return a command that holds for 3 to 9 s, or the shaft that follows with 0.25 s, held for ``every`` rows."""
     rng = np.random.default_rng(7)
     command = np.concatenate([np.full(rng.integers(60, 180), rng.uniform(-0.6, 0.9)) for _ in range(40)])[: T.size]
     value = command.copy()
-    if what != "command":
+    if quantity != "command":
         for k in range(1, T.size):
             value[k] = value[k - 1] + (1.0 - np.exp(-1.0 / HZ / 0.25)) * (command[k] - value[k - 1])
         value = value + 0.004 * rng.standard_normal(T.size)
@@ -118,22 +120,22 @@ def propulsion(what: str, every: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("name", "what", "every", "hold"),
+    ("name", "quantity", "every", "hold"),
     [
         ("n_left", "shaft", 1, "linear"), ("n_left", "shaft", 10, "linear"), ("motor_left", "shaft", 10, "sampled"),
         ("n_left", "command", 1, ""), ("cmd_left", "command", 1, ""), ("cmd_left", "command", 20, ""),
     ],
 )  # fmt: skip
 def test_the_hold_of_an_input_is_guessed_by_its_values(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, what: str, every: int, hold: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, quantity: str, every: int, hold: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    value = propulsion(what, every)
+    value = propulsion(quantity, every)
     text = "\n".join(f"{t:.3f},{n:.5f},{0.1 * t:.4f}" for t, n in zip(T, value, strict=True))
     (tmp_path / "run.csv").write_text(f"time,{name},yaw_rad\n{text}\n")
     guessed = guess_map(tmp_path / "run.csv").text
     assert (f'role = "input", hold = "{hold}"' in guessed) == bool(hold)
-    assert ("it changes only every 1 s, every 20 rows" in guessed) == (what == "command" and every == 20)
+    assert ("it changes only every 1 s, every 20 rows" in guessed) == (quantity == "command" and every == 20)
     (tmp_path / "map.toml").write_text(guessed)
     if not hold or every == 1:
         (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
@@ -142,7 +144,7 @@ def test_the_hold_of_an_input_is_guessed_by_its_values(
     with pytest.warns(SeatrialWarning, match=r"n_left: held between measurements 0\.50?3? s apart"):
         (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"])
     assert len(values(log, "n_left")[0]) == pytest.approx(T.size / every, abs=3)
-    # As by a map that takes the shaft speed for a command
+    # The map takes the shaft speed for a command.
     (tmp_path / "map.toml").write_text(guessed.replace(f', hold = "{hold}"', ""))
     (log,) = import_files(tmp_path / "map.toml", [tmp_path / "run.csv"], force=True)
     (found,) = [f for f in findings(log) if f.code == "input-held"]
@@ -150,10 +152,10 @@ def test_the_hold_of_an_input_is_guessed_by_its_values(
 
 
 @pytest.mark.parametrize(("scale", "is_wrapped"), [(1.0, True), (1.0 / 3000.0, True), (1.0, False)])
-def test_wrapped_speeds_are_no_percent(
+def test_wrapped_speeds_are_not_taken_for_percent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scale: float, is_wrapped: bool
 ) -> None:
-    """Telemetry that sends -900 rev/min as 64636."""
+    """The telemetry sends -900 rev/min as 64636."""
     monkeypatch.chdir(tmp_path)
     rpm = np.trunc(3000.0 * propulsion("shaft", 1))
     value = scale * (np.mod(rpm, 65536.0) if is_wrapped else rpm)

@@ -1,4 +1,4 @@
-"""CSV files become logs, by a map: times, gaps, pieces, and what is wrong with a file in one line."""
+"""Tests of the import of CSV files with a map: times, gaps, pieces, and one line for each error in a file."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_file_becomes_a_log(folder: Path) -> None:
+def test_a_csv_file_becomes_a_log(folder: Path) -> None:
     csv_map, files = write(folder)
     (out,) = import_files(csv_map, files)
     assert out == Path("run.mcap")
@@ -48,7 +48,7 @@ def test_a_file_becomes_a_log(folder: Path) -> None:
     assert log.events() == [(0.0, "import", "run.csv by map.toml")]
 
 
-def test_a_clock_of_its_own_with_a_format_of_its_own(folder: Path) -> None:
+def test_a_signal_may_have_its_own_clock_with_its_own_format(folder: Path) -> None:
     rows = "t,t_ms,cmd,heading\n0.0,100,0.5,170\n0.1,200,0.6,171\n"
     (out,) = import_files(*write(folder, rows, signal='time = "t_ms"\ntime_format = "ms"'))
     assert (values(out, "psi")[0], values(out, "n_left")[0]) == ([0.1, 0.2], [0.0, 0.1])
@@ -58,8 +58,8 @@ def test_a_clock_of_its_own_with_a_format_of_its_own(folder: Path) -> None:
             import_files(*write(folder, rows, signal=signal))
 
 
-def test_what_is_read_is_never_replaced(folder: Path) -> None:
-    """With --force too: neither the source, which may stand where its log would go, nor the map."""
+def test_the_import_never_replaces_its_sources(folder: Path) -> None:
+    """The test also uses --force. The source could have the name of its log. The map must stay too."""
     csv_map, (file,) = write(folder)
     source = file.rename(folder / "run.mcap")
     (folder / "link.csv").symlink_to(source)
@@ -90,7 +90,7 @@ def test_what_is_read_is_never_replaced(folder: Path) -> None:
         ("scale = 2.0\noffset = 1.0", [341.0, -339.0, -319.0]),
     ],
 )
-def test_scale_offset_sign_and_angles(folder: Path, signal: str, degrees: list[float]) -> None:
+def test_scale_offset_sign_and_angle_units_are_applied(folder: Path, signal: str, degrees: list[float]) -> None:
     (out,) = import_files(*write(folder, signal=signal))
     np.testing.assert_allclose(values(out, "psi")[1], np.radians(degrees), atol=1e-14)
 
@@ -122,13 +122,13 @@ def test_wrap_includes_plus_pi_and_not_minus_pi(folder: Path) -> None:
         ('fraction = "unpadded-ns"', ["16.994751656", "17.99684877"], [16.994751656, 17.099684877]),
     ],
 )
-def test_time_formats(folder: Path, time: str, cells: list[str], seconds: list[float]) -> None:
+def test_each_time_format_is_read(folder: Path, time: str, cells: list[str], seconds: list[float]) -> None:
     rows = "t,cmd,heading\n" + "".join(f"{cell},0,0\n" for cell in cells)
     (out,) = import_files(*write(folder, rows, time=time))
     np.testing.assert_allclose(values(out, "psi")[0], seconds, rtol=0, atol=2.5e-7)
 
 
-def test_a_european_file(folder: Path) -> None:
+def test_a_file_with_decimal_commas_and_semicolons_is_read(folder: Path) -> None:
     rows = "made by X\nt;cmd;heading\n0,5;1,0;90\n\n1,5;2,0;91,5\n"
     style = 'delimiter = ";"\ndecimal = ","\nskip_rows = 1'
     (out,) = import_files(*write(folder, "\ufeff" + rows, csv=style))
@@ -136,7 +136,7 @@ def test_a_european_file(folder: Path) -> None:
     assert values(out, "n_left") == ([0.5, 1.5], [1.0, 2.0])
 
 
-def test_a_file_without_header(folder: Path) -> None:
+def test_a_file_without_header_is_read(folder: Path) -> None:
     (out,) = import_files(*write(folder, "0,1,2\n1,2,3\n", csv='columns = ["t", "cmd", "heading"]'))
     assert values(out, "n_left") == ([0.0, 1.0], [1.0, 2.0])
 
@@ -144,7 +144,7 @@ def test_a_file_without_header(folder: Path) -> None:
 GAPS = "t,cmd,heading\n0.0,1,1\n0.1,,2\n0.2,3,nan\n0.3,4,4\n"
 
 
-def test_cells_without_a_number(folder: Path) -> None:
+def test_cells_without_a_number_are_left_out(folder: Path) -> None:
     with pytest.raises(
         SeatrialError, match=r"run\.csv: line 4, column 'heading': no number in this cell; nan = \"drop\""
     ):
@@ -159,26 +159,26 @@ def test_cells_without_a_number(folder: Path) -> None:
     assert (len(values(out, "psi")[0]), len(values(out, "n_left")[0])) == (4, 3)
 
 
-def test_a_number_that_stands_for_no_measurement(folder: Path) -> None:
+def test_a_number_that_marks_a_missing_measurement_is_left_out(folder: Path) -> None:
     text = "t,cmd,heading\n0.0,1,10\n0.1,2,-999\n0.2,-999,30\n"
     (out,) = import_files(*write(folder, text, signal="missing = -999"))
     assert len(values(out, "psi")[0]) == 2
-    assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, -999.0])  # of its own column only
+    assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, -999.0])  # only in this column
     assert open_log(out).metadata["source.1.dropped"] == "1"
 
 
-def test_a_number_that_stands_for_rest(folder: Path) -> None:
-    """No pulse is no measurement of the pulse, but the thruster stands: the last command does not hold on."""
+def test_a_number_that_marks_rest_becomes_zero(folder: Path) -> None:
+    """A missing pulse is no measurement of the pulse, but the thruster stands. The last command must not hold on."""
     csv_map, files = write(folder, "t,cmd,heading\n0,1900,1\n1,0,2\n2,0,3\n")
     csv_map.write_text(csv_map.read_text() + "scale = 0.0025\noffset = -3.75\nmissing = 0\nmissing_is = 0\n")
     (out,) = import_files(csv_map, files)
     assert values(out, "n_left") == ([0.0, 1.0, 2.0], [1.0, 0.0, 0.0])
     assert open_log(out).metadata["source.1.dropped"] == "0"
     (out,) = import_files(*write(folder, signal="missing = -170\nmissing_is = 90"), force=True)
-    np.testing.assert_allclose(values(out, "psi")[1], np.radians([170.0, 90.0, -160.0]))  # in the signal's unit
+    np.testing.assert_allclose(values(out, "psi")[1], np.radians([170.0, 90.0, -160.0]))  # in the unit of the signal
 
 
-def test_time_that_repeats_or_runs_backwards(folder: Path) -> None:
+def test_rows_whose_time_repeats_or_runs_backwards_are_left_out(folder: Path) -> None:
     repeats = "t,cmd,heading\n0.0,1,1\n0.1,2,2\n0.1,3,3\n0.2,4,4\n"
     with pytest.raises(SeatrialError, match=r"line 4, column 't': time repeats; csv\.time_order = \"drop\""):
         import_files(*write(folder, repeats))
@@ -190,7 +190,7 @@ def test_time_that_repeats_or_runs_backwards(folder: Path) -> None:
     assert values(out, "n_left") == ([0.0, 0.1, 0.4, 0.6], [1.0, 3.0, 4.0, 5.0])
     with pytest.warns(SeatrialWarning, match=r"1 row of \d+ left out"):
         (out,) = import_files(*write(folder, repeats, csv='time_order = "drop"'), force=True)
-    assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, 4.0])  # the first of those that repeat
+    assert values(out, "n_left") == ([0.0, 0.1, 0.2], [1.0, 2.0, 4.0])  # the first of the repeated rows
 
 
 def test_a_single_wrong_time_costs_its_own_row_only(folder: Path) -> None:
@@ -208,8 +208,8 @@ def test_a_signal_without_a_sample_is_named(folder: Path) -> None:
     assert open_log(out).sources(Scalar) == ["n_left"]
 
 
-def test_times_of_a_day(folder: Path) -> None:
-    """They count from 1970-01-01, or from the day that `origin` says, and go on behind midnight."""
+def test_times_of_day_continue_after_midnight(folder: Path) -> None:
+    """Times count from 1970-01-01, or from the day of `origin`, and continue after midnight."""
     rows = "t,cmd,heading\n11:00:00,0,1\n23:59:59,0,2\n00:00:01,0,3\n11:00:00,0,4\n"
     seconds = np.array([39600.0, 86399.0, 86401.0, 126000.0])
     (out,) = import_files(*write(folder, rows, time='format = "%H:%M:%S"'))
@@ -228,7 +228,7 @@ def test_times_of_a_day(folder: Path) -> None:
         ("t,cmd,heading\n0,1,2\n1,1e999,2\n", "line 3, column 'cmd': '1e999' is not a finite number"),
         ("t,cmd,heading\n,1,2\n", "line 2, column 't': the cell has no time; remove the line"),
         ("t,cmd,heading\n0,1,2\n1,2\n", "line 3: 2 cells, but the header has 3"),
-        # a cell over two lines: lines are counted as an editor does
+        # a cell has two lines: lines are counted as in an editor
         ('t,cmd,heading\n0," 1\n",2\n1,2,z\n', "line 4, column 'heading': 'z' is not a number"),
         ("t,cmd,heading\n", "no rows below the header"),
         ("", "the file is empty"),
@@ -236,14 +236,14 @@ def test_times_of_a_day(folder: Path) -> None:
         ("t,cmd,heading\n1e12,1,2\n", "times must be between 1970 and 2038"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_one_line(folder: Path, rows: str, line: str) -> None:
+def test_an_error_in_a_csv_file_is_one_line(folder: Path, rows: str, line: str) -> None:
     with pytest.raises(SeatrialError, match=re.escape(line)) as caught:
         import_files(*write(folder, rows))
     assert "\n" not in str(caught.value)
     assert sorted(path.name for path in folder.iterdir()) == ["map.toml", "run.csv"]
 
 
-def test_bytes_that_are_no_text(folder: Path) -> None:
+def test_bytes_that_are_not_text_are_refused(folder: Path) -> None:
     csv_map, files = write(folder)
     files[0].write_bytes(b"t,cmd,heading\n0,1,\xff\xfe\n")
     with pytest.raises(SeatrialError, match=r"run\.csv: is not UTF-8 text"):
@@ -253,7 +253,7 @@ def test_bytes_that_are_no_text(folder: Path) -> None:
         import_files(csv_map, files)
 
 
-def test_an_iso_time_that_is_none(folder: Path) -> None:
+def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
     with pytest.raises(SeatrialError, match="line 2, column 't': 'noon' is not a time of format iso"):
         import_files(*write(folder, "t,cmd,heading\nnoon,1,2\n", time='format = "iso"'))
     with pytest.raises(SeatrialError, match=r"'1\.5x' is not a time of format s"):
@@ -299,7 +299,7 @@ def test_what_is_wrong_with_a_map_is_one_line(folder: Path, old: str, new: str, 
     assert str(caught.value).startswith(f"{path}: ")
 
 
-def test_two_signals_that_one_name_has_in_the_axes_of_the_log(folder: Path) -> None:
+def test_two_signals_with_the_same_name_in_the_log_are_refused(folder: Path) -> None:
     csv_map, files = write(folder)
     text = csv_map.read_text().replace('"deg"', '"m"').replace('"n_left"', '"y"')
     csv_map.write_text(text.replace('name = "psi"', 'name = "x"\nframe = "ENU"'))
@@ -338,7 +338,7 @@ def test_merged_files_must_each_have_their_part(folder: Path) -> None:
         import_files(path, [one, two, other], force=True)
 
 
-def test_values_that_only_repeat_are_left_out(folder: Path) -> None:
+def test_repeated_values_are_left_out(folder: Path) -> None:
     rows = "t,cmd,heading\n0.0,0.5,10\n0.1,0.5,10\n0.2,0.5,11\n0.3,0.6,11\n0.4,0.6,11\n0.5,0.6,10\n"
     csv_map, files = write(folder, rows, csv='repeats = "drop"')
     (out,) = import_files(csv_map, files)
@@ -349,7 +349,7 @@ def test_values_that_only_repeat_are_left_out(folder: Path) -> None:
     assert len(values(out, "n_left")[0]) == 6
 
 
-def test_a_command_that_nobody_repeats_times_out(folder: Path) -> None:
+def test_a_command_that_is_not_repeated_times_out(folder: Path) -> None:
     rows = "t,cmd,heading\n0.0,0.5,1\n0.1,0.5,1\n2.0,0.6,1\n2.1,0.7,1\n"
     csv_map, files = write(folder, rows)
     csv_map.write_text(csv_map.read_text() + "timeout = 0.25\n")
@@ -361,7 +361,7 @@ def test_a_command_that_nobody_repeats_times_out(folder: Path) -> None:
         import_files(csv_map, files, force=True)
 
 
-def test_repeats_that_are_left_out_keep_a_command_alive(folder: Path) -> None:
+def test_repeats_that_are_left_out_extend_a_command(folder: Path) -> None:
     rows = "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},0.5,1\n" for k in (0, 1, 2, 3, 9, 10))
     csv_map, files = write(folder, rows, csv='repeats = "drop"')
     csv_map.write_text(csv_map.read_text() + "timeout = 0.15\n")
@@ -373,25 +373,25 @@ def test_repeats_that_are_left_out_keep_a_command_alive(folder: Path) -> None:
     assert open_log(out).metadata["source.1.dropped"] == "5"
 
 
-def test_a_time_of_its_own_has_the_form_of_the_others(folder: Path) -> None:
+def test_the_time_column_of_a_signal_has_the_common_format(folder: Path) -> None:
     rows = "t,t2,cmd,heading\n17.5,17.99684877,0,1\n18.5,18.99684877,0,2\n"
     (out,) = import_files(*write(folder, rows, time='fraction = "unpadded-ns"', signal='time = "t2"'))
     np.testing.assert_allclose(values(out, "psi")[0], [17.099684877, 18.099684877], atol=1e-7)
 
 
-def test_a_piece_knows_what_holds_at_both_ends(folder: Path) -> None:
+def test_a_piece_contains_the_command_that_holds_at_both_ends(folder: Path) -> None:
     csv_map, files = write(folder, "t,cmd,heading\n" + "".join(f"{k},{k},{k}\n" for k in range(10)))
     csv_map.write_text(csv_map.read_text() + '[[log]]\nname = "a"\nt_from = 2.5\nt_to = 4.5\n')
     (out,) = import_files(csv_map, files)
     assert values(out, "n_left") == ([2.5, 3.0, 4.0, 4.5], [2.0, 3.0, 4.0, 4.0])
     assert values(out, "psi")[0] == [3.0, 4.0]
-    # Behind the last command nobody knows what holds.
+    # After the last command the value is unknown.
     csv_map.write_text(csv_map.read_text().replace("t_to = 4.5", "t_to = 20.0"))
     (out,) = import_files(csv_map, files, force=True)
     assert values(out, "n_left")[0][-1] == 9.0
 
 
-def test_the_command(folder: Path) -> None:
+def test_the_import_command_writes_a_log(folder: Path) -> None:
     path, files = write(folder)
     run = CliRunner()
     arguments = [str(path), str(files[0]), "--out-dir", "logs"]
@@ -405,7 +405,7 @@ def test_the_command(folder: Path) -> None:
 
 
 def shuffled(n: int = 400) -> str:
-    """Rows at 10 Hz in the order of chance."""
+    """Return rows at 10 Hz in random order."""
     order = np.random.default_rng(1).permutation(n)
     return "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},0,{k % 90}\n" for k in order)
 
@@ -427,20 +427,20 @@ def test_two_clocks_in_one_column_are_a_fault(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("rate", [4.0, 10.0, 12.5])
-def test_stamps_in_whole_seconds_want_a_rate(folder: Path, rate: float) -> None:
+def test_stamps_in_whole_seconds_need_a_rate(folder: Path, rate: float) -> None:
     rows = "time,cmd,heading\n" + "".join(f"{50 + int(k / rate)},0,{k % 90}\n" for k in range(round(60 * rate)))
     csv_map, (file,) = write(folder, rows)
     csv_map.write_text(csv_map.read_text().replace('column = "t"', 'column = "time"'))
     with pytest.raises(SeatrialError, match=r"too coarse: time = \{ rate_hz = ") as caught:
         import_files(csv_map, [file])
-    told = float(str(caught.value).partition("rate_hz = ")[2].split()[0])
-    assert told == pytest.approx(rate, rel=0.03)
+    suggested = float(str(caught.value).partition("rate_hz = ")[2].split()[0])
+    assert suggested == pytest.approx(rate, rel=0.03)
     text = guess_map(file).text
     assert "caveat: the stamps of 'time' are coarser than the rows" in text
     assert float(text.partition("rate_hz = ")[2].split()[0]) == pytest.approx(rate, rel=0.01)
 
 
-def test_a_named_clock_that_is_out_of_order_is_the_clock_all_the_same(folder: Path) -> None:
+def test_a_clock_named_in_the_map_is_used_although_out_of_order(folder: Path) -> None:
     path = folder / "run.csv"
     path.write_text(shuffled().replace("t,", "time,", 1))
     assert 'column = "time"' in guess_map(path).text
@@ -456,14 +456,14 @@ def test_a_date_in_whole_seconds_keeps_its_day(folder: Path) -> None:
 
 
 def test_rows_of_several_sensors_may_share_their_times(folder: Path) -> None:
-    """A row for each message, with the cells of one sensor: no cell is lost, and nothing is out of order."""
+    """Each row is a message with the cells of one sensor. No cell is lost, and the rows are in order."""
     rows = "t,cmd,heading\n" + "".join(f"{0.1 * k:.1f},,{k % 90}\n{0.1 * k:.1f},{k % 7},\n" for k in range(200))
     (out,) = import_files(*write(folder, rows, csv='time_order = "drop"\nnan = "drop"'))
     assert (len(values(out, "psi")[0]), len(values(out, "n_left")[0])) == (200, 200)
     assert not [f for f in findings(out) if f.code == "rows-left-out"]
 
 
-def test_rows_that_are_written_twice_lack_nothing(folder: Path) -> None:
+def test_rows_written_twice_are_not_counted_as_lost(folder: Path) -> None:
     rows = "t,cmd,heading\n" + "".join(2 * f"{0.1 * k:.1f},{k % 7},{k % 90}\n" for k in range(200))
     (out,) = import_files(*write(folder, rows, csv='time_order = "drop"'))
     assert len(values(out, "psi")[0]) == 200

@@ -1,4 +1,7 @@
-"""Messages that a guess knows by their type: ROS 1, ROS 2 and PX4, each with its values in our axes."""
+"""Tests of messages that a guess recognises by their type:
+
+ROS 1, ROS 2 and PX4, each with its values in the axes of the log.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +26,13 @@ from tests.daq.ulog_files import Topic, needs_pyulog, write_ulog
 
 N = 12
 T0 = 1_700_000_000.0
-YAW = math.radians(135.0)  # from east, counter-clockwise: north-west
+YAW = math.radians(135.0)  # counted from east, counter-clockwise: north-west
 NORTH_WEST = math.radians(-45.0)
 Make = Callable[[SimpleNamespace, int], Any]
 
 
 def found_in(source: Path) -> dict[str, float]:
-    """The last values of the signals that the guessed map takes."""
+    """Return the last values of the signals that the guessed map imports."""
     path = source.with_suffix(".map.toml")
     path.write_text(guess_map(source).text, encoding="utf-8")
     (log,) = import_files(path, [source], out=source.with_suffix(".mcap"))
@@ -39,7 +42,7 @@ def found_in(source: Path) -> dict[str, float]:
 
 
 def kinds(store: Any, is_first: bool) -> SimpleNamespace:
-    """Makers of the parts of messages, for ROS 1 or 2."""
+    """Return functions that make the parts of messages, for ROS 1 or 2."""
     types = store.types
     geometry = {name: types[f"geometry_msgs/msg/{name}"] for name in store_names(types, "geometry_msgs/msg/")}
 
@@ -92,7 +95,7 @@ MESSAGES: tuple[tuple[str, str, Make, dict[str, float]], ...] = (
 
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize(("kind", "topic", "make", "expected"), MESSAGES)
-def test_a_message_of_ros(
+def test_a_message_of_ros_is_recognised(
     tmp_path: Path, version: int, kind: str, topic: str, make: Make, expected: dict[str, float]
 ) -> None:
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
@@ -132,7 +135,7 @@ PX4: tuple[tuple[str, str, str, tuple[float, ...], dict[str, float]], ...] = (
 
 @needs_pyulog
 @pytest.mark.parametrize(("name", "fields", "form", "row", "expected"), PX4)
-def test_a_topic_of_px4(
+def test_a_topic_of_px4_is_recognised(
     tmp_path: Path, name: str, fields: str, form: str, row: tuple[float, ...], expected: dict[str, float]
 ) -> None:
     t = 5.0 + 0.1 * np.arange(N)

@@ -1,4 +1,4 @@
-"""Measurement files of LabVIEW (.lvm), as its Write To Measurement File has them."""
+"""Tests of the import of LabVIEW measurement files (.lvm), as written by Write To Measurement File."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def head(x_columns: str, mark: str, decimal: str) -> list[str]:
 
 
 def segment(rows: range, x: np.ndarray, x0: float, start: float, mark: str, decimal: str) -> list[str]:
-    """A segment of rows; x NaN is not written."""
+    """Return a segment of rows. A row whose x is NaN is written without x."""
 
     def line(key: str, cells: list[str]) -> str:
         return mark.join([key, *cells, ""])
@@ -64,7 +64,7 @@ FILES = {
 
 @pytest.mark.parametrize(("mark", "decimal"), [("\t", "."), ("\t", ","), (",", ".")])
 @pytest.mark.parametrize("name", FILES)
-def test_a_measurement_file(name: str, mark: str, decimal: str, tmp_path: Path) -> None:
+def test_a_measurement_file_of_labview_is_imported(name: str, mark: str, decimal: str, tmp_path: Path) -> None:
     x_columns, parts = FILES[name]
     lines = head(x_columns, mark, decimal)
     for rows, x, x0, start in parts:

@@ -1,4 +1,4 @@
-"""Objects of MATLAB 7.3, struct arrays, and Simulink's structures with time."""
+"""Tests of the import of MATLAB 7.3 objects, struct arrays, and Simulink's structures with time."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SIGNALS = {"yaw": YAW, "n_left": LEFT, "n_right": RIGHT, "x": 3.0 * T, "y": -T}
 
 
 class ObjectFile:
-    """A MATLAB file of version 7.3 with objects: their classes and properties in /#subsystem#/MCOS."""
+    """Writer of a MATLAB 7.3 file with objects. Their classes and properties are in /#subsystem#/MCOS."""
 
     def __init__(self, file: Any) -> None:
         self.file = file
@@ -33,8 +33,8 @@ class ObjectFile:
         self.n_refs = 0
         self.names: list[str] = []
         self.classes: list[str] = []
-        self.objects: list[tuple[int, int]] = []  # class, list of properties
-        self.properties: list[list[tuple[int, int]]] = []  # name, content
+        self.objects: list[tuple[int, int]] = []  # class and list of properties
+        self.properties: list[list[tuple[int, int]]] = []  # name and content
         self.contents: list[Any] = []
 
     def name(self, text: str) -> int:
@@ -91,7 +91,7 @@ class ObjectFile:
         names = b"".join(name.encode() + b"\0" for name in self.names)
         names += bytes(-len(names) % 8)
         classes = [0, 0, 0, 0, *(word for name in self.classes for word in (0, self.name(name), 0, 0))]
-        saved = [0, 0]  # no object has properties by saveobj
+        saved = [0, 0]  # the object has no properties from saveobj
         objects = [0] * 6 + [w for n, (kind, one) in enumerate(self.objects, 1) for w in (kind, 0, 0, 0, one, n)]
         plain = [0, 0]
         for pairs in self.properties:
@@ -143,7 +143,7 @@ MOMENTS = 1715504400.0 + T
           "stepSize": ("duration", {"millis": 100.0})}, T),
     ],
 )  # fmt: skip
-def test_a_timetable_of_version_7_3(row_times: Any, t: np.ndarray, tmp_path: Path) -> None:
+def test_a_timetable_of_version_7_3_is_imported(row_times: Any, t: np.ndarray, tmp_path: Path) -> None:
     path = save_objects(tmp_path / "run.mat", TT=timetable(row_times, yaw=YAW, n_left=LEFT, n_right=RIGHT))
     guess = guess_map(path)
     assert guess.problem == ""
@@ -151,10 +151,10 @@ def test_a_timetable_of_version_7_3(row_times: Any, t: np.ndarray, tmp_path: Pat
     (out,) = import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
     found, psi = values(out, "psi")
     np.testing.assert_allclose(found, t, atol=2e-7)
-    np.testing.assert_allclose(psi, np.radians(YAW))  # by the unit that the timetable has
+    np.testing.assert_allclose(psi, np.radians(YAW))  # in the unit of the timetable
 
 
-def test_other_objects_of_version_7_3(tmp_path: Path) -> None:
+def test_other_objects_of_version_7_3_are_imported(tmp_path: Path) -> None:
     path = save_objects(
         tmp_path / "run.mat",
         when=("datetime", {"data": 1e3 * MOMENTS}),
@@ -171,8 +171,8 @@ def test_other_objects_of_version_7_3(tmp_path: Path) -> None:
     assert next(iter(tables.values())).remark == "left out, of a class that cannot be read: words (categorical)"
 
 
-def test_references_without_an_object_are_no_numbers(tmp_path: Path) -> None:
-    """They came as six numbers, a reference to a list that the file does not have."""
+def test_references_without_an_object_are_not_read_as_numbers(tmp_path: Path) -> None:
+    """An earlier version read such a reference as six numbers."""
     path = tmp_path / "run.mat"
     with h5py.File(path, "w", userblock_size=512) as file:
         made = file.create_dataset("TT", data=np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32))
@@ -194,7 +194,7 @@ def scope(time: np.ndarray, signals: dict[str, np.ndarray]) -> dict[str, Any]:
     return {"time": time[:, None], "signals": made, "blockName": "boat/Scope"}
 
 
-def test_a_structure_with_time_of_a_scope(tmp_path: Path) -> None:
+def test_a_structure_with_time_of_a_scope_is_imported(tmp_path: Path) -> None:
     path = tmp_path / "run.mat"
     savemat(path, {"ScopeData": scope(T, SIGNALS)})
     guess = guess_map(path)
@@ -206,7 +206,7 @@ def test_a_structure_with_time_of_a_scope(tmp_path: Path) -> None:
 
 
 def test_structures_with_time_of_one_signal_each_share_their_table(tmp_path: Path) -> None:
-    """x and y of two To Workspace blocks are one position; a block of its own rate stays alone."""
+    """x and y of two To Workspace blocks are one position. A block with another rate stays separate."""
     path = tmp_path / "run.mat"
     blocks = {
         name: {"time": T[:, None], "signals": {"values": one.reshape(1, 1, -1), "dimensions": 1.0, "label": ""}}

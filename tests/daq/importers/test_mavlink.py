@@ -1,4 +1,4 @@
-"""Imports of tlog and BIN: a tlog written here from the mock's own bytes, and a BIN written field by field."""
+"""Tests of the import of tlog and BIN: a tlog made of the mock's bytes, and a BIN written field by field."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ T0 = 1_790_000_000.0
 
 
 def tlog(path: Path, garbage: bytes = b"") -> Ends:
-    """Eight seconds of the mock as a ground station writes them, each read some 3 ms late."""
+    """Write eight seconds of the mock as a ground station does. Each message is read about 3 ms late."""
     ends = Ends(mav_rig())
     parts: list[bytes] = []
     heard = ends.to_ground
@@ -53,18 +53,18 @@ def tlog(path: Path, garbage: bytes = b"") -> Ends:
     return ends
 
 
-def test_a_tlog_becomes_a_log_on_the_autopilots_own_times(tmp_path: Path) -> None:
+def test_a_tlog_becomes_a_log_with_the_times_of_the_autopilot(tmp_path: Path) -> None:
     ends = tlog(tmp_path / "run.tlog")
-    out, said = import_mavlink(tmp_path / "run.tlog", rig=mav_rig(), out=tmp_path / "run.mcap")
-    assert "system 1, " in said
-    assert "0 bytes not understood" in said
+    out, message = import_mavlink(tmp_path / "run.tlog", rig=mav_rig(), out=tmp_path / "run.mcap")
+    assert "system 1, " in message
+    assert "0 bytes not understood" in message
     with open_log(out) as log:
         assert log.rig is not None
         ahrs = log.table(Ahrs, "autopilot")
         assert len(ahrs) == sum(isinstance(frame.sample, Ahrs) for frame in ends.frames)
         settled = ahrs[ahrs["t_device"] > 21.0]
-        assert np.ptp(settled["t"] - settled["t_device"]) < 1e-3  # its clock, not the times of arrival
-        assert abs(np.median(ahrs["t"] - ahrs["t_device"] - (T0 - 20.0))) < 0.01  # it booted 20 s before
+        assert np.ptp(settled["t"] - settled["t_device"]) < 1e-3  # the autopilot's clock, not the times of arrival
+        assert abs(np.median(ahrs["t"] - ahrs["t_device"] - (T0 - 20.0))) < 0.01  # the autopilot booted 20 s before
         yaw = ahrs["yaw"][np.isfinite(ahrs["yaw"])]
         assert yaw == pytest.approx(np.full(len(ahrs), LEVEL.yaw)[: len(yaw)], abs=1e-6)
         assert len(yaw) >= len(ahrs) - 1
@@ -77,7 +77,7 @@ def test_a_tlog_becomes_a_log_on_the_autopilots_own_times(tmp_path: Path) -> Non
         import_mavlink(tmp_path / "run.tlog", out=tmp_path / "run.tlog", force=True)
 
 
-def test_damage_costs_what_it_hits(tmp_path: Path) -> None:
+def test_damage_in_a_tlog_loses_only_the_damaged_messages(tmp_path: Path) -> None:
     tlog(tmp_path / "clean.tlog")
     tlog(tmp_path / "dirty.tlog", b"\xfd\x00garbage")
     clean, dirty = (import_mavlink(tmp_path / f"{n}.tlog", out=tmp_path / f"{n}.mcap")[0] for n in ("clean", "dirty"))
@@ -90,7 +90,7 @@ def test_damage_costs_what_it_hits(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damaged", [1, 2**63])
 def test_a_damaged_time_that_no_log_can_hold_is_one_line(tmp_path: Path, damaged: int) -> None:
-    """Behind them the device's own times, mapped by them, are no times either."""
+    """The device times are mapped by the arrival times, so they would be wrong too."""
     path = tmp_path / "run.tlog"
     tlog(path)
     data = bytearray(path.read_bytes())
@@ -103,7 +103,7 @@ def test_a_damaged_time_that_no_log_can_hold_is_one_line(tmp_path: Path, damaged
 
 
 def attitudes(*autopilots: tuple[int, float]) -> bytes:
-    """A tlog of autopilots that send attitudes in turn: (system number, seconds since its boot) each."""
+    """Write a tlog of autopilots that send attitudes in turn, each given as (system number, seconds since its boot)."""
     links = [(MAVLink(None, system, 1), boot) for system, boot in autopilots]
     data = b""
     for k in range(60):
@@ -118,7 +118,7 @@ def attitudes(*autopilots: tuple[int, float]) -> bytes:
     return data
 
 
-def test_of_two_autopilots_one_is_read_and_the_other_one_named(tmp_path: Path) -> None:
+def test_of_two_autopilots_one_is_imported_and_the_other_is_named(tmp_path: Path) -> None:
     path = tmp_path / "run.tlog"
     path.write_bytes(attitudes((1, 12.0), (2, 400.0)))
     with pytest.warns(
@@ -138,7 +138,7 @@ def test_two_autopilots_of_one_number_are_one_line(tmp_path: Path, boot: float) 
         import_mavlink(path, out=tmp_path / "run.mcap")
 
 
-def test_what_is_no_tlog_is_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_not_a_tlog_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "x.tlog"
     path.write_bytes(b"hello" * 100)
     with pytest.raises(SeatrialError, match="no heartbeat of an autopilot"):
@@ -149,7 +149,7 @@ def test_what_is_no_tlog_is_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "x.mcap").exists()
 
 
-# A DataFlash log: messages with the head a3 95 and a number; FMT (128) says what the others hold.
+# A DataFlash log consists of messages with the header a3 95 and a number. FMT (128) describes the others.
 FMT = struct.Struct("<BB4s16s64s")
 FORMATS = {
     "ATT": (1, "Qccccccff", "<Q6h2f", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw"),
@@ -168,7 +168,7 @@ FORMATS = {
 
 
 def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)") -> None:
-    """Two seconds of a boat that turns, at 10 Hz."""
+    """Write two seconds of a boat that turns, at 10 Hz."""
     out = b""
     for name, (number, form, code, columns) in FORMATS.items():
         size = 3 + struct.calcsize(code)
@@ -184,7 +184,7 @@ def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)") -> None
         out += add("GPS", us, 0, 4, 3_600_000 + 100 * k, 2400, 12, 80, *place, 1.5, 90.0, 0.1, 0.0, 0.0, 1)
         out += add("GPA", us, 0, us // 1000 - 17 - 20 * (k % 2))
         out += add("ATT", us, 0, 100, 0, -200, 0, 9000 + 100 * k, 0.0, 0.0)
-        out += add("IMU", us + 90, 0, 0.0, 0.0, 0.1 * k, 0.0, 0.0, -9.8)  # of the same loop, written later
+        out += add("IMU", us + 90, 0, 0.0, 0.0, 0.1 * k, 0.0, 0.0, -9.8)  # written later in the same loop
         out += add("RCOU", us, 1700, 0, 1300)
         out += add("BAT", us, 0, 15.5, 15.5, 4.0, 0.0, 0.0, 2500, 0, 77)
         if k == 3:
@@ -199,7 +199,7 @@ def dataflash(path: Path, firmware: str = "ArduRover V4.7.0 (1a2b3c4d)") -> None
     [("ArduRover V4.7.0", "HOLD"), ("ArduSub V4.5.0", "GUIDED"), ("ArduPlane V4.6.0", "ACRO"), ("strange", "mode 4")],
 )
 def test_modes_of_a_dataflash_log_are_those_of_its_vehicle(tmp_path: Path, firmware: str, mode: str) -> None:
-    """The text that names it comes after the mode."""
+    """The text that names the mode comes after the mode."""
     dataflash(tmp_path / "00000001.BIN", firmware)
     out, _ = import_mavlink(tmp_path / "00000001.BIN", out=tmp_path / "bin.mcap")
     with open_log(out) as log:
@@ -207,7 +207,7 @@ def test_modes_of_a_dataflash_log_are_those_of_its_vehicle(tmp_path: Path, firmw
 
 
 @pytest.mark.parametrize("source", ["BIN", "tlog"])
-def test_a_map_keeps_what_an_autopilot_told_and_compares_its_rig(tmp_path: Path, source: str) -> None:
+def test_a_mapped_log_keeps_the_autopilots_parameters_and_compares_the_rig(tmp_path: Path, source: str) -> None:
     path = tmp_path / f"run.{source}"
     if source == "BIN":
         dataflash(path)
@@ -221,14 +221,14 @@ def test_a_map_keeps_what_an_autopilot_told_and_compares_its_rig(tmp_path: Path,
     assert not guess.problem
     (tmp_path / "map.toml").write_text(f'{guess.text}\n[mavlink]\nrig = "rig.toml"\n')
     was, wanted = (1000, 1100) if source == "BIN" else (1100, 1000)
-    said = rf"servo_1: differs from the rig: SERVO1_MIN is {was}, wanted {wanted}"
-    with pytest.warns(SeatrialWarning, match=said):
+    message = rf"servo_1: differs from the rig: SERVO1_MIN is {was}, wanted {wanted}"
+    with pytest.warns(SeatrialWarning, match=message):
         (out,) = import_files(tmp_path / "map.toml", [path], out=tmp_path / "run.mcap")
     direct, _ = import_mavlink(path, rig=load_rig(tmp_path / "rig.toml"), out=tmp_path / "direct.mcap")
     with open_log(out) as log, open_log(direct) as other:
-        told = [(kind, text) for _, kind, text in log.events() if kind not in ("import", "clock")]
-        assert told == [(kind, text) for _, kind, text in other.events() if kind not in ("import", "clock")]
-        assert told or source == "tlog"
+        reported = [(kind, text) for _, kind, text in log.events() if kind not in ("import", "clock")]
+        assert reported == [(kind, text) for _, kind, text in other.events() if kind not in ("import", "clock")]
+        assert reported or source == "tlog"
         assert log.hold("n_left") == "sampled"
         by_map, by_rig = channels(log)["n_left"], channels(other)["n_cmd_left"]
     assert by_map.sampled == pytest.approx(by_rig.sampled)
@@ -237,7 +237,9 @@ def test_a_map_keeps_what_an_autopilot_told_and_compares_its_rig(tmp_path: Path,
     assert load_run(out, "estimation").propulsion is PropulsionInput.COMMAND
 
 
-def test_what_a_damaged_dataflash_log_holds_is_not_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_content_of_a_damaged_dataflash_log_is_not_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     dataflash(tmp_path / "00000001.BIN")
     data = (tmp_path / "00000001.BIN").read_bytes()
     number, form, code, columns = FORMATS["EV"]
@@ -250,13 +252,13 @@ def test_what_a_damaged_dataflash_log_holds_is_not_printed(tmp_path: Path, capsy
     assert capsys.readouterr().out == ""
 
 
-def test_a_message_of_another_form_costs_only_itself(tmp_path: Path) -> None:
+def test_a_message_with_another_format_loses_only_itself(tmp_path: Path) -> None:
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     path.write_bytes(path.read_bytes().replace(b"TimeUS,ArmState", b"TimeUS,Arm_is__"))
     with pytest.warns(SeatrialWarning, match=r"00000001\.BIN: 1 message ARM of unknown form"):
-        out, said = import_mavlink(path, out=tmp_path / "bin.mcap")
-    assert "0 bytes not understood, 1 message ARM of unknown form" in said
+        out, message = import_mavlink(path, out=tmp_path / "bin.mcap")
+    assert "0 bytes not understood, 1 message ARM of unknown form" in message
     with open_log(out) as log:
         assert len(log.table(Ahrs, "autopilot")) == 20
 
@@ -264,20 +266,22 @@ def test_a_message_of_another_form_costs_only_itself(tmp_path: Path) -> None:
 def test_damage_in_a_dataflash_log_is_counted_and_not_printed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """The indexer of pymavlink prints a line for each byte, from C."""
+    """The indexer of pymavlink, written in C, prints a line for each byte."""
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     data = path.read_bytes()
     path.write_bytes(data[:3000] + bytes(1000) + data[3000:])
     with pytest.warns(SeatrialWarning, match="1 damaged place"):
-        out, said = import_mavlink(path, out=tmp_path / "bin.mcap")
-    assert 1000 <= int(said.split(" bytes not understood")[0].rpartition(" ")[2]) < 1100
+        out, message = import_mavlink(path, out=tmp_path / "bin.mcap")
+    assert 1000 <= int(message.split(" bytes not understood")[0].rpartition(" ")[2]) < 1100
     assert capfd.readouterr() == ("", "")
     with open_log(out) as log:
         assert len(log.table(Ahrs, "autopilot")) >= 19
 
 
-def test_a_dataflash_log_that_cannot_be_read_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dataflash_log_whose_reader_fails_is_read_up_to_that_point(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     read, size = DFReader.DFReader_binary.recv_match, path.stat().st_size
@@ -289,26 +293,27 @@ def test_a_dataflash_log_that_cannot_be_read_to_its_end(tmp_path: Path, monkeypa
 
     monkeypatch.setattr(DFReader.DFReader_binary, "recv_match", fails_half_way)
     with pytest.warns(SeatrialWarning, match=rf"00000001\.BIN: damaged, read only to byte \d+ of {size}"):
-        _, said = import_mavlink(path, out=tmp_path / "bin.mcap")
-    assert f"of {size}: " in said
+        _, message = import_mavlink(path, out=tmp_path / "bin.mcap")
+    assert f"of {size}: " in message
 
 
 def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
     dataflash(tmp_path / "00000001.BIN")
-    out, said = import_mavlink(tmp_path / "00000001.BIN", rig=mav_rig(), out=tmp_path / "bin.mcap")
-    assert said.count("differs from the rig") == 1
-    assert "SERVO1_MIN is 1000, wanted 1100" in said
+    out, message = import_mavlink(tmp_path / "00000001.BIN", rig=mav_rig(), out=tmp_path / "bin.mcap")
+    assert message.count("differs from the rig") == 1
+    assert "SERVO1_MIN is 1000, wanted 1100" in message
     with open_log(out) as log:
         ahrs = log.table(Ahrs, "autopilot")
         assert len(ahrs) == 20
         assert np.degrees(ahrs["yaw"]) == pytest.approx(90.0 + np.arange(20), abs=0.01)
         assert np.degrees(ahrs["roll"][0]) == pytest.approx(1.0)
         assert np.diff(ahrs["t"]) == pytest.approx(np.full(19, 0.1), abs=1e-3)
-        assert ahrs["t"][0] > 1.7e9  # the calendar, by the GPS week
+        assert ahrs["t"][0] > 1.7e9  # calendar time from the GPS week
         assert ahrs["r"] == pytest.approx(0.1 * np.arange(20))
         fixes = log.table(Gnss, "autopilot")
         fix = fixes[0]
-        late = np.array([0.0165, 0.0365] * 10)  # when the fix came, in whole milliseconds, not when a loop wrote it
+        # time of the fix in whole milliseconds, not the time at which a loop wrote it
+        late = np.array([0.0165, 0.0365] * 10)
         assert fixes["t_device"] == pytest.approx(ahrs["t_device"] - late)
         assert fixes["t"] == pytest.approx(ahrs["t"] - late, abs=1e-3)
         assert (fix["lat"], fix["lon"], fix["fix"]) == (pytest.approx(42.358), pytest.approx(-71.0856831), 4)
@@ -316,33 +321,35 @@ def test_a_dataflash_log_becomes_a_log(tmp_path: Path) -> None:
         assert log.table(Servo, "autopilot", 1)["n"][0] == pytest.approx(0.5)
         assert log.table(Servo, "autopilot", 3)["n"][0] == pytest.approx(0.5)  # reversed in the rig
         assert log.table(Battery, "autopilot")["remaining"][0] == pytest.approx(0.77)
-        told = [text for _, kind, text in log.events() if kind == "autopilot"]
-        assert told == ["HOLD", "armed", "event 10 (LogEvent)", "error 1 of subsystem 12 (LogErrorSubsystem)"]
+        reported = [text for _, kind, text in log.events() if kind == "autopilot"]
+        assert reported == ["HOLD", "armed", "event 10 (LogEvent)", "error 1 of subsystem 12 (LogErrorSubsystem)"]
         state = log.table(Autopilot, "autopilot")[-1]
         assert (state["armed"], state["mode"], state["state"]) == (1, 4, 4)
 
 
 @pytest.mark.parametrize(
-    ("has_rig", "told", "found"),
+    ("has_rig", "reported", "found"),
     [
         (False, (-1200.0, 900.0), (-1200.0, 900.0)),
-        (True, (-1200.0, 900.0), (-1200.0, 900.0)),  # astern while the output is ahead: it coasts
-        (True, (1200.0, 900.0), (1200.0, -900.0)),  # magnitudes
+        (True, (-1200.0, 900.0), (-1200.0, 900.0)),  # astern while the output is ahead: the shaft still turns
+        (True, (1200.0, 900.0), (1200.0, -900.0)),  # speeds are magnitudes
         (False, (1200.0, 900.0), (1200.0, 900.0)),
     ],
 )
-def test_the_sign_of_a_shaft_speed(has_rig: bool, told: tuple[float, ...], found: tuple[float, ...]) -> None:
+def test_the_sign_of_a_shaft_speed_follows_from_the_rig_or_the_data(
+    has_rig: bool, reported: tuple[float, ...], found: tuple[float, ...]
+) -> None:
     rig = mav_rig() if has_rig else None
     reader = _Reader(rig, None if rig is None else rig.device("autopilot"))
     rows = []
-    for rpm, pulse in zip(told, (1700, 1300), strict=True):
+    for rpm, pulse in zip(reported, (1700, 1300), strict=True):
         reader.take["RCOU"](SimpleNamespace(C1=pulse))
         (esc,) = reader.take["ESC"](SimpleNamespace(Instance=0, RPM=rpm, Curr=3.0, Volt=15.0, Temp=30.0))
         rows.append(Timed(Frame(esc, 1.0, 1.0), 1.0))
     assert tuple(row.frame.sample.rpm for row in reader.joined(rows) if isinstance(row.frame.sample, Esc)) == found
 
 
-def test_lost_frames_and_parameters_of_a_tlog_are_told(tmp_path: Path) -> None:
+def test_lost_frames_and_parameters_of_a_tlog_are_reported(tmp_path: Path) -> None:
     tlog(tmp_path / "run.tlog")
     data = (tmp_path / "run.tlog").read_bytes()
     places = [at for at in range(len(data) - 9) if data[at + 8] == 0xFD and data[at : at + 2] == b"\x00\x06"]
@@ -352,12 +359,12 @@ def test_lost_frames_and_parameters_of_a_tlog_are_told(tmp_path: Path) -> None:
     left = rig.thrusters[0]
     assert left.output is not None
     other = replace(rig, thrusters=(replace(left, output=replace(left.output, pwm_us=(1000.0, 1500.0, 2000.0))),))
-    _, said = import_mavlink(tmp_path / "cut.tlog", rig=other, out=tmp_path / "cut.mcap")
-    assert " 1 lost," in said
-    assert "SERVO1_MIN is 1100, wanted 1000" in said
-    _, said = import_mavlink(tmp_path / "run.tlog", rig=rig, out=tmp_path / "run.mcap")
-    assert " 0 lost," in said
-    assert "differs from the rig" not in said
+    _, message = import_mavlink(tmp_path / "cut.tlog", rig=other, out=tmp_path / "cut.mcap")
+    assert " 1 lost," in message
+    assert "SERVO1_MIN is 1100, wanted 1000" in message
+    _, message = import_mavlink(tmp_path / "run.tlog", rig=rig, out=tmp_path / "run.mcap")
+    assert " 0 lost," in message
+    assert "differs from the rig" not in message
 
 
 def test_a_damaged_dataflash_log_is_one_line(tmp_path: Path) -> None:
@@ -367,7 +374,7 @@ def test_a_damaged_dataflash_log_is_one_line(tmp_path: Path) -> None:
         import_mavlink(path, out=tmp_path / "bad.mcap")
 
 
-def test_zeroed_blocks_of_a_dataflash_log_cost_what_they_hit(tmp_path: Path) -> None:
+def test_zeroed_blocks_of_a_dataflash_log_lose_only_their_messages(tmp_path: Path) -> None:
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     data = bytearray(path.read_bytes())
@@ -380,13 +387,13 @@ def test_zeroed_blocks_of_a_dataflash_log_cost_what_they_hit(tmp_path: Path) -> 
         assert len(log.table(Ahrs, "autopilot")) >= 15
 
 
-def test_a_flipped_bit_in_a_time_costs_one_message(tmp_path: Path) -> None:
+def test_a_flipped_bit_in_a_time_loses_one_message(tmp_path: Path) -> None:
     path = tmp_path / "00000001.BIN"
     dataflash(path)
     data = bytearray(path.read_bytes())
     att = bytes([0xA3, 0x95, 1])
     place = data.index(att, 2500)
-    data[place + 3 + 6] ^= 0x40  # of TimeUS
+    data[place + 3 + 6] ^= 0x40  # a bit of TimeUS
     path.write_bytes(data)
     with pytest.warns(SeatrialWarning, match="1 message with an impossible time left out"):
         out, _ = import_mavlink(path, out=tmp_path / "bin.mcap")

@@ -1,4 +1,4 @@
-"""An input without a value: zero where the format says so, else a gap that a fit leaves out."""
+"""Tests of inputs without a value: zero if the format defines it so, otherwise a gap that a fit leaves out."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def test_nan_of_px4_motors_is_a_motor_that_is_stopped(tmp_path: Path) -> None:
     (table,) = read_ulog(tmp_path / "run.ulg", SourceOptions())
     np.testing.assert_allclose(table.columns["control[0]"], np.where(STOPPED, 0.0, 0.5))
     np.testing.assert_allclose(table.columns["control[1]"], np.where(STOPPED, 0.0, -0.4), rtol=1e-6)
-    assert np.isnan(table.columns["control[2]"]).all()  # there is no such motor
+    assert np.isnan(table.columns["control[2]"]).all()  # this motor does not exist
     assert f"{STOPPED.sum()} messages of {T.size} with a stopped motor" in table.full_remark
 
 
-def test_nan_of_px4_motors_in_a_bag(tmp_path: Path) -> None:
+def test_nan_of_px4_motors_in_a_bag_is_a_motor_that_is_stopped(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = "px4_msgs/msg/ActuatorMotors"
     store.register(get_types_from_msg("uint64 timestamp\nfloat32[2] control\n", kind))
@@ -51,7 +51,7 @@ def test_nan_of_px4_motors_in_a_bag(tmp_path: Path) -> None:
 
 
 def log_of(tmp_path: Path, of_left: str = "", left: np.ndarray | None = None) -> Path:
-    """The log of a table with commands, some of which are empty."""
+    """Import a table with commands, some of which are empty, and return the log."""
     left = np.where(STOPPED, NAN, 0.5 + 0.001 * T) if left is None else left
     rows = "\n".join(
         f"{t:.1f},{'' if np.isnan(n) else f'{n:.6f}'},0.3,{0.01 * np.sin(t):.6f}" for t, n in zip(T, left, strict=True)
@@ -91,7 +91,7 @@ def test_a_fit_leaves_the_gaps_out(tmp_path: Path) -> None:
         assert np.all(np.diff(times - np.array([0.11, 0.0, 0.0, 0.0])) >= 0.0)
 
 
-def test_inputs_that_are_hardly_ever_known_cannot_be_fitted(tmp_path: Path) -> None:
+def test_a_log_whose_inputs_are_mostly_unknown_cannot_be_fitted(tmp_path: Path) -> None:
     left = np.where(np.arange(T.size) % 90 < 60, 0.5, NAN)
     with pytest.warns(SeatrialWarning):
         log = log_of(tmp_path, ', nan = "drop"', left)
@@ -99,7 +99,7 @@ def test_inputs_that_are_hardly_ever_known_cannot_be_fitted(tmp_path: Path) -> N
         load_all([log], [])
 
 
-def test_a_map_can_say_that_the_thruster_stands(tmp_path: Path) -> None:
+def test_a_map_can_define_an_empty_cell_as_zero(tmp_path: Path) -> None:
     log = log_of(tmp_path, ', nan = "zero", scale = 0.5, offset = 0.25')
     n = np.array(values(log, "n_left")[1])
     np.testing.assert_array_equal(n[STOPPED], 0.0)
@@ -108,7 +108,7 @@ def test_a_map_can_say_that_the_thruster_stands(tmp_path: Path) -> None:
 
 
 def test_sparse_columns_and_short_losses_have_no_gaps() -> None:
-    """A table of several rates has empty cells, and a command that is written where it changes has long pauses."""
+    """A table of several rates has empty cells. A command that is written only when it changes has long pauses."""
     sparse = np.where(np.arange(T.size) % 5 == 0, 0.5, NAN)
     on_change = np.where(np.arange(T.size) % 70 == 0, 0.5, NAN)
     lossy = np.where(np.random.default_rng(1).random(T.size) < 0.1, NAN, 0.5)

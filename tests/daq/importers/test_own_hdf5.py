@@ -1,4 +1,4 @@
-"""Data of a MATLAB file that lies elsewhere: a local file must never become part of a log."""
+"""Tests of MATLAB files that refer to data elsewhere: a local file must never become part of a log."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_data_elsewhere_is_refused_in_one_line(tmp_path: Path, make: Callable[[h
 
 
 @pytest.mark.parametrize("how", [{}, {"chunks": (5,), "compression": "gzip"}], ids=["contiguous", "chunked"])
-def test_data_of_its_own_is_read(tmp_path: Path, how: dict[str, object]) -> None:
+def test_data_inside_the_file_is_read(tmp_path: Path, how: dict[str, object]) -> None:
     with h5py.File(tmp_path / "run.mat", "w") as file:
         file["t"] = np.arange(20.0)
         file.create_group("s").create_dataset("x", data=np.arange(20.0), **how)

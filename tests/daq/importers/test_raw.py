@@ -1,4 +1,4 @@
-"""Captured bytes become a log through the decoders of the live ports."""
+"""Tests of the import of captured bytes through the decoders of the live ports."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def ascii_capture(tmp_path: Path) -> Path:
     return path
 
 
-def test_samples_are_put_evenly_apart(ascii_capture: Path, tmp_path: Path) -> None:
-    out, said = import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "a.mcap")
+def test_samples_get_equally_spaced_times(ascii_capture: Path, tmp_path: Path) -> None:
+    out, summary = import_raw("vectornav", ascii_capture, rate=40.0, out=tmp_path / "a.mcap")
     with open_log(out) as log:
         table = log.table(Ahrs, "ahrs")
         assert log.complete
@@ -45,19 +45,19 @@ def test_samples_are_put_evenly_apart(ascii_capture: Path, tmp_path: Path) -> No
         assert log.metadata["import.rate_hz"] == "40.0"
     assert table["t"].tolist() == pytest.approx([k / 40.0 for k in range(40)], abs=1e-9)
     assert table["r"].tolist() == pytest.approx([s.r for s in SAMPLES], abs=1e-6)
-    assert "40 samples of 40 vectornav frames; 1 checksum error, " in said
-    assert not said.endswith(" 0 bytes unparsed")  # boot, the bad one, the half one
+    assert "40 samples of 40 vectornav frames; 1 checksum error, " in summary
+    assert not summary.endswith(" 0 bytes unparsed")  # the boot text, the damaged line and the half line
 
 
 @pytest.mark.parametrize("rate", [None, 50.0])
-def test_a_vectornav_that_sends_ascii_and_binary(rate: float | None, tmp_path: Path) -> None:
-    """Both are on after the factory settings: each sample came twice, and the one in ASCII has no time."""
+def test_a_vectornav_that_sends_ascii_and_binary_gives_each_sample_once(rate: float | None, tmp_path: Path) -> None:
+    """The factory settings enable both. Each sample came twice, and the ASCII sample has no time."""
     capture = tmp_path / "both.bin"
     parts = [vectornav.encode_binary(s, 5.0 + 0.02 * k) for k, s in enumerate(SAMPLES)]
     ascii_parts = [vectornav.encode_ascii(s) if k % 2 else b"" for k, s in enumerate(SAMPLES)]
     capture.write_bytes(b"".join(a + b for a, b in zip(ascii_parts, parts, strict=True)))
-    out, said = import_raw("vectornav", capture, rate=rate, out=tmp_path / "b.mcap")
-    assert said.endswith("; 20 ASCII samples left out, contained in binary samples")
+    out, summary = import_raw("vectornav", capture, rate=rate, out=tmp_path / "b.mcap")
+    assert summary.endswith("; 20 ASCII samples left out, contained in binary samples")
     with open_log(out) as log:
         table = log.table(Ahrs, "ahrs")
     start = 5.0 if rate is None else 0.0
@@ -65,8 +65,8 @@ def test_a_vectornav_that_sends_ascii_and_binary(rate: float | None, tmp_path: P
     np.testing.assert_allclose(table["r"], [s.r for s in SAMPLES], atol=1e-5)
 
 
-def test_what_only_the_ascii_of_a_vectornav_has_is_kept(tmp_path: Path) -> None:
-    binary = struct.pack("<3f", 10.0, 1.0, 2.0)  # yaw, pitch and roll only, with the time since startup
+def test_data_that_only_the_ascii_of_a_vectornav_contains_is_kept(tmp_path: Path) -> None:
+    binary = struct.pack("<3f", 10.0, 1.0, 2.0)  # only yaw, pitch and roll, with the time since startup
     body = b"\xfa" + struct.pack("<BH", 1, 0b1001) + struct.pack("<Q", 5_000_000_000) + binary
     body += struct.pack(">H", crc16(body[1:]))
     (tmp_path / "both.bin").write_bytes(body + vectornav.encode_ascii(SAMPLES[3]))
@@ -78,7 +78,7 @@ def test_what_only_the_ascii_of_a_vectornav_has_is_kept(tmp_path: Path) -> None:
 
 
 def test_the_transducers_of_nmea_keep_their_names(tmp_path: Path) -> None:
-    """Pitch and roll are parts of the attitude; others were lost."""
+    """Pitch and roll are parts of the attitude. The other transducers were lost."""
     parts = []
     for k in range(20):
         parts.append(nmea.encode(Gnss(1.7e9 + k, 59.0, 10.0, fix=3)))
@@ -96,8 +96,11 @@ def test_the_transducers_of_nmea_keep_their_names(tmp_path: Path) -> None:
         np.testing.assert_allclose(table["t"], start + np.arange(20), atol=1e-6)
 
 
-def test_two_kinds_of_sentences_at_a_rate(tmp_path: Path) -> None:
-    """A heading beside each fix does not halve the rate; one of ten is where it came."""
+def test_a_rate_counts_one_kind_of_sentence(tmp_path: Path) -> None:
+    """A heading beside each fix does not halve the rate.
+
+    If only one fix in ten has a heading, the heading keeps its place.
+    """
     fixes = [nmea.encode(Gnss(1.7e9 + 0.1 * k, 59.0, 10.0, fix=3)) for k in range(20)]
     headings = [sentence(f"HEHDT,{90 + k}.0,T") for k in range(20)]
     for every in (1, 10):
@@ -111,7 +114,7 @@ def test_two_kinds_of_sentences_at_a_rate(tmp_path: Path) -> None:
         assert t_heading.tolist() == pytest.approx([0.1 * every * k for k in range(20 // every)], abs=0.11)
 
 
-def test_a_devices_own_time(tmp_path: Path) -> None:
+def test_samples_get_the_time_of_the_device(tmp_path: Path) -> None:
     capture = tmp_path / "imu.bin"
     capture.write_bytes(b"".join(vectornav.encode_binary(s, 5.0 + 0.02 * k) for k, s in enumerate(SAMPLES)))
     out, _ = import_raw("vectornav", capture, out=tmp_path / "b.mcap")
@@ -120,20 +123,20 @@ def test_a_devices_own_time(tmp_path: Path) -> None:
     assert t.tolist() == pytest.approx([5.0 + 0.02 * k for k in range(40)], abs=1e-8)
 
 
-def test_a_gnss_receiver_tells_its_time(tmp_path: Path) -> None:
+def test_samples_get_the_time_of_a_gnss_receiver(tmp_path: Path) -> None:
     capture = tmp_path / "gnss.txt"
     fixes = [Gnss(1.7e9 + k, 59.0, 10.0 + 1e-5 * k, 3.0, 0.5, 0.1, fix=3, n_sat=9, hdop=1.0) for k in range(5)]
     capture.write_bytes(b"".join(nmea.encode(fix) for fix in fixes))
     out, _ = import_raw("nmea", capture, out=tmp_path / "g.mcap")
     with open_log(out) as log:
         t = log.table(Gnss, "gnss")["t"]
-    assert len(t) >= 4  # the last epoch may still have been open
+    assert len(t) >= 4  # the last epoch may still have been incomplete
     assert t[0] == pytest.approx(1.7e9)
 
 
 @pytest.mark.parametrize("before_midnight", [0, 2])
-def test_epochs_before_the_first_date_are_of_its_day(tmp_path: Path, before_midnight: int) -> None:
-    start = 1_700_006_400.0 - before_midnight  # midnight UTC
+def test_epochs_before_the_first_date_get_its_day(tmp_path: Path, before_midnight: int) -> None:
+    start = 1_700_006_400.0 - before_midnight  # midnight in UTC
     fixes = [Gnss(start + k, 59.0, 10.0 + 1e-5 * k, 3.0, 0.5, 0.1, fix=3, n_sat=9, hdop=1.0) for k in range(8)]
     gga = [nmea.encode(fix).split(b"\r\n")[0] + b"\r\n" for fix in fixes[:4]]
     (tmp_path / "gnss.txt").write_bytes(b"".join(gga) + b"".join(nmea.encode(fix) for fix in fixes[4:]))
@@ -144,7 +147,7 @@ def test_epochs_before_the_first_date_are_of_its_day(tmp_path: Path, before_midn
     assert table["utc"].tolist() == pytest.approx([fix.utc for fix in fixes])
 
 
-def test_without_any_date_the_day_is_that_of_1970(tmp_path: Path) -> None:
+def test_without_any_date_the_day_is_1970_01_01(tmp_path: Path) -> None:
     gga = [nmea.encode(Gnss(1.7e9 + k, 59.0, 10.0, fix=3)).split(b"\r\n")[0] + b"\r\n" for k in range(4)]
     (tmp_path / "gnss.txt").write_bytes(b"".join(gga))
     out, _ = import_raw("nmea", tmp_path / "gnss.txt", out=tmp_path / "g.mcap")
@@ -152,7 +155,7 @@ def test_without_any_date_the_day_is_that_of_1970(tmp_path: Path) -> None:
         assert log.table(Gnss, "gnss")["t"].tolist() == pytest.approx([(1.7e9 + k) % 86400.0 for k in range(4)])
 
 
-def test_an_attitude_with_a_time_of_its_own_keeps_it(tmp_path: Path) -> None:
+def test_an_attitude_with_its_own_time_keeps_it(tmp_path: Path) -> None:
     fixes = [nmea.encode(Gnss(1_700_006_400.0 + k, 59.0, 10.0, fix=3)) for k in range(3)]
     attitudes = [sentence(f"PASHR,00000{k}.{m:02d},90.0,T,0.0,0.0,0.0") for k in range(3) for m in (20, 40, 60, 80)]
     body = b"".join(fixes[k] + b"".join(attitudes[4 * k : 4 * k + 4]) for k in range(3))
@@ -164,7 +167,7 @@ def test_an_attitude_with_a_time_of_its_own_keeps_it(tmp_path: Path) -> None:
     assert (t - 1_700_006_400.0).tolist() == pytest.approx(want, abs=1e-6)
 
 
-def test_a_load_cell(tmp_path: Path) -> None:
+def test_a_capture_of_a_load_cell_is_imported(tmp_path: Path) -> None:
     capture = tmp_path / "cell.txt"
     capture.write_text("".join(f"{k}\r\n" for k in range(1000, 1010)))
     out, _ = import_raw("loadcell", capture, rate=80.0, out=tmp_path / "c.mcap")
@@ -189,7 +192,7 @@ def test_what_is_wrong_is_one_line(ascii_capture: Path, tmp_path: Path) -> None:
         import_raw("vectornav", ascii_capture, rate=40.0, out=ascii_capture, force=True)
 
 
-def test_the_command(ascii_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_import_command_writes_a_log(ascii_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(cli.import_, ["raw", "vectornav", str(ascii_capture), "--rate", "40"])
     assert done.exit_code == 0
@@ -200,10 +203,10 @@ def test_the_command(ascii_capture: Path, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 @pytest.mark.measured
-def test_a_vectornav_standing_still(tmp_path: Path) -> None:
+def test_a_capture_of_a_vectornav_at_rest_is_imported(tmp_path: Path) -> None:
     capture = measured("static/vn100_stationary_40Hz_vnymr.txt")
-    out, said = import_raw("vectornav", capture, rate=40.0, out=tmp_path / "vn.mcap")
-    assert said == "30178 samples of 30178 vectornav frames; 0 checksum errors, 0 bytes unparsed"
+    out, summary = import_raw("vectornav", capture, rate=40.0, out=tmp_path / "vn.mcap")
+    assert summary == "30178 samples of 30178 vectornav frames; 0 checksum errors, 0 bytes unparsed"
     first = [float(word) for word in capture.read_text().splitlines()[0].split("*")[0].split(",")[1:]]
     with open_log(out) as log:
         row = log.table(Ahrs, "ahrs")[0]
@@ -211,8 +214,10 @@ def test_a_vectornav_standing_still(tmp_path: Path) -> None:
     assert [row[n] for n in ("ax", "ay", "az", "p", "q", "r")] == pytest.approx(first[6:12])
 
 
-def test_a_clock_that_ran_back_is_a_fault_of_a_mapped_log_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two receivers in one topic, whose clocks are 100 s apart: the rows are sorted, and two tracks are mixed."""
+def test_a_clock_that_ran_backwards_is_a_fault_of_a_mapped_log_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One topic contains two receivers whose clocks are 100 s apart. The rows are sorted, which mixes two tracks."""
     fixes = [(t, Gnss(1.7e9 + t, 59.0, 10.0, 3.0, 0.5, 0.1, fix=3)) for t in (0, 100, 1, 101, 2)]
     rows = [("", 1.7e9 + t, Frame(fix, t, t)) for t, fix in fixes]
     (table,) = sample_tables(tmp_path / "run.log", rows)
@@ -229,7 +234,7 @@ def test_a_clock_that_ran_back_is_a_fault_of_a_mapped_log_too(tmp_path: Path, mo
         assert [f.code for f in check_devices(log) if f.level == "fault"] == ["clock-ran-back"]
 
 
-def test_a_clock_that_is_set_back_or_a_second_one_is_told(tmp_path: Path) -> None:
+def test_a_clock_that_is_set_back_or_a_second_clock_is_reported(tmp_path: Path) -> None:
     capture, out = tmp_path / "gnss.txt", tmp_path / "g.mcap"
     for times in ([0, 1, 2, 3, 4, 1, 2, 3, 4, 5], [0, 100, 1, 101, 2, 102]):
         fixes = [Gnss(1.7e9 + t, 59.0, 10.0 + 1e-5 * k, 3.0, 0.5, 0.1, fix=3) for k, t in enumerate(times)]
@@ -241,13 +246,13 @@ def test_a_clock_that_is_set_back_or_a_second_one_is_told(tmp_path: Path) -> Non
         assert "ran back" in CliRunner().invoke(cli.info, [str(out)], catch_exceptions=False).stdout
 
 
-WEEKS = 1024 * 7 * nmea.DAY  # s
+WEEKS = 1024 * 7 * nmea.DAY  # seconds
 
 
 @pytest.mark.parametrize("when", ["before", "after"])
 @pytest.mark.parametrize("early", [WEEKS, 16204 * nmea.DAY])
-def test_dates_of_another_calendar_are_moved_next_to_the_others(tmp_path: Path, when: str, early: float) -> None:
-    """A receiver's first date is of its firmware, and its week runs over after 1024 weeks."""
+def test_wrong_dates_of_a_receiver_are_moved_to_the_other_dates(tmp_path: Path, when: str, early: float) -> None:
+    """The first date of a receiver is that of its firmware, and its week number overflows after 1024 weeks."""
     true = [1.7e9 + 1.0 * k for k in range(40)]
     wrong = range(10) if when == "before" else range(30, 40)
     fixes = [Gnss(t - early * (k in wrong), 59.0 + 1e-6 * k, 10.0, fix=3) for k, t in enumerate(true)]

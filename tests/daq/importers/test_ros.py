@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and 2, written by rosbags: axes, times, names, and what is wrong in one line."""
+"""Tests of the import of ROS 1 and 2 bags written by rosbags: axes, times, names, and one line for each error."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def header(k: int) -> object:
 
 
 def imu(k: int) -> Any:
-    """Facing north-west in ROS's way of counting: 135 degrees from east; bow up 10 degrees (pitch -10 there)."""
+    """The bow faces north-west, 135 degrees from east as ROS counts, and is raised by 10 degrees (pitch -10 in ROS)."""
     vector, turn = STORE.types["geometry_msgs/msg/Vector3"], STORE.types["geometry_msgs/msg/Quaternion"]
     yaw, pitch = math.radians(135.0), math.radians(-10.0)
     attitude = turn(
@@ -70,7 +70,7 @@ def odometry(k: int) -> object:
 @pytest.fixture(params=[StoragePlugin.MCAP, StoragePlugin.SQLITE3], ids=["mcap", "sqlite3"])
 def bag(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
     path = tmp_path / "bag"
-    said = {
+    messages = {
         "/imu/data": ("sensor_msgs/msg/Imu", imu),
         "/fix": ("sensor_msgs/msg/NavSatFix", fix),
         "/odom": ("nav_msgs/msg/Odometry", odometry),
@@ -78,7 +78,7 @@ def bag(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
         "/name": ("std_msgs/msg/String", lambda k: STORE.types["std_msgs/msg/String"]("boat")),
     }
     with Writer(path, version=9, storage_plugin=request.param) as writer:
-        for topic, (kind, make) in said.items():
+        for topic, (kind, make) in messages.items():
             connection = writer.add_connection(topic, kind, typestore=STORE)
             for k in range(N):
                 t_ns = round((T0 + 0.05 * k + 0.01) * 1e9)
@@ -87,7 +87,7 @@ def bag(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 
 def signals(source: Path, folder: Path, lines: str, root: str = 'frame = "ENU"') -> Log:
-    """The log that a map of these signals makes."""
+    """Return the log imported by a map of these signals."""
     path = folder / "map.toml"
     path.write_text(f'format = "seatrial-import 1"\n{root}\nsignal = [\n{lines}\n]\n')
     (out,) = import_files(path, [source], out_dir=folder / "logs", force=True)
@@ -104,27 +104,28 @@ IMU = f"""
 """
 
 
-def test_axes_of_ros_become_ours_by_one_word(bag: Path, tmp_path: Path) -> None:
+def test_the_axes_of_ros_are_converted_by_one_key(bag: Path, tmp_path: Path) -> None:
     with signals(bag, tmp_path, IMU) as log:
         assert log.metadata["import"] == "ros"
         table = {name: log.table(Scalar, name) for name in log.sources(Scalar)}
-    np.testing.assert_allclose(table["psi"]["t"], T0 + 0.05 * np.arange(N), atol=1e-6)  # the header's, not the bag's
+    # the time of the header, not of the bag
+    np.testing.assert_allclose(table["psi"]["t"], T0 + 0.05 * np.arange(N), atol=1e-6)
     assert table["psi"]["value"] == pytest.approx(math.radians(-45.0))  # north-west
-    assert table["theta"]["value"] == pytest.approx(math.radians(10.0))  # bow up
+    assert table["theta"]["value"] == pytest.approx(math.radians(10.0))  # the bow is raised
     assert (table["q"]["value"][0], table["r"]["value"][0]) == (-0.2, -0.3)
-    np.testing.assert_array_equal(table["az"]["value"], -9.81)  # measured, though the covariance of one says unknown
+    np.testing.assert_array_equal(table["az"]["value"], -9.81)  # measured, although one covariance is marked as unknown
     with signals(bag, tmp_path, IMU, 'frame = "NED"') as log:
         assert log.table(Scalar, "psi")["value"] == pytest.approx(math.radians(135.0))
         assert log.table(Scalar, "r")["value"][0] == 0.3
 
 
-def test_positions_of_odometry_and_of_fixes(bag: Path, tmp_path: Path) -> None:
+def test_positions_of_odometry_and_of_fixes_are_imported(bag: Path, tmp_path: Path) -> None:
     lines = """
   { name = "x", topic = "/odom", field = "pose.pose.position.x", unit = "m" },
   { name = "y", topic = "/odom", field = "pose.pose.position.y", unit = "m" },
   { name = "v", topic = "/odom", field = "twist.twist.linear.x", unit = "m/s" },
 """
-    with signals(bag, tmp_path, lines) as log:  # x counts east there
+    with signals(bag, tmp_path, lines) as log:  # x counts east in ROS
         np.testing.assert_array_equal(log.table(Scalar, "y")["value"], np.arange(N))
         np.testing.assert_array_equal(log.table(Scalar, "x")["value"], 2.0)
         np.testing.assert_array_equal(log.table(Scalar, "v")["value"], -0.5)
@@ -132,14 +133,14 @@ def test_positions_of_odometry_and_of_fixes(bag: Path, tmp_path: Path) -> None:
   { name = "x", topic = "/fix", make = "north", fields = ["latitude", "longitude"] },
   { name = "y", topic = "/fix", make = "east", fields = ["latitude", "longitude"] },
 """
-    with signals(bag, tmp_path, lines) as log:  # geographic: no other frame
+    with signals(bag, tmp_path, lines) as log:  # geographic coordinates have no other frame
         x = log.table(Scalar, "x")["value"]
         assert x[-1] == pytest.approx(1e-6 * (N - 1) * 111_061.0, rel=1e-3)
         np.testing.assert_allclose(log.table(Scalar, "y")["value"], 0.0, atol=1e-9)
 
 
-def test_what_an_imu_does_not_measure_is_left_out(tmp_path: Path) -> None:
-    """Covariance -1 and nothing but defaults: no orientation; with values in it: an unknown covariance alone."""
+def test_quantities_that_an_imu_does_not_measure_are_left_out(tmp_path: Path) -> None:
+    """Covariance -1 with default values means no orientation. With other values only the covariance is unknown."""
     path, kind, unknown = tmp_path / "bag", "sensor_msgs/msg/Imu", np.array([-1.0] + [0.0] * 8)
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/imu", kind, typestore=STORE)
@@ -159,15 +160,18 @@ def test_what_an_imu_does_not_measure_is_left_out(tmp_path: Path) -> None:
 
 def test_every_number_has_the_name_of_its_field(bag: Path) -> None:
     tables = {table.topic: table for table in read_bag(bag, SourceOptions())}
-    assert sorted(tables) == ["/fix", "/imu/data", "/odom", "/rpm"]  # /name has no number
-    assert not [name for name in tables["/odom"].names if "covariance" in name]  # 36 numbers are no columns
+    assert sorted(tables) == ["/fix", "/imu/data", "/odom", "/rpm"]  # /name contains no number
+    assert not [name for name in tables["/odom"].names if "covariance" in name]  # 36 numbers do not become columns
     rpm = tables["/rpm"]
     assert rpm.columns["data"].tolist() == [100.0 * k for k in range(N)]
-    np.testing.assert_allclose(rpm.t, T0 + 0.05 * np.arange(N) + 0.01, atol=1e-6)  # it has no header
+    np.testing.assert_allclose(rpm.t, T0 + 0.05 * np.arange(N) + 0.01, atol=1e-6)  # the message has no header
 
 
-def test_joints_and_stamps_of_another_clock(tmp_path: Path) -> None:
-    """A simulator stamps from zero; topics without stamps have the bag's clock, so the others are moved to it."""
+def test_stamps_of_a_simulated_clock_are_moved_to_the_clock_of_the_bag(tmp_path: Path) -> None:
+    """A simulator stamps from zero.
+
+    Topics without stamps have the clock of the bag, so the stamped topics are moved to it.
+    """
     path, types = tmp_path / "bag", STORE.types
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=STORE)
@@ -205,7 +209,7 @@ def test_two_sensors_in_one_topic_are_named(tmp_path: Path, frames: tuple[str, .
 
 @pytest.mark.parametrize(("every", "fails"), [(3, True), (30, False)])
 def test_wrong_stamps_of_many_rows_end_an_import_with_an_error(tmp_path: Path, every: int, fails: bool) -> None:
-    """A driver whose nanoseconds overflow: the stamp is 4.3 s ahead."""
+    """The nanoseconds of a driver overflow: the stamp is 4.3 s ahead."""
     path, n = tmp_path / "bag", 120
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/fix", "sensor_msgs/msg/NavSatFix", typestore=STORE)
@@ -230,15 +234,15 @@ def test_wrong_stamps_of_many_rows_end_an_import_with_an_error(tmp_path: Path, e
         signals(path, tmp_path, lines)
 
 
-def test_messages_in_a_message_and_fields_that_come_late(tmp_path: Path) -> None:
-    """As telemetry of several controllers; the second one is switched on after the first message, and off again."""
+def test_nested_messages_and_fields_that_appear_late_are_imported(tmp_path: Path) -> None:
+    """The telemetry has several controllers. The second one is switched on after the first message, and off again."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg("int32 rpm\n", "esc_msgs/msg/Esc"))
     store.register(get_types_from_msg("uint8 count\nesc_msgs/Esc[] esc\n", "esc_msgs/msg/Escs"))
     one, several = store.types["esc_msgs/msg/Esc"], store.types["esc_msgs/msg/Escs"]
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/esc", "esc_msgs/msg/Escs", typestore=store)
-        for k, n in enumerate((1, 2, 2, 1, 17)):  # of so many no columns are made, as of an image
+        for k, n in enumerate((1, 2, 2, 1, 17)):  # so many values, as in an image, do not become columns
             message = several(n, [one(100 * k + j) for j in range(n)])
             data = store.serialize_cdr(message, "esc_msgs/msg/Escs")
             writer.write(connection, round((T0 + 0.1 * k) * 1e9), data)
@@ -249,7 +253,7 @@ def test_messages_in_a_message_and_fields_that_come_late(tmp_path: Path) -> None
     np.testing.assert_array_equal(table.columns["esc[1].rpm"], [np.nan, 101.0, 201.0, np.nan, np.nan])
 
 
-def test_the_numbers_of_a_bag_are_not_boxed() -> None:
+def test_the_numbers_of_a_bag_do_not_become_python_objects() -> None:
     topic, message = _Topic("sensor_msgs/msg/Imu"), imu(0)
     topic.add(0.0, message)
     tracemalloc.start()
@@ -257,10 +261,10 @@ def test_the_numbers_of_a_bag_are_not_boxed() -> None:
         topic.add(1.0 * k, message)
     used, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert used < 1000 * 8 * 2.5 * len(topic.columns)  # boxed, with names: 5 kB a message
+    assert used < 1000 * 8 * 2.5 * len(topic.columns)  # Python objects with names take 5 kB a message
 
 
-def test_a_bag_of_ros_1(tmp_path: Path) -> None:
+def test_a_bag_of_ros_1_is_imported(tmp_path: Path) -> None:
     from rosbags.rosbag1 import Writer as Writer1
 
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -275,18 +279,21 @@ def test_a_bag_of_ros_1(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.columns["data"], 0.5 * np.arange(N))
 
 
-def test_our_own_log_comes_back(tmp_path: Path) -> None:
+def test_a_log_exported_to_ros_is_imported_unchanged(tmp_path: Path) -> None:
     write_everything(tmp_path / "own.mcap")
     with signals(tmp_path / "own.mcap", tmp_path, IMU.replace("/imu/data", "/ahrs/imu"), 'frame = "NED"') as log:
         psi, r = log.table(Scalar, "psi"), log.table(Scalar, "r")
     with open_log(tmp_path / "own.mcap") as own:
         ahrs = own.table(Ahrs, "ahrs")
     np.testing.assert_allclose(psi["value"], ahrs["yaw"], atol=1e-12)
-    np.testing.assert_allclose(r["value"], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # NaN is not measured
+    np.testing.assert_allclose(r["value"], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # NaN means not measured
 
 
-def test_our_own_bag_by_its_guess(tmp_path: Path) -> None:
-    """`export ros` keeps the topics of the log, in our axes, beside those of REP-103. The log itself needs no map."""
+def test_a_bag_exported_from_a_log_is_imported_by_its_guess(tmp_path: Path) -> None:
+    """`export ros` writes the topics of the log in its own axes, and beside them those of REP-103.
+
+    The log needs no map.
+    """
     write_everything(tmp_path / "own.mcap", 12)
     with pytest.raises(
         SeatrialError, match="is a seatrial log and needs no import; check, ident and export read it directly"
@@ -301,7 +308,7 @@ def test_our_own_bag_by_its_guess(tmp_path: Path) -> None:
         assert {"psi", "r", "vx", "vy"} <= set(log.sources(Scalar))
         psi, r, vx = (log.table(Scalar, name)["value"] for name in ("psi", "r", "vx"))
     np.testing.assert_allclose(np.exp(1j * psi), np.exp(1j * ahrs["yaw"]), atol=1e-12)
-    np.testing.assert_allclose(r[r != 0.0], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # 0: not measured
+    np.testing.assert_allclose(r[r != 0.0], ahrs["r"][np.isfinite(ahrs["r"])], atol=1e-12)  # 0 means not measured
     np.testing.assert_allclose(vx, gnss["vel_n"][np.isfinite(gnss["vel_n"])], atol=1e-12)
 
 
@@ -318,8 +325,11 @@ def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
     assert not list((tmp_path / "logs").glob("*.mcap")) if (tmp_path / "logs").exists() else True
 
 
-def test_a_bag_with_nothing_but_tf_for_its_pose(tmp_path: Path) -> None:
-    """Eastward at 1 m/s, bow to the north-west; the odometry's correction and a sensor's place are no pose."""
+def test_a_bag_whose_pose_is_only_in_tf_is_imported(tmp_path: Path) -> None:
+    """The boat moves east at 1 m/s, bow to the north-west.
+
+    The odometry's correction and a sensor's mounting are not a pose.
+    """
     types = STORE.types
     half = math.radians(135.0) / 2
     turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(half), math.cos(half))
@@ -361,7 +371,7 @@ def test_a_bag_with_nothing_but_tf_for_its_pose(tmp_path: Path) -> None:
         import_files(tmp_path / "wrong.toml", [path], out_dir=tmp_path)
 
 
-def test_a_folder_without_metadata_and_a_file_without_its_end(bag: Path) -> None:
+def test_a_bag_without_metadata_or_with_a_truncated_file_is_read(bag: Path) -> None:
     (bag / "metadata.yaml").unlink()
     tables = {table.topic: table for table in read_bag(bag, SourceOptions())}
     assert len(tables["/imu/data"]) == N
@@ -382,7 +392,7 @@ def test_a_bag_that_was_not_closed_names_the_remedy(tmp_path: Path) -> None:
 
 
 def with_wal(folder: Path) -> Path:
-    """A bag whose recorder was killed: half of the messages are only in the log of SQLite beside the database."""
+    """Write a bag whose recorder was killed: half of the messages are only in SQLite's log beside the database."""
     with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=STORE)
         for k in range(N):
@@ -414,7 +424,7 @@ def test_a_database_with_a_wal_is_read_whole_and_stays_as_it_is(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("kind", ["pipe", "link", "damaged"])
-def test_a_wal_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
+def test_a_wal_that_is_not_a_regular_file_is_refused(tmp_path: Path, kind: str) -> None:
     path = with_wal(tmp_path)
     wal = path.with_name(f"{path.name}-wal")
     data = wal.read_bytes()
@@ -425,7 +435,7 @@ def test_a_wal_that_is_no_file_is_refused(tmp_path: Path, kind: str) -> None:
         (tmp_path / "secret").write_bytes(data)
         wal.symlink_to(tmp_path / "secret")
     else:
-        wal.write_bytes(data[:16] + bytes(16) + data[32:])  # SQLite takes it for one of another database
+        wal.write_bytes(data[:16] + bytes(16) + data[32:])  # SQLite takes this file for the log of another database
         (table,) = read_bag(path, SourceOptions())
         assert len(table) == N // 2
         return

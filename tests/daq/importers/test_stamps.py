@@ -1,4 +1,4 @@
-"""Stamps against receipts: which of the two clocks failed, and what time a message has then."""
+"""Tests of message times from stamps and receipt times: which clock failed, and the resulting time of each message."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from seatrial.daq.importers.stamps import EstimatedTimes, MessageTimes, message_
 Array = npt.NDArray[np.float64]
 T0, SECONDS = 1.7e9, 120.0
 RATES = {"/imu": 25.0, "/fix": 5.0, "/vel": 5.0}
-START = 10.0  # s of the simulation at the start
+START = 10.0  # time of the simulation at the start [s]
 
 
 def true_times(hz: float) -> Array:
@@ -21,13 +21,15 @@ def true_times(hz: float) -> Array:
 
 
 def delays(n: int, seed: int) -> Array:
-    """Of usual messages [s]: some ms, and now and then some tens of ms."""
+    """Return usual transport delays [s]: some ms, and sometimes some tens of ms."""
     return np.asarray(np.random.default_rng(seed).exponential(0.008, n) + 0.002)
 
 
 class Bag:
-    """Messages of stamped topics and of a command without stamps; ``clock`` turns true times into those of stamps and
-    ``recorder`` into those of receipts [s since T0]."""
+    """Messages of stamped topics and of a command without stamps.
+
+    ``clock`` converts true times to stamps, and ``recorder`` converts true times to receipt times [s since T0].
+    """
 
     def __init__(self, clock=lambda t: t, recorder=lambda t: t, topics=tuple(RATES)) -> None:  # type: ignore[no-untyped-def]
         self.true = {name: true_times(RATES[name]) for name in topics} | {"/cmd": true_times(10.0)}
@@ -43,7 +45,7 @@ class Bag:
         return message_times(self.found)
 
     def errors(self, found: dict[str, EstimatedTimes]) -> dict[str, float]:
-        """The largest error of each topic beside a shift that all have [s]."""
+        """Return the largest error of each topic after removal of a common shift [s]."""
         first = next(iter(self.true))
         shift = np.nanmedian(found[first].t - self.true[first])
         return {name: float(np.nanmax(np.abs(found[name].t - shift - t))) for name, t in self.true.items()}
@@ -106,7 +108,7 @@ def test_wrong_stamps_without_another_sensor_do_not_move_the_commands() -> None:
 
 
 def test_a_late_message_keeps_its_stamp() -> None:
-    """A queue of 3 s in one topic: the stamps go on as before, and the receipts do not."""
+    """A queue delays one topic by 3 s. Its stamps continue as before, and its receipt times do not."""
     bag = Bag()
     receipt = bag.found["/fix"].receipt
     late = (receipt > T0 + 50.0) & (receipt < T0 + 53.0)
@@ -127,9 +129,9 @@ def test_a_step_of_the_recorders_clock_is_taken_out_of_the_commands(by: float) -
 
 @pytest.mark.parametrize("by", [-4.0, -30.0])
 @pytest.mark.parametrize("topics", [tuple(RATES), ("/fix",)])
-def test_a_recorder_that_was_set_back_costs_what_cannot_be_told_apart(by: float, topics: tuple[str, ...]) -> None:
+def test_a_recorder_that_was_set_back_loses_only_ambiguous_messages(by: float, topics: tuple[str, ...]) -> None:
     bag = Bag(recorder=lambda t: t + by * (t > 60.0), topics=topics)
-    for name, one in bag.found.items():  # as a reader of the bag has them
+    for name, one in bag.found.items():  # the times as a reader of the bag receives them
         order = np.argsort(one.receipt, kind="stable")
         bag.found[name], bag.true[name] = MessageTimes(one.receipt[order], one.stamp[order]), bag.true[name][order]
     found = bag.times()
@@ -138,7 +140,7 @@ def test_a_recorder_that_was_set_back_costs_what_cannot_be_told_apart(by: float,
     assert lost(found, "/cmd") == pytest.approx(2 * 10 * -by, abs=6)
 
 
-def test_a_step_of_two_topics_alone_is_of_their_recorder_too() -> None:
+def test_a_step_of_only_two_topics_is_also_a_step_of_the_recorder() -> None:
     bag = Bag(recorder=lambda t: t + 3.0 * (t > 60.0), topics=("/fix",))
     found = bag.times()
     assert max(bag.errors(found).values()) < 0.1
@@ -166,8 +168,8 @@ def test_messages_before_the_clock_have_no_time() -> None:
 
 
 @pytest.mark.parametrize("rate", [1.0, 1.02])
-def test_a_device_with_a_clock_of_its_own_is_moved_to_the_others(rate: float) -> None:
-    """Its stamps count from its start, at a rate of its own."""
+def test_a_device_with_another_clock_is_moved_to_the_others(rate: float) -> None:
+    """The stamps count from the start of the device, at a slightly different rate."""
     bag = Bag()
     bag.found["/fix"] = MessageTimes(bag.found["/fix"].receipt, 500.0 + rate * bag.true["/fix"])
     found = bag.times()
@@ -176,14 +178,14 @@ def test_a_device_with_a_clock_of_its_own_is_moved_to_the_others(rate: float) ->
     assert not found["/imu"].remark
 
 
-def test_a_stamp_that_stands_still_is_none() -> None:
+def test_a_stamp_that_stands_still_is_ignored() -> None:
     bag = Bag()
     bag.found["/fix"].stamp[:] = T0
     found = bag.times()
     np.testing.assert_array_equal(found["/fix"].t, bag.found["/fix"].receipt)
 
 
-def test_headers_that_are_never_filled_are_none() -> None:
+def test_headers_that_are_never_filled_are_ignored() -> None:
     bag = Bag()
     for times in bag.found.values():
         times.stamp[:] = 0.0

@@ -1,4 +1,4 @@
-"""Dialects of text tables: units rows, repeated headers, trailing separators, dates."""
+"""Tests of dialects of text tables: units rows, repeated headers, trailing separators, dates."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def table(
 
 
 def imported(folder: Path, text: str, encoding: str = "utf-8") -> tuple[np.ndarray, np.ndarray, str]:
-    """The times and values of x after a guess and an import, and the text of the map."""
+    """Return the times and values of x after a guess and an import, and the text of the map."""
     source = folder / "run.csv"
     source.write_bytes(text.encode(encoding))
     guess = guess_map(source)
@@ -74,10 +74,10 @@ DATES: list[tuple[str, str, Callable[[datetime], str]]] = [
 
 
 @pytest.mark.parametrize(("first", "form", "text_of_time"), DATES, ids=[f"{first} {form}" for first, form, _ in DATES])
-def test_dates_have_their_pattern(
+def test_the_pattern_of_dates_is_found(
     tmp_path: Path, first: str, form: str, text_of_time: Callable[[datetime], str]
 ) -> None:
-    day_is_told = START.replace(day=22)  # no month
+    day_is_told = START.replace(day=22)  # the number is not a month
     shift = day_is_told - START
     t, x, text = imported(tmp_path, table(first, lambda time: text_of_time(time + shift), ";", "."))
     assert f'format = "{form}"' in text
@@ -91,7 +91,7 @@ def test_a_day_that_may_be_a_month_has_a_caveat(tmp_path: Path) -> None:
     assert "# caveat: dates like '12/05/2024 09:00:00.000' are read with the day first" in text
 
 
-def test_days_of_excel_from_1904(tmp_path: Path) -> None:
+def test_days_of_excel_counted_from_1904_are_read(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     source.write_text(table("Date", lambda t: f"{t.timestamp() / 86400.0 + 24107.0:.9f}"))
     text = guess_map(source).text
@@ -107,7 +107,7 @@ def test_days_of_excel_from_1904(tmp_path: Path) -> None:
     ("end", "header_end", "encoding"),
     [(";", ";", "utf-8-sig"), (";", "", "utf-8"), ("", ";", "utf-8"), (";", ";", "utf-16"), ("\r", "\r", "cp1252")],
 )
-def test_separators_at_the_end_and_encodings(tmp_path: Path, end: str, header_end: str, encoding: str) -> None:
+def test_trailing_separators_and_encodings_are_read(tmp_path: Path, end: str, header_end: str, encoding: str) -> None:
     text = table("Zeit", lambda t: f"{t:%d.%m.%Y %H:%M:%S}{ms(t, ',')}", ";", ",", end, header_end)
     _, x, _ = imported(tmp_path, text, encoding)
     np.testing.assert_allclose(x, VALUES[:, 2], atol=1e-4)
@@ -123,7 +123,7 @@ def test_a_units_row_gives_the_units(tmp_path: Path) -> None:
     np.testing.assert_allclose(x, 0.01 * VALUES[:, 2], atol=1e-5)
 
 
-def test_the_header_again_and_comments_are_no_rows(tmp_path: Path) -> None:
+def test_repeated_headers_and_comments_are_not_rows(tmp_path: Path) -> None:
     lines = table("time", lambda t: f"{(t - START).total_seconds():.1f}").splitlines()
     lines[100:100] = ["# restarted", lines[0]]
     t, _, _ = imported(tmp_path, "\n".join(lines) + "\n")
@@ -139,7 +139,7 @@ def test_a_first_column_of_names_does_not_end_the_guess(tmp_path: Path) -> None:
 
 
 def stepped(sign: int, step: datetime) -> str:
-    """A table of local times from 10 s before a step of the clock by one hour; ``step`` is what it steps to."""
+    """Return a table of local times that starts 10 s before a change of the clock by one hour to ``step``."""
     changed = START + timedelta(seconds=10)
     before = step - timedelta(hours=sign)
     return table(
@@ -158,13 +158,13 @@ def test_local_times_over_a_change_of_the_clock_are_even(tmp_path: Path, sign: i
 
 
 @pytest.mark.parametrize("step", ["2024-05-12 03:00", "2024-03-30 03:00", "2024-03-31 14:00", "2024-03-31 03:20"])
-def test_a_step_of_an_hour_at_another_time_stays(tmp_path: Path, step: str) -> None:
+def test_a_step_of_an_hour_at_another_time_is_kept(tmp_path: Path, step: str) -> None:
     with pytest.warns(SeatrialWarning, match=r"times step by \+1 h at row 101, .*: the times are kept"):
         t, _, _ = imported(tmp_path, stepped(1, datetime.fromisoformat(step)))
     assert t[100] - t[99] == pytest.approx(3600.1, abs=1e-3)
 
 
-def test_a_comma_as_delimiter_and_decimal_mark_is_told(tmp_path: Path) -> None:
+def test_a_comma_as_delimiter_and_decimal_mark_is_reported(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     rows = table("time", lambda t: f"{(t - START).total_seconds():.1f}".replace(".", ","), ";", ",").replace(";", ",")
     source.write_text(rows)
@@ -172,7 +172,7 @@ def test_a_comma_as_delimiter_and_decimal_mark_is_told(tmp_path: Path) -> None:
         guess_map(source)
 
 
-def test_a_unit_of_time_that_cannot_be_is_not_taken(tmp_path: Path) -> None:
+def test_an_impossible_unit_of_time_is_ignored(tmp_path: Path) -> None:
     t, _, text = imported(tmp_path, table("tow(msec)", lambda t: f"{345600 + (t - START).total_seconds():.3f}"))
     assert 'format = "s"' in text
     assert "although the name has ms" in text
@@ -184,7 +184,7 @@ def elapsed(time: datetime) -> str:
 
 
 def with_cells(row: int, column: int, *texts: str) -> str:
-    """The plain table with texts in one column, from a row on."""
+    """Return the plain table with texts in one column from a row on."""
     lines = table("time", elapsed).splitlines()
     for k, text in enumerate(texts):
         cells = lines[row + k].split(",")
@@ -193,12 +193,12 @@ def with_cells(row: int, column: int, *texts: str) -> str:
 
 
 def quoted(text: str) -> str:
-    """Each cell of a table with semicolons in quotes, with commas between them."""
+    """Return a table with commas in which each cell of a semicolon table is quoted."""
     return "\n".join('"' + '","'.join(line.split(";")) + '"' for line in text.splitlines()) + "\n"
 
 
 def campbell() -> str:
-    """A file of a Campbell logger, TOA5: station, names, units, kinds of values."""
+    """Return a file of a Campbell logger (TOA5): station, names, units, kinds of values."""
     rows = table("TIMESTAMP", lambda t: f'"{t:%Y-%m-%d %H:%M:%S}.{t.microsecond // 100000}"').splitlines()
     names = [name.partition(" ")[0] for name in rows[0].split(",")]
     head = [
@@ -226,9 +226,9 @@ AIM = "\n".join(
     ]
 )
 TWO_LINES = PLAIN.replace("yaw [rad]", '"yaw\n[rad]"').replace("yaw_rate [rad/s]", '"yaw rate\n[rad/s]"')
-LABVIEW_S = 2_082_844_800  # from 1904 to 1970
+LABVIEW_S = 2_082_844_800  # offset from 1904 to 1970
 GPS_S, LEAP_S = 315_964_800, 18
-# Table -> time of its first row [s since 1970], rows that it lacks
+# Table -> time of its first row [s since 1970], number of rows that are left out
 DIALECTS: dict[str, tuple[str, float, int]] = {
     "pipes": (PLAIN.replace(",", "|"), 0.0, 0),
     "a short line": ("\n".join([HEADER, *ROWS[:50], "5.0,0.1,0.2", *ROWS[51:]]) + "\n", 0.0, 1),
@@ -314,7 +314,7 @@ DIALECTS: dict[str, tuple[str, float, int]] = {
 
 @pytest.mark.filterwarnings("ignore::seatrial.daq.errors.SeatrialWarning")
 @pytest.mark.parametrize(("text", "start", "lacks"), DIALECTS.values(), ids=DIALECTS)
-def test_a_dialect(tmp_path: Path, text: str, start: float, lacks: int) -> None:
+def test_a_dialect_of_text_tables_is_read(tmp_path: Path, text: str, start: float, lacks: int) -> None:
     t, x, _ = imported(tmp_path, text)
     assert len(t) == N - lacks
     assert t[0] == pytest.approx(start, abs=2e-3)
@@ -323,7 +323,7 @@ def test_a_dialect(tmp_path: Path, text: str, start: float, lacks: int) -> None:
     np.testing.assert_allclose(x, VALUES[k, 2], atol=1e-4)
 
 
-# Table -> what is said of it
+# Table -> warning
 SAID = {
     "short": (DIALECTS["a short line"][0], r"1 line left out; the first, line 52, has 3 cells, but the header has 7$"),
     "cut": (DIALECTS["a last line that is cut"][0], r"line 201, the last, is cut off and left out$"),
@@ -332,9 +332,9 @@ SAID = {
 }
 
 
-@pytest.mark.parametrize(("text", "said"), SAID.values(), ids=SAID)
-def test_what_is_left_out_is_counted(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.warns(SeatrialWarning, match=said):
+@pytest.mark.parametrize(("text", "message"), SAID.values(), ids=SAID)
+def test_rows_and_cells_that_are_left_out_are_counted(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.warns(SeatrialWarning, match=message):
         imported(tmp_path, text)
 
 
@@ -364,12 +364,12 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("text", "line"), REFUSED.values(), ids=REFUSED)
-def test_what_cannot_be_read_is_refused(tmp_path: Path, text: str, line: str) -> None:
+def test_an_unreadable_table_is_refused(tmp_path: Path, text: str, line: str) -> None:
     with pytest.raises(SeatrialError, match=line):
         imported(tmp_path, text)
 
 
-def test_a_name_that_stands_twice_is_told(tmp_path: Path) -> None:
+def test_a_duplicate_column_name_is_reported(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     source.write_text("\n".join([f"{HEADER},x", *(f"{row},1" for row in ROWS)]) + "\n")
     assert "# caveat: column 'x' is 2 times in the header: name the columns in the map" in guess_map(source).text

@@ -1,4 +1,4 @@
-"""PX4's logs, written here by their specification: attitude, fixes, signals and times."""
+"""Tests of the import of PX4 logs, written here by their specification: attitude, fixes, signals and times."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from seatrial.daq.samples import Scalar
 from tests.daq.ulog_files import Topic, message, needs_pyulog, write_ulog
 
 UTC = 1_700_000_000.0
-BOOT = 5.0  # s on the autopilot's clock at its first message
+BOOT = 5.0  # time of the first message on the autopilot's clock [s]
 N = 30
 FORMATS = {
     "vehicle_attitude": ("float[4] q", "4f"),
@@ -36,7 +36,7 @@ FORMATS = {
 
 
 def flight(path: Path) -> None:
-    """Attitude, rates, fixes and a battery at 10 Hz."""
+    """Write attitude, rates, fixes and a battery at 10 Hz."""
     t, yaw, k = BOOT + 0.1 * np.arange(N), 1.0, np.arange(N)
     one, zero = np.ones(N), np.zeros(N)
     fixes = (1e6 * (UTC + 0.1 * k), 41.0 * one, -8.0 * one, 3.0 * one, 0.5 * one, 0.25 * one, 0.125 * one, 0.9 * one)
@@ -50,7 +50,7 @@ def flight(path: Path) -> None:
 
 
 @needs_pyulog
-def test_a_px4_log_goes_through_its_own_guess(tmp_path: Path) -> None:
+def test_a_px4_log_is_imported_by_its_guess(tmp_path: Path) -> None:
     flight(tmp_path / "flight.ulg")
     guess = guess_map(tmp_path / "flight.ulg")
     assert "no commands" in guess.problem
@@ -75,15 +75,15 @@ def test_a_topic_without_times_is_left_out(tmp_path: Path) -> None:
 
 
 @needs_pyulog
-def test_a_file_in_which_the_reader_goes_back_for_ever_is_one_line(tmp_path: Path) -> None:
+def test_a_file_that_makes_the_reader_loop_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "loop.ulg"
-    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffD" * 30_000)  # the last ones end beyond the file
+    path.write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8) + b"\xff\xffD" * 30_000)  # the last formats end beyond the file
     with pytest.raises(SeatrialError, match="too much of the file is damaged"):
         guess_map(path)
 
 
 @needs_pyulog
-def test_a_file_that_is_damaged(tmp_path: Path) -> None:
+def test_a_damaged_ulog_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "x.ulg").write_bytes(b"ULog\x01\x12\x35")
     with pytest.raises(SeatrialError, match=r"x\.ulg: cannot be read as a PX4 log"):
         guess_map(tmp_path / "x.ulg")
@@ -96,7 +96,7 @@ def test_without_its_library_it_is_one_line(tmp_path: Path, monkeypatch: pytest.
         guess_map(tmp_path / "flight.ulg")
 
 
-def test_a_torn_record_costs_only_itself() -> None:
+def test_a_torn_record_loses_only_itself() -> None:
     def record(kind: bytes, data: bytes) -> bytes:
         return struct.pack("<HB", len(data), kind[0]) + data
 
@@ -107,18 +107,18 @@ def test_a_torn_record_costs_only_itself() -> None:
     head += record(b"F", b"speed:uint64_t timestamp;float v;") + record(b"A", b"\0" + struct.pack("<H", 0) + b"speed")
     samples = [sample(k) for k in range(400)]
     assert whole_records(head + b"".join(samples)) == (None, 0)
-    # The log goes on in the middle of another record: bytes of a block are lost.
+    # The log continues in the middle of another record, because bytes of a block are lost.
     torn = head + b"".join(samples[:100]) + samples[100][:9] + samples[200][5:] + b"".join(samples[201:])
     found, n_torn = whole_records(torn)
     assert n_torn == 1
     assert found == head + b"".join(samples[:100] + samples[201:])
     hole = head + b"".join(samples[:100]) + bytes(512) + b"".join(samples[150:])
-    # Nothing tells whether the record in front of the hole is whole: it is left out.
+    # It is unknown whether the record before the hole is whole, so it is left out.
     assert whole_records(hole) == (head + b"".join(samples[:99] + samples[150:]), 1)
-    assert whole_records(head + b"".join(samples)[:-7]) == (None, 0)  # cut off: no record is wrong
+    assert whole_records(head + b"".join(samples)[:-7]) == (None, 0)  # cut off: each remaining record is valid
 
 
-def test_a_torn_log_says_so(tmp_path: Path) -> None:
+def test_a_torn_log_is_reported(tmp_path: Path) -> None:
     flight(tmp_path / "run.ulg")
     whole = (tmp_path / "run.ulg").read_bytes()
     n = len(whole) // 2
@@ -131,7 +131,7 @@ def test_a_torn_log_says_so(tmp_path: Path) -> None:
 @needs_pyulog
 @pytest.mark.parametrize("kind", ["nested", "wide", "in itself"])
 def test_formats_that_multiply_are_refused_at_once(tmp_path: Path, kind: str) -> None:
-    """Some kilobytes of formats took gigabytes and minutes."""
+    """Some kilobytes of such formats took gigabytes and minutes in an earlier version."""
     formats = {
         "nested": [*(f"a{k}:a{k + 1}[250] x;" for k in range(9)), "a9:float[250] x;"],
         "wide": ["a0:uint64_t timestamp;" + "".join(f"float[99] f{k};" for k in range(3000))],

@@ -1,4 +1,4 @@
-"""Cut, damaged and hostile files: a log with what is whole in it, or one line."""
+"""Tests of truncated, damaged and hostile files: a log with the intact content, or an error of one line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.daq.logs import N_ROUNDS, T0, is_prefix, recorder, tables
 
 
 @pytest.mark.parametrize("n_cuts", [25, pytest.param(60, marks=pytest.mark.study)])
-def test_cut_anywhere(whole: Path, tmp_path: Path, n_cuts: int) -> None:
+def test_a_log_truncated_anywhere_keeps_its_beginning(whole: Path, tmp_path: Path, n_cuts: int) -> None:
     data, everything = whole.read_bytes(), tables(open_log(whole))
     rng = random.Random(1)
     before = 0
@@ -34,7 +34,7 @@ def test_cut_anywhere(whole: Path, tmp_path: Path, n_cuts: int) -> None:
             assert log.warnings or log.complete
             assert is_prefix(tables(log), everything)
             n = sum(log.counts.values())
-        assert n >= before  # a longer file never gives less
+        assert n >= before  # a longer file never gives fewer samples
         before = n
     assert before == sum(len(rows) for rows in everything.values()) + sum(
         n
@@ -44,8 +44,8 @@ def test_cut_anywhere(whole: Path, tmp_path: Path, n_cuts: int) -> None:
 
 
 @pytest.mark.parametrize("n_all", [50, pytest.param(150, marks=pytest.mark.study)])
-def test_one_wrong_bit_anywhere(whole: Path, tmp_path: Path, n_all: int) -> None:
-    """A flipped bit ends in one line, or in rows that were written: never in a wrong number or a traceback."""
+def test_one_flipped_bit_causes_no_wrong_number(whole: Path, tmp_path: Path, n_all: int) -> None:
+    """A flipped bit causes one line, or correct rows. It never causes a wrong number or a traceback."""
     data, everything = whole.read_bytes(), tables(open_log(whole))
     rng = random.Random(2)
     n_read = 0
@@ -61,13 +61,13 @@ def test_one_wrong_bit_anywhere(whole: Path, tmp_path: Path, n_all: int) -> None
         n_read += 1
         for name, rows in found.items():
             known = {repr(row) for row in everything[name]}
-            # a sample may lose its companion (device time, field), which stood in the chunk before
+            # a sample may lose a companion message (device time, field) in the chunk before
             assert all(repr(row) in known for row in rows), (at, name)
     assert n_read > 0.9 * n_all
 
 
 @pytest.mark.parametrize("n_trials", [60, pytest.param(160, marks=pytest.mark.study)])
-def test_any_damage_is_one_line_or_a_log(whole: Path, tmp_path: Path, n_trials: int) -> None:
+def test_random_damage_is_one_line_or_a_readable_log(whole: Path, tmp_path: Path, n_trials: int) -> None:
     data, path, everything = whole.read_bytes(), tmp_path / "damaged.mcap", repr(tables(open_log(whole)))
     rng = random.Random(3)
     for k in range(n_trials):
@@ -88,11 +88,11 @@ def test_any_damage_is_one_line_or_a_log(whole: Path, tmp_path: Path, n_trials: 
                 _ = log.rig
         except SeatrialError as error:
             lines = [str(error)]
-        assert lines or found == everything, (k, at)  # what is only there a second time may be damaged in silence
+        assert lines or found == everything, (k, at)  # damage to data that the file contains twice may go unreported
         assert not any("\n" in line for line in lines)
 
 
-def test_a_damaged_chunk_costs_only_itself(whole: Path, tmp_path: Path) -> None:
+def test_a_damaged_chunk_loses_only_itself(whole: Path, tmp_path: Path) -> None:
     raw = RawLog(whole)
     at = raw._chunks[N_ROUNDS // 2]
     data = bytearray(whole.read_bytes())
@@ -103,7 +103,7 @@ def test_a_damaged_chunk_costs_only_itself(whole: Path, tmp_path: Path) -> None:
     assert [("damaged and left out" in warning) for warning in log.warnings] == [True]
 
 
-def test_a_wrong_length_costs_only_its_chunk(whole: Path, tmp_path: Path) -> None:
+def test_a_wrong_length_loses_only_its_chunk(whole: Path, tmp_path: Path) -> None:
     record = int(RawLog(whole)._chunks[N_ROUNDS // 2]["at"])
     data = bytearray(whole.read_bytes())
     for wrong in (2**50, 0):
@@ -137,7 +137,7 @@ def test_part_of_a_cut_chunk_is_used(tmp_path: Path) -> None:
     [b"", b"\x89MCA", b"PK\x03\x04" * 100, b"time,x\n1,2\n", b"\0" * 4096],
     ids=["0", "4", "zip", "csv", "zeros"],
 )
-def test_no_log_at_all(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_log_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "what.mcap"
     path.write_bytes(content)
     with pytest.raises(SeatrialError, match=r"what\.mcap: (not an MCAP log|the file is empty)"):
@@ -169,7 +169,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_lengths_cost_no_memory(whole: Path, tmp_path: Path, name: str) -> None:
+def test_hostile_lengths_take_no_memory(whole: Path, tmp_path: Path, name: str) -> None:
     import resource
 
     data = whole.read_bytes()
@@ -178,13 +178,16 @@ def test_hostile_lengths_cost_no_memory(whole: Path, tmp_path: Path, name: str) 
     path.write_bytes(data[:end] + HOSTILE[name] + data[end:])
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     log = open_log(path)
-    assert repr(tables(log)) == repr(tables(open_log(whole)))  # what is whole is found again behind it
+    assert repr(tables(log)) == repr(tables(open_log(whole)))  # the intact part after the damage is found again
     assert log.complete
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 150_000  # kB
 
 
-def test_a_bomb_of_small_messages_costs_no_memory(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some kilobytes that claim thirty million messages: what such a file can hold is read, the rest is left out."""
+def test_a_bomb_of_small_messages_takes_no_memory(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file of some kilobytes declares thirty million messages.
+
+    Messages up to the limit are read, and the rest is left out.
+    """
     import resource
 
     monkeypatch.setattr("seatrial.daq.log.mcap_reader.FEW_MESSAGES", 200_000)
@@ -198,4 +201,4 @@ def test_a_bomb_of_small_messages_costs_no_memory(whole: Path, tmp_path: Path, m
     with open_log(path) as log:
         assert any("than a real log of its size has" in warning for warning in log.warnings)
         assert repr(tables(log)) == repr(tables(open_log(whole)))
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB; all of them need 1.4 GB
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # kB; all messages would need 1.4 GB

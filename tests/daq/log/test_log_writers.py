@@ -1,4 +1,4 @@
-"""Logs that another program has written: its compression and index, and messages that are none."""
+"""Tests of logs from other programs: their compression and index, and invalid messages."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ T = 1.7e9
 
 
 def write_with(path: Path, **options: object) -> None:
-    """A log by mcap's own writer: 5 scalars."""
+    """Write a log of 5 scalars with mcap's own writer."""
     with path.open("wb") as file:
         writer = Writer(file, **options)  # type: ignore[arg-type]
         writer.start(profile="ros2")
@@ -29,7 +29,7 @@ def write_with(path: Path, **options: object) -> None:
         )
         for i in range(5):
             stamp = (10 + i) * 10**9
-            # frame ids of two lengths on one channel, as a foreign program might write
+            # frame ids of two lengths on one channel, which another program might write
             data = cdr_layout(name, b"ab" if i % 2 else b"abcdefghijk").pack(stamp, 1.0, 2.0, float(i))
             writer.add_message(channel, stamp, data, stamp)
         writer.finish()
@@ -46,7 +46,7 @@ def write_with(path: Path, **options: object) -> None:
     ],
     ids=["unchunked", "plain", "lz4", "zstd", "no index"],
 )
-def test_files_of_other_writers(tmp_path: Path, options: dict[str, object]) -> None:
+def test_logs_of_other_writers_are_read(tmp_path: Path, options: dict[str, object]) -> None:
     if "index_types" in options:
         from mcap.writer import IndexType
 
@@ -60,7 +60,7 @@ def test_files_of_other_writers(tmp_path: Path, options: dict[str, object]) -> N
     assert log.rig is None
 
 
-def test_a_log_of_before_the_speed_has_that_of_the_velocity(tmp_path: Path) -> None:
+def test_a_log_without_a_speed_field_gets_the_speed_of_its_velocity(tmp_path: Path) -> None:
     name, added = schema.TYPES[Gnss], schema.ADDED[schema.TYPES[Gnss]]
     now = full_definition(name)
     before = "".join(line for line in now.splitlines(True) if not any(f" {field} " in line for field in added))
@@ -99,7 +99,7 @@ def break_messages(data: bytes) -> bytes:
         (lambda data: data[:12] + b"\0\0\0\0" + data[16:], "is not a valid seatrial_msgs/msg/Scalar"),
     ],
 )
-def test_messages_that_are_none(tmp_path: Path, change: Callable[[bytes], bytes], line: str) -> None:
+def test_invalid_messages_are_refused(tmp_path: Path, change: Callable[[bytes], bytes], line: str) -> None:
     path = tmp_path / "odd.mcap"
     name = schema.TYPES[Scalar]
     with path.open("wb") as file:
@@ -113,7 +113,7 @@ def test_messages_that_are_none(tmp_path: Path, change: Callable[[bytes], bytes]
         open_log(path).table(Scalar, "x")
 
 
-def test_a_topic_of_another_type(tmp_path: Path) -> None:
+def test_a_topic_of_another_type_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "odd.mcap"
     with path.open("wb") as file:
         writer = Writer(file)

@@ -1,4 +1,4 @@
-"""Our writer of records beside mcap's own: the same calls give the same bytes."""
+"""Tests of our record writer against mcap's own writer: the same calls give the same bytes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ CHUNK_BYTES = 4096
 
 
 def some_messages(count: int, seed: int) -> list[Message]:
-    """Messages of three channels, of any length, their times out of order; the first ones in the channels' order."""
+    """Return messages of three channels with any length and unordered times.
+
+    The first messages come in the order of the channels.
+    """
     rng = random.Random(seed)
     channels = [1, 2, 3, *rng.choices((1, 2, 3), k=count - 3)]
     return [
@@ -29,7 +32,7 @@ def some_messages(count: int, seed: int) -> list[Message]:
 
 
 def write(writer: Any, parts: list[list[Message]]) -> None:
-    """The same calls for ours and mcap's own: a flush behind each part."""
+    """Make the same calls on our writer or mcap's writer, with a flush after each part."""
     writer.add_metadata("about", {"boat": "medusa", "operator": "Ada"})
     writer.add_attachment(5, 6, "rig.toml", "application/toml", b"name = 1\n")
     schemas = [writer.register_schema(f"test/msg/{name}", "ros2msg", b"float64 x") for name in "AB"]
@@ -43,14 +46,14 @@ def write(writer: Any, parts: list[list[Message]]) -> None:
 
 
 def write_ours(parts: list[list[Message]]) -> bytes:
-    """A file by us."""
+    """Write a file with our writer."""
     stream = BytesIO()
     write(RecordWriter(stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial"), parts)
     return stream.getvalue()
 
 
 def write_theirs(parts: list[list[Message]]) -> bytes:
-    """The same by mcap's own writer."""
+    """Write the same file with mcap's own writer."""
     stream = BytesIO()
     writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
     writer.start(profile="ros2", library="seatrial")
@@ -58,8 +61,8 @@ def write_theirs(parts: list[list[Message]]) -> bytes:
     return stream.getvalue()
 
 
-def test_the_bytes_are_those_of_mcaps_own_writer() -> None:
-    # The first message of a chunk's channels comes in their order, as mcap writes its indexes in that of appearance.
+def test_the_bytes_equal_those_of_mcaps_own_writer() -> None:
+    # mcap writes its indexes in the order of appearance, so the first messages come in the order of the channels.
     parts = [some_messages(3, seed=0), some_messages(9, seed=1)]
     ours = write_ours(parts)
     assert ours == write_theirs(parts)
@@ -86,7 +89,7 @@ def test_every_message_is_found_by_index_and_by_time() -> None:
     assert all(index.uncompressed_size < CHUNK_BYTES + 600 for index in summary.chunk_indexes)
 
 
-def test_a_file_without_a_message_opens(tmp_path: Path) -> None:
+def test_a_file_without_messages_can_be_opened(tmp_path: Path) -> None:
     path = tmp_path / "none.mcap"
     path.write_bytes(write_ours([]))
     summary = make_reader(BytesIO(path.read_bytes()), validate_crcs=True).get_summary()
@@ -97,7 +100,7 @@ def test_a_file_without_a_message_opens(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cut", [0.3, 0.6, 0.95])
-def test_what_is_cut_off_costs_its_chunk_alone(tmp_path: Path, cut: float) -> None:
+def test_a_truncated_chunk_loses_only_itself(tmp_path: Path, cut: float) -> None:
     messages = some_messages(300, seed=4)
     data = write_ours([messages])
     path = tmp_path / "cut.mcap"
@@ -109,7 +112,7 @@ def test_what_is_cut_off_costs_its_chunk_alone(tmp_path: Path, cut: float) -> No
     assert cut * 300 - n_whole < 60
 
 
-def test_a_stream_that_fails_is_heard_of() -> None:
+def test_an_error_of_the_stream_is_raised() -> None:
     class Full(BytesIO):
         def write(self, data: object, /) -> int:
             if self.tell() > 100:

@@ -1,4 +1,4 @@
-"""The computer loses its power: a disk that forgets what was not synced, and what of the log is still there."""
+"""Tests of a log after a power loss: a disk drops data that was not synced, and the rest of the log is readable."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ SECTOR, PERIOD = 512, 0.02
 
 
 class ForgetfulDisk:
-    """`os` below the writer, which also keeps of each file what a disk surely has: what was synced.
+    """Replacement of `os` in the writer that records the synced content of each file.
 
-    A name is there once its folder was synced; of what was written since the last sync any sectors may be.
+    A file name persists once its folder was synced. Any sectors of the data written since the last sync may persist.
     """
 
     def __init__(self) -> None:
-        self._names: dict[int, Path] = {}  # by file descriptor
+        self._names: dict[int, Path] = {}  # keys are file descriptors
         self._synced: dict[Path, bytes] = {}
         self._named: set[Path] = set()
 
@@ -50,9 +50,9 @@ class ForgetfulDisk:
             self._synced[path] = path.read_bytes()
 
     def after_power_loss(self, folder: Path, rng: random.Random) -> None:
-        """Write what is left of every file into `folder`."""
+        """Write the remaining content of every file into `folder`."""
         for path in self._named:
-            if not path.exists():  # a file without a name, or a segment that was deleted
+            if not path.exists():  # a file whose name was not synced, or a deleted segment
                 continue
             new, old = path.read_bytes(), self._synced[path]
             size = rng.randint(len(old), max(len(old), len(new)))
@@ -64,7 +64,7 @@ class ForgetfulDisk:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_a_loss_of_power_costs_what_came_since_the_last_sync(
+def test_a_power_loss_loses_only_data_since_the_last_sync(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     rng, now = random.Random(seed), [0.0]
@@ -77,7 +77,7 @@ def test_a_loss_of_power_costs_what_came_since_the_last_sync(
         monkeypatch.setattr("seatrial.daq.log.record_stream.os", disk)
         segments = Segments(seconds=2.0)
         log = Recorder(before / "run.mcap", rig=replace(rig(), segments=segments), clock=StoppedClock())
-        n = rng.randrange(60, 400)  # beyond the first sync: before it there may be no file
+        n = rng.randrange(60, 400)  # after the first sync; before it there may be no file
         for i in range(n):
             now[0] += PERIOD
             t = T0 + i * PERIOD
@@ -91,5 +91,5 @@ def test_a_loss_of_power_costs_what_came_since_the_last_sync(
                 kept = opened.table(Ahrs, "ahrs")["r"].tolist()
         assert kept == sorted(set(kept))
         assert set(kept) <= set(range(n))
-        whole = next((i for i in range(n) if i >= len(kept) or kept[i] != i), n)  # up to here nothing is missing
+        whole = next((i for i in range(n) if i >= len(kept) or kept[i] != i), n)  # no sample up to this time is missing
         assert (n - whole) * PERIOD <= SYNC_S + FLUSH_S + 2 * PERIOD

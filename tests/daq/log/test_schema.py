@@ -1,3 +1,5 @@
+"""Tests of the message schemas: standard types, encoding and decoding of every sample."""
+
 from __future__ import annotations
 
 import math
@@ -24,7 +26,7 @@ STANDARD = [schema.IMU, schema.MAG, schema.FIX, schema.TWIST, schema.WRENCH]
 def test_standard_types_are_the_standard_ones(type_name: str) -> None:
     theirs = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(type_name, ros_version=2)[0]
 
-    def blocks(text: str) -> list[list[str]]:  # the type itself, then what it needs, in any order
+    def blocks(text: str) -> list[list[str]]:  # the type itself, and the types that it needs in any order
         first, *rest = (block.split() for block in text.split("=" * 80))
         return [first, *sorted(rest)]
 
@@ -44,7 +46,7 @@ def test_every_message_reads_back_in_rosbags(tmp_path: Path) -> None:
     with AnyReader([path]) as reader:
         for connection, log_ns, data in reader.messages():
             message = reader.deserialize(data, connection.msgtype)
-            # Their serialiser, fed with what their deserialiser understood, must give our bytes again.
+            # Their serialiser must turn the result of their deserialiser into our bytes again.
             again = bytes(reader.typestore.serialize_cdr(message, connection.msgtype))
             assert again[: len(data)] == bytes(data)
             assert not any(again[len(data) :])
@@ -100,7 +102,7 @@ angle = st.floats(-math.pi, math.pi)
 
 
 @given(yaw=angle, pitch=st.floats(-1.57, 1.57), roll=angle)
-def test_quaternion_and_angles(yaw: float, pitch: float, roll: float) -> None:
+def test_quaternion_and_angles_are_converted_both_ways(yaw: float, pitch: float, roll: float) -> None:
     q = schema.quaternion(yaw, pitch, roll)
     assert math.hypot(*q) == pytest.approx(1.0)
     found = schema.angles(*(np.array([part]) for part in q))
@@ -110,17 +112,17 @@ def test_quaternion_and_angles(yaw: float, pitch: float, roll: float) -> None:
         assert abs(difference) < tolerance
 
 
-def test_quaternion_turns_body_to_ned() -> None:
+def test_quaternion_rotates_body_to_ned() -> None:
     x, y, z, w = schema.quaternion(math.pi / 2, 0.0, 0.0)  # bow to the east
     bow = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
     np.testing.assert_allclose(bow, [0.0, 1.0, 0.0], atol=1e-15)
-    x, y, z, w = schema.quaternion(0.0, math.pi / 6, 0.0)  # bow up: down component negative
+    x, y, z, w = schema.quaternion(0.0, math.pi / 6, 0.0)  # bow raised, so the down component is negative
     assert 2 * (x * z - w * y) == pytest.approx(-0.5)
 
 
 @settings(max_examples=40, deadline=None)
 @given(frame_id=st.text(st.characters(codec="ascii", min_codepoint=33), max_size=12), value=st.floats())
-def test_layout_packs_what_its_dtype_reads(frame_id: str, value: float) -> None:
+def test_packed_messages_are_read_by_the_dtype_of_the_layout(frame_id: str, value: float) -> None:
     found = cdr_layout(schema.TYPES[Scalar], frame_id.encode())
     data = found.pack(1_234_567_890_123_456_789, 1.5, 2.5, value)
     assert len(data) == found.dtype.itemsize
@@ -129,13 +131,13 @@ def test_layout_packs_what_its_dtype_reads(frame_id: str, value: float) -> None:
     np.testing.assert_equal(float(row["value"]), value)
 
 
-def test_a_text_may_hold_anything(tmp_path: Path) -> None:
+def test_a_text_may_contain_any_characters(tmp_path: Path) -> None:
     log = recorder(tmp_path / "a.mcap")
     log.event(T0, "mark", "a\0b \udc80 \N{WAVE DASH}\n")
     log.close()
     assert open_log(tmp_path / "a.mcap").events() == [(T0, "mark", "ab ? \N{WAVE DASH}\n")]
 
 
-def test_not_a_measurement() -> None:
+def test_a_port_state_is_not_a_measurement() -> None:
     with pytest.raises(TypeError, match="PortHealth is not a measurement"):
         list(schema.messages("x", Frame(HEALTH, 0.0, 0.0)))

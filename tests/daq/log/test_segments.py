@@ -1,4 +1,4 @@
-"""A log in several files: by size, by time, and where the disk was full for a while; read as one."""
+"""Tests of a log in several files: split by size, by time, or after a full disk, and read as one log."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_segments_by_time_are_read_as_one_log(tmp_path: Path) -> None:
         assert opened.complete
         assert opened.warnings == []
         assert opened.duration == pytest.approx(35.0)
-    for part in tmp_path.iterdir():  # each is a whole log of its own
+    for part in tmp_path.iterdir():  # each segment is a complete log
         with AnyReader([part]) as reader:
             assert sum(1 for _ in reader.messages()) > 0
         with part.open("rb") as file:
@@ -85,7 +85,7 @@ def test_segments_by_size(tmp_path: Path) -> None:
         assert log.size == sum(sizes)
 
 
-def test_a_killed_last_segment_and_a_missing_one(tmp_path: Path) -> None:
+def test_a_killed_last_segment_and_a_missing_segment_are_reported(tmp_path: Path) -> None:
     log = segmented(tmp_path / "run.mcap", seconds=10.0)
     write(log, 350)
     log.close()
@@ -100,7 +100,7 @@ def test_a_killed_last_segment_and_a_missing_one(tmp_path: Path) -> None:
     assert yaw[-1] == pytest.approx(0.349)
 
 
-def test_a_file_of_another_run_is_left_out_and_said(tmp_path: Path) -> None:
+def test_a_segment_of_another_run_is_left_out_and_reported(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         log = Recorder(tmp_path / folder / "run.mcap", rig=rig(), clock=RunClock() if folder == "b" else StoppedClock())
         log.event(T0, "mark", folder)
@@ -113,7 +113,7 @@ def test_a_file_of_another_run_is_left_out_and_said(tmp_path: Path) -> None:
         assert len(opened.warnings) == 2
 
 
-def test_a_name_that_is_taken_is_passed_over(tmp_path: Path) -> None:
+def test_an_existing_segment_file_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "run.1.mcap").write_bytes(b"dear to me")
     log = segmented(tmp_path / "run.mcap", seconds=10.0)
     write(log, 150)
@@ -123,7 +123,7 @@ def test_a_name_that_is_taken_is_passed_over(tmp_path: Path) -> None:
         assert len(opened.table(Ahrs, "ahrs")) == 150
 
 
-def test_a_log_is_not_begun_on_a_disk_that_is_nearly_full(tmp_path: Path) -> None:
+def test_a_log_is_not_started_on_a_nearly_full_disk(tmp_path: Path) -> None:
     check_room(tmp_path / "new/folder/run.mcap", 0.0)
     with pytest.raises(SeatrialError, match=r"MB free, but the rig requires 1000000000 MB to begin a log"):
         check_room(tmp_path / "new/folder/run.mcap", 1e9)
@@ -137,7 +137,7 @@ def test_a_log_is_not_begun_on_a_disk_that_is_nearly_full(tmp_path: Path) -> Non
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """6 MB, of which a file takes what it is told to."""
+    """Return a mount function for a disk of 6 MB, and skip the test if it cannot be mounted."""
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=6m", "tmpfs", str(disk)]
@@ -149,7 +149,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
-def test_a_full_disk_pauses_the_log_which_goes_on_when_there_is_room(
+def test_a_log_pauses_on_a_full_disk_and_continues_when_space_returns(
     small_disk: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(recorder_module, "RETRY_S", 0.0)
@@ -175,14 +175,14 @@ def test_a_full_disk_pauses_the_log_which_goes_on_when_there_is_room(
     with open_log(small_disk / "run.mcap") as opened:
         assert opened.complete
         assert opened.warnings == []
-        assert [round(t - T0) for t, _, _ in opened.raw("ahrs")] == list(range(k + 1))  # nothing is lost
+        assert [round(t - T0) for t, _, _ in opened.raw("ahrs")] == list(range(k + 1))  # no message is lost
         ((_, kind, text),) = opened.events()
     assert kind == "disk"
     assert "kept 20 messages" in text
     assert "lost" not in text
 
 
-def test_a_log_that_ends_on_a_full_disk_says_what_it_could_not_write(small_disk: Path) -> None:
+def test_a_log_that_ends_on_a_full_disk_reports_the_lost_messages(small_disk: Path) -> None:
     log = segmented(small_disk / "run.mcap", patient=True)
     rng = np.random.default_rng(3)
     while not log.paused:
@@ -193,7 +193,7 @@ def test_a_log_that_ends_on_a_full_disk_says_what_it_could_not_write(small_disk:
 
 
 def fill(path: Path) -> None:
-    """Take all the room there is."""
+    """Fill the disk."""
     with path.open("wb", buffering=0) as hog, contextlib.suppress(OSError):
         while True:
             hog.write(b"x" * 4096)
@@ -208,7 +208,7 @@ def test_the_acquisition_warns_within_a_second_and_goes_on(small_disk: Path, tmp
         with Acquisition(rig, small_disk / "log.mcap", clock=RunClock()) as acquisition:
             wait_for(lambda: acquisition.status().ports["ahrs"].samples > 20, what="samples")
             fill(small_disk / "hog")
-            # The next flush, 0.25 s later at most, meets the full disk.
+            # The next flush, at most 0.25 s later, meets the full disk.
             wait_for(lambda: any("disk is full" in w for w in acquisition.status().warnings), 1.0, "the alarm")
             before = acquisition.status().ports["ahrs"].samples
             wait_for(lambda: acquisition.status().ports["ahrs"].samples > before + 30, what="more samples")
@@ -221,12 +221,12 @@ def test_the_acquisition_warns_within_a_second_and_goes_on(small_disk: Path, tmp
         assert opened.complete
         table = opened.table(Ahrs, "ahrs")
         assert len(table) == final.ports["ahrs"].samples >= last.ports["ahrs"].samples
-        assert np.all(np.diff(np.round(1e3 * table["r"])) == 1)  # the boat counts: none is missing
+        assert np.all(np.diff(np.round(1e3 * table["r"])) == 1)  # the boat numbers its samples: none is missing
         assert [kind for _, kind, _ in opened.events()].count("disk") == 1
         assert len(opened.paths) == 2
 
 
-def test_what_a_watchdog_wrote_of_an_earlier_log_is_not_said_of_a_new_one(tmp_path: Path) -> None:
+def test_the_watchdog_note_of_an_earlier_log_is_not_used_for_a_new_log(tmp_path: Path) -> None:
     path, out = tmp_path / "run.mcap", tmp_path / "whole.mcap"
     note_path(path).write_text("2026-05-01T12:00:00Z watchdog: the acquisition process died\n")
     note_path(out).write_text("2026-05-01T12:00:00Z watchdog: the acquisition process died\n")
@@ -245,7 +245,7 @@ def test_what_a_watchdog_wrote_of_an_earlier_log_is_not_said_of_a_new_one(tmp_pa
     assert note_path(tmp_path / "other.mcap").read_text() == "mine"
 
 
-def test_a_named_pipe_is_no_log_and_no_note(tmp_path: Path) -> None:
+def test_a_named_pipe_is_neither_a_log_nor_a_note(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     os.mkfifo(path)
     with pytest.raises(SeatrialError, match="is not a file"):
@@ -256,9 +256,9 @@ def test_a_named_pipe_is_no_log_and_no_note(tmp_path: Path) -> None:
     open_log(path).close()
 
 
-def test_the_oldest_segments_but_the_first_go_beyond_the_budget(tmp_path: Path) -> None:
+def test_beyond_the_disk_budget_the_oldest_segments_except_the_first_are_deleted(tmp_path: Path) -> None:
     log = segmented(tmp_path / "run.mcap", megabytes=1.0, keep_gigabytes=0.004)
-    (tmp_path / "other.1.mcap").write_bytes(bytes(10_000_000))  # not ours
+    (tmp_path / "other.1.mcap").write_bytes(bytes(10_000_000))  # not a segment of this log
     rng = np.random.default_rng(3)
     largest = 0
     for k in range(300):
@@ -267,7 +267,7 @@ def test_the_oldest_segments_but_the_first_go_beyond_the_budget(tmp_path: Path) 
         on_disk = sum(p.stat().st_size for p in tmp_path.glob("run*.mcap"))
         assert on_disk == log.size or k > 150
         largest = max(largest, on_disk)
-        if k == 150:  # another file in the place of one of them
+        if k == 150:  # another file in place of a segment
             replaced = min(p for p in tmp_path.glob("run.*.mcap") if p != log.path)
             replaced.unlink()
             replaced.write_bytes(b"dear to me")
@@ -288,5 +288,5 @@ def test_the_oldest_segments_but_the_first_go_beyond_the_budget(tmp_path: Path) 
 
 
 def names_of(log: Log) -> range:
-    """The numbers of the segments before the second one that is there."""
+    """Return the numbers of the segments before the second existing segment."""
     return range(int(log.paths[1].stem.rpartition(".")[2]))

@@ -1,4 +1,4 @@
-"""Shaft speed from CAN: any DBC, NMEA 2000, and DroneCAN's esc.Status."""
+"""Tests of shaft speed from CAN: any DBC, NMEA 2000, and DroneCAN's esc.Status."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_short_message_is_counted(database: object) -> None:
     assert counters(decoder) == (0, 0, 16)
 
 
-def test_what_the_dbc_has_not_is_named_with_what_it_has(database: object, tmp_path: Path) -> None:
+def test_a_name_missing_in_the_dbc_is_reported_with_the_existing_names(database: object, tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="no message 'Engine'; there is: Motor, Supply"):
         dbc.Decoder(database, (DbcSignal("Engine", "Speed", "rpm", 1),))
     with pytest.raises(SeatrialError, match="no signal of Motor 'rpm'; there is: Speed, Current, Unit"):
@@ -81,7 +81,7 @@ def test_what_the_dbc_has_not_is_named_with_what_it_has(database: object, tmp_pa
         dbc.load_dbc(str(tmp_path / "bad.dbc"))
 
 
-def test_nmea2000_is_known_by_its_pgn_whoever_sends_it_with_whatever_priority() -> None:
+def test_nmea2000_is_identified_by_its_pgn_for_any_sender_and_priority() -> None:
     decoder = dbc.Decoder(dbc.load_dbc(str(Path(dbc.__file__).with_name("nmea2000.dbc"))), NMEA2000)
     data = bytes((0, 0x40, 0x0C, 0xFF, 0xFF, 0x7F, 0xFF, 0xFF))  # 784 rpm
     (a,) = decoder.feed(pack_can(2 << 26 | 127488 << 8 | 17, data), 1.0)
@@ -93,7 +93,7 @@ def test_nmea2000_is_known_by_its_pgn_whoever_sends_it_with_whatever_priority() 
     assert math.isnan(absent.sample.rpm)
 
 
-# By the dronecan library 1.0.27: esc.Status of node 42 in transfers 0, 1, 2.
+# Written by the dronecan library 1.0.27: esc.Status of node 42 in transfers 0, 1, 2.
 LIBRARY = (
     (0x10040A2A, "79bb000000000d80"), (0x10040A2A, "4c0043d85cd20420"), (0x10040A2A, "0c8040"),
     (0x10040A2A, "ca66070000000081"), (0x10040A2A, "5200bea95ce0b121"), (0x10040A2A, "ff9441"),
@@ -107,21 +107,21 @@ SENT = (
 WIRE = b"".join(pack_can(identifier, bytes.fromhex(data)) for identifier, data in LIBRARY)
 
 
-def test_esc_status_as_the_library_sends_it() -> None:
+def test_esc_status_written_by_the_library_is_read() -> None:
     frames = check_splits(dronecan.Decoder, WIRE)
     assert len(frames) == 3
     for frame, sent in zip(frames, SENT, strict=True):
-        assert is_close(frame.sample, sent, rel=1e-3, tolerance=0.13)  # numbers of 16 bits on the wire
+        assert is_close(frame.sample, sent, rel=1e-3, tolerance=0.13)  # these fields have 16 bits on the wire
 
 
-def test_what_we_send_is_what_the_library_sends() -> None:
+def test_our_frames_equal_those_of_the_library() -> None:
     ours = dronecan.encode(Esc(3, -1234.0, 3.5, voltage=16.2, temperature=310.0 - 273.15), 42, 7)
     library = ("58a7000000000d87", "4c0043d85c2efb27", "c00c47")
     assert [(identifier, data.hex()) for identifier, data in ours] == [(0x10040A2A, data) for data in library]
 
 
 @pytest.mark.parametrize("lost", range(9))
-def test_a_transfer_that_lacks_a_frame_is_counted_and_the_next_one_is_read(lost: int) -> None:
+def test_a_transfer_without_a_frame_is_counted_and_the_next_is_read(lost: int) -> None:
     frames = [WIRE[16 * k : 16 * k + 16] for k in range(9) if k != lost]
     decoder = dronecan.Decoder()
     found = decoder.feed(b"".join(frames), 1.0)
@@ -131,7 +131,7 @@ def test_a_transfer_that_lacks_a_frame_is_counted_and_the_next_one_is_read(lost:
     assert decoder.checksum_errors == 0
 
 
-def test_a_wrong_checksum_of_a_transfer() -> None:
+def test_a_wrong_checksum_of_a_transfer_is_counted() -> None:
     wire = bytearray(WIRE[:48])
     wire[16 + 8 + 2] ^= 1
     decoder = dronecan.Decoder()
@@ -146,7 +146,7 @@ def test_two_nodes_may_be_interleaved() -> None:
     assert [(s.node, s.rpm) for s in found if isinstance(s, Esc)] == [(1, 100.0), (2, 200.0)]
 
 
-def test_codes_in_the_place_of_a_number_are_none(tmp_path: Path) -> None:
+def test_special_codes_in_place_of_a_number_are_not_values(tmp_path: Path) -> None:
     (tmp_path / "j1939.dbc").write_text(
         """VERSION ""
 NS_ :

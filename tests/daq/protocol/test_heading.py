@@ -1,4 +1,4 @@
-"""Headings in NMEA: which sentence is believed, how a magnetic one becomes true, and what is void."""
+"""Tests of NMEA headings: priority of the sentences, true heading from magnetic, and void sentences."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def yaws(*bodies: str, declination: float | None = None) -> list[float]:
     return [round(math.degrees(sample.yaw), 6) for sample in read(*bodies, declination=declination)]
 
 
-def test_true_headings() -> None:
+def test_true_headings_are_read() -> None:
     assert yaws("GPHDT,123.456,T") == [123.456]
     assert yaws("GNTHS,350.00,A") == [-10.0]
     assert yaws("GNTHS,,V", "GNTHS,12.0,V", "GPHDT,,T") == []
 
 
-def test_a_heading_that_its_sender_calls_void_is_none() -> None:
+def test_a_heading_marked_as_void_is_left_out() -> None:
     assert yaws("GPTHS,123.4,") == []  # without a mode
     assert yaws("HEHDT,999.9,T") == []
     assert yaws("PSTI,036,054314.000,030521,191.69,-16.35,0.00,N") == []
@@ -50,15 +50,16 @@ def test_a_magnetic_heading_needs_a_declination() -> None:
     assert yaws("HCHDM,100.0,M", declination=math.radians(-2.5)) == [97.5]
     assert yaws("SDHDG,100.0,1.0,W,2.5,E") == [101.5]
     assert yaws("SDHDG,100.0,,,,", declination=math.radians(3.0)) == [103.0]
-    assert yaws("SDHDG,100.0,,,2.0,E", declination=math.radians(3.0)) == [102.0]  # the device knows better
+    # the device supplies its own declination
+    assert yaws("SDHDG,100.0,,,2.0,E", declination=math.radians(3.0)) == [102.0]
 
 
-def test_the_best_of_several_sentences_is_taken_once_an_epoch() -> None:
+def test_the_best_of_several_sentences_is_used_once_per_epoch() -> None:
     burst = ("GPHDT,10.0,T", "GPHDM,12.0,M", "GPHDG,12.0,,,2.0,W")
     assert yaws(*burst, *burst, declination=0.0) == [10.0, 10.0]
 
 
-def test_attitude_and_rate_of_turn() -> None:
+def test_attitude_and_rate_of_turn_are_added_to_the_heading() -> None:
     attitude, heading = read(
         "PASHR,085335.000,224.19,T,-01.26,+00.83,+00.00,0.101,0.113,0.267,1,0", "PASHR,085336.000,90.0,T,0.0,0.0,0.0"
     )
@@ -67,14 +68,14 @@ def test_attitude_and_rate_of_turn() -> None:
     assert math.degrees(heading.yaw) == pytest.approx(90.0)
     first, second = read("APROT,-60.0,A", "APHDT,10.0,T", "APHDT,10.0,T")
     assert first.r == pytest.approx(math.radians(-1.0))
-    assert math.isnan(second.r)  # it is not said twice
+    assert math.isnan(second.r)  # not repeated
     assert math.isnan(read("APROT,-60.0,V", "APHDT,10.0,T")[0].r)
 
 
-def test_attitude_of_transducers_goes_with_the_next_heading() -> None:
+def test_attitude_of_transducers_is_added_to_the_next_heading() -> None:
     first, second = read("APXDR,A,0.5,D,PTCH,A,-3.5,D,ROLL", "APHDT,10.0,T", "APHDT,11.0,T")
     assert (first.pitch, first.roll) == pytest.approx((math.radians(0.5), math.radians(-3.5)))
-    assert math.isnan(second.pitch)  # it is not said twice
+    assert math.isnan(second.pitch)  # not repeated
     assert math.isnan(read("WIXDR,C,20.1,C,PTCH", "APHDT,10.0,T")[0].pitch)
 
 
@@ -88,7 +89,7 @@ def test_the_attitude_of_two_antennas_has_a_time() -> None:
 
 
 @pytest.mark.parametrize("body", ["APXDR,A,x,D,ROLL", "GPHDT,x,T", "GPHDT,1e3,T", "PASHR,0,1.0,T,x,0", "APROT,?,A"])
-def test_a_field_that_is_no_number_is_no_sentence(body: str) -> None:
+def test_a_sentence_with_a_field_that_is_not_a_number_is_refused(body: str) -> None:
     decoder = nmea.Decoder()
     assert decoder.feed(sentence(body), 5.0) == []
     assert decoder.frames == 0
@@ -110,7 +111,7 @@ def test_headings_of_gpsds_captures(name: str, n: int, low: float, high: float) 
     assert low < min(found) <= max(found) < high
 
 
-def test_a_heading_alone_comes_back_from_the_log_without_pitch_and_roll(tmp_path: Path) -> None:
+def test_a_logged_heading_without_pitch_and_roll_is_read_back(tmp_path: Path) -> None:
     log = recorder(tmp_path / "compass.mcap")
     for sample in (Ahrs(1.25, math.nan, math.nan, r=0.5), Ahrs(1.5, 0.0, 0.0)):
         log.write("compass", Frame(sample, T0, math.nan), T0)

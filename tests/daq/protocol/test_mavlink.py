@@ -1,3 +1,5 @@
+"""Tests of the MAVLink decoder: samples, events, signatures, and damaged streams."""
+
 from __future__ import annotations
 
 import itertools
@@ -23,7 +25,8 @@ OUTPUTS = {
     1: AutopilotOutput(1, (1000, 1500, 2000), (1100, 1500, 1900)),
     3: AutopilotOutput(3, (1000, 1500, 2000), (1000, 1600, 1900)),
 }
-PLUG = bytes(300)  # behind garbage: a header cut short is told from a long frame by what follows
+# garbage comes before: a truncated header is distinguished from a long frame by the bytes that follow
+PLUG = bytes(300)
 
 
 def decoder() -> MavlinkDecoder:
@@ -54,13 +57,13 @@ def test_an_estimator_that_has_lost_its_position_gives_no_fix() -> None:
         found = MavlinkDecoder(Samples(gnss="fused")).feed(stream, 1.0)
         return next(frame.sample.fix for frame in found if isinstance(frame.sample, Gnss))
 
-    assert fix() == 3  # it says nothing of itself
+    assert fix() == 3  # the estimator does not report its state
     assert fix(831) == 3
     assert fix(831, 167) == 0  # dead reckoning, constant-position mode
     assert fix(831, 39) == 0
 
 
-def test_the_checksum_is_pymavlinks() -> None:
+def test_the_checksum_equals_that_of_pymavlink() -> None:
     for text in (b"", b"123456789", bytes(range(256))):
         assert crc16(text) == dialect().x25crc(text).crc
 
@@ -72,16 +75,17 @@ def test_attitude_and_imu_of_one_moment_are_one_sample() -> None:
         before = ("RAW_IMU", 70_111_900, 0, 0, 0, 0, 0, 0, 0, 0, 0)
         found = [f for f in samples(HEARTBEAT, before, *order) if isinstance(f.sample, Ahrs)]
         ((sample, _, t),) = found[-1:]
-        assert len(found) == 2  # and the one before, which no attitude came for
+        assert len(found) == 2  # and the earlier IMU message, for which no attitude came
         assert isinstance(sample, Ahrs)
-        assert t == pytest.approx(70.1315, abs=1e-6)  # cut to whole milliseconds, as the IMU's 70.131936 shows
+        # truncated to whole milliseconds: the time of the IMU is 70.131936
+        assert t == pytest.approx(70.1315, abs=1e-6)
         assert (sample.yaw, sample.pitch, sample.roll) == pytest.approx((3.0, -0.2, 0.1))
         assert (sample.p, sample.q, sample.r) == pytest.approx((0.01, 0.02, 0.03))
         assert (sample.ax, sample.ay, sample.az) == pytest.approx((9.80665, 0.0, -9.80665))
         assert (sample.mx, sample.my, sample.mz) == pytest.approx((1e-5, 2e-5, 3e-5))
 
 
-def test_attitude_and_imu_of_different_moments_are_two_samples_and_none_is_lost() -> None:
+def test_attitude_and_imu_of_different_moments_are_two_samples() -> None:
     messages: list[tuple[object, ...]] = [HEARTBEAT]
     for k in range(5):
         messages.append(("ATTITUDE", 1000 + 40 * k, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03))
@@ -90,12 +94,12 @@ def test_attitude_and_imu_of_different_moments_are_two_samples_and_none_is_lost(
     attitudes = [f.t_device for f in found if isinstance(f.sample, Ahrs) and not math.isnan(f.sample.yaw)]
     accelerations = [f.t_device for f in found if isinstance(f.sample, Ahrs) and not math.isnan(f.sample.ax)]
     assert attitudes == pytest.approx([1.0005, 1.0405, 1.0805, 1.1205, 1.1605])
-    assert accelerations == pytest.approx([1.02, 1.06, 1.1, 1.14])  # the last may still find its attitude
+    assert accelerations == pytest.approx([1.02, 1.06, 1.1, 1.14])  # the last sample may still get its attitude
 
 
-def test_a_slow_stream_comes_in_the_order_of_its_own_time() -> None:
+def test_a_slow_stream_is_sorted_by_its_device_time() -> None:
     messages: list[tuple[object, ...]] = [HEARTBEAT]
-    for k in range(6):  # groups of 1 Hz: attitude and IMU are milliseconds or a second apart
+    for k in range(6):  # in groups at 1 Hz, attitude and IMU are milliseconds or a second apart
         messages.append(("RAW_IMU", 69_092_000 + 1_019_900 * k, 1000, 0, -1000, 0, 0, 0, 0, 0, 0))
         messages.append(("ATTITUDE", 70_111 + 1001 * k, 0.1, -0.2, 3.0, 0.01, 0.02, 0.03))
     times = [f.t_device for f in samples(*messages) if isinstance(f.sample, Ahrs)]
@@ -109,18 +113,18 @@ def test_an_attitude_without_imu_is_not_held_back() -> None:
     assert math.isnan(found.sample.ax)
 
 
-def test_outputs_are_n_by_the_rig_and_signed_as_the_rig_says() -> None:
+def test_outputs_are_scaled_and_signed_by_the_rig() -> None:
     found = [f.sample for f in samples(servo(10, 1900, 1300), servo(20, 0, 1900))]
     assert found == [Servo(1, 1900.0, 1.0), Servo(3, 1300.0, 0.5), Servo(1, 0.0, 0.0), Servo(3, 1900.0, -1.0)]
 
 
-def test_the_time_of_outputs_goes_on_behind_32_bits() -> None:
+def test_the_time_of_outputs_continues_after_a_32_bit_overflow() -> None:
     attitude = ("ATTITUDE", 4_295_000, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)  # 71.6 minutes, just past 2**32 us
     found = [f.t_device for f in samples(attitude, servo(32_704 + 20_000, 1500, 1500)) if isinstance(f.sample, Servo)]
     assert found == pytest.approx([4295.02] * 2, abs=1e-3)
 
 
-def test_a_repeated_fix_is_one_fix() -> None:
+def test_a_repeated_fix_gives_one_sample() -> None:
     def gps(usec: int) -> tuple[object, ...]:
         return ("GPS_RAW_INT", usec, 6, 423_580_000, -710_856_831, 1500, 121, 200, 445, 8998, 10, 0, 300, 300)
 
@@ -134,13 +138,13 @@ def test_a_repeated_fix_is_one_fix() -> None:
     assert (fix.vel_n, fix.vel_e) == pytest.approx((4.455 * math.cos(math.radians(89.98)), 4.455), rel=1e-6)
     assert (fix.fix, fix.n_sat, fix.hdop, fix.sigma_h) == (5, 10, 1.21, pytest.approx(0.3 / math.sqrt(2.0)))
     slow = list(gps(70_450_000))
-    slow[9] = 0xFFFF  # no course
+    slow[9] = 0xFFFF  # without a course over ground
     (found,) = samples(time, tuple(slow))
     assert isinstance(found.sample, Gnss)
     assert (found.sample.speed, math.isnan(found.sample.vel_n)) == (pytest.approx(4.455), True)
 
 
-def test_esc_telemetry_takes_its_sign_from_the_output_and_what_is_not_new_is_dropped() -> None:
+def test_esc_telemetry_gets_the_sign_of_the_output_and_repeats_are_dropped() -> None:
     zero = [0] * 4
 
     def telemetry(count: list[int]) -> tuple[object, ...]:
@@ -152,7 +156,7 @@ def test_esc_telemetry_takes_its_sign_from_the_output_and_what_is_not_new_is_dro
     assert (escs[0].current, escs[0].voltage, escs[0].temperature) == pytest.approx((2.5, 16.0, 30.0))
 
 
-def test_esc_status_which_pymavlink_has_not() -> None:
+def test_esc_status_is_read_although_pymavlink_lacks_it() -> None:
     status = EscStatus(5_000_000, (700, 0, -650, 0), (15.5, 0.0, 15.25, 0.0), (1.5, 0.0, 2.5, 0.0), 0)
     found = decoder().feed(encode_esc_status(1, 1, 9, status), 1.0)
     assert [(f.sample.node, f.sample.rpm, f.t_device) for f in found if isinstance(f.sample, Esc)] == [
@@ -161,7 +165,7 @@ def test_esc_status_which_pymavlink_has_not() -> None:
     ]
 
 
-def test_battery_from_whichever_message_has_it() -> None:
+def test_the_battery_is_read_from_any_message_that_contains_it() -> None:
     cells = [4100, 4050, *[65535] * 8]
     full = ("BATTERY_STATUS", 0, 0, 1, 0, cells, 1250, -1, -1, 80)
     system = ("SYS_STATUS", 0, 0, 0, 0, 7900, 500, -1, 0, 0, 0, 0, 0, 0)
@@ -184,14 +188,14 @@ def test_changes_of_state_and_texts_are_events() -> None:
     ]
 
 
-def test_other_systems_are_counted_and_left_alone() -> None:
+def test_other_systems_are_counted_and_ignored() -> None:
     there = decoder()
     assert there.feed(b"".join(vehicle(HEARTBEAT, servo(1, 1900, 1900), system=7)), 0.0) == []
     assert there.foreign == {7: 2}
     assert there.frames == 2
 
 
-def test_with_a_key_only_what_is_signed_with_it_is_heard() -> None:
+def test_with_a_key_only_frames_signed_with_it_are_accepted() -> None:
     key, other = bytes(range(32)), bytes(32)
     message = ("SERVO_OUTPUT_RAW", 1, 0, 1700, 0, 1500, *[0] * 13)
     for sender, heard in ((None, 0), (other, 0), (key, 2)):
@@ -200,10 +204,10 @@ def test_with_a_key_only_what_is_signed_with_it_is_heard() -> None:
         data = Codec(1, 1, sender, 1_800_000_000.0).encode(*message)
         assert len(there.feed(data, 0.0)) == heard
         assert there.unsigned == (heard == 0)
-        assert there.feed(data, 0.0) == []  # said again: recorded and replayed by somebody else
+        assert there.feed(data, 0.0) == []  # a repeated frame: recorded and replayed by somebody else
 
 
-def test_a_key_file_is_bytes_or_digits(tmp_path: Path) -> None:
+def test_a_key_file_contains_bytes_or_hexadecimal_digits(tmp_path: Path) -> None:
     path = tmp_path / "key"
     path.write_bytes(bytes(range(32)))
     assert read_key(path) == bytes(range(32))
@@ -226,7 +230,7 @@ def test_splits_and_garbage() -> None:
     check_garbage(decoder, stream(), 7, ending=PLUG)
 
 
-def test_a_message_that_is_in_no_dialect_is_a_frame_and_no_garbage() -> None:
+def test_a_message_of_an_unknown_dialect_counts_as_a_frame() -> None:
     good = stream()[0]
     body = bytes([3, 0, 0, 1, 1, 1, 0xFE, 0xFF, 0x7F]) + b"abc"  # 8388606
     unknown = b"\xfd" + body + crc16(body + b"\x2a").to_bytes(2, "little")
@@ -246,7 +250,7 @@ def test_a_wrong_checksum_is_counted_and_the_next_frame_is_found() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.one_of(st.binary(max_size=40), st.sampled_from(stream())), max_size=12), st.integers(0, 10**6))
-def test_nothing_raises(parts: list[bytes], flip: int) -> None:
+def test_damaged_frames_raise_no_exception(parts: list[bytes], flip: int) -> None:
     data = bytearray(b"".join(parts))
     if data:
         data[flip % len(data)] ^= 0x40
@@ -256,7 +260,7 @@ def test_nothing_raises(parts: list[bytes], flip: int) -> None:
     assert there.unparsed_bytes <= len(data)
 
 
-def test_a_mock_of_the_whole_link_decodes_without_an_error() -> None:
+def test_the_messages_of_the_mock_decode_without_an_error() -> None:
     ends = Ends(mav_rig())
     ends.run(4.0)
     kinds = Counter(type(frame.sample).__name__ for frame in ends.frames)
@@ -267,7 +271,7 @@ def test_a_mock_of_the_whole_link_decodes_without_an_error() -> None:
 
 
 @pytest.mark.measured
-def test_a_tlog_as_pymavlinks_own_reader_counts_it() -> None:
+def test_messages_of_a_tlog_are_counted_as_by_pymavlink() -> None:
     path = measured("ardurover/steps_boat.tlog")
     from pymavlink import mavutil
 
@@ -279,12 +283,12 @@ def test_a_tlog_as_pymavlinks_own_reader_counts_it() -> None:
     there = MavlinkDecoder(Samples())
     found = there.feed(path.read_bytes(), 0.0)
     assert there.frames == sum(theirs.values()) == 63643
-    assert there.unparsed_bytes == 8 * there.frames  # the times between them, which are no MAVLink
+    assert there.unparsed_bytes == 8 * there.frames  # the times between the messages, which are not MAVLink
     kinds = Counter(type(frame.sample) for frame in found)
     lone = sum(isinstance(frame.sample, Ahrs) and math.isnan(frame.sample.yaw) for frame in found)
     assert kinds[Ahrs] - lone == theirs["ATTITUDE"]
-    assert lone <= 1  # the first IMU message, before there was an attitude
-    assert kinds[Servo] == 2 * (theirs["SERVO_OUTPUT_RAW"] - 1)  # the first is from before there were pulses
+    assert lone <= 1  # the first IMU message came before any attitude
+    assert kinds[Servo] == 2 * (theirs["SERVO_OUTPUT_RAW"] - 1)  # the first came before there were pulses
     assert not there.foreign
 
 
@@ -312,15 +316,15 @@ def test_a_lost_fix_is_a_sample_without_a_time() -> None:
     assert all(map(math.isnan, (lost.utc, lost.lat, lost.lon, lost.sigma_h, lost.speed)))
 
 
-def test_the_accuracy_of_a_fix_is_that_of_ubx() -> None:
-    """One receiver with hAcc 1 m, by its own protocol and through an autopilot."""
+def test_the_accuracy_of_a_fix_equals_that_read_from_ubx() -> None:
+    """One receiver reports hAcc 1 m by its own protocol and through an autopilot."""
     own = ubx.Decoder()
     frames = own.feed(ubx.encode(Gnss(1.8e9, 38.7, -9.0, fix=3, sigma_h=math.sqrt(0.5))), 1.0) + own.flush()
-    said = [f.sample.sigma_h for f in [*frames, *samples(raw_fix(1000, 3))] if isinstance(f.sample, Gnss)]
-    assert said == pytest.approx([math.sqrt(0.5)] * 2, abs=1e-3)
+    accuracies = [f.sample.sigma_h for f in [*frames, *samples(raw_fix(1000, 3))] if isinstance(f.sample, Gnss)]
+    assert accuracies == pytest.approx([math.sqrt(0.5)] * 2, abs=1e-3)
 
 
-def test_a_restart_of_the_autopilot_leaves_nothing_from_before() -> None:
+def test_a_restart_of_the_autopilot_drops_all_earlier_state() -> None:
     def at(ms: int) -> list[tuple[object, ...]]:
         attitude = ("ATTITUDE", ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         return [attitude, ("RAW_IMU", (ms + 20) * 1000, 0, 0, -1000, 0, 0, 0, 0, 0, 0)]

@@ -1,4 +1,4 @@
-"""MicroStrain's MIP: sensor, filter and GNSS packets, and a stream that is cut and dirty."""
+"""Tests of MicroStrain's MIP: sensor, filter and GNSS packets, and truncated or damaged streams."""
 
 from __future__ import annotations
 
@@ -28,20 +28,21 @@ def ahrs(data: bytes) -> list[Ahrs]:
     return [frame.sample for frame in mip.Decoder().feed(data, 5.0) if isinstance(frame.sample, Ahrs)]
 
 
-def test_a_ping_of_the_manual() -> None:
-    """The packet that MicroStrain's protocol page shows: base command, ping, checksum E0 C6."""
+def test_the_ping_of_the_manual_is_a_valid_packet() -> None:
+    """MicroStrain's protocol page shows this packet: base command, ping, checksum E0 C6."""
     assert mip.packet(0x01, {0x01: b""}).hex() == "756501020201e0c6"
 
 
-def test_a_sensor_packet_alone_has_the_sensors_own_attitude() -> None:
+def test_without_a_filter_the_attitude_of_the_sensor_is_used() -> None:
     (sample,) = ahrs(SENSOR)
     assert (sample.yaw, sample.p, sample.q, sample.r) == pytest.approx((0.5, 0.1, 0.2, 0.3), abs=1e-6)
     assert sample.az == pytest.approx(-9.80665)
     assert (sample.mx, sample.mz) == pytest.approx((0.25e-4, 0.5e-4))
 
 
-def test_with_a_filter_its_attitude_is_taken_beside_the_newest_rates() -> None:
-    first, second, third = ahrs(SENSOR + FILTER + SENSOR + FILTER)  # once it is heard, one sample a filter packet
+def test_with_a_filter_its_attitude_and_the_newest_rates_are_used() -> None:
+    # once the filter sends, each filter packet gives one sample
+    first, second, third = ahrs(SENSOR + FILTER + SENSOR + FILTER)
     assert first.yaw == pytest.approx(0.5, abs=1e-6)
     for sample in (second, third):
         assert (sample.roll, sample.pitch, sample.yaw) == pytest.approx((0.01, -0.02, 1.5), abs=1e-6)
@@ -50,7 +51,7 @@ def test_with_a_filter_its_attitude_is_taken_beside_the_newest_rates() -> None:
     assert len(ahrs(SENSOR + invalid + SENSOR)) == 2
 
 
-def test_a_fix() -> None:
+def test_a_fix_of_mip_is_read() -> None:
     place = struct.pack(">4d2fH", 41.5, -8.5, 60.0, 5.0, 0.5, 0.9, 0x1F)
     motion = struct.pack(">8fH", 1.0, -0.5, 0.25, 1.146, 1.125, 5.82, 0.0, 0.0, 0x1F)
     time = struct.pack(">dHH", 1000.25, 2288, 3)
@@ -70,7 +71,7 @@ def test_splits_and_garbage() -> None:
     check_garbage(mip.Decoder, [SENSOR] * 4, 4)
 
 
-def test_what_is_damaged_is_counted() -> None:
+def test_damaged_packets_are_counted() -> None:
     decoder = mip.Decoder()
     broken = bytearray(SENSOR)
     broken[12] ^= 4
@@ -82,8 +83,8 @@ def test_what_is_damaged_is_counted() -> None:
     assert counters(decoder)[:2] == (0, 0)
 
 
-def test_vectors_of_several_packets_come_together() -> None:
-    """Rates at 100 Hz and accelerations at 50 Hz are in packets of their own now and then."""
+def test_vectors_of_several_packets_are_joined() -> None:
+    """Rates at 100 Hz and accelerations at 50 Hz are sometimes in separate packets."""
     accel = mip.packet(mip.SENSOR, {0x04: struct.pack(">3f", 0.0, 0.0, -1.0)})
     rate = mip.packet(mip.SENSOR, {0x05: struct.pack(">3f", 0.1, 0.2, 0.3)})
     decoder = mip.Decoder()
@@ -100,6 +101,8 @@ def test_vectors_of_several_packets_come_together() -> None:
 def test_a_filter_that_loses_its_attitude_does_not_silence_the_sensor() -> None:
     invalid = mip.packet(mip.FILTER, {0x05: struct.pack(">3fH", 0.01, -0.02, 1.5, 0)})
     decoder = mip.Decoder()
-    said = [len(decoder.feed(data, 5.0)) for data in (SENSOR, FILTER, SENSOR, invalid, SENSOR, SENSOR, FILTER, SENSOR)]
-    assert said == [1, 1, 0, 0, 1, 1, 1, 0]
-    assert len(decoder.feed(SENSOR, 5.0 + mip.FILTER_S + 0.1)) == 1  # of the filter nothing came any more
+    n_samples = [
+        len(decoder.feed(data, 5.0)) for data in (SENSOR, FILTER, SENSOR, invalid, SENSOR, SENSOR, FILTER, SENSOR)
+    ]
+    assert n_samples == [1, 1, 0, 0, 1, 1, 1, 0]
+    assert len(decoder.feed(SENSOR, 5.0 + mip.FILTER_S + 0.1)) == 1  # no more packets came from the filter

@@ -1,4 +1,4 @@
-"""NMEA: epochs whatever the order of sentences, receivers of gpsd's collection, and streams that are cut and dirty."""
+"""Tests of NMEA: epochs with any order of sentences, captures of real receivers, and truncated or damaged streams."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def epochs(count: int, rate: float = 5.0) -> list[bytes]:
     ]
 
 
-def test_one_epoch_as_the_standard_lays_it_out() -> None:
+def test_an_epoch_in_the_form_of_the_standard_is_read() -> None:
     data = (
         b"$GPGGA,092725.00,4717.11399,N,00833.91590,E,1,08,1.01,499.6,M,48.0,M,,*5B\r\n"
         b"$GPRMC,092725.00,A,4717.11437,N,00833.91522,E,0.004,77.52,091202,,,A*57\r\n"
     )
     decoder = Decoder()
     assert decoder.feed(data.replace(b"*57", b"*5F"), 3.0) == []
-    assert decoder.checksum_errors == 1  # RMC with a checksum that is not its own
+    assert decoder.checksum_errors == 1  # RMC with a wrong checksum
     (frame,) = decoder.flush()
     assert isinstance(frame.sample, Gnss)
     assert frame.sample.lat == pytest.approx(47 + 17.11399 / 60, abs=1e-9)
@@ -74,13 +74,13 @@ def test_sentences_are_grouped_by_time_not_by_order(order: str) -> None:
     samples = read(stream)
     assert [sample.utc for sample in samples] == [T + k for k in range(5)]
     for sample in samples:
-        assert sample.n_sat == 9  # GGA's
-        assert sample.vel_e == pytest.approx(1852 / 3600)  # RMC's
+        assert sample.n_sat == 9  # the altitude of GGA
+        assert sample.vel_e == pytest.approx(1852 / 3600)  # the velocity of RMC
         assert abs(sample.vel_n) < 1e-12
 
 
-def test_the_place_is_that_of_gga_whatever_rmc_repeats() -> None:
-    """A chart plotter sends in RMC and GLL the place of the second before, under the time of this one."""
+def test_the_position_is_that_of_gga_if_rmc_repeats_an_older_one() -> None:
+    """In RMC and GLL a chart plotter sends the position of the previous second with the time of this second."""
     decoder = Decoder()
     frames = []
     for k in range(5):
@@ -96,17 +96,17 @@ def test_the_place_is_that_of_gga_whatever_rmc_repeats() -> None:
     assert lat == pytest.approx([59.5 + 0.001 * k / 60.0 for k in range(5)], abs=1e-9)
 
 
-def test_an_epoch_is_complete_when_the_kinds_of_the_last_ones_have_come() -> None:
+def test_an_epoch_is_complete_with_the_sentences_of_the_last_epochs() -> None:
     decoder = Decoder()
     first, second, third = epochs(3)
-    assert decoder.feed(first, 1.0) == []  # what comes in an epoch is not known yet
+    assert decoder.feed(first, 1.0) == []  # the sentences of an epoch are not known yet
     assert [frame.t_rx for frame in decoder.feed(second, 2.0)] == [1.0, 2.0]
     lines = third.splitlines(keepends=True)
     assert [len(decoder.feed(line, 3.0 + k)) for k, line in enumerate(lines)] == [0, 0, 0, 1]
     assert decoder.flush() == []
 
 
-def test_a_sentence_that_comes_only_now_and_then_is_not_lost() -> None:
+def test_a_rare_sentence_is_not_lost() -> None:
     stream = b""
     for k in range(20):
         time = f"22132{k // 10}.{k % 10}0"
@@ -115,7 +115,7 @@ def test_a_sentence_that_comes_only_now_and_then_is_not_lost() -> None:
     assert [k for k, sigma in enumerate(sigmas) if sigma == pytest.approx(5.0 / math.sqrt(2))] == [0, 5, 10, 15]
 
 
-def test_the_time_of_a_sample_is_that_of_its_first_sentence() -> None:
+def test_the_receive_time_of_a_sample_is_that_of_its_first_sentence() -> None:
     decoder = Decoder()
     decoder.feed(gga("221320.00"), 1.0)
     decoder.feed(rmc("221320.00"), 1.1)
@@ -123,7 +123,7 @@ def test_the_time_of_a_sample_is_that_of_its_first_sentence() -> None:
     assert (frame.t_rx, frame.t_device) == (1.0, T)
 
 
-def test_without_a_date_the_day_is_the_last_one_said_or_the_one_near_the_clock() -> None:
+def test_without_a_date_the_last_day_or_the_day_of_the_clock_is_used() -> None:
     assert [s.utc for s in read(rmc("235959.00") + gga("000000.00") + gga("000001.00"))] == [
         at(23, 59, 59.0),
         at(0, 0, 0.0, day=15),
@@ -158,22 +158,22 @@ def test_a_receiver_that_has_never_had_a_fix_gives_one_sample_an_epoch() -> None
         assert (frame.sample.fix, frame.sample.n_sat) == (0, 0)
         assert math.isnan(frame.sample.utc)
         assert math.isnan(frame.t_device)
-    # The first time of the day ends the epochs without one.
+    # The first time of day ends the epochs without a time.
     (sample,) = read(COLD + gga("221320.00") + rmc("221320.00"))[-1:]
     assert (sample.fix, sample.utc) == (3, T)
 
 
-def test_a_sentence_without_a_time_among_others_is_of_no_epoch() -> None:
+def test_a_sentence_without_a_time_belongs_to_no_epoch() -> None:
     old = sentence("GPGLL,4916.45,N,12311.12,W")
     assert read(gga("221320.00") + old + rmc("221320.00")) == read(gga("221320.00") + rmc("221320.00"))
 
 
 @pytest.mark.parametrize(("quality", "fix"), [(1, 3), (2, 4), (4, 5), (5, 6), (6, 1), (3, 3)])
-def test_fix_kinds(quality: int, fix: int) -> None:
+def test_the_kind_of_a_fix_follows_from_the_quality_of_gga(quality: int, fix: int) -> None:
     assert read(gga("221320.00", quality))[0].fix == fix
 
 
-def test_gsa_tells_a_2d_fix() -> None:
+def test_gsa_defines_a_2d_fix() -> None:
     two = sentence("GPGSA,A,2,23,29,07,,,,,,,,,,1.94,1.18,1.54")
     assert read(two + gga("221320.00"))[0].fix == 2
     flat, *_ = read(two + gga("221320.00", 4))
@@ -182,13 +182,13 @@ def test_gsa_tells_a_2d_fix() -> None:
     assert read(rmc("221320.00"))[0].dimensions == 2  # a position without a height
 
 
-def test_vtg_is_used_where_there_is_no_rmc() -> None:
+def test_vtg_is_used_without_rmc() -> None:
     vtg = sentence("GPVTG,180.0,T,,M,1.0,N,3.6,K,A")
     assert read(gga("221320.00") + vtg)[0].vel_n == pytest.approx(-1.0)
     assert read(gga("221320.00") + vtg + rmc("221320.00"))[0].vel_e == pytest.approx(1852 / 3600)
 
 
-def test_a_vtg_that_comes_first_is_of_the_epoch_behind_it() -> None:
+def test_a_vtg_before_its_epoch_belongs_to_the_next_sentences() -> None:
     decoder = Decoder()
     found = []
     for k in range(8):
@@ -198,23 +198,23 @@ def test_a_vtg_that_comes_first_is_of_the_epoch_behind_it() -> None:
     rows = [(f.t_device - T, f.t_rx - T - 0.1, f.sample.speed * 3.6) for f in found[2:] if isinstance(f.sample, Gnss)]
     assert sum(rows, ()) == pytest.approx([k for k in range(2, 8) for _ in range(3)], abs=1e-5)  # and each at once
     decoder, found = Decoder(), []
-    for k in range(8):  # behind its GGA, on a slow line
+    for k in range(8):  # on a slow line VTG comes after its GGA
         found += decoder.feed(gga(f"22132{k}.00"), T + 0.15 + k)
         found += decoder.feed(sentence(f"GPVTG,0.0,T,,M,,N,{float(k)},K,A"), T + 0.3 + k)
     speeds = [f.sample.speed * 3.6 for f in found if isinstance(f.sample, Gnss)]
     assert speeds == pytest.approx(range(8))
 
 
-def test_one_pause_of_the_line_does_not_turn_the_order() -> None:
+def test_a_pause_of_the_line_does_not_change_the_learned_order() -> None:
     decoder, found = Decoder(), []
-    for k in range(9):  # that of the fourth epoch is read late, together with the fifth's position
+    for k in range(9):  # the VTG of the fourth epoch is read late, together with the position of the fifth
         found += decoder.feed(gga(f"22132{k}.00"), T + 0.02 + k)
         found += decoder.feed(sentence(f"GPVTG,0.0,T,,M,,N,{float(k)},K,A"), T + (k + 0.04 if k != 4 else 5.01))
     found += decoder.flush()
     assert [f.sample.speed * 3.6 for f in found if isinstance(f.sample, Gnss)] == pytest.approx(range(9))
 
 
-def test_before_its_first_fix_a_receiver_has_no_time_of_its_own() -> None:
+def test_a_receiver_before_its_first_fix_has_no_device_time() -> None:
     decoder = Decoder()
     void = "GPRMC,22132{}.00,V,,,,,,,141123,,,N"
     found = [f for k in (0, 1) for f in decoder.feed(sentence(void.format(k)), 1.0 + k)]
@@ -222,12 +222,12 @@ def test_before_its_first_fix_a_receiver_has_no_time_of_its_own() -> None:
     for k in (2, 3):
         found += decoder.feed(rmc(f"22132{k}.00"), 1.0 + k)
     found += decoder.feed(sentence("PASHR,221323.50,10.0,T,0.0,0.0,0.0"), 4.5)
-    found += decoder.feed(sentence(void.format(4)), 5.0) + decoder.flush()  # it keeps the time through an outage
+    found += decoder.feed(sentence(void.format(4)), 5.0) + decoder.flush()  # the receiver keeps its time without a fix
     assert [f.t_device - T for f in found] == pytest.approx([NAN, NAN, NAN, 2.0, 3.0, 3.5, 4.0], nan_ok=True)
     assert [f.sample.utc - T for f in found if isinstance(f.sample, Gnss)] == [0.0, 1.0, 2.0, 3.0, 4.0]
     decoder.reset()
     (again,) = decoder.feed(sentence(void.format(5)), 6.0)
-    assert math.isnan(again.t_device)  # the port may have another receiver
+    assert math.isnan(again.t_device)  # another receiver may be on the port
 
 
 def test_a_receiver_at_rest_has_a_velocity() -> None:
@@ -239,14 +239,14 @@ def test_a_receiver_at_rest_has_a_velocity() -> None:
     assert read(encode(read(slow)[0]))[0].speed == pytest.approx(0.1 * 1852 / 3600, abs=1e-4)
 
 
-def test_two_dollars_and_sentences_of_others() -> None:
+def test_a_double_dollar_and_unknown_sentences_are_skipped() -> None:
     decoder = Decoder()
     ais = b"!AIVDM,1,1,,A,14eG;o@034o8sd<L9i:a;WF>062D,0*7D\r\n"
     decoder.feed(b"$" + gga("221320.00") + sentence("PUBX,00,1") + sentence("GPGSV,1,1,00") + ais, 0.0)
     assert counters(decoder) == (3, 0, 1 + len(ais) - 2)
 
 
-def test_fields_that_are_no_numbers_make_no_fix() -> None:
+def test_fields_that_are_not_numbers_make_no_fix() -> None:
     bad = sentence("GPGGA,221320.00,41xx.0000,N,00836.0000,W,1,09,1.1,5.0,M,,M,,")
     first, second = read(bad + gga("221321.00"))
     assert math.isnan(first.lat)
@@ -293,7 +293,7 @@ def test_splits_and_garbage() -> None:
     )
 )
 @settings(max_examples=500, deadline=None)
-def test_anything_may_be_fed(pieces: list[bytes]) -> None:
+def test_random_bytes_raise_no_exception(pieces: list[bytes]) -> None:
     decoder = Decoder()
     for piece in pieces:
         decoder.feed(piece, T)
@@ -306,7 +306,7 @@ def test_anything_may_be_fed(pieces: list[bytes]) -> None:
     st.text("0123456789.,-ANSEW", max_size=70),
 )
 @settings(max_examples=1000, deadline=None)
-def test_any_fields_may_stand_behind_a_right_checksum(kind: str, fields: str) -> None:
+def test_random_fields_with_a_valid_checksum_raise_no_exception(kind: str, fields: str) -> None:
     decoder = Decoder()
     frames = decoder.feed(sentence(f"GP{kind},{fields}"), T) + decoder.flush()
     for frame in frames:
@@ -316,7 +316,7 @@ def test_any_fields_may_stand_behind_a_right_checksum(kind: str, fields: str) ->
 
 @pytest.mark.measured
 @pytest.mark.parametrize("name", ["nmea.bin", "gnmea.bin"])
-def test_ardupilots_simulated_receivers(name: str) -> None:
+def test_captures_of_ardupilots_simulated_receivers_are_read(name: str) -> None:
     decoder = Decoder()
     frames = decoder.feed(measured(f"ardurover/{name}").read_bytes(), 0.0) + decoder.flush()
     times = [frame.t_device for frame in frames if math.isfinite(frame.t_device)]  # from the first fix on
@@ -329,7 +329,7 @@ def test_ardupilots_simulated_receivers(name: str) -> None:
         assert sample.lon == pytest.approx(-71.08705, abs=0.001)
 
 
-# Receivers whose NMEA gpsd reads too: RMC first and GGA first, one and several talkers, with and without GST.
+# Receivers whose NMEA gpsd reads too: RMC or GGA first, one or several talkers, with or without GST.
 RECEIVERS = (
     "bt-q818", "gr601-w", "hemi", "iTrek", "mtk-3301", "neo-m8n", "nl551e", "nokia-ld-4w", "rx210",
     "quectel-l76k-nmea", "sirfstarv-nmea", "skytraq-fix", "telit-pls83-w", "tn204", "venus634lp",
@@ -338,7 +338,7 @@ RECEIVERS = (
 
 @pytest.mark.measured
 @pytest.mark.parametrize("name", RECEIVERS)
-def test_positions_are_those_that_gpsd_reads(name: str) -> None:
+def test_positions_equal_those_of_gpsd(name: str) -> None:
     log = measured(f"gpsd/daemon/{name}.log")
     lines = log.read_bytes().splitlines(keepends=True)
     raw = b"".join(line for line in lines if not line.startswith(b"#"))
@@ -350,13 +350,13 @@ def test_positions_are_those_that_gpsd_reads(name: str) -> None:
     theirs = gpsd_positions(log.with_name(log.name + ".chk"))
     assert theirs
     found = sum(any(near(a, b, 2e-7) for b in ours) for a in theirs)
-    # gpsd reports some positions from half an epoch, of which RMC may have fewer digits than GGA.
+    # gpsd reports some positions from half an epoch, whose RMC may have fewer digits than GGA.
     assert found >= 0.8 * len(theirs), f"{found} of {len(theirs)}"
     assert all(any(near(a, b, 2e-3) for b in theirs) for a in ours)
 
 
 def gpsd_positions(path: Path) -> set[tuple[float, float]]:
-    """Latitude and longitude of every TPV report."""
+    """Return latitude and longitude of every TPV report."""
     positions = set()
     for line in path.read_bytes().splitlines():
         if line.startswith(b'{"class":"TPV"'):

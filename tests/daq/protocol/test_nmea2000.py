@@ -1,4 +1,4 @@
-"""NMEA 2000: every value back, fast packets in any order of trouble, several senders, magnetic headings."""
+"""Tests of NMEA 2000: encoded values are read back, fast packets with errors, several senders, magnetic headings."""
 
 from __future__ import annotations
 
@@ -41,17 +41,17 @@ def heading(raw: int, reference: int, variation: int = 0x7FFF, source: int = 35)
 def test_identifiers_carry_priority_message_and_sender() -> None:
     assert identifier(nmea2000.HEADING, 0x23) == 0x09F11223
     assert split_identifier(0x09F11223) == (127250, 0x23)
-    assert split_identifier(0x18EAFF05) == (59904, 5)  # to one address, which is no part of the number
+    assert split_identifier(0x18EAFF05) == (59904, 5)  # a message to one address, which is not part of the number
 
 
-def test_what_a_compass_says_comes_back() -> None:
+def test_an_encoded_heading_is_read_back() -> None:
     turn, level = fed(*encode(AHRS))
     assert (turn.sample.r, turn.t_device) == (pytest.approx(-0.25, abs=1e-7), pytest.approx(NAN, nan_ok=True))  # type: ignore[union-attr]
     assert math.isnan(turn.sample.yaw)  # type: ignore[union-attr]
     assert is_close(level.sample, Ahrs(-2.1, 0.0123, -0.0456), tolerance=5.1e-5)
 
 
-def test_what_a_receiver_says_comes_back() -> None:
+def test_an_encoded_fix_is_read_back() -> None:
     (frame,) = fed(*encode(FIX, sid=9))
     assert frame.t_device == pytest.approx(FIX.utc, abs=1e-4)
     sample = frame.sample
@@ -61,7 +61,7 @@ def test_what_a_receiver_says_comes_back() -> None:
     assert (sample.vel_n, sample.vel_e) == (pytest.approx(1.2, abs=6e-3), pytest.approx(-0.5, abs=6e-3))
 
 
-def test_what_is_not_said_is_nan() -> None:
+def test_unavailable_fields_are_nan() -> None:
     void = Gnss(1.46e9, NAN, NAN)
     ((sample, _, _),) = fed(*encode(void))
     assert is_close(sample, void)
@@ -69,12 +69,12 @@ def test_what_is_not_said_is_nan() -> None:
     assert fed((identifier(nmea2000.TURN, 1), b"\0\xff\xff\xff\x7f\xff\xff\xff")) == []
 
 
-def test_how_the_bytes_were_cut_makes_no_difference() -> None:
+def test_the_split_of_the_bytes_makes_no_difference() -> None:
     stream = can([*encode(AHRS), *encode(FIX), *encode(FIX, sid=1), (0x18EAFF05, b"\0\xee\0")])
     assert len(check_splits(lambda: Decoder(settle=0.0), stream)) == 4
 
 
-def test_a_packet_that_misses_a_frame_is_left_out_and_counted() -> None:
+def test_a_fast_packet_without_a_frame_is_left_out_and_counted() -> None:
     first, second = fast_packet(nmea2000.FIX, bytes(43), 1), fast_packet(nmea2000.FIX, bytes(43), 2)
     for frames, n_fixes, lost in (
         (first[:3] + first[4:], 0, 7 - 1),
@@ -87,12 +87,12 @@ def test_a_packet_that_misses_a_frame_is_left_out_and_counted() -> None:
         assert counters(there) == (n_fixes, 0, lost * FRAME_BYTES)
 
 
-def test_packets_of_two_senders_may_go_over_the_bus_side_by_side() -> None:
+def test_fast_packets_of_two_senders_may_be_interleaved() -> None:
     one = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=10)
     other = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
     mixed = [frame for pair in zip(one, other, strict=True) for frame in pair]
     there = Decoder(settle=0.0)
-    assert len(fed(*mixed, decoder=there)) == 1  # the lower address's
+    assert len(fed(*mixed, decoder=there)) == 1  # the sample of the lower address
     assert counters(there) == (2, 0, 0)
 
 
@@ -124,7 +124,7 @@ def test_a_magnetic_heading_needs_a_variation() -> None:
         assert decoder.remark == ""
 
 
-def test_of_several_compasses_one_is_heard_and_another_when_it_is_silent() -> None:
+def test_of_several_compasses_another_is_used_if_the_first_is_silent() -> None:
     there = Decoder(declination=0.0, settle=0.0)
     true, magnetic, second = heading(100, 0, source=9), heading(200, 1, source=3), heading(300, 0, source=12)
 
@@ -139,18 +139,18 @@ def test_of_several_compasses_one_is_heard_and_another_when_it_is_silent() -> No
     assert yaws(6.1, true, magnetic) == [100]
 
 
-def test_a_leader_that_does_not_count_its_satellites_once_still_leads() -> None:
+def test_a_missing_satellite_count_does_not_change_the_used_receiver() -> None:
     there, uncounted = Decoder(settle=0.0), replace(FIX, n_sat=0)
     other = fast_packet(nmea2000.FIX, encode_body(FIX), 1, source=20)
-    said = []
+    n_frames = []
     for k in range(30):
         leader = fast_packet(nmea2000.FIX, encode_body(FIX if k % 3 else uncounted), 1, source=10)
-        said.append(len(fed(*leader, *other, decoder=there, t=k / 2)))
-    assert said[2:] == [1] * 28
+        n_frames.append(len(fed(*leader, *other, decoder=there, t=k / 2)))
+    assert n_frames[2:] == [1] * 28
     assert len(fed(*other, decoder=there, t=17.5)) == 1
 
 
-def test_a_speed_without_a_course_and_what_a_differential_fix_knows() -> None:
+def test_a_speed_without_course_and_a_differential_fix_are_read() -> None:
     slow = replace(FIX, vel_n=NAN, vel_e=NAN, speed=0.4)
     ((sample, _, _),) = fed(*encode(slow))
     assert isinstance(sample, Gnss)
@@ -170,15 +170,15 @@ def test_a_fix_has_the_speed_of_its_own_receiver() -> None:
     assert sample.vel_n == pytest.approx(FIX.vel_n, abs=6e-3)
 
 
-def test_who_speaks_is_heard_out_first() -> None:
+def test_samples_wait_until_all_senders_are_known() -> None:
     there = Decoder()
     body = encode_body(FIX)
     slower, leader = (fast_packet(nmea2000.FIX, body, 1, source=source) for source in (20, 10))
     level, *_ = encode(Ahrs(NAN, 0.1, 0.2))
-    said = [len(fed(*frames, decoder=there, t=t)) for t, frames in (
+    n_frames = [len(fed(*frames, decoder=there, t=t)) for t, frames in (
         (1.0, slower), (1.3, leader), (2.0, slower), (2.3, leader), (3.0, slower), (3.3, leader)
     )]  # fmt: skip
-    assert said == [0, 0, 0, 1, 0, 1]
+    assert n_frames == [0, 0, 0, 1, 0, 1]
     found = [fed(heading(100, 0), level, heading(100, 1), decoder=there, t=t) for t in (1.0, 2.0, 2.3)]
     assert [len(frames) for frames in found] == [0, 0, 1]
     assert found[2][0].sample.roll == pytest.approx(0.2)  # type: ignore[union-attr]
@@ -203,7 +203,7 @@ def test_an_old_course_is_not_that_of_a_new_fix() -> None:
 
 
 @pytest.mark.parametrize("says", [(AHRS, FIX), (FIX,), (AHRS,)])
-def test_the_rate_is_that_of_headings_or_else_of_fixes(tmp_path: Path, says: tuple[Ahrs | Gnss, ...]) -> None:
+def test_the_rate_is_that_of_headings_or_without_them_of_fixes(tmp_path: Path, says: tuple[Ahrs | Gnss, ...]) -> None:
     text = (
         'format = "seatrial-rig 1"\nname = "r"\n[[device]]\nname = "bus"\nprotocol = "nmea2000"\n'
         'port = "slcan:can"\nrate_hz = 10.0\n'
@@ -217,15 +217,15 @@ def test_the_rate_is_that_of_headings_or_else_of_fixes(tmp_path: Path, says: tup
     assert loop._rated == 5  # from 1.2 s on
 
 
-def test_a_receiver_with_a_fix_goes_before_one_without() -> None:
-    there, said = Decoder(settle=0.0), []
+def test_a_receiver_with_a_fix_precedes_one_without() -> None:
+    there, received = Decoder(settle=0.0), []
     void = replace(FIX, lat=NAN, lon=NAN, fix=0, n_sat=3)
     for k in range(6):
         blind = fast_packet(nmea2000.FIX, encode_body(void), k, source=5)
         seeing = fast_packet(nmea2000.FIX, encode_body(FIX), k, source=10)
-        said += fed(*blind, *seeing, decoder=there, t=k / 2)
-    assert [frame.sample.fix for frame in said if isinstance(frame.sample, Gnss)] == [0, *[5] * 6]
-    assert math.isnan(said[0].t_device)  # before its first fix a receiver's time is that of its own clock
-    assert said[1].t_device == pytest.approx(FIX.utc, abs=1e-4)
+        received += fed(*blind, *seeing, decoder=there, t=k / 2)
+    assert [frame.sample.fix for frame in received if isinstance(frame.sample, Gnss)] == [0, *[5] * 6]
+    assert math.isnan(received[0].t_device)  # before its first fix a receiver sends the time of its own clock
+    assert received[1].t_device == pytest.approx(FIX.utc, abs=1e-4)
     blind = fast_packet(nmea2000.FIX, encode_body(void), 0, source=5)
-    assert len(fed(*blind, decoder=there, t=2.5 + nmea2000.STALE_S + 0.1)) == 1  # the other is silent
+    assert len(fed(*blind, decoder=there, t=2.5 + nmea2000.STALE_S + 0.1)) == 1  # the other receiver is silent

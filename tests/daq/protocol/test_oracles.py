@@ -1,4 +1,6 @@
-"""Our decoders and encoders beside independent libraries: pyubx2, dronecan, nmea2000 (canboat's database), MSCL."""
+"""Comparison of our decoders and encoders with independent libraries: pyubx2, dronecan, nmea2000 (canboat's database),
+MSCL.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss
 from tests.golden import mip_oracle
 from tests.measured.data import measured
 
-N = 200  # random messages of each kind
+N = 200  # number of random messages of each kind
 T = 1_700_000_000
 
 
@@ -32,7 +34,7 @@ def rng() -> np.random.Generator:
 
 
 def epoch(*messages: bytes) -> Gnss:
-    """The one fix in these UBX messages."""
+    """Return the single fix in these UBX messages."""
     decoder = ubx.Decoder()
     frames = decoder.feed(b"".join(messages), 0.0) + decoder.flush()
     assert decoder.checksum_errors == decoder.unparsed_bytes == 0
@@ -41,7 +43,7 @@ def epoch(*messages: bytes) -> Gnss:
 
 
 def nav(name: str, payload: bytes) -> tuple[bytes, Any]:
-    """A NAV message framed by pyubx2, and its fields as pyubx2 reads them."""
+    """Return a NAV message framed by pyubx2, and its fields as read by pyubx2."""
     framed = UBXMessage("NAV", f"NAV-{name}", GET, payload=payload).serialize()
     return framed, UBXReader.parse(framed)
 
@@ -88,7 +90,7 @@ def test_our_nav_pvt_is_read_by_pyubx2() -> None:
 
 
 def test_an_epoch_of_older_messages_is_read_as_pyubx2_reads_it() -> None:
-    """POSLLH, VELNED, TIMEUTC and DOP of one time of week."""
+    """The epoch consists of POSLLH, VELNED, TIMEUTC and DOP with one time of week."""
     random = rng()
     for _ in range(N):
         i_tow = int(random.integers(604_800_000))
@@ -187,8 +189,8 @@ def test_a_recorded_ubx_stream_is_read_as_pyubx2_reads_it() -> None:
         assert (round(gnss.lat * 1e7), round(gnss.lon * 1e7), round(gnss.alt * 1e3)) in theirs
 
 
-def test_mip_packets_are_read_as_their_makers_library_reads_them() -> None:
-    """What MSCL 68.4.5 made of them is on file."""
+def test_mip_packets_are_read_as_mscl_reads_them() -> None:
+    """The values read by MSCL 68.4.5 are in a file."""
     units = {"ax": 9.80665, "ay": 9.80665, "az": 9.80665, "mx": 1e-4, "my": 1e-4, "mz": 1e-4, "sigma_h": 0.5**0.5}
     n_values = 0
     for line in mip_oracle.FILE.read_text(encoding="ascii").splitlines():
@@ -196,7 +198,7 @@ def test_mip_packets_are_read_as_their_makers_library_reads_them() -> None:
         values = {name: value * units.get(name, 1.0) for name, value in values.items()}
         found = [frame.sample for frame in mip.Decoder().feed(bytes.fromhex(packet), 0.0)]
         if not values or math.isnan(values.get("yaw", 0.0)):
-            assert found == []  # an attitude that is not known
+            assert found == []  # an unknown attitude
             continue
         (sample,) = found
         if isinstance(sample, Gnss):
@@ -215,7 +217,7 @@ def test_mip_packets_are_read_as_their_makers_library_reads_them() -> None:
 
 
 def transfer(payload: Any, source: int, number: int, priority: int = 16) -> list[tuple[int, bytes]]:
-    """The CAN frames of a message, by the library."""
+    """Return the CAN frames of a message, made by the library."""
     made = Transfer(payload=payload, source_node_id=source, transfer_id=number, transfer_priority=priority)
     return [(frame.message_id, bytes(frame.bytes)) for frame in made.to_frames()]
 
@@ -252,7 +254,7 @@ def test_esc_status_of_the_dronecan_library_is_read() -> None:
     assert decoder.checksum_errors == decoder.unparsed_bytes == 0
 
 
-def test_our_dronecan_frames_are_those_of_the_library() -> None:
+def test_our_dronecan_frames_equal_those_of_the_library() -> None:
     uavcan, random = pydronecan.uavcan, rng()
     for number in range(N):
         commands = random.integers(-8191, 8192, random.integers(1, 21)).tolist()
@@ -264,7 +266,7 @@ def test_our_dronecan_frames_are_those_of_the_library() -> None:
 
 
 def canboat(decoder: NMEA2000Decoder, frames: list[tuple[int, bytes]]) -> dict[int, dict[str, Any]]:
-    """The last message of each PGN as nmea2000 reads it: its numbers in SI, by their identifiers."""
+    """Return the last message of each PGN as read by nmea2000: numbers in SI units by their identifiers."""
     found = {}
     for identifier, data in frames:
         message = decoder.decode(f"can0  {identifier:08X}   [{len(data)}]  {data.hex(' ').upper()}")
@@ -331,7 +333,7 @@ def test_nmea_2000_messages_are_read_as_nmea2000_reads_them() -> None:
         )
 
 
-def test_what_goes_with_headings_and_fixes_is_read_as_nmea2000_reads_it() -> None:
+def test_other_values_of_headings_and_fixes_are_read_as_nmea2000_reads_them() -> None:
     """Attitude and variation; course, speed and dimensions."""
     random, theirs_decoder = rng(), NMEA2000Decoder()
     for _ in range(N):
@@ -362,7 +364,10 @@ def test_what_goes_with_headings_and_fixes_is_read_as_nmea2000_reads_it() -> Non
 
 @pytest.mark.measured
 def test_fixes_of_a_recorded_bus_are_read_as_nmea2000_reads_them() -> None:
-    """A ship's receiver at address 18; the adapter has joined the fast packets, which are taken apart again."""
+    """The capture contains a ship's receiver at address 18.
+
+    The adapter has joined the fast packets; they are split again.
+    """
     theirs_decoder, decoder = NMEA2000Decoder(), nmea2000.Decoder(settle=0.0)
     n_fixes = 0
     lines = (measured("can") / "susteranna-actisense-serial.raw").read_text(encoding="ascii").splitlines()

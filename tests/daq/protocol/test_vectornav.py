@@ -1,4 +1,4 @@
-"""VectorNav: against a VN-100's own log, ArduPilot's simulated VN-300, and streams that are cut and dirty."""
+"""Tests of VectorNav: against the log of a VN-100, ArduPilot's simulated VN-300, and truncated or damaged streams."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ahrs = st.builds(Ahrs, angle, st.floats(-1.5, 1.5), angle, *[st.floats(-9, 9)] *
 
 
 def binary(groups: int, words: list[int], payload: bytes) -> bytes:
-    """A message with a right CRC."""
+    """Return a message with a correct CRC."""
     body = bytes([groups]) + struct.pack(f"<{len(words)}H", *words) + payload
     return bytes([SYNC]) + body + struct.pack(">H", crc16(body))
 
@@ -41,8 +41,8 @@ def test_a_line_of_a_real_vn100_is_read_as_its_manual_says() -> None:
     assert math.isnan(frame.t_device)
 
 
-def test_quaternion_and_imu_sentences() -> None:
-    # 30 degrees of yaw, then 20 of pitch, then 10 of roll: the product of three half-angle rotations.
+def test_quaternion_and_imu_sentences_are_read() -> None:
+    # 30 degrees of yaw, then 20 of pitch, then 10 of roll, as the product of three half-angle rotations.
     cy, sy, cp, sp, cr, sr = (f(math.radians(a / 2)) for a in (30, 20, 10) for f in (math.cos, math.sin))
     w, x = cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy
     y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
@@ -99,24 +99,24 @@ def test_ascii_round_trip_to_the_digits_that_the_device_sends(sample: Ahrs) -> N
             assert abs(getattr(back, name) - getattr(sample, name)) <= half * step
 
 
-def test_binary_without_a_magnetometer_leaves_it_void() -> None:
+def test_a_binary_message_without_magnetometer_has_no_magnetic_field() -> None:
     (frame,) = Decoder().feed(encode_binary(Ahrs(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8), 1.0), 0.0)
     assert isinstance(frame.sample, Ahrs)
     assert math.isnan(frame.sample.mx)
     assert not math.isnan(frame.sample.az)
 
 
-def test_garbage_anywhere() -> None:
+def test_garbage_between_messages_is_skipped() -> None:
     messages = [encode_ascii(AHRS), encode_binary(AHRS, 1.0), encode_binary(AHRS, 2.0), encode_ascii(AHRS)]
     check_garbage(Decoder, messages, 4)
 
 
-def test_a_flipped_bit_is_counted_and_costs_one_message() -> None:
+def test_a_flipped_bit_is_counted_and_loses_one_message() -> None:
     good = encode_binary(AHRS, 1.0)
     for at in range(1, len(good)):
         bad = bytearray(good)
         bad[at] ^= 0x10
-        # A wrong length may make the decoder wait for a while, hence the good ones behind.
+        # A wrong length may make the decoder wait for more bytes, hence the valid messages after it.
         decoder = Decoder()
         frames = decoder.feed(bytes(bad) + 20 * good, 0.0)
         assert len(frames) == 20, at
@@ -124,7 +124,7 @@ def test_a_flipped_bit_is_counted_and_costs_one_message() -> None:
         assert len(good) - 8 <= decoder.unparsed_bytes <= len(good)
 
 
-def test_a_message_may_ask_for_any_fields_of_any_group() -> None:
+def test_a_message_may_contain_any_fields_of_any_group() -> None:
     # Group 2 TimeStartup and TimeStatus, 3 Temp and Accel, 5 VpeStatus and Quaternion, 7 (GNSS 2) PosLla.
     payload = struct.pack("<QB", 3_000_000_000, 7) + struct.pack("<4f", 20.0, 1.0, 2.0, -9.0)
     payload += struct.pack("<H4f", 1, 0.0, 0.0, 0.0, 1.0) + bytes(24)
@@ -134,9 +134,9 @@ def test_a_message_may_ask_for_any_fields_of_any_group() -> None:
     assert frame.t_device == 3.0
 
 
-def test_fields_that_the_manual_does_not_have_make_no_message() -> None:
+def test_fields_that_are_not_in_the_manual_make_no_message() -> None:
     assert message_layout(b"\x02\x00\x04") is None  # group 2 has ten fields
-    assert message_layout(b"\x01\x00\x00") is None  # nothing asked for
+    assert message_layout(b"\x01\x00\x00") is None  # no field requested
     decoder = Decoder()
     junk = binary(2, [0x0400], bytes(8))
     (frame,) = decoder.feed(junk + encode_binary(AHRS, 1.0), 0.0)
@@ -148,16 +148,16 @@ def test_fields_that_the_manual_does_not_have_make_no_message() -> None:
     st.lists(st.one_of(st.binary(max_size=80), st.sampled_from([encode_binary(AHRS, 1.0), b"$VNYMR,", b"\xfa\x01"])))
 )
 @settings(max_examples=1000, deadline=None)
-def test_anything_may_be_fed(pieces: list[bytes]) -> None:
+def test_random_bytes_raise_no_exception(pieces: list[bytes]) -> None:
     decoder = Decoder()
     for piece in pieces:
         decoder.feed(piece, 0.0)
     assert decoder.unparsed_bytes <= sum(map(len, pieces))
-    decoder.feed(b"\n" * 3000, 0.0)  # longer than any message: nothing is waited for any more
+    decoder.feed(b"\n" * 3000, 0.0)  # longer than any message: the decoder waits for no more bytes
     assert decoder.feed(encode_binary(AHRS, 9.0), 0.0)[-1].t_device == 9.0
 
 
-LOST = 78  # the logger's own parser left this one of its 99 frames out
+LOST = 78  # the parser of the logger itself left out this one of its 99 frames
 
 
 @pytest.mark.measured
@@ -187,7 +187,7 @@ def test_the_log_of_a_real_vn100_is_decoded_as_its_logger_did() -> None:
 
 
 @pytest.mark.measured
-def test_the_lines_that_others_recorded_are_all_read() -> None:
+def test_all_lines_recorded_by_other_users_are_read() -> None:
     decoder = Decoder()
     frames = decoder.feed(measured("vectornav/ascii_samples.txt").read_bytes(), 0.0)
     assert len(frames) == 11
@@ -195,7 +195,7 @@ def test_the_lines_that_others_recorded_are_all_read() -> None:
 
 
 @pytest.mark.measured
-def test_twelve_minutes_of_a_vn100_standing_still() -> None:
+def test_twelve_minutes_of_a_vn100_at_rest_are_read() -> None:
     decoder = Decoder()
     frames = decoder.feed(measured("static/vn100_stationary_40Hz_vnymr.txt").read_bytes(), 0.0)
     assert counters(decoder) == (len(frames), 0, 0)
@@ -203,16 +203,16 @@ def test_twelve_minutes_of_a_vn100_standing_still() -> None:
     gravity = np.array(
         [math.hypot(f.sample.ax, f.sample.ay, f.sample.az) for f in frames if isinstance(f.sample, Ahrs)]
     )
-    assert abs(gravity.mean() - 9.97) < 0.05  # this one reads 1.7 % high, all through
+    assert abs(gravity.mean() - 9.97) < 0.05  # this sensor reads 1.7 % high during the whole log
     assert max(f.sample.az for f in frames if isinstance(f.sample, Ahrs)) < -9.5
 
 
 @pytest.mark.measured
-def test_ardupilots_simulated_vn300() -> None:
+def test_a_capture_of_ardupilots_simulated_vn300_is_read() -> None:
     decoder = Decoder()
     frames = decoder.feed(measured("ardurover/vn.bin").read_bytes(), 0.0)
     assert decoder.checksum_errors == 0
-    assert decoder.unparsed_bytes < 200  # the capture's cut end
+    assert decoder.unparsed_bytes < 200  # the truncated end of the capture
     times = [frame.t_device for frame in frames]
     assert times == sorted(times)
     resting = [

@@ -1,4 +1,4 @@
-"""VESC on CAN, and slcan around it: against frames of a real controller, hand-made bytes, and dirty lines."""
+"""Tests of VESC on CAN and of slcan: frames of a real controller, frames made by hand, and damaged lines."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from tests.measured.data import measured
 
 ESC = Esc(1, 1234.0, -3.0, 0.25, 15.9, 31.0)
 RAW = b"".join(pack_can(*frame) for frame in encode_status(ESC, 7))
-TWICE = RAW + RAW  # temperature and voltage of the first are in the second's sample
+TWICE = RAW + RAW  # temperature and voltage of the first sample are repeated in the second
 
 
 def make() -> Decoder:
     return Decoder({1: 7, 2: 5})
 
 
-def test_status_1_as_the_manual_lays_it_out() -> None:
-    # erpm 0x00002108 = 8456 of 7 pole pairs; current 0xffe2 = -3.0 A; duty 0x00fa = 0.25
+def test_status_1_is_read_as_in_the_manual() -> None:
+    # erpm 0x00002108 = 8456 with 7 pole pairs; current 0xffe2 = -3.0 A; duty 0x00fa = 0.25
     data = bytes.fromhex("00002108ffe200fa")
     (frame,) = make().feed_frame(9 << 8 | 1, data, 3.0)
     assert is_close(frame.sample, Esc(1, 8456 / 7, -3.0, 0.25, NAN, NAN))
     assert frame.t_rx == 3.0
 
 
-def test_status_4_and_5_join_the_next_status_1() -> None:
+def test_status_4_and_5_are_added_to_the_next_status_1() -> None:
     decoder = make()
     assert decoder.feed_frame(16 << 8 | 1, bytes.fromhex("0136fe8400000000"), 1.0) == []  # 31.0 deg C; motor -38
     assert (
         decoder.feed_frame(27 << 8 | 1, bytes.fromhex("00000000009f"), 1.0) == []
-    )  # 15.9 V; six bytes, older firmware
+    )  # 15.9 V; six bytes in older firmware
     (frame,) = decoder.feed_frame(9 << 8 | 1, bytes(8), 1.5)
     assert is_close(frame.sample, Esc(1, 0.0, 0.0, 0.0, 15.9, 31.0))
     (frame,) = decoder.feed_frame(9 << 8 | 1, bytes(8), 1.0 + STALE + 0.1)
@@ -47,20 +47,20 @@ def test_status_4_and_5_join_the_next_status_1() -> None:
     assert is_close(frame.sample, Esc(2, 0.0, 0.0, 0.0, NAN, NAN))
 
 
-def test_a_reversed_thruster_tells_rpm_and_duty_with_the_sign_of_its_commands() -> None:
+def test_rpm_and_duty_of_a_reversed_thruster_have_the_sign_of_its_commands() -> None:
     frames = Decoder({1: 7}, frozenset({1})).feed(RAW, 0.0)
     assert is_close(frames[0].sample, Esc(1, -1234.0, -3.0, -0.25, NAN, NAN))
 
 
-def test_frames_of_other_nodes_and_other_packets_are_left_alone() -> None:
+def test_frames_of_other_nodes_and_other_packets_are_ignored() -> None:
     decoder = make()
     assert decoder.feed(pack_can(9 << 8 | 9, bytes(8)) + pack_can(99 << 8 | 1, bytes(8)), 0.0) == []
-    assert decoder.feed(CAN_FRAME.pack(0x123, 8, bytes(8)), 0.0) == []  # 11 bits
+    assert decoder.feed(CAN_FRAME.pack(0x123, 8, bytes(8)), 0.0) == []  # an identifier of 11 bits
     assert decoder.other_nodes == {9: 1}
     assert decoder.unparsed_bytes == 0
 
 
-def test_short_frames_and_lengths_that_cannot_be_are_unparsed() -> None:
+def test_short_frames_and_impossible_lengths_are_unparsed() -> None:
     decoder = make()
     assert decoder.feed_frame(9 << 8 | 1, b"\0\0", 0.0) == []
     assert decoder.feed(CAN_FRAME.pack(0x8000_0901, 9, bytes(8)), 0.0) == []
@@ -102,7 +102,7 @@ def test_command_round_trip(node: int, n: float) -> None:
     assert abs(found[1] - n) <= 0.51e-5
 
 
-def test_a_command_on_the_wire() -> None:
+def test_a_command_has_the_expected_bytes() -> None:
     assert encode_duty(3, 0.5) == (3, (50_000).to_bytes(4, "big"))
     assert encode_duty(3, -1.0) == (3, (-100_000).to_bytes(4, "big", signed=True))
     assert decode_command(9 << 8 | 3, bytes(8)) is None
@@ -110,14 +110,14 @@ def test_a_command_on_the_wire() -> None:
 
 
 @pytest.mark.parametrize("n", [1.01, -1.01, NAN, math.inf])
-def test_no_command_beyond_full(n: float) -> None:
+def test_commands_beyond_full_duty_are_refused(n: float) -> None:
     with pytest.raises(ValueError, match="between -1 and 1"):
         encode_duty(1, n)
 
 
 @given(st.lists(st.binary(max_size=60)))
 @settings(max_examples=500, deadline=None)
-def test_anything_may_be_fed(pieces: list[bytes]) -> None:
+def test_random_bytes_raise_no_exception(pieces: list[bytes]) -> None:
     decoder = make()
     for piece in pieces:
         decoder.feed(piece, 0.0)
@@ -125,7 +125,7 @@ def test_anything_may_be_fed(pieces: list[bytes]) -> None:
 
 
 @pytest.mark.measured
-def test_frames_of_a_real_vesc_at_rest() -> None:
+def test_frames_of_a_real_vesc_at_rest_are_read() -> None:
     text = measured("can/vesc_forum_frames.log").read_text()
     frames = [(int(name, 16), bytes.fromhex(data)) for name, data in re.findall(r"([0-9A-F]{8})#([0-9A-F]+)", text)]
     assert len(frames) == 5
@@ -136,7 +136,7 @@ def test_frames_of_a_real_vesc_at_rest() -> None:
     assert decoder.unparsed_bytes == 0
 
 
-def test_slcan_lines() -> None:
+def test_slcan_lines_are_read_and_written() -> None:
     (frame,) = slcan.Decoder().feed(b"T00000901800002108FFE200FA\r", 0.0)
     assert unpack_can(frame) == (0x901, bytes.fromhex("00002108FFE200FA"))
     (stamped,) = slcan.Decoder().feed(b"T000009012ABCD1234\r", 0.0)
@@ -170,7 +170,7 @@ def test_slcan_splits_and_garbage() -> None:
         assert decoder.unparsed_bytes == expected.unparsed_bytes
 
 
-def test_slcan_drops_no_character_unseen() -> None:
+def test_an_slcan_line_without_one_character_gives_no_frame() -> None:
     line = slcan.encode(0x901, bytes(8))
     for at in range(len(line)):
         decoder = slcan.Decoder()
@@ -181,7 +181,7 @@ def test_slcan_drops_no_character_unseen() -> None:
 
 @given(st.lists(st.one_of(st.binary(max_size=40), st.text("Tt0189ABF\r", max_size=40).map(str.encode))))
 @settings(max_examples=500, deadline=None)
-def test_slcan_anything_may_be_fed(pieces: list[bytes]) -> None:
+def test_random_bytes_to_slcan_raise_no_exception(pieces: list[bytes]) -> None:
     decoder = slcan.Decoder()
     for piece in pieces:
         for frame in decoder.feed(piece, 0.0):

@@ -1,4 +1,4 @@
-"""Ports are recognised by what speaks on them: real ptys, whose devices know at which baud rate somebody listens."""
+"""Tests of the discovery of devices on real ptys. The devices send garbage to a host with the wrong baud rate."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def esc(k: int) -> bytes:
 def attitude(k: int) -> bytes:
     link = MAVLink(None, srcSystem=1, srcComponent=1)
     heartbeat = link.heartbeat_encode(11, 3, 0, 0, 3)  # a surface boat, ArduPilot, disarmed
-    said = link.attitude_encode(20 * k, 0.01, 0.02, 0.5, 0.0, 0.0, 0.1)
-    return b"".join(bytes(message.pack(link)) for message in (heartbeat, said))
+    attitude_message = link.attitude_encode(20 * k, 0.01, 0.02, 0.5, 0.0, 0.0, 0.1)
+    return b"".join(bytes(message.pack(link)) for message in (heartbeat, attitude_message))
 
 
 SAYS: dict[str, tuple[int, Callable[[int], bytes]]] = {
@@ -54,12 +54,12 @@ SAYS: dict[str, tuple[int, Callable[[int], bytes]]] = {
 
 @contextlib.contextmanager
 def device(baud: int, say: Callable[[int], bytes]) -> Iterator[str]:
-    """A device that speaks every 20 ms; who listens at another rate gets garbage."""
+    """Device that sends every 20 ms. A host that listens at another baud rate gets garbage."""
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
     ending = threading.Event()
-    say(0)  # what it has to load is loaded before anybody listens
+    say(0)  # its modules are imported before a host listens
 
     def run() -> None:
         rng, k = random.Random(1), 0
@@ -91,7 +91,7 @@ def test_a_device_is_recognised_with_its_baud_rate(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "each"), [("nmea", 1), ("vectornav", 1), ("loadcell", 1), ("mavlink", 2)])
 def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
-    """A receiver's last fix is only taken as complete when the next begins, or at the end."""
+    """The last fix of a receiver is complete only when the next begins, or at the end."""
     ear = _Listener(name)
     for k in range(6):
         ear.feed(SAYS[name][1](k), 0.2 * k)
@@ -100,7 +100,7 @@ def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
 
 
 def test_a_rate_that_the_user_names_is_tried_with_every_protocol() -> None:
-    baud = 9600  # no VectorNav leaves the factory with it
+    baud = 9600  # no VectorNav has this rate by default
     assert baud not in DEVICES["vectornav"].bauds
     with device(baud, SAYS["vectornav"][1]) as port:
         found = identify_protocol(port, bauds=(baud,), listen=0.4)
@@ -116,21 +116,21 @@ def test_a_receiver_without_a_fix_is_recognised() -> None:
 
 
 def test_right_frames_without_a_sample_are_no_wrong_baud_rate() -> None:
-    """A receiver that lists satellites only."""
+    """The receiver only lists satellites."""
     with device(9600, lambda k: sentence("GPGSV,1,1,00")) as port:
         found = identify_protocol(port, bauds=(9600,), listen=0.4)
     assert found.protocol == ""
     assert found.says.startswith("frames of vectornav at 9600 baud or nmea at 9600 baud")
 
 
-def test_what_is_not_known_is_said() -> None:
+def test_an_unknown_device_is_reported() -> None:
     with device(115200, lambda k: b"\x00\xf7 nothing of the kind") as port:
         found = identify_protocol(port, bauds=(115200, 9600), listen=0.2)
     assert (found.protocol, found.says) == ("", "bytes of no known protocol at 115200, 9600 baud")
     assert "is not there" in identify_protocol("/dev/none", listen=0.1).says
 
 
-def test_a_silent_port_is_given_up_at_the_first_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_port_is_tried_at_the_first_baud_rate_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seatrial.daq.tools.discovery.SILENT_S", 0.1)
     with device(9600, lambda k: b"") as port:
         assert identify_protocol(port, listen=0.1).says.startswith("silent")
@@ -143,13 +143,13 @@ def test_all_baud_rates_of_the_table_are_tried() -> None:
 
 
 @pytest.mark.parametrize("address", ["tcp:192.168.1.1", "udp:14550x", "udp:127.0.0.1:0"])
-def test_an_address_that_is_none_is_wrong_usage(address: str) -> None:
+def test_an_invalid_address_is_wrong_usage(address: str) -> None:
     done = CliRunner().invoke(cli.devices, [address])
     assert done.exit_code == 2, done.output
     assert f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{address}'" in done.output
 
 
-def test_the_command_writes_what_a_rig_file_needs(tmp_path: Path) -> None:
+def test_the_devices_command_writes_the_tables_of_a_rig_file(tmp_path: Path) -> None:
     baud, say = SAYS["nmea"]
     with device(baud, say) as port:
         done = CliRunner().invoke(
@@ -160,8 +160,8 @@ def test_the_command_writes_what_a_rig_file_needs(tmp_path: Path) -> None:
     assert (rig.devices[0].protocol, rig.devices[0].baud, rig.devices[0].port) == ("nmea", 38400, port)
 
 
-def test_a_device_that_speaks_once_has_no_rate() -> None:
-    """All its samples have one time of arrival: a rate of nan was printed."""
+def test_a_device_that_sends_once_has_no_rate() -> None:
+    """All its samples have the same time of arrival. An earlier version printed a rate of nan."""
     burst = b"".join(nmea.encode(fix(k)) for k in range(4))
     with device(38400, lambda k: burst if k == 10 else b"") as path:
         words = [path, "--baud", "38400", "--seconds", "0.6"]

@@ -1,4 +1,4 @@
-"""Export: every table comes out with its digits, units and names."""
+"""Tests of export: every table is written with all digits, units and names."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def log(tmp_path: Path) -> Path:
     return tmp_path / "all.mcap"
 
 
-def test_csv_holds_every_table_with_all_digits(log: Path, tmp_path: Path) -> None:
+def test_csv_contains_every_table_with_all_digits(log: Path, tmp_path: Path) -> None:
     with open_log(log) as opened:
         written = export_log(opened, "csv", tmp_path / "out")
         assert {path.stem for path in written} == {part.name for part in log_tables(opened)} | {"events"}
@@ -52,7 +52,7 @@ def test_csv_holds_every_table_with_all_digits(log: Path, tmp_path: Path) -> Non
     assert events[1].endswith('mark,"round 0: Trondheimsfjorden, blåsende"')
 
 
-def test_a_part_of_the_time_only(tmp_path: Path) -> None:
+def test_a_time_window_is_exported(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for k in range(500):
         t = T0 + 0.02 * k
@@ -72,14 +72,14 @@ def test_a_part_of_the_time_only(tmp_path: Path) -> None:
         assert isinstance(done.exception, SeatrialError)
 
 
-def test_units_stand_in_the_heads(log: Path, tmp_path: Path) -> None:
+def test_units_are_in_the_column_headers(log: Path, tmp_path: Path) -> None:
     with open_log(log) as opened:
         export_log(opened, "csv", tmp_path / "out")
     assert "yaw [rad],pitch [rad]" in (tmp_path / "out/ahrs_ahrs.csv").read_text()
     assert "rpm [rev/min],current [A],duty,voltage [V]" in (tmp_path / "out/esc_1_esc.csv").read_text()
 
 
-def test_nothing_is_replaced_unless_told(log: Path, tmp_path: Path) -> None:
+def test_an_export_replaces_files_only_on_request(log: Path, tmp_path: Path) -> None:
     run = CliRunner()
     words = ["csv", str(log), "--out", str(tmp_path / "out")]
     assert run.invoke(cli.export, words).exit_code == 0
@@ -118,7 +118,7 @@ def test_parquet_reads_back(log: Path, tmp_path: Path) -> None:
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """A command that is held, a fast rate, a heading over the date line of angles, and a gap."""
+    """Write a command that is held, a fast rate, a heading across the wrap of angles, and a gap."""
     t = T0 + 0.01 * np.arange(1000)
     psi = np.pi - 0.02 + 0.01 * (t - T0)
     slow = T0 + np.array([0.0, 1.0, 2.0, 8.0, 9.0, 9.99])
@@ -136,7 +136,7 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return np.pi - np.mod(np.pi - angle, 2 * np.pi)
 
 
-def test_resampled_by_what_each_signal_is(run: Path) -> None:
+def test_each_signal_is_resampled_according_to_its_kind(run: Path) -> None:
     with open_log(run) as opened:
         table = resample(opened, 10.0)
     tau = table.t - T0
@@ -144,14 +144,14 @@ def test_resampled_by_what_each_signal_is(run: Path) -> None:
     assert table.units == {"n_left": "1", "psi": "rad", "r": "rad/s", "u": "m/s"}
     np.testing.assert_array_equal(table.columns["n_left"][[0, 9, 10, 79, 80]], [0, 0, 1, 2, 3])  # held over the gap
     np.testing.assert_allclose(table.columns["psi"][:98], wrapped(np.pi - 0.02 + 0.01 * tau[:98]), atol=1e-9)
-    np.testing.assert_allclose(table.columns["r"][1:-1], np.sin(tau[1:-1]), atol=1e-3)  # means of ten
+    np.testing.assert_allclose(table.columns["r"][1:-1], np.sin(tau[1:-1]), atol=1e-3)  # means of ten samples
     u = table.columns["u"]
     assert u[15] == pytest.approx(1.5)
-    assert np.isnan(u[[30, 60]]).all()  # nothing is made up in 6 s without a sample
+    assert np.isnan(u[[30, 60]]).all()  # no value is invented in 6 s without a sample
     assert u[80] == pytest.approx(3.0)
 
 
-def test_one_table_as_mat_netcdf_parquet_and_csv(run: Path, tmp_path: Path) -> None:
+def test_the_resampled_table_is_written_as_mat_netcdf_parquet_and_csv(run: Path, tmp_path: Path) -> None:
     with open_log(run) as opened:
         table = resample(opened, 10.0)
         for form in ("mat", "netcdf", "parquet", "csv"):
@@ -174,7 +174,7 @@ def test_one_table_as_mat_netcdf_parquet_and_csv(run: Path, tmp_path: Path) -> N
     xr.close()
 
 
-def test_pandas_and_xarray(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_resampled_table_becomes_pandas_and_xarray(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_log(run) as opened:
         table, frame, data = resample(opened, 20.0), opened.to_pandas(20.0), opened.to_xarray(20.0)
         np.testing.assert_array_equal(frame["r"].to_numpy(), table.columns["r"])
@@ -187,7 +187,7 @@ def test_pandas_and_xarray(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             opened.to_pandas()
 
 
-def test_every_kind_of_sample_is_in_the_one_table(log: Path, tmp_path: Path) -> None:
+def test_every_kind_of_sample_is_in_the_resampled_table(log: Path, tmp_path: Path) -> None:
     run = CliRunner()
     words = ["mat", str(log), "--out", str(tmp_path / "out")]
     assert run.invoke(cli.export, words).exit_code == 0
@@ -200,7 +200,7 @@ def test_every_kind_of_sample_is_in_the_one_table(log: Path, tmp_path: Path) -> 
 
 
 def signals_of(path: Path, **angles: np.ndarray) -> Path:
-    """A log of angles [rad] at 50 Hz."""
+    """Write a log of angles [rad] at 50 Hz."""
     many = [
         SignalData(Signal(name, (name,), unit="rad"), "rad", T0 + 0.02 * np.arange(len(values)), values)
         for name, values in angles.items()
@@ -210,7 +210,7 @@ def signals_of(path: Path, **angles: np.ndarray) -> Path:
 
 
 def test_a_compass_of_a_whole_turn_is_not_averaged_through_its_jump(tmp_path: Path) -> None:
-    true = np.radians(350.0) + np.radians(0.08) * np.arange(250)  # to 370 degrees
+    true = np.radians(350.0) + np.radians(0.08) * np.arange(250)  # up to 370 degrees
     path = signals_of(tmp_path / "run.mcap", psi=np.mod(true, 2 * np.pi), t=true)
     with open_log(path) as opened:
         table = resample(opened, 10.0)
@@ -219,15 +219,16 @@ def test_a_compass_of_a_whole_turn_is_not_averaged_through_its_jump(tmp_path: Pa
     inside = slice(1, -1)
     error = table.columns["psi"] - wanted
     np.testing.assert_allclose(np.angle(np.exp(1j * error))[inside], 0.0, atol=2e-3)
-    assert 0.0 <= table.columns["psi"].min() < table.columns["psi"].max() < 2 * np.pi  # as it was written
-    np.testing.assert_allclose(table.columns["t"][inside], wanted[inside], atol=2e-3)  # was unwrapped, and stays so
+    assert 0.0 <= table.columns["psi"].min() < table.columns["psi"].max() < 2 * np.pi  # unchanged
+    # the angle was unwrapped, and stays so
+    np.testing.assert_allclose(table.columns["t"][inside], wanted[inside], atol=2e-3)
     with (tmp_path / "out/run.csv").open(newline="") as file:
         first = next(iter(csv.DictReader(file)))
     assert float(first["t [s]"]) == T0  # the time, not the signal of that name
     assert float(first["t_ [rad]"]) == pytest.approx(true[0], abs=5e-3)
 
 
-def test_longitude_goes_over_the_date_line(tmp_path: Path) -> None:
+def test_longitude_is_resampled_across_the_date_line(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for k in range(50):
         t, lon = T0 + 0.1 * k, 179.9999 + 4e-6 * k

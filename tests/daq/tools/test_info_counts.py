@@ -1,4 +1,4 @@
-"""`seatrial info` counts the samples that `seatrial log` counts, beside the messages that they became."""
+"""Test that `seatrial info` counts the same samples as `seatrial log`, beside the messages made of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from seatrial.daq.samples import Ahrs, Esc, Frame, Gnss, Sample
 from seatrial.daq.tools import show_log
 
 
-def test_samples_and_their_messages(tmp_path: Path) -> None:
+def test_info_counts_samples_and_their_messages(tmp_path: Path) -> None:
     samples: list[tuple[str, Sample]] = [
         *[("ahrs", Ahrs(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -9.8, 1e-5, 0.0, 4e-5))] * 5,
         *[("gnss", Gnss(1.0, 54.1, 10.8, fix=3, vel_n=1.0, vel_e=0.0))] * 3,
@@ -24,5 +24,5 @@ def test_samples_and_their_messages(tmp_path: Path) -> None:
     with open_log(tmp_path / "run.mcap") as log, console.capture() as capture:
         show_log(log, console)
     n_messages = sum(log.counts.values())
-    assert n_messages > 2 * len(samples)  # time, IMU and magnetometer of an AHRS, for instance
+    assert n_messages > 2 * len(samples)  # time, IMU and magnetometer of an AHRS, for example
     assert f"9.000 s, {len(samples)} samples in {n_messages} messages" in capture.get()

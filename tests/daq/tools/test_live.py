@@ -1,4 +1,4 @@
-"""`seatrial log`: the table at 80 and 120 columns, lines in a pipe, and Ctrl-C."""
+"""Tests of `seatrial log`: the table at 80 and 120 columns, lines in a pipe, and Ctrl-C."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ HEALTHY = PortStatus("ahrs", "vectornav", "/p/ahrs", 100.0, 100.2, 0.004, 5000, 
 
 
 def status() -> Status:
-    """A rig of which one device is well, one errs, one is pulled and one was never there."""
+    """Return the status of a rig with four devices: one works, one has errors, one is unplugged, one was never
+    connected.
+    """
     ports = {
         "ahrs": HEALTHY,
         "gnss": dataclasses.replace(
@@ -59,12 +61,12 @@ def rendered(width: int) -> list[str]:
 
 
 def body(rows: list[str]) -> list[str]:
-    """The rows between the header and the warnings."""
+    """Return the rows between the header and the warnings."""
     start = next(i for i, row in enumerate(rows) if row.startswith("device")) + 1
     return rows[start : rows.index("", start)]
 
 
-def test_the_table_says_what_there_is_in_80_columns() -> None:
+def test_the_table_shows_every_device_in_80_columns() -> None:
     rows = rendered(80)
     assert all(len(row) <= 80 for row in rows)
     text = "\n".join(rows)
@@ -81,7 +83,7 @@ def test_the_table_says_what_there_is_in_80_columns() -> None:
     assert "right: -1234 rpm" in right
     assert "never" in cell
     assert "is not there" in cell
-    # Not colour alone: a sign too.
+    # A sign is shown in addition to the colour.
     assert (ahrs[0], left[0], cell[0]) == ("●", "!", "!")
     assert "! esc (/p/can): disconnected" in text
 
@@ -108,8 +110,8 @@ def test_plain_lines_and_the_last_line() -> None:
     assert last == "run.mcap: 1:01.2, 99 samples, 12.3 MB; nothing from cell"
 
 
-def test_a_full_disk_is_no_recording() -> None:
-    """The table said REC while nothing was written."""
+def test_a_full_disk_is_not_shown_as_recording() -> None:
+    """An earlier version showed REC although the log was not written."""
     rig, why = parse_rig(RIG.format(speed=1.0), "rig.toml"), "/logs: the disk is full, nothing is written now"
     full = dataclasses.replace(status(), alarm=why)
     console = Console(width=120, force_terminal=True, color_system="truecolor", highlight=False)
@@ -123,7 +125,7 @@ def test_a_full_disk_is_no_recording() -> None:
     assert "NOT RECORDING" not in line(status(), rig, 9.0)
 
 
-def test_values_for_people() -> None:
+def test_values_are_shown_with_units() -> None:
     rig = parse_rig(RIG.format(speed=1.0), "rig.toml")
     assert describe(LoadCell(2000.0, 10.0, 3), rig, "cell") == "10.00 N 2000 counts saturated spike"
     assert describe(LoadCell(2000.0), rig, "cell") == "2000 counts"
@@ -139,13 +141,13 @@ def test_values_for_people() -> None:
     assert [size_text(n) for n in (7, 1500, 2_500_000, 3 * 10**9)] == ["7 B", "1.5 kB", "2.5 MB", "3.00 GB"]
 
 
-def test_a_status_travels_as_json() -> None:
+def test_a_status_is_encoded_as_json() -> None:
     before = status()
     after = from_json(to_json(before))
     assert repr(after) == repr(before)
 
 
-def test_a_name_for_the_log_that_is_free(tmp_path: Path) -> None:
+def test_a_new_log_gets_an_unused_name(tmp_path: Path) -> None:
     rig = parse_rig(RIG.format(speed=1.0), tmp_path / "rig.toml")
     path = default_log_path(rig)
     assert path.parent == tmp_path / "logs"
@@ -206,7 +208,7 @@ def test_ctrl_c_ends_cleanly_with_one_line(tmp_path: Path, terminal: bool) -> No
         )
         os.close(slave)
         wait_for(lambda: path.exists() and path.stat().st_size > 20_000, seconds=20.0, what="the log")
-        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal sends it
         screen = b""
         if terminal:
             while (data := read_some(master)) != b"":
@@ -221,14 +223,14 @@ def test_ctrl_c_ends_cleanly_with_one_line(tmp_path: Path, terminal: bool) -> No
 
 
 def read_some(master: int) -> bytes:
-    """What a terminal shows; nothing more once the program has ended."""
+    """Return the output on a terminal, or no more bytes once the program has ended."""
     try:
         return os.read(master, 65536)
     except OSError:
         return b""
 
 
-def test_a_log_in_which_nothing_came_is_a_failure(tmp_path: Path) -> None:
+def test_a_log_without_samples_is_a_failure(tmp_path: Path) -> None:
     row = '[[device]]\nname = "gnss"\nprotocol = "nmea"\nport = "nowhere"\nrate_hz = 5.0\n'
     (tmp_path / "rig.toml").write_text(f'format = "seatrial-rig 1"\nname = "x"\n{row}')
     words = ["log", str(tmp_path / "rig.toml"), "--duration", "0.5", "-o", str(tmp_path / "run.mcap")]

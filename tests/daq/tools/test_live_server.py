@@ -1,4 +1,6 @@
-"""The live view as a client sees it: a WebSocket of its own, on loopback, with the messages of the log."""
+"""Tests of the live view from a client: a separate WebSocket implementation on loopback receives the messages of the
+log.
+"""
 
 from __future__ import annotations
 
@@ -40,13 +42,14 @@ def rig(host: str = "127.0.0.1", port: int = 0) -> Rig:
 def status(t: float) -> Status:
     latest = {
         ("ahrs", None): Latest(Ahrs(0.5, 0.0, 0.0, r=0.25), t),
-        ("autopilot/gnss", None): Latest(Gnss(math.nan, 50.0, 8.0, fix=3), t),  # as a device of several kinds
+        # like a device with several kinds of samples
+        ("autopilot/gnss", None): Latest(Gnss(math.nan, 50.0, 8.0, fix=3), t),
     }
     return Status(t, {}, latest, {}, 0, "run.mcap", 0, 0, 0.0, "", ())
 
 
 class Client:
-    """Just enough of RFC 6455 to listen."""
+    """Minimal client of RFC 6455 that receives messages."""
 
     def __init__(self, port: int, origin: bytes = b"") -> None:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
@@ -74,7 +77,7 @@ class Client:
         return out
 
     def messages(self) -> Iterator[tuple[int, bytes]]:
-        """Opcode (1 text, 2 binary) and content."""
+        """Yield opcode (1 text, 2 binary) and content."""
         while True:
             first, second = self._take(2)
             size = second & 0x7F
@@ -99,8 +102,8 @@ def test_a_client_gets_the_messages_of_the_log() -> None:
         try:
             channels: dict[str, dict[str, Any]] = {}
             for opcode, data in client.messages():
-                told = json.loads(data) if opcode == 1 else {}
-                channels |= {c["topic"]: c for c in told.get("channels", [])}
+                announced = json.loads(data) if opcode == 1 else {}
+                channels |= {c["topic"]: c for c in announced.get("channels", [])}
                 if {topic.rpartition("/")[2] for topic in channels} >= {"imu", "gnss", "fix"}:
                     break
             assert channels.keys() >= {"/ahrs/imu", "/autopilot/gnss", "/autopilot/fix"}
@@ -113,7 +116,7 @@ def test_a_client_gets_the_messages_of_the_log() -> None:
                 if opcode == 2:
                     binary = data
                     break
-                if json.loads(data).get("op") == "status":  # told of a moment before it can be subscribed to
+                if json.loads(data).get("op") == "status":  # announced shortly before a client can subscribe to it
                     client.send(subscription)
         finally:
             client.close()
@@ -143,13 +146,13 @@ def test_a_page_of_a_foreign_site_is_refused() -> None:
                     Client(port, header.encode())
         for origin in ("https://app.foxglove.dev", "http://localhost:8080", "file://"):
             Client(port, f"Origin: {origin}\r\n".encode()).close()
-        with socket.create_connection(("127.0.0.1", port), timeout=5.0) as quiet:  # holds up nobody
+        with socket.create_connection(("127.0.0.1", port), timeout=5.0) as quiet:  # a silent client blocks no other
             Client(port).close()
             quiet.sendall(b"\r\n\r\n")
 
 
 def connected(port: int) -> Iterator[socket.socket | Client]:
-    """Connections of every kind: a client, one that says nothing, one that has gone, one that was reset, garbage."""
+    """Open connections of every kind: a client, a silent one, a closed one, a reset one, and one with garbage."""
     yield Client(port)
     yield socket.create_connection(("127.0.0.1", port))
     gone = Client(port)
@@ -166,10 +169,10 @@ def connected(port: int) -> Iterator[socket.socket | Client]:
 
 @needs_foxglove
 @pytest.mark.parametrize("turns", [0, 1])
-def test_the_end_prints_nothing(
+def test_the_end_of_the_server_prints_no_output(
     turns: int, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor does it log anything, whoever is connected."""
+    """Neither output nor log messages may appear, for any kind of connection."""
     with LiveServer(rig(), lambda: status(time.time())) as server:
         there = list(connected(int(server.address.rpartition(":")[2])))
         time.sleep(0.2 * turns)
@@ -180,7 +183,7 @@ def test_the_end_prints_nothing(
 
 
 @needs_foxglove
-def test_a_port_that_is_taken_is_one_line() -> None:
+def test_a_port_in_use_is_one_line() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -195,7 +198,7 @@ def test_without_its_library_it_is_one_line(monkeypatch: pytest.MonkeyPatch) -> 
         pass
 
 
-def test_it_listens_to_this_machine_alone_unless_the_rig_says_otherwise(tmp_path: Path) -> None:
+def test_the_server_listens_on_loopback_unless_the_rig_sets_a_host(tmp_path: Path) -> None:
     assert parse_rig(RIG, tmp_path / "rig.toml").live == Live("127.0.0.1", 8765)
     text = RIG.replace("[[device]]", '[live]\nhost = "0.0.0.0"\nport = 9000\n\n[[device]]', 1)
     assert parse_rig(text, tmp_path / "rig.toml").live == Live("0.0.0.0", 9000)

@@ -1,4 +1,4 @@
-"""The live table says of each source how it is now: further kinds, silent ones, and an acquisition that hangs."""
+"""Tests of the state of each source in the live table: kinds of samples, silent sources, a hanging acquisition."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEVEL = Ahrs(0.3, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def status(device: str, *newest: tuple[Source, Sample, float]) -> Status:
-    """Of a device that sends now, with its newest samples and their ages."""
+    """Return the status of a device that sends now, with its newest samples and their ages."""
     port = PortStatus(device, "", "/p", 25.0, 25.0, 0.02, 5000, 5000, 0, 0, 0, 0, 10**6, NAN, NAN, "")
     latest = {source: Latest(sample, NOW - age) for source, sample, age in newest}
     return Status(NOW, {device: port}, latest, {}, 0, "run.mcap", 1, 99, 61.0, "", ())
@@ -39,7 +39,7 @@ def boat() -> Rig:
     return parse_rig(RIG.format(speed=1.0), Path("rig.toml"))
 
 
-def test_each_kind_of_a_device_has_its_line() -> None:
+def test_each_kind_of_sample_has_its_own_line() -> None:
     seen = status(
         "autopilot",
         (("autopilot", None), LEVEL, 0.02),
@@ -47,19 +47,19 @@ def test_each_kind_of_a_device_has_its_line() -> None:
         (("autopilot/battery", None), Battery(15.2, 3.0, 0.8), 0.5),
     )
     text = "\n".join(rows(seen, mav_rig()))
-    for said in ("yaw 17.2°", "3D 9 sat 1.37 m/s", "battery 15.2 V 3.0 A 80 %"):
-        assert said in text
+    for part in ("yaw 17.2°", "3D 9 sat 1.37 m/s", "battery 15.2 V 3.0 A 80 %"):
+        assert part in text
     assert "STALE" not in text
 
 
-def test_a_device_of_one_further_kind_delivers() -> None:
+def test_a_device_that_sends_only_another_kind_of_sample_delivers() -> None:
     text = "\n".join(rows(status("gnss", (("gnss/ahrs", None), Ahrs(0.3, NAN, NAN), 0.05)), boat()))
     assert "yaw 17.2°" in text
     assert "no sample yet" not in text
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_a_node_and_a_kind_that_are_not_heard_any_more_are_stale(width: int) -> None:
+def test_a_silent_node_and_a_silent_kind_of_sample_are_stale(width: int) -> None:
     seen = status("esc", (("esc", 1), Esc(1, 1500.0, 3.0), 60.0), (("esc", 2), Esc(2, 1490.0, 3.0), 0.03))
     left, right = (row for row in rows(seen, boat(), width=width) if "rpm" in row)
     assert "STALE 60 s: left: 1500 rpm" in left
@@ -71,9 +71,9 @@ def test_a_node_and_a_kind_that_are_not_heard_any_more_are_stale(width: int) -> 
     assert "STALE 120 s" in gnss
 
 
-def test_slow_sources_of_a_sound_device_are_not_stale() -> None:
+def test_slow_sources_of_a_working_device_are_not_stale() -> None:
     fix, compass = Gnss(1.0, 41.0, -8.0, fix=3), Ahrs(0.3, NAN, NAN)
-    late = status("gnss", (("gnss", None), fix, 2.2), (("gnss/ahrs", None), compass, 0.05))  # one fix of 1 Hz is lost
+    late = status("gnss", (("gnss", None), fix, 2.2), (("gnss/ahrs", None), compass, 0.05))  # one fix at 1 Hz is lost
     servo = status("autopilot", (("autopilot", None), LEVEL, 0.02), (("autopilot", 3), Servo(3, 1500.0), 1.2))
     assert "STALE" not in "\n".join(rows(late, boat()) + rows(servo, mav_rig()))
     bare = dataclasses.replace(boat(), thrusters=())
@@ -93,10 +93,10 @@ def test_an_autopilot_that_waits_for_a_fix_is_stale_only_when_it_is_silent(age: 
 def test_an_acquisition_that_hangs_is_not_recording() -> None:
     seen = status("autopilot", (("autopilot", None), LEVEL, 0.02))
     assert " REC " in rows(seen, mav_rig(), NOW + 0.2)[0]
-    head, *others = rows(seen, mav_rig(), NOW + 6.0)
+    head, *other_rows = rows(seen, mav_rig(), NOW + 6.0)
     assert " REC " not in head
     assert "the acquisition does not answer" in head
-    (row,) = [row for row in others if "autopilot" in row]
+    (row,) = [row for row in other_rows if "autopilot" in row]
     assert row.startswith("!")
     assert "6.0 STALE" in row
     assert " 25.0 " not in row
@@ -104,7 +104,7 @@ def test_an_acquisition_that_hangs_is_not_recording() -> None:
     assert "the acquisition does not answer" not in line(seen, mav_rig(), NOW + 0.2)
 
 
-def test_what_an_autopilot_says_is_in_words() -> None:
+def test_the_state_of_an_autopilot_is_shown_in_words() -> None:
     rig = mav_rig()
     assert describe(Servo(3, 1500.0, 0.25), rig, "autopilot") == "output 3: 1500 us n 0.25"
     assert describe(Autopilot(1, 4, 4), rig, "autopilot") == "armed, mode 4"

@@ -1,4 +1,6 @@
-"""A log's raw bytes come back on ports: to a plain reader, and to an acquisition that records them again."""
+"""Tests of the replay of a log's raw bytes on ports: for a plain reader, and for an acquisition that records them
+again.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,7 @@ from tests.daq.ptys import RIG, TestBoat, wait_for
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One and a half seconds of the test boat."""
+    """Record one and a half seconds of the test boat."""
     folder = tmp_path_factory.mktemp("boat")
     with TestBoat(folder) as boat:
         rig = parse_rig(f'{boat.rig_path.read_text()}\n[ros2]\nrouter = "tcp/10.0.0.9:7447"\n', boat.rig_path)
@@ -48,7 +50,7 @@ def test_a_reader_gets_the_same_bytes_at_the_recorded_pace(recorded: Path, tmp_p
             time.sleep(0.005)
         with serial.Serial(str(tmp_path / "ports/ahrs"), 115200, timeout=0.05) as port:
             while not done.is_set():
-                with contextlib.suppress(OSError):  # the port goes when the log has ended
+                with contextlib.suppress(OSError):  # the port disappears when the log has ended
                     if data := port.read(port.in_waiting or 1):
                         got.extend(data)
                         times.append(time.monotonic())
@@ -88,16 +90,18 @@ def test_an_acquisition_records_the_same_samples_again(recorded: Path, tmp_path:
             assert escs[0] == escs[1] > 100
 
 
-def test_the_logs_own_rig_stands_beside_the_ports_while_they_are_there(recorded: Path, tmp_path: Path) -> None:
+def test_the_rig_of_the_log_is_beside_the_ports_while_they_exist(recorded: Path, tmp_path: Path) -> None:
     seen: list[tuple[str, Rig]] = []
 
     def stopped() -> bool:
-        seen.append((said[0], load_rig(tmp_path / "ports/replay.toml")))
+        seen.append((printed[0], load_rig(tmp_path / "ports/replay.toml")))
         return True
 
-    said: list[str] = []
+    printed: list[str] = []
     with open_log(recorded) as log:
-        assert replay_log(log, ["ahrs", "esc"], tmp_path / "ports", speed=2.0, said=said.append, stopped=stopped) == 0
+        assert (
+            replay_log(log, ["ahrs", "esc"], tmp_path / "ports", speed=2.0, said=printed.append, stopped=stopped) == 0
+        )
         own = log.rig
     assert own is not None
     ((line, rig),) = seen
@@ -118,7 +122,7 @@ def test_frames_of_both_kinds_become_slcan_lines() -> None:
 
 
 @pytest.mark.parametrize("name", ["/tmp/x", "../x", "a/b", "replay.toml", ".bashrc", "", "ahrs\n", "ünder"])
-def test_a_name_that_no_rig_would_have_makes_no_port(tmp_path: Path, name: str) -> None:
+def test_a_device_name_that_is_invalid_in_a_rig_makes_no_port(tmp_path: Path, name: str) -> None:
     log = recorder(tmp_path / "hostile.mcap")
     log.write_raw(name, "rx", b"echo pwned\n", T0)
     log.close()
@@ -130,7 +134,7 @@ def test_a_name_that_no_rig_would_have_makes_no_port(tmp_path: Path, name: str) 
 
 @pytest.mark.parametrize("name", ["ahrs", "esc", "replay.toml"])
 @pytest.mark.parametrize("kind", ["file", "link", "dangling"])
-def test_nothing_that_is_there_is_replaced_or_taken_away(recorded: Path, tmp_path: Path, name: str, kind: str) -> None:
+def test_existing_files_are_neither_replaced_nor_removed(recorded: Path, tmp_path: Path, name: str, kind: str) -> None:
     (tmp_path / "mine").write_text("mine")
     (tmp_path / "ports").mkdir()
     there = tmp_path / "ports" / name
@@ -147,7 +151,7 @@ def test_nothing_that_is_there_is_replaced_or_taken_away(recorded: Path, tmp_pat
     assert not os.path.lexists(tmp_path / "nowhere")
 
 
-def test_what_somebody_put_in_the_place_of_a_port_stays_and_is_not_opened(recorded: Path, tmp_path: Path) -> None:
+def test_a_file_put_in_place_of_a_port_is_neither_opened_nor_removed(recorded: Path, tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("mine")
     looks = []
 
@@ -172,7 +176,7 @@ def test_a_log_without_raw_bytes_cannot_be_replayed(tmp_path: Path) -> None:
         replay_log(opened, [], tmp_path)
 
 
-def test_a_device_that_is_not_there_is_named(recorded: Path, tmp_path: Path) -> None:
+def test_a_missing_device_of_a_replay_is_named(recorded: Path, tmp_path: Path) -> None:
     with (
         open_log(recorded) as log,
         pytest.raises(SeatrialError, match="no raw bytes of 'gps'; devices with raw bytes: ahrs"),

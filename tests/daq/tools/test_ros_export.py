@@ -1,4 +1,6 @@
-"""Export to ROS: the bag, the package and the layouts, read by rosbags and by what each tool documents."""
+"""Tests of the export to ROS: bag, package and layouts, read by rosbags and compared with the documentation of each
+tool.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ LAT, LON = 63.4, 10.4
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A boat that goes north-east at 2 m/s, heading 30 degrees, turning 0.1 rad/s to starboard, 5 degrees bow up."""
+    """Export a boat that moves north-east at 2 m/s, heading 30 degrees, turning 0.1 rad/s to starboard, bow up 5
+    degrees.
+    """
     folder = tmp_path_factory.mktemp("ros")
     log = recorder(folder / "run.mcap")
     for k in range(41):
@@ -56,11 +60,11 @@ def messages(folder: Path) -> dict[str, list[Any]]:
 
 
 def ros_counts(log: Log) -> dict[str, int]:
-    """Messages by topic, under names that ROS allows."""
+    """Return the number of messages by topic, under names that ROS allows."""
     return {topic.replace("/1/", "/node_1/").replace("/2/", "/node_2/"): n for topic, n in log.counts.items()}
 
 
-def test_the_bag_has_what_was_logged_and_the_frames_of_ros(exported: Path) -> None:
+def test_the_bag_contains_the_logged_messages_and_the_frames_of_ros(exported: Path) -> None:
     found = messages(exported / "out")
     with open_log(exported / "run.mcap") as log:
         counts = ros_counts(log)
@@ -69,12 +73,12 @@ def test_the_bag_has_what_was_logged_and_the_frames_of_ros(exported: Path) -> No
     assert imu.header.frame_id == "base_link"
     assert (imu.angular_velocity.x, imu.angular_velocity.y, imu.angular_velocity.z) == (0.01, -0.02, -0.1)
     assert (imu.linear_acceleration.x, imu.linear_acceleration.y, imu.linear_acceleration.z) == (0.3, -0.2, 9.7)
-    # The bow in east, north, up: 30 degrees from north is 60 from east, and 5 degrees up.
+    # The bow in east, north, up: 30 degrees from north equals 60 from east, and 5 degrees up.
     q = imu.orientation
     bow = [1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.w * q.z), 2 * (q.x * q.z - q.w * q.y)]
     level, up = np.cos(np.radians(5.0)), np.sin(np.radians(5.0))
     assert bow == pytest.approx([level * np.cos(np.radians(60)), level * np.sin(np.radians(60)), up])
-    # Starboard side 2 degrees up (roll -2 degrees): the body's y axis, to port, goes down.
+    # Starboard side up by 2 degrees (roll -2 degrees): the body's y axis, to port, points down.
     assert 2 * (q.y * q.z + q.w * q.x) == pytest.approx(-np.sin(np.radians(2.0)) * level)
 
 
@@ -90,15 +94,15 @@ def test_odometry_is_between_the_fixes_and_agrees_with_tf(exported: Path) -> Non
     heading = np.radians(30.0)
     ahead = (1.4 * np.cos(heading) + 1.5 * np.sin(heading)) * np.cos(np.radians(5.0))
     assert speed.x == pytest.approx(ahead)
-    assert speed.y > 0.0 if 1.5 * np.cos(heading) < 1.4 * np.sin(heading) else speed.y < 0.0  # y is to port
+    assert speed.y > 0.0 if 1.5 * np.cos(heading) < 1.4 * np.sin(heading) else speed.y < 0.0  # y points to port
     (transform,) = found["/tf"][2].transforms
     assert transform.transform.rotation == third.pose.pose.orientation
     assert transform.transform.translation.x == place.x
     assert len(found["/tf"]) == len(found["/odom"]) == 41
 
 
-def test_a_layout_has_no_panel_of_what_the_bag_has_not(tmp_path: Path) -> None:
-    """Fixes without a heading: a map, and no frames; without fixes neither."""
+def test_a_layout_has_no_panel_for_missing_topics(tmp_path: Path) -> None:
+    """Fixes without a heading give a map without frames. Without fixes there is no map either."""
     for name, panels in (("gps", ["map!0"]), ("ahrs", [])):
         log = recorder(tmp_path / f"{name}.mcap")
         for k in range(5):
@@ -112,7 +116,7 @@ def test_a_layout_has_no_panel_of_what_the_bag_has_not(tmp_path: Path) -> None:
         assert [panel for panel in layout["configById"] if not panel.startswith("Plot")] == panels
 
 
-def test_no_position_is_made_up_where_fixes_are_missing(tmp_path: Path) -> None:
+def test_no_position_is_invented_between_missing_fixes(tmp_path: Path) -> None:
     log = recorder(tmp_path / "run.mcap")
     for k in range(100):
         t = T0 + 0.1 * k
@@ -127,8 +131,8 @@ def test_no_position_is_made_up_where_fixes_are_missing(tmp_path: Path) -> None:
     assert len(stamps) == 21 + 20
 
 
-def test_a_speed_that_no_sensor_gives_is_no_measured_standstill(tmp_path: Path) -> None:
-    """A receiver that tells its position only, one without the vertical speed, and an AHRS without gyros."""
+def test_an_unmeasured_speed_is_not_exported_as_zero(tmp_path: Path) -> None:
+    """The log has a receiver with positions only, one without the vertical speed, and an AHRS without gyros."""
     log = recorder(tmp_path / "run.mcap")
     for k in range(40):
         t = T0 + 0.1 * k
@@ -146,8 +150,8 @@ def test_a_speed_that_no_sensor_gives_is_no_measured_standstill(tmp_path: Path) 
     assert (found[30].twist.twist.linear.x, found[30].twist.twist.angular.z) == (11.0, -0.1)
 
 
-def test_the_origin_of_the_boat_and_not_its_antenna_is_where_odometry_says(tmp_path: Path) -> None:
-    """An antenna 2 m ahead and 0.5 m above, the boat turns about the origin: there is no motion but the antenna's."""
+def test_odometry_is_that_of_the_origin_of_the_boat_not_of_its_antenna(tmp_path: Path) -> None:
+    """The antenna is 2 m ahead and 0.5 m above the origin. The boat turns about the origin: only the antenna moves."""
     arm, rate = np.array([2.0, 0.0, -0.5]), 0.2
     text = RIG + '[[device]]\nname = "gps"\nprotocol = "nmea"\nport = "ports/gps"\nrate_hz = 10.0\n'
     text += "lever_arm_m = [2.0, 0.0, -0.5]\n"
@@ -165,11 +169,12 @@ def test_the_origin_of_the_boat_and_not_its_antenna_is_where_odometry_says(tmp_p
         export_ros(opened, tmp_path / "out")
     for odometry in messages(tmp_path / "out")["/odom"]:
         place, speed = odometry.pose.pose.position, odometry.twist.twist.linear
-        assert np.hypot(place.x - 0.0, place.y + arm[0]) < 2e-3  # `odom` is at the first fix, 2 m north of the origin
+        # `odom` starts at the first fix, 2 m north of the origin
+        assert np.hypot(place.x - 0.0, place.y + arm[0]) < 2e-3
         assert np.hypot(speed.x, speed.y) < 2e-3
 
 
-def test_every_kind_of_message_and_a_log_without_motion(tmp_path: Path) -> None:
+def test_every_kind_of_message_and_a_log_without_motion_are_exported(tmp_path: Path) -> None:
     write_everything(tmp_path / "all.mcap", n_rounds=2)
     run = CliRunner().invoke(cli.export, ["ros", str(tmp_path / "all.mcap"), "--out", str(tmp_path / "out")])
     assert run.exit_code == 0, run.output
@@ -202,12 +207,12 @@ def test_the_package_is_one_that_colcon_builds(exported: Path) -> None:
         types = get_types_from_msg(path.read_text(), f"seatrial_msgs/msg/{path.stem}")
         store.register(types)
         fields = [name for name, _ in types[f"seatrial_msgs/msg/{path.stem}"][1]]
-        assert all(name == name.lower() for name in fields)  # what rosidl asks of a field's name
+        assert all(name == name.lower() for name in fields)  # the rule of rosidl for the name of a field
     if shutil.which("colcon"):
         subprocess.run(["colcon", "build", "--base-paths", str(package)], cwd=exported, check=True)
 
 
-def test_layouts_show_topics_that_are_there(exported: Path) -> None:
+def test_layouts_show_only_existing_topics(exported: Path) -> None:
     found = messages(exported / "out")
     layout = json.loads((exported / "out/foxglove.json").read_text())
 

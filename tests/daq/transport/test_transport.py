@@ -1,4 +1,4 @@
-"""Ports that cannot be opened or are lost: one line each, with what the operating system really does."""
+"""Tests of ports that cannot be opened or are lost: one line each, with the behaviour of the operating system."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.daq.ptys import Pty, wait_for
 
 
 def heard(pty: Pty, count: int) -> bytes:
-    """The first `count` bytes that the host wrote."""
+    """Return the first `count` bytes that the host wrote."""
 
     def enough() -> bool:
         pty.read()
@@ -28,12 +28,12 @@ def heard(pty: Pty, count: int) -> bytes:
     return bytes(pty.received)
 
 
-def test_a_port_that_is_not_there(tmp_path: Path) -> None:
+def test_a_missing_port_is_reported(tmp_path: Path) -> None:
     with pytest.raises(PortError, match=r"^is not there$"):
         SerialPort(str(tmp_path / "nothing"), 9600).open()
 
 
-def test_a_file_is_no_port(tmp_path: Path) -> None:
+def test_a_regular_file_is_not_accepted_as_a_port(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(PortError, match="is not a serial device"):
         SerialPort(str(tmp_path / "file"), 9600).open()
@@ -42,7 +42,7 @@ def test_a_file_is_no_port(tmp_path: Path) -> None:
         SerialPort("/dev/null", 9600).open()
 
 
-def test_a_port_that_another_program_has(tmp_path: Path) -> None:
+def test_a_port_in_use_by_another_program_is_reported(tmp_path: Path) -> None:
     pty = Pty(tmp_path / "port")
     first, second = SerialPort(str(pty.path), 9600), SerialPort(str(pty.path), 9600)
     first.open()
@@ -69,7 +69,7 @@ def test_bytes_pass_unchanged_both_ways(tmp_path: Path) -> None:
     pty.pull()
 
 
-def test_a_hang_up_is_noticed_and_closing_is_quiet(tmp_path: Path) -> None:
+def test_a_hang_up_is_detected_and_closing_raises_no_error(tmp_path: Path) -> None:
     pty = Pty(tmp_path / "port")
     port = SerialPort(str(pty.path), 9600)
     port.open()
@@ -83,7 +83,7 @@ def test_a_hang_up_is_noticed_and_closing_is_quiet(tmp_path: Path) -> None:
     port.close()
 
 
-def test_a_port_that_takes_no_bytes(tmp_path: Path) -> None:
+def test_a_port_that_accepts_no_bytes_is_reported(tmp_path: Path) -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     port = SerialPort(os.ttyname(slave), 9600)
@@ -95,7 +95,7 @@ def test_a_port_that_takes_no_bytes(tmp_path: Path) -> None:
     os.close(master)
 
 
-def test_an_slcan_adapter(tmp_path: Path) -> None:
+def test_an_slcan_adapter_is_opened_and_closed(tmp_path: Path) -> None:
     pty = Pty(tmp_path / "can")
     port = SlcanPort(str(pty.path), 115200, 250_000)
     port.open()
@@ -116,14 +116,14 @@ def test_an_slcan_adapter(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("answers", "refused"),
     [
-        (b"\r\a\r\r", False),  # closed before
+        (b"\r\a\r\r", False),  # an earlier session has closed it
         (b"\r\r\r\r", False),
         (b"\a\r\rT000009010\r", False),  # no answer to an empty line
-        (b"T000009010\r\a\r\rz\rT000009010\r", False),  # a frame from before, and the answer to one
-        (b"T000009010\rT000009020\r", False),  # an adapter that answers nothing
+        (b"T000009010\r\a\r\rz\rT000009010\r", False),  # a frame from before, and the answer to a frame
+        (b"T000009010\rT000009020\r", False),  # an adapter that sends no answers
         (b"\r\a\a\r", True),
         (b"\r\a\r\a", True),
-        (b"\a\a\r\r", False),  # neither an empty line nor closing what is closed
+        (b"\a\a\r\r", False),  # neither an empty line nor closing a closed channel is an error
         (b"\r\a\rT000009010\r", True),
     ],
 )
@@ -147,8 +147,8 @@ def test_an_adapter_that_refuses_the_bit_rate_is_named(tmp_path: Path, answers: 
         (b"\a" * (REFUSED - 1), False),
         (b"\a" * (REFUSED - 1) + b"Z\r" + b"\a" * (REFUSED - 1), False),
         (b"\a" * (REFUSED - 1) + b"z\r" + b"\a" * (REFUSED - 1), False),
-        (b"\a" * (REFUSED - 1) + b"\r" + b"\a" * (REFUSED - 1), False),  # an empty line is a yes, too
-        (b"T000009010\r\a" * REFUSED, True),  # received frames between the answers are no answers
+        (b"\a" * (REFUSED - 1) + b"\r" + b"\a" * (REFUSED - 1), False),  # an empty line also means yes
+        (b"T000009010\r\a" * REFUSED, True),  # frames received between the answers are not answers
         (b"", False),
     ],
 )
@@ -159,11 +159,11 @@ def test_an_adapter_that_refuses_every_frame_is_a_lost_port(
     pty = Pty(tmp_path / "can")
     port = SlcanPort(str(pty.path), 115200, 250_000)
     port.open()
-    pty.write(b"\a" * 2)  # to the empty line and to closing: nothing was sent yet
+    pty.write(b"\a" * 2)  # answers to the empty line and to closing: no frame was sent yet
     assert select.select([port.fileno()], [], [], 5.0)[0]
     port.read()
     port.write(pack_can(1, b""))
-    said = ""
+    refusal = ""
     for part in [answers] if at_once else [answers[k : k + 1] for k in range(len(answers))]:
         if not part:
             continue
@@ -172,20 +172,20 @@ def test_an_adapter_that_refuses_every_frame_is_a_lost_port(
         try:
             port.read()
         except PortError as error:
-            said = str(error)
-    assert said.startswith(f"the adapter refused {REFUSED} frames in a row (BELL)") == raises
+            refusal = str(error)
+    assert refusal.startswith(f"the adapter refused {REFUSED} frames in a row (BELL)") == raises
     port.close()
     pty.pull()
 
 
-def test_a_bit_rate_that_slcan_has_not(tmp_path: Path) -> None:
+def test_a_bit_rate_that_slcan_lacks_is_refused(tmp_path: Path) -> None:
     pty = Pty(tmp_path / "can")
     with pytest.raises(PortError, match="no bit rate 42"):
         SlcanPort(str(pty.path), 115200, 42).open()
     pty.pull()
 
 
-def test_a_can_interface_that_is_not_there() -> None:
+def test_a_missing_can_interface_is_reported() -> None:
     port = SocketCanPort("nothing0")
     with pytest.raises(PortError) as caught:
         port.open()

@@ -1,4 +1,4 @@
-"""What the devices send is what the decoders read; what the ESCs are told is what they do; and the faults."""
+"""Tests of mock devices: their bytes are read by our decoders, their ESCs follow commands, and their faults occur."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def packaged(name: str, **changes: str) -> Rig:
     return parse_rig(text, Path("/nowhere/rig.toml"))
 
 
-def spoken(rig: Rig, world: World, seconds: float) -> dict[str, bytes]:
-    """All that the devices send in so many seconds, the CAN channel open from the start."""
+def sent_bytes(rig: Rig, world: World, seconds: float) -> dict[str, bytes]:
+    """Return the bytes that each device sends in `seconds`. The CAN channel is open from the start."""
     speakers = {}
     for device in rig.devices:
         nodes = {c.spec.node: c for c in world.controllers if c.spec.device == device.name}
         speakers[device.name] = make_emulator(rig, device, nodes)
         speakers[device.name].receive(b"S6\rO\r", 0.0)
-    said = dict.fromkeys(speakers, b"")
+    sent = dict.fromkeys(speakers, b"")
     while world.t < seconds:
         for device_name, sample, t in world.readings():
-            said[device_name] += speakers[device_name].encode(sample, t)
+            sent[device_name] += speakers[device_name].encode(sample, t)
         world.advance()
-    return said
+    return sent
 
 
 def esc_frames(data: bytes) -> list[Frame]:
@@ -61,25 +61,25 @@ def test_the_packaged_rigs_are_valid(tmp_path: Path) -> None:
         assert load_rig(tmp_path / "rig.toml").speed == 20.0
 
 
-def test_the_boats_bytes_are_what_the_decoders_read() -> None:
+def test_the_decoders_read_the_bytes_of_the_mock_boat() -> None:
     rig = packaged("boat")
     world = boat_world(draw_boat(1), 0, _device_specs(rig, by_side(rig)), utc=1.7e9)
     world.controllers[0].command(0.0, 0.6)
-    said = spoken(rig, world, 4.0)
+    sent = sent_bytes(rig, world, 4.0)
 
     ahrs = vectornav.Decoder()
-    frames = ahrs.feed(said["ahrs"], 0.0)
+    frames = ahrs.feed(sent["ahrs"], 0.0)
     assert (len(frames), ahrs.checksum_errors, ahrs.unparsed_bytes) == (200, 0, 0)
     assert all(isinstance(f.sample, Ahrs) and math.isfinite(f.sample.mx) for f in frames)
     assert np.allclose([f.t_device for f in frames], 0.02 * np.arange(200))
 
     gnss = nmea.Decoder()
-    fixes = [f.sample for f in gnss.feed(said["gnss"], 0.0) + gnss.flush()]
+    fixes = [f.sample for f in gnss.feed(sent["gnss"], 0.0) + gnss.flush()]
     assert (gnss.checksum_errors, gnss.unparsed_bytes) == (0, 0)
     assert [f.utc for f in fixes if isinstance(f, Gnss)] == pytest.approx(1.7e9 + 0.2 * np.arange(20), abs=1e-3)
     assert all(isinstance(f, Gnss) and f.fix == 6 and abs(f.lat - 38.7658) < 1e-3 for f in fixes)
 
-    escs = [f.sample for f in esc_frames(said["esc"])]
+    escs = [f.sample for f in esc_frames(sent["esc"])]
     assert [e.node for e in escs[:4] if isinstance(e, Esc)] == [1, 2, 1, 2]
     assert len(escs) == 200
     last = [e for e in escs if isinstance(e, Esc) and e.node == 1][-1]
@@ -88,20 +88,20 @@ def test_the_boats_bytes_are_what_the_decoders_read() -> None:
     assert last.temperature == pytest.approx(24.0, abs=2.0)
 
 
-def test_the_benchs_bytes_are_what_the_decoders_read() -> None:
+def test_the_decoders_read_the_bytes_of_the_mock_bench() -> None:
     rig = packaged("bench")
     bench = draw_bench(1)
     world = bench_world(bench, 0, _device_specs(rig, rig.thrusters))
     world.controllers[0].command(0.0, 0.8)
-    said = spoken(rig, world, 4.0)
+    sent = sent_bytes(rig, world, 4.0)
     cell = rig.device("loadcell")
     assert cell.calibration is not None
     decoder = loadcell.Decoder(cell.pattern, cell.saturation, cell.calibration.force)
-    readings = [f.sample for f in decoder.feed(said["loadcell"], 0.0)]
+    readings = [f.sample for f in decoder.feed(sent["loadcell"], 0.0)]
     assert (len(readings), decoder.unparsed_bytes) == (320, 0)
     force = np.mean([r.force for r in readings[200:] if isinstance(r, LoadCell)])
     assert force == pytest.approx(0.64 * (bench.thruster.c1 + bench.thruster.c2), abs=1.5)
-    assert len(esc_frames(said["esc"])) == 200
+    assert len(esc_frames(sent["esc"])) == 200
 
 
 def test_vnymr_on_request() -> None:
@@ -122,7 +122,7 @@ def duty(node: int, n: float) -> bytes:
 
 
 class FakePlant:
-    """Notes what the shafts are told."""
+    """Plant that keeps the commands of its shafts."""
 
     step_s, steps, energy = 0.005, 0, 0.0
     shafts = ()
@@ -156,8 +156,8 @@ def test_commands_reach_their_node_and_time_out_on_their_own() -> None:
     bus = VescBus(escs, {1: 7, 2: 7})
     assert bus.receive(b"O\r" + duty(1, 0.5), 10.0) == b"\rZ\r"
     bus.receive(duty(2, -0.3), 10.2)
-    bus.receive(duty(1, 0.5), 10.9)  # the same again: no change, but no time-out either
-    bus.receive(duty(7, 0.5), 10.9)  # nobody
+    bus.receive(duty(1, 0.5), 10.9)  # the same command again: no change, and no time-out
+    bus.receive(duty(7, 0.5), 10.9)  # no such node
     for esc in escs.values():
         esc.check(11.5)
     assert changes == [
@@ -207,7 +207,7 @@ AHRS = [Ahrs(0.01 * k, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, -9.81) for k in range(
 
 
 def through(fault: str, device: str = "ahrs", trigger: float | None = None) -> list[float | None]:
-    """Yaw of one sample a second through the fault, None where nothing came."""
+    """Return the yaw of one sample per second after the fault, None if no sample came."""
     faults = Faults([parse_fault(fault, ("ahrs", "gnss"), ("left",))], RNG)
     out: list[float | None] = []
     for k in range(20):
@@ -220,7 +220,7 @@ def through(fault: str, device: str = "ahrs", trigger: float | None = None) -> l
     return out
 
 
-def test_faults_do_what_they_say_when_they_say() -> None:
+def test_faults_have_their_effect_at_their_time() -> None:
     whole = [float(k) for k in range(20)]
     assert through("silence/ahrs@5:3") == [*whole[:5], None, None, None, *whole[8:]]
     assert through("silence/gnss@5:3") == whole
@@ -244,7 +244,7 @@ def test_a_fault_of_a_device_with_several_kinds_of_samples_repeats_each_kind(kin
 
 
 def test_the_clock_of_a_device_that_is_set_back_is_followed() -> None:
-    """The map of each device's clock onto run time, through a step and beside a skew."""
+    """The map of each device's clock to run time has to follow a step and a skew."""
     rig = packaged("boat")
     world = boat_world(draw_boat(3), 0, _device_specs(rig, by_side(rig)), utc=1.8e9)
     texts = ("clock-back/gnss@20", "clock-back/ahrs@20", "clock-skew@0")
@@ -264,7 +264,7 @@ def test_the_clock_of_a_device_that_is_set_back_is_followed() -> None:
     assert [maps[name].resets for name in speakers] == [1, 1]
     late = {name: sum(late > 0.01 for late in off[name]) for name in speakers}
     assert late["ahrs"] == 0
-    assert late["gnss"] <= 5 * ClockMap.AGAIN_FOR + 1  # at 5 Hz; its messages are of no order, and may be overtaken
+    assert late["gnss"] <= 5 * ClockMap.AGAIN_FOR + 1  # at 5 Hz: an autopilot's messages may arrive in any order
     assert faults.clock_error("ahrs", 40.0) == pytest.approx(40.0 * 100e-6 - 0.6)
 
 
@@ -274,7 +274,7 @@ def test_a_motor_draws_current_whichever_way_it_turns() -> None:
         assert np.mean([sensor.read(n, 20.0 * n, n, 0.0, 0.1).current for _ in range(50)]) > 3.0
 
 
-def test_garbage_is_as_long_as_what_it_replaces() -> None:
+def test_garbage_is_as_long_as_the_bytes_it_replaces() -> None:
     faults = Faults([parse_fault("garbage@1:1")], np.random.default_rng(1))
     whole = b"\xfa" * 40
     assert faults.bytes("ahrs", whole, 0.5) == whole

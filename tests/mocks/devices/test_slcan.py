@@ -1,4 +1,4 @@
-"""The adapter's side of slcan: by the manual, and against python-can's bus object through a real pty."""
+"""Tests of the mock slcan adapter: against the manual, and with python-can's bus through a real pty."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def test_answers_by_the_manual() -> None:
     adapter = Adapter()
     script = [
         (b"\r\r", b"\r\r"),
-        (b"C\r", b"\a"),  # it is closed
+        (b"C\r", b"\a"),  # the channel is closed
         (b"F\r", b"\a"),
         (b"T000000010\r", b"\a"),
         (b"S6\r", b"\r"),
         (b"O\r", b"\r"),
-        (b"S6\r", b"\a"),  # not while open
+        (b"S6\r", b"\a"),  # not allowed while the channel is open
         (b"O\r", b"\a"),
         (b"V\r", b"V1013\r"),
         (b"v\r", b"v1013\r"),
@@ -38,7 +38,7 @@ def test_answers_by_the_manual() -> None:
         (b"q\r", b"\a"),
         (b"C\r", b"\r"),
         (b"L\r", b"\r"),
-        (b"T000000010\r", b"\a"),  # listens only
+        (b"T000000010\r", b"\a"),  # listen-only mode
     ]
     for said, expected in script:
         assert adapter.feed(said)[0] == expected, said
@@ -54,7 +54,7 @@ def test_a_malformed_frame_is_refused(line: bytes) -> None:
     assert adapter.feed(b"t0010\r")[1] == [CanFrame(1, b"", False)]
 
 
-def test_bytes_in_any_pieces_and_a_line_that_never_ends() -> None:
+def test_bytes_in_any_pieces_and_a_line_without_end() -> None:
     adapter = Adapter()
     frames: list[CanFrame] = []
     for byte in b"O\rT00000901812345678AABBCCDD\rt0010\r":
@@ -66,7 +66,7 @@ def test_bytes_in_any_pieces_and_a_line_that_never_ends() -> None:
 
 
 class Far:
-    """An adapter on a port, served by a thread until the block ends."""
+    """Adapter on a port, served by a thread until the block ends."""
 
     def __init__(self, path: Path) -> None:
         self.port = PtyPort(path)
@@ -141,7 +141,7 @@ def test_python_can_opens_sends_and_receives(far: Far) -> None:
         ]
 
 
-def test_a_closed_channel_says_nothing(far: Far) -> None:
+def test_a_closed_channel_sends_nothing(far: Far) -> None:
     assert far.adapter.encode(CanFrame(1, b"\x01")) == b""
     with opened(far) as bus:
         assert bus.get_version(5.0) == (10, 13)

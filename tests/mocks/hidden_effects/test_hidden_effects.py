@@ -1,4 +1,4 @@
-"""Each hidden effect does what its sentence says, at a size that matters, and nothing else."""
+"""Tests of hidden effects: each effect acts as described, with a relevant size, and has no other consequence."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def surge(name: str, n: float, seconds: float = 40.0) -> float:
 
 
 def sailed(name: str) -> Iterator[tuple[float, float]]:
-    """North and east at every step of a minute with this effect, or with none."""
+    """Yield north and east [m] at every step of a minute with this effect; an empty name means no effect."""
     effects = (make_effect(name, 2),) if name else ()
     plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effects, 0), state=REST, disturbed=False)
     for k in range(round(60.0 / STEP)):
@@ -59,13 +59,16 @@ def plain_track() -> list[tuple[float, float]]:
 
 @pytest.mark.parametrize("name", sorted({*EFFECTS, *OUTSIDE} - ON_SENSORS - {"pendulum"}))
 def test_every_effect_bends_the_track(name: str) -> None:
-    """By more than the GNSS noise, which is what an analysis has to see it through."""
-    both = zip(sailed(name), plain_track(), strict=False)  # until it shows
+    """The deviation exceeds the GNSS noise, so that an analysis can resolve it."""
+    both = zip(sailed(name), plain_track(), strict=False)  # until the deviation shows
     assert any(abs(x - plain_x) > 0.3 or abs(y - plain_y) > 0.3 for (x, y), (plain_x, plain_y) in both)
 
 
 def test_the_pendulum_shakes_the_boat() -> None:
-    """It is part of the boat's mass, so the track hardly bends; but more than the noise of the accelerometers."""
+    """The pendulum is part of the boat's mass, so the track hardly bends.
+
+    Its motion exceeds the noise of the accelerometers.
+    """
     ahead = {}
     for effects in ((), (make_effect("pendulum", 2),)):
         plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effects, 0), state=REST, disturbed=False)
@@ -92,7 +95,7 @@ def test_signs_are_drawn(name: str, key: str) -> None:
     assert np.ptp(np.abs(values)) > 0.0
 
 
-def test_advance_ratio_and_cubic_drag_cost_speed_ahead() -> None:
+def test_advance_ratio_and_cubic_drag_reduce_speed_ahead() -> None:
     assert surge("advance-ratio", 0.7) < 0.93 * surge("", 0.7)
     fast, slow = surge("cubic-drag", 1.0) / surge("", 1.0), surge("cubic-drag", 0.3) / surge("", 0.3)
     assert fast < slow < 1.0
@@ -109,7 +112,7 @@ def test_battery_sag_comes_with_use() -> None:
     assert surge("battery-sag", 0.8, 200.0) < 0.96 * surge("", 0.8, 200.0)
 
 
-def test_interaction_takes_two() -> None:
+def test_interaction_acts_only_with_both_thrusters() -> None:
     def forces(n_l: float, n_r: float) -> tuple[float, float]:
         hook = make_effect("thruster-interaction", 1).thrust
         assert hook is not None
@@ -119,14 +122,14 @@ def test_interaction_takes_two() -> None:
     assert forces(0.8, 0.8)[0] < 9.0
 
 
-def test_turning_costs_speed_only_in_turns() -> None:
+def test_the_loss_of_speed_by_turning_acts_only_in_turns() -> None:
     effect = (make_effect("turning-resistance", 1),)
     assert run(effect, (0.6, 0.6)).state[3] == run((), (0.6, 0.6)).state[3]
     assert run(effect, (0.9, 0.3)).state[3] < 0.95 * run((), (0.9, 0.3)).state[3]
 
 
 @pytest.mark.parametrize("name", ["mismatch", "yaw-bias"])
-def test_what_turns_the_boat_turns_it_to_its_side(name: str) -> None:
+def test_effects_that_turn_the_boat_turn_it_to_the_right_side(name: str) -> None:
     for seed in range(4):
         effect = make_effect(name, seed)
         side = effect.parameters["eps" if name == "mismatch" else "n_0"]
@@ -135,7 +138,7 @@ def test_what_turns_the_boat_turns_it_to_its_side(name: str) -> None:
         assert abs(r) > 0.03
 
 
-def test_wind_pushes_a_boat_at_rest_where_it_blows() -> None:
+def test_wind_pushes_a_boat_at_rest_downwind() -> None:
     effect = make_effect("wind", 3)
     motion = run((effect,), (0.0, 0.0), 120.0).motion()
     toward = (effect.parameters["wind_n"], effect.parameters["wind_e"])
@@ -143,15 +146,16 @@ def test_wind_pushes_a_boat_at_rest_where_it_blows() -> None:
     assert downwind > 10.0
 
 
-def test_compass_deviates_the_reading_and_not_the_boat() -> None:
+def test_the_compass_effect_changes_the_reading_and_not_the_boat() -> None:
     effect = make_effect("compass", 4)
     plant = run((effect,), (0.7, 0.4))
     assert plant.motion() == run((), (0.7, 0.4)).motion()
-    told, plain = AhrsSensor(1, 0, 50.0, (effect,)), AhrsSensor(1, 0, 50.0)
+    with_effect, plain = AhrsSensor(1, 0, 50.0, (effect,)), AhrsSensor(1, 0, 50.0)
     headings = np.linspace(-math.pi, math.pi, 37)
     motion = plant.motion()
     errors = [
-        told.read(motion._replace(psi=psi)).yaw - plain.read(motion._replace(psi=psi)).yaw for psi in headings.tolist()
+        with_effect.read(motion._replace(psi=psi)).yaw - plain.read(motion._replace(psi=psi)).yaw
+        for psi in headings.tolist()
     ]
     errors = [(e + math.pi) % (2 * math.pi) - math.pi for e in errors]
     expected = effect.parameters["b_sin"] * np.sin(headings) + effect.parameters["c_cos"] * np.cos(headings)
@@ -159,7 +163,7 @@ def test_compass_deviates_the_reading_and_not_the_boat() -> None:
     assert np.max(np.abs(errors)) > 0.03
 
 
-def test_the_antenna_stands_at_its_lever_arm() -> None:
+def test_the_fix_is_at_the_lever_arm_of_the_antenna() -> None:
     effect = make_effect("lever-arm", 5)
     m = run((effect,), (0.8, 0.3)).motion()
     c, s = math.cos(m.psi), math.sin(m.psi)
@@ -170,7 +174,7 @@ def test_the_antenna_stands_at_its_lever_arm() -> None:
     )
 
 
-def test_a_late_fix_is_where_the_boat_was() -> None:
+def test_a_late_fix_is_at_an_earlier_position_of_the_boat() -> None:
     effect = make_effect("gnss-latency", 6)
     m = run((effect,), (0.6, 0.6), 60.0).motion()
     assert m.x - m.fix_x == pytest.approx(effect.parameters["latency"] * m.vel_n, rel=0.02)
@@ -196,7 +200,7 @@ def test_the_pendulum_swings_at_its_frequency_and_keeps_momentum() -> None:
     assert measured == pytest.approx(free, rel=0.01)
 
 
-def test_a_dead_band_takes_slow_thrust_and_little_else() -> None:
+def test_a_dead_band_removes_slow_thrust_and_little_else() -> None:
     hook = make_effect("dead-band", 1).thrust
     assert hook is not None
     slow, fast = (hook(n, -n, 0.0, 0.0, 1.0, -1.0, 0.0) for n in (0.05, 0.9))
@@ -207,12 +211,17 @@ def test_a_dead_band_takes_slow_thrust_and_little_else() -> None:
 
 
 @pytest.mark.parametrize("name", ["delay", "lag"])
-def test_thrust_comes_late(name: str) -> None:
-    """Half way up the ramp of a start, the speed is what it was without the effect some time before."""
+def test_delays_of_thrust_shift_the_speed(name: str) -> None:
+    """Half way up the ramp of a start, the speed equals the speed without the effect some time before."""
     effect = make_effect(name, 3)
     speed: dict[bool, list[float]] = {False: [], True: []}
-    for told in (False, True):
-        run((effect,) if told else (), (0.7, 0.7), 5.0, each=lambda p, to=told: speed[to].append(p.state[3]))
+    for with_effect in (False, True):
+        run(
+            (effect,) if with_effect else (),
+            (0.7, 0.7),
+            5.0,
+            each=lambda p, to=with_effect: speed[to].append(p.state[3]),
+        )
     t = STEP * np.arange(1, len(speed[True]) + 1)
     late = np.interp(0.3, speed[True], t) - np.interp(0.3, speed[False], t)
     assert late == pytest.approx(effect.parameters[name], rel=0.25)
@@ -225,10 +234,11 @@ def test_the_tide_turns_smoothly() -> None:
     assert early == pytest.approx((-late[0], -late[1]), rel=1e-9)
     assert math.hypot(late[0] - early[0], late[1] - early[1]) == pytest.approx(0.18, abs=0.04)
     m = run((effect,), (0.0, 0.0), 400.0).motion()
-    assert math.hypot(m.vel_n - late[0], m.vel_e - late[1]) < 0.3 * math.hypot(*late)  # the boat is taken along
+    # the current carries the boat along
+    assert math.hypot(m.vel_n - late[0], m.vel_e - late[1]) < 0.3 * math.hypot(*late)
 
 
-def test_a_line_holds_back_more_the_farther_it_reaches() -> None:
+def test_a_line_pulls_more_at_a_larger_distance() -> None:
     effect = make_effect("tether", 1)
     assert effect.tether is not None
     near, far = (effect.tether(x, 0.0, 1.0, 0.0) for x in (5.0, 80.0))
@@ -236,7 +246,7 @@ def test_a_line_holds_back_more_the_farther_it_reaches() -> None:
     assert run((effect,), (0.7, 0.7), 120.0).state[3] < 0.9 * run((), (0.7, 0.7), 120.0).state[3]
 
 
-def test_waves_have_their_peak_and_their_size() -> None:
+def test_waves_have_the_specified_peak_and_size() -> None:
     wave = make_effect("waves", 1).wave
     assert wave is not None
     sea = Sea(wave, np.random.default_rng(1))
@@ -249,16 +259,18 @@ def test_waves_have_their_peak_and_their_size() -> None:
     assert np.fft.rfftfreq(t.size, 0.1)[power.argmax()] == pytest.approx(wave.frequency, rel=0.15)
 
 
-def test_a_turned_ahrs_turns_heading_and_accelerations() -> None:
+def test_a_misaligned_ahrs_rotates_heading_and_accelerations() -> None:
     effect = make_effect("mount", 2)
     turn = effect.parameters["psi_0"]
     m = run((effect,), (0.8, 0.4), 3.0).motion()._replace(psi=0.3, ax=1.0, ay=0.0)
-    told, plain = AhrsSensor(1, 0, 50.0, (effect,)).read(m), AhrsSensor(1, 0, 50.0).read(m)
-    assert told.yaw - plain.yaw == pytest.approx(turn)
-    assert (told.ax - plain.ax, told.ay - plain.ay) == pytest.approx((math.cos(turn) - 1.0, -math.sin(turn)))
+    with_effect, plain = AhrsSensor(1, 0, 50.0, (effect,)).read(m), AhrsSensor(1, 0, 50.0).read(m)
+    assert with_effect.yaw - plain.yaw == pytest.approx(turn)
+    assert (with_effect.ax - plain.ax, with_effect.ay - plain.ay) == pytest.approx(
+        (math.cos(turn) - 1.0, -math.sin(turn))
+    )
 
 
-def test_the_inertial_sensors_err_as_they_say() -> None:
+def test_the_inertial_sensors_have_the_specified_errors() -> None:
     plain, m = AhrsSensor(1, 0, 50.0), run((), (0.9, 0.3), 20.0).motion()
     true = plain.read(m)
     for name, field, moved in (("gyro-scale", "r", m.r), ("accelerometer-scale", "ay", m.ay)):
@@ -271,7 +283,7 @@ def test_the_inertial_sensors_err_as_they_say() -> None:
     assert leaked.ay - true.ay > 0.0
 
 
-def test_the_demo_draws_from_all_of_its_list() -> None:
+def test_the_demo_draws_each_effect_of_its_list() -> None:
     assert len(set(DEMO)) >= 8
     assert set(DEMO) <= set(EFFECTS)
     assert {draw_name(seed) for seed in range(200)} == set(DEMO)

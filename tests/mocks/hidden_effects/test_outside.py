@@ -1,4 +1,4 @@
-"""What no catalogue lists, noise that is not what was assumed, and mixtures."""
+"""Tests of effects outside the catalogue, noise that differs from the assumption, and mixtures."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from tests.mocks.sailing import REST, run
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
-def test_what_no_catalogue_lists_tells_its_curve(name: str) -> None:
-    """The curve is the force that the plant gets."""
+def test_effects_outside_the_catalogue_report_their_curve(name: str) -> None:
+    """The reported curve is the force that the plant applies."""
     effect = make_effect(name, 1)
     assert effect.answer is not None
     for z in (0.2, 0.5, 0.8):
@@ -34,7 +34,7 @@ def test_what_no_catalogue_lists_tells_its_curve(name: str) -> None:
         assert got == pytest.approx(effect.answer.curve(z), abs=1e-9)
 
 
-def test_noise_that_is_not_what_was_assumed() -> None:
+def test_noise_that_differs_from_the_assumption() -> None:
     m = run((), (0.0, 0.0), 0.1).motion()
 
     def fixes(name: str) -> np.ndarray:
@@ -63,7 +63,7 @@ def test_gusts_come_and_go() -> None:
     assert np.nanstd(surge[:half]) > 2.0 * np.nanstd(surge[half:]) > 0.0
 
 
-def test_a_mixture_has_everything_else_small() -> None:
+def test_a_mixture_contains_small_amounts_of_all_other_effects() -> None:
     effects = mixture("wind", 3)
     assert effects[0].name == "wind"
     assert {e.name for e in effects} == set(EFFECTS)

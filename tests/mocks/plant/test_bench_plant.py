@@ -1,4 +1,4 @@
-"""The simulated bench: nominal by default, and each effect as its sentence says."""
+"""Tests of the simulated bench: nominal by default, and each effect as described."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_command_reaches_the_force_by_delay_and_pole() -> None:
     assert np.allclose(force, 41.16 * n * n, atol=1e-9)
 
 
-def test_the_disturbance_has_its_size() -> None:
+def test_the_disturbance_has_the_specified_size() -> None:
     plant = BenchPlant(draw_bench(5), run=1)
     force = []
     for _ in range(200_000):
@@ -58,7 +58,7 @@ def test_the_rod_rings_at_its_frequency_and_settles_at_the_force() -> None:
     effect = make_effect("rod-flex", 1)
     force = forces(effect, 0.8, 20.0)
     assert force[-1] == pytest.approx(thrust(ThrusterTruth(), 0.8), rel=1e-3)
-    ringing = force[180:1500] - forces(NONE, 0.8, 20.0)[180:1500]  # after the shaft's rise
+    ringing = force[180:1500] - forces(NONE, 0.8, 20.0)[180:1500]  # after the rise of the shaft speed
     ups = np.flatnonzero(np.diff(np.sign(ringing)) > 0)
     assert 1.0 / (0.0025 * float(np.diff(ups).mean())) == pytest.approx(effect.flex_hz, rel=0.03)
 
@@ -96,17 +96,17 @@ def shaft(effect: BenchEffect, commands: list[tuple[float, float]], seconds: flo
 
 
 def rise(n: np.ndarray, start: float, low: float, high: float) -> float:
-    """s, from a tenth to nine tenths of the way."""
+    """Return the rise time from a tenth to nine tenths of the step [s]."""
     part = (n[round(start / 0.0025) :] - low) / (high - low)
     return 0.0025 * float(np.argmax(part > 0.9) - np.argmax(part > 0.1))
 
 
-def test_a_shaft_without_an_effect_is_the_shaft() -> None:
+def test_a_shaft_without_an_effect_is_unchanged() -> None:
     plain = shaft(NONE, [(0.0, 0.8), (1.0011, -0.3)], 3.0)
-    told = BenchShaft(ThrusterTruth(delay=0.0), ShaftEffect(), 0.0025)
-    told.command(0.0, 0.8)
-    told.command(1.0011, -0.3)
-    np.testing.assert_allclose([told.advance() for _ in range(1200)], plain, atol=1e-12)
+    with_default_effect = BenchShaft(ThrusterTruth(delay=0.0), ShaftEffect(), 0.0025)
+    with_default_effect.command(0.0, 0.8)
+    with_default_effect.command(1.0011, -0.3)
+    np.testing.assert_allclose([with_default_effect.advance() for _ in range(1200)], plain, atol=1e-12)
 
 
 def test_the_shaft_is_late_brisk_or_limited() -> None:
@@ -124,7 +124,7 @@ def test_the_shaft_is_late_brisk_or_limited() -> None:
     assert rise(limited, 3.0, 0.8, 0.4) < rise(limited, 0.0, 0.0, 0.8)
 
 
-def test_what_slow_blades_and_cells_lose() -> None:
+def test_losses_at_low_speed_and_in_the_load_cell() -> None:
     for name, low, high in (("thrust-dead-band", 0.3, 0.85), ("thrust-exponent", 0.7, 0.85)):
         slow, fast = (forces(make_effect(name, 1), n, 5.0)[-1] / thrust(ThrusterTruth(), n) for n in (0.1, 0.9))
         assert low < slow < high < fast
@@ -137,7 +137,7 @@ def test_what_slow_blades_and_cells_lose() -> None:
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_half_an_effect_is_less_of_it(name: str) -> None:
+def test_an_effect_at_half_scale_is_smaller(name: str) -> None:
     plain, full, half = (
         forces(e, 0.7, 4.0) + forces(e, -0.7, 4.0) for e in (NONE, make_effect(name, 2), make_effect(name, 2, 0.5))
     )
@@ -145,7 +145,7 @@ def test_half_an_effect_is_less_of_it(name: str) -> None:
     assert 0.05 * whole < part < 0.8 * whole
 
 
-def test_draws() -> None:
+def test_drawn_benches_differ_by_seed_and_effect() -> None:
     assert NONE.parameters == {}
     assert {draw_name(seed) for seed in range(50)} == set(DEMO)
     for name in EFFECTS:

@@ -1,4 +1,4 @@
-"""The boat against what mechanics says, and the integrator against its order."""
+"""Tests of the simulated boat against mechanics, and of the integrator against its order."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_steady_turn_is_a_circle_that_balances_the_equations_of_the_thesis() -
     sway = -p["m_u"] * u * r - p["d_v"] * v - p["d_vv"] * abs(v) * v
     yaw = ARM * (left - right) + (p["m_u"] - p["m_v"]) * u * v - p["d_r"] * r - p["d_rr"] * abs(r) * r
     assert np.allclose((surge, sway, yaw), 0.0, atol=1e-6)
-    assert r > 0.0  # the left thruster is the stronger one: to starboard
+    assert r > 0.0  # the left thruster is the stronger one, so the boat turns to starboard
     track = []
     for _ in range(round(2.0 * math.pi / r / STEP)):
         plant.advance()
@@ -64,16 +64,16 @@ def test_a_steady_turn_is_a_circle_that_balances_the_equations_of_the_thesis() -
     assert np.allclose(radius, math.hypot(u, v) / r, rtol=2e-3)
 
 
-def test_adrift_the_boat_goes_with_the_current() -> None:
+def test_without_thrust_the_boat_drifts_with_the_current() -> None:
     plant = settled(0.0, 0.0, 300.0, current=(0.2, -0.1))
     motion = plant.motion()
-    # Surge drag is all but quadratic, so the last of the difference takes its time.
+    # Surge drag is nearly quadratic, so the last of the velocity difference decays slowly.
     assert (motion.vel_n, motion.vel_e) == pytest.approx((0.2, -0.1), abs=0.02)
 
 
 @pytest.mark.parametrize("effects", [(), (CG,)])
-def test_a_current_only_carries_the_boat(effects: tuple[HiddenEffect, ...]) -> None:
-    """In a constant current everything happens as in still water, seen from the water (Galilei)."""
+def test_a_constant_current_adds_only_a_drift(effects: tuple[HiddenEffect, ...]) -> None:
+    """In a constant current the motion relative to the water is the same as in still water (Galilei)."""
     v_n, v_e = 0.3, -0.2
     c, s = math.cos(1.0), math.sin(1.0)
     in_still = BoatPlant(boat(effects=effects), state=at(0.5, 0.1, 0.2, psi=1.0), disturbed=False)
@@ -90,7 +90,7 @@ def test_a_current_only_carries_the_boat(effects: tuple[HiddenEffect, ...]) -> N
 
 
 @pytest.mark.parametrize("x_g", [0.0, 0.2])
-def test_without_drag_and_thrust_kinetic_energy_stays(x_g: float) -> None:
+def test_without_drag_and_thrust_kinetic_energy_is_conserved(x_g: float) -> None:
     hull = replace(Hull(), d_u=0.0, d_uu=0.0, d_v=0.0, d_vv=0.0, d_r=0.0, d_rr=0.0)
     plant = BoatPlant(boat(hull, effects=(replace(CG, x_g=x_g),)), state=at(1.0, 0.3, 0.5), disturbed=False)
 
@@ -165,7 +165,7 @@ def test_boats_differ_by_seed_within_their_spread() -> None:
     assert max(math.hypot(*draw_current(seed)) for seed in range(200)) > 0.2
 
 
-def test_disturbances_have_their_size() -> None:
+def test_disturbances_have_the_specified_size() -> None:
     plant = BoatPlant(draw_boat(3), run=1)
     forces = []
     for k in range(200_000):
@@ -177,6 +177,6 @@ def test_disturbances_have_their_size() -> None:
 
 
 def test_the_plant_is_fast_enough_for_speed_20() -> None:
-    """4000 steps a second at speed 20 may take a tenth of a core; the margin is for slow machines."""
+    """4000 steps a second at speed 20 may take a tenth of a core. The limit allows for slow machines."""
     plant = BoatPlant(draw_boat(1))
     assert cpu_seconds(lambda: [plant.advance() for _ in range(4000)], 0.25) < 0.25

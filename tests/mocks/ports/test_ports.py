@@ -1,4 +1,4 @@
-"""Ports appear, vanish and return; they wait for slow readers and keep nothing stale for late ones."""
+"""Tests of mock ports: they appear, vanish and return, wait for slow readers, and keep no old bytes for late ones."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def test_bytes_go_both_ways_unchanged(port: PtyPort) -> None:
         assert host.read(256) == every
         host.write(every)
         host.flush()
-        said = b""
-        while len(said) < 256:
-            said += port.read()
-        assert said == every
+        received = b""
+        while len(received) < 256:
+            received += port.read()
+        assert received == every
         assert port.read() == b""
 
 
@@ -99,7 +99,7 @@ def test_a_slow_reader_loses_nothing(port: PtyPort) -> None:
 
 
 class Watcher:
-    """The host's end, opened by somebody who does not read: how much lies there."""
+    """Host end of a port, opened without reading. It reports the number of unread bytes."""
 
     def __init__(self, port: PtyPort) -> None:
         self._fd = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
@@ -119,7 +119,7 @@ class Watcher:
         return os.read(self._fd, 4096)
 
     def awaits(self, count: int) -> None:
-        """Wait until ``count`` bytes lie there: the kernel moves them in its own time."""
+        """Wait until ``count`` bytes are unread, because the kernel moves them with a delay."""
         deadline = time.monotonic() + 5.0
         while self.unread != count:
             assert time.monotonic() < deadline
@@ -132,13 +132,13 @@ def test_without_a_reader_only_one_write_is_kept(port: PtyPort) -> None:
             late.awaits(7)
         assert port.dropped == 99 * 7
         assert late.read() == b"000099\n"
-        port.write(b"000100\n", wall=10.0)  # it has been read: somebody is there
+        port.write(b"000100\n", wall=10.0)  # the bytes have been read, so a reader is present
         port.write(b"000101\n", wall=10.001)
         late.awaits(14)
         assert late.read() == b"000100\n000101\n"
 
 
-def test_a_reader_that_leaves_is_noticed(port: PtyPort) -> None:
+def test_a_reader_that_closes_the_port_is_noticed(port: PtyPort) -> None:
     with opened(port) as host:
         port.write(b"seen", 1.0)
         assert host.read(4) == b"seen"
@@ -153,7 +153,7 @@ def test_a_reader_that_leaves_is_noticed(port: PtyPort) -> None:
     assert PATIENCE < 60 * CHECK
 
 
-def test_a_host_that_asks_gets_its_answer_at_once(port: PtyPort) -> None:
+def test_a_request_of_the_host_is_answered_at_once(port: PtyPort) -> None:
     with opened(port) as host:
         port.write(b"probe", 1.0)
         assert host.read(5) == b"probe"
