@@ -58,7 +58,7 @@ def test_delay_limit_and_drop_outs_of_the_ferry_are_found(tmp_path: Path, thrust
     assert not {("dead-band-wide", "pod"), ("dead-band-narrow", "pod")} & set(found)
 
 
-@pytest.mark.filterwarnings("ignore:.*rows left out, where time repeats")
+@pytest.mark.filterwarnings("ignore:.*left out, because times repeat")
 @pytest.mark.parametrize("thruster", [3, 4])
 def test_broken_time_stamps_of_the_ferry_are_found(tmp_path: Path, thruster: int) -> None:
     # This map ignores the problem: it reads a decimal fraction and drops rows with decreasing time.

@@ -305,7 +305,7 @@ NO_FIT = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:.*rows? left out, where time repeats")
+@pytest.mark.filterwarnings("ignore:.*left out, because times repeat")
 @pytest.mark.parametrize("name", NO_FIT)
 def test_log_that_cannot_be_fitted_gives_a_one_line_reason(name: str, tmp_path: Path) -> None:
     source = measured(f"foreign/{name}")
