@@ -117,7 +117,7 @@ def _flood(commander: Commander) -> None:
 
 BAD: dict[str, tuple[Callable[[Commander], object], str]] = {
     "nan": (lambda commander: commander.send(float("nan")), "n = nan"),
-    "beyond the limit": (lambda commander: commander.send(0.95), "only -0.9 to 0.9"),
+    "beyond the limit": (lambda commander: commander.send(0.95), "outside -0.9 to 0.9"),
     "flood": (_flood, "too fast"),
 }
 

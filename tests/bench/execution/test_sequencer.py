@@ -286,7 +286,7 @@ def test_a_command_after_a_silence_does_not_hide_the_silence() -> None:
 def test_an_invalid_command_or_one_beyond_the_limit_ends_the_run(n: float) -> None:
     drive = Following()
     drive.until(101.0, 0.0)
-    with pytest.raises(SafetyStop, match=r"only -0\.8 to 0\.8"):
+    with pytest.raises(SafetyStop, match=r"outside -0\.8 to 0\.8"):
         drive.until(101.1, n)
 
 
