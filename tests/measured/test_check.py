@@ -51,7 +51,7 @@ def test_delay_limit_and_drop_outs_of_the_ferry_are_found(tmp_path: Path, thrust
     delay = found["shaft-step-late", "pod"]
     assert delay.level == "fault"
     assert 1.5 < float(delay.text.split("shows ")[1].split()[0]) < 3.0
-    assert "beyond 0.75" in found["shaft-speed-limited", "pod"].text
+    assert "above 0.75" in found["shaft-speed-limited", "pod"].text
     assert found["shaft-speed-drops-out", "pod"].level == "warning"
     assert ("lost-zeros-restored", "log.mcap") in found
     # The shaft follows the smallest tested command, 0.1, so there is no finding (docs/examples/milliampere).

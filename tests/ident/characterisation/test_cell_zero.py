@@ -78,7 +78,7 @@ def test_frozen_load_cell_is_rejected(tmp_path: Path) -> None:
     frozen = np.where(T > 25.0, force.value[np.argmax(T > 25.0)], force.value)
     path = log(tmp_path, Channel(T, frozen, "N"), command)
     words = ["thruster", str(path), "--out", str(tmp_path / "out")]
-    with pytest.raises(SeatrialError, match=r"force: .* its command changes \[channel-frozen\]"):
+    with pytest.raises(SeatrialError, match=r"force: .* the command changes \[channel-frozen\]"):
         CliRunner().invoke(ident, words, catch_exceptions=False)
     assert not (tmp_path / "out").exists()
     CliRunner().invoke(ident, [*words, "--despite-faults"], catch_exceptions=False)
