@@ -70,7 +70,8 @@ class TextTable(Table):
         try:
             with self.path.open(encoding=style.encoding, newline="") as file:
                 for _ in range(style.skip_rows):
-                    file.readline()
+                    if not file.readline():
+                        return False
                 header = next(csv.reader([file.readline()], delimiter=style.delimiter), [])
                 n_before = style.skip_rows + 1
                 counter = count(n_before)
