@@ -104,7 +104,7 @@ def watchdog_of(runner: int) -> int:
 
 
 def _child_of(runner: int, module: str) -> int:
-    out = subprocess.run(["ps", "-eo", "pid=,ppid=,args="], capture_output=True, text=True, check=True).stdout
+    out = subprocess.run(["ps", "-wweo", "pid=,ppid=,args="], capture_output=True, text=True, check=True).stdout
     rows = [line.split(maxsplit=2) for line in out.splitlines()]
     (child,) = [int(pid) for pid, parent, args in rows if int(parent) == runner and f"-m {module}" in args]
     return child
