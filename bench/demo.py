@@ -378,7 +378,7 @@ class DemoSteps:
             self.late_ms = float(found[1]) if found else 0.0
 
     def _start(self, words: Sequence[str], stdout: int | None, stderr: int | None = None) -> subprocess.Popen[bytes]:
-        """Start a command in a session of its own."""
+        """Start a command in a new process session, and return the process."""
         # Ctrl-C at the terminal then reaches only the demo. The demo ends the runner before the mock, so that the
         # runner can still command zero.
         sys.stdout.flush()

@@ -177,6 +177,9 @@ def report_scratch_to(pipe: int) -> None:
 
 
 def note_scratch(path: Path) -> None:
-    """Report a scratch file, which the parent process deletes if this process is killed. Without a pipe do nothing."""
+    """Report a scratch file to the parent process, if there is one.
+
+    The parent process deletes the file if this process is killed.
+    """
     if _reports >= 0:
         os.write(_reports, os.fsencode(path.absolute()) + b"\0")

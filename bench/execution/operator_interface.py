@@ -146,7 +146,7 @@ class PlainDisplay:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Do nothing."""
+        """Leave the context. This display has nothing to restore; errors are passed on."""
 
     def show(self, view: MissionStatus) -> None:
         """Print a line if the segment has changed or `PLAIN_EVERY_S` have passed."""

@@ -141,14 +141,14 @@ class HeartbeatMonitor:
         self._active = False
 
     def look(self, now: float, words: bytes | None) -> str | None:
-        """Take the heartbeats that were received.
+        """Process the heartbeats that were received, and decide whether to step in.
 
         Parameters
         ----------
         now : float
             Monotonic time [s].
         words : bytes or None
-            Bytes that were read, possibly none; None if the socket is closed.
+            Bytes that were read, which may be empty, or None if the socket is closed.
 
         Returns
         -------
@@ -227,7 +227,7 @@ class FailsafeSender(threading.Thread):
         self._port.close()
 
     def _send_zero(self) -> None:
-        """Send zero repeatedly for `ZERO_S`, and read what arrives."""
+        """Send zero thrust repeatedly for `ZERO_S`, and decode the replies of the device."""
         until = time.monotonic() + ZERO_S
         while time.monotonic() < until:
             ready, _, _ = select.select([self._port.fileno()], [], [], POLL_S)

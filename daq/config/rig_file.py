@@ -10,7 +10,7 @@ from typing import Any
 
 from seatrial.daq.config.toml_reader import TomlTable, parse_toml, read_text
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.protocol import CAN, DEVICES, Decoder, loadcell, make_decoder
+from seatrial.daq.protocol import BUILT_IN, CAN, DEVICES, Decoder, loadcell, make_decoder
 from seatrial.daq.rig import (
     DEFAULT_PATTERN,
     DEFAULT_QUERY,
@@ -197,7 +197,10 @@ def _name(table: TomlTable) -> str:
 def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
     """Read one [[device]]. If `recorded` is true, its protocol need not be installed (`parse_rig`)."""
     name = _name(table)
-    protocol = table.text("protocol", choices=() if recorded else tuple(DEVICES))
+    protocol = table.text("protocol")
+    if protocol not in BUILT_IN and not recorded:
+        # Packages are searched for protocols only if one is needed: the search would delay the start of every run.
+        table.text("protocol", choices=tuple(DEVICES))
     try:
         row = DEVICES[protocol]
     except (KeyError, SeatrialError):

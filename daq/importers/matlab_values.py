@@ -330,7 +330,7 @@ class Hdf5Variables:
         return found[0] if len(found) == 1 else found
 
     def _one_object(self, number: int, depth: int) -> MatlabObject | None:
-        """Return the object with an index; None if the file has no such object."""
+        """Return the object that has this number in the file, or None if the number is out of range."""
         if not 0 < number < len(self._objects):
             return None
         kind, _, _, saved, plain, _ = (int(word) for word in self._objects[number])

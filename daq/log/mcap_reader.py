@@ -424,9 +424,9 @@ class RawLog:
         self.span_ns = min(before[0], begin_ns), max(before[1], end_ns)
 
     def _next_chunk(self, at: int) -> int | None:
-        """Return the position of the next whole zstd chunk at or after a byte; None if there is none.
+        """Return the position of the next complete zstd chunk at or after a byte, or None if no chunk follows.
 
-        With this, damage in the middle of a file does not cost the chunks after it.
+        The reader calls it after a damaged place, so that the chunks behind the damage are still read.
         """
         while at < self._size:
             block = self._read(at, at + _BLOCK)

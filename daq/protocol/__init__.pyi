@@ -12,6 +12,7 @@ from .canframe import CAN_FRAME as CAN_FRAME
 from .canframe import EXTENDED as EXTENDED
 from .canframe import FRAME_BYTES as FRAME_BYTES
 from .canframe import pack_can as pack_can
+from .catalogue import BUILT_IN as BUILT_IN
 from .catalogue import CAN as CAN
 from .catalogue import DEVICES as DEVICES
 from .catalogue import SERIAL as SERIAL

@@ -470,7 +470,11 @@ def regress(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[
 
 
 def preferred(found: Mapping[str, Fit]) -> str | None:
-    """Return the hypothesis that fits significantly better than a correct log (the entry ""); None if none does."""
+    """Return the best hypothesis about a wrong frame.
+
+    The entry "" is the hypothesis that the log is correct. The result is None if no other hypothesis fits
+    significantly better.
+    """
     best = min(found, key=lambda name: found[name].misfit)
     return best if best and _prefers(found[""].blocks, found[best].blocks) else None
 
