@@ -10,7 +10,7 @@ from typing import Any
 
 from seatrial.daq.config.toml_reader import TomlTable, parse_toml, read_text
 from seatrial.daq.errors import SeatrialError
-from seatrial.daq.protocol import BUILT_IN, CAN, DEVICES, Decoder, loadcell, make_decoder
+from seatrial.daq.protocol import BUILT_IN, CAN, DEVICES, Decoder, DeviceType, loadcell, make_decoder
 from seatrial.daq.rig import (
     DEFAULT_PATTERN,
     DEFAULT_QUERY,
@@ -201,32 +201,27 @@ def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
     if protocol not in BUILT_IN and not recorded:
         # Packages are searched for protocols only if one is needed: the search would delay the start of every run.
         table.text("protocol", choices=tuple(DEVICES))
+    row: DeviceType | None = None
     try:
         row = DEVICES[protocol]
     except (KeyError, SeatrialError):
         if not recorded:
             raise
-        return _device_without_protocol(name, protocol, table)
-    if not row.installed and not recorded:
+    if row is not None and not row.installed and not recorded:
         raise table.error(
             "protocol", f"{protocol} needs the Python module {row.module}: pip install 'seatrial[{protocol}]'"
         )
-    port = _port(table, protocol, row.bus, folder)
+    # Without its protocol, port and options of a device of a log cannot be checked, and nothing opens them.
+    port = table.text("port") if row is None else _port(table, protocol, row.bus, folder)
     baud = table.integer("baud", 115200, low=1)
     rate = table.number("rate_hz", positive=True)
     forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
     lever_arm = (forward, starboard, down)
-    options = {"bitrate": 0, **read_options(table, row.options, folder)}
-    table.done()
+    options: dict[str, Any] = {"bitrate": 0}
+    if row is not None:
+        options |= read_options(table, row.options, folder)
+        table.done()
     return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
-
-
-def _device_without_protocol(name: str, protocol: str, table: TomlTable) -> Device:
-    """Return a device of a log whose protocol is not installed. The keys of the protocol are not checked."""
-    rate = table.number("rate_hz", positive=True)
-    forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
-    port, baud = table.text("port"), table.integer("baud", 115200, low=1)
-    return Device(name, protocol, port, baud, 0, rate, lever_arm_m=(forward, starboard, down))
 
 
 def _port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
