@@ -24,6 +24,7 @@ import threading
 import time
 import types
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,6 +35,7 @@ COPIED = ("bench", "daq", "mocks", "ident", "seatrial", "tests", "pyproject.toml
 WANTED = 0.95
 ANYWHERE = 0  # stands for a function's line in the case of module-level code
 PATIENCE_S = 60.0  # time limit of one test
+LIMIT_S = 240.0  # time limit of all tests of a file with one mutant
 NEGATED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -258,6 +260,20 @@ def survives(mutant: Mutant) -> bool:
             return False  # a thread of a test raised after its test had ended, which fails an ordinary run too
 
 
+def survives_in_process(mutant: Mutant) -> bool:
+    """Return whether the tests pass with a mutant, in a process of its own.
+
+    Tests that have not ended after ``LIMIT_S`` are counted as failed: a mutant can stop a thread from ever ending.
+    """
+    process = multiprocessing.get_context("fork").Process(target=lambda: sys.exit(0 if survives(mutant) else 1))
+    process.start()
+    process.join(LIMIT_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    return process.exitcode == 0
+
+
 def main() -> int:
     """Run the mutants of the command line and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -279,12 +295,13 @@ def main() -> int:
         if options.sample is not None and options.sample < len(found):
             found = random.Random(options.seed).sample(found, options.sample)
         alive = 0
-        with fork.Pool(options.jobs, maxtasksperchild=1) as pool:
-            for k, (mutant, lives) in enumerate(zip(found, pool.imap(survives, found, 1), strict=True), start=1):
+        with ThreadPoolExecutor(options.jobs) as jobs:
+            lives_of = jobs.map(survives_in_process, found)
+            for k, (mutant, lives) in enumerate(zip(found, lives_of, strict=True), start=1):
                 alive += lives
                 if lives:
                     print(f"{mutant.target.path}:{mutant.line}: survives: {mutant.what}", flush=True)
-                if k % 25 == 0:
+                if k % 10 == 0:
                     print(f"{k} of {len(found)}, {k - alive} noticed", file=sys.stderr, flush=True)
         share = 1.0 - alive / max(len(found), 1)
         print(f"{target.path}: {len(found) - alive} of {len(found)} mutants noticed, {100 * share:.1f} %", flush=True)
