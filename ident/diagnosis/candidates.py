@@ -20,6 +20,7 @@ from scipy.interpolate import BSpline
 from scipy.linalg import solve_banded
 
 from seatrial.ident.data import TIME_INPUT, Record
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
@@ -39,8 +40,6 @@ from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, s
 from seatrial.ident.numerics import Array, wrap
 from seatrial.ident.validation import SpectralPeak, spectral_peak
 
-MAX_PEAK_P = 1e-6  # coloured innovations have larger p values (tests/ident/diagnosis/test_spectral_peak.py)
-MAX_SAMPLE_INTERVAL = 0.25  # s; slower channels do not resolve waves
 SMALLEST_P = 1e-300  # smaller p values have no finite chi-squared quantile
 TERMS = 14  # of the series of a matrix exponential, for a norm of at most one half
 INITIAL_WAVE_SIZE = 0.4  # initial wave forces of the refit, relative to typical wave forces
@@ -457,18 +456,22 @@ def normal_equations(
     return normal, places
 
 
-def wave_peak_score(fitted: FittedModel) -> Score | None:
+def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> Score | None:
     """Return the score of the candidate ``waves`` for a fitted model, None if no spectral peak is significant.
 
     ``step`` and ``scan`` of the score are the initial values of the refit. The p value of the peak is also the
     block-robust p value. The peak is an average over segments of time, and the comparison with neighbouring bins makes
     it valid for coloured innovations.
     """
-    peaks = [peak for view in fitted.estimation for peak in _peak(fitted.model, view)]
+    peaks = [
+        peak
+        for view in fitted.estimation
+        for peak in _spectral_peaks(fitted.model, view, policy.max_wave_sample_interval)
+    ]
     low, high = next(p.bounds for p in EFFECT.parameters if p.name == "f_wave")
     # resampled channels have a peak at 5 Hz, which is outside the band of waves
     best = min((peak for peak in peaks if low <= peak.frequency <= high), key=lambda peak: peak.p, default=None)
-    if best is None or best.p * len(peaks) > MAX_PEAK_P:
+    if best is None or best.p * len(peaks) > policy.max_peak_p:
         return None
     df = len(EFFECT.parameters)
     lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
@@ -477,16 +480,16 @@ def wave_peak_score(fitted: FittedModel) -> Score | None:
     return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})
 
 
-def _peak(model: Model, view: RecordEvaluation) -> list[SpectralPeak]:
+def _spectral_peaks(model: Model, evaluation: RecordEvaluation, max_interval: float) -> list[SpectralPeak]:
     """Return the spectral peaks of rates and accelerations, at most one for each sample interval."""
     by_step: dict[float, dict[str, Array]] = {}
     for j, output in enumerate(model.outputs):
-        measured = np.isfinite(view.run.standardised[:, j])
+        measured = np.isfinite(evaluation.run.standardised[:, j])
         if "/s" in output.unit and measured.sum() > 2:
-            t = view.record.t[measured]
+            t = evaluation.record.t[measured]
             step = round(float(np.median(np.diff(t))), 4)
-            if 0.0 < step <= MAX_SAMPLE_INTERVAL:
-                by_step.setdefault(step, {})[output.name] = _even(t, view.run.standardised[measured, j], step)
+            if 0.0 < step <= max_interval:
+                by_step.setdefault(step, {})[output.name] = _even(t, evaluation.run.standardised[measured, j], step)
     peaks = [spectral_peak(channels, step) for step, channels in by_step.items()]
     return [peak for peak in peaks if peak is not None]
 

@@ -15,7 +15,8 @@ import numpy as np
 
 from seatrial.ident.data import Record
 from seatrial.ident.diagnosis.acceptance import comparison
-from seatrial.ident.diagnosis.results import EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.findings import EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.engine import quick_compilation
 from seatrial.ident.estimation import FIT_ERRORS, ROUGH_SEARCH, FittedModel, ValidationData, fit_and_evaluate
 from seatrial.ident.model import Effect, Model
@@ -28,6 +29,7 @@ def effect_importance(
     rounds: Sequence[Round],
     records: Sequence[Record],
     validation_data: ValidationData,
+    policy: SearchPolicy = DEFAULT_POLICY,
 ) -> tuple[EffectImportance, ...]:
     """Compute the importance of each chosen effect, largest first (``by_importance``).
 
@@ -61,20 +63,22 @@ def effect_importance(
         kept = [c for c in chosen if c.effect.name not in left_out]
         try:
             fitted = known_fits.get(frozenset(added - left_out)) or _with(kept, after, before, records, validation_data)
-            found.append(_importance(refit, fitted, after, alone=len(left_out) == 1))
+            found.append(_importance(refit, fitted, after, policy, alone=len(left_out) == 1))
         except FIT_ERRORS as problem:
             unknown = float("nan")
             found.append(EffectImportance(refit.effect.name, unknown, unknown, untested=str(problem)))
     return by_importance(found, chosen)
 
 
-def _importance(refit: Refit, without: FittedModel, after: FittedModel, *, alone: bool) -> EffectImportance:
+def _importance(
+    refit: Refit, without: FittedModel, after: FittedModel, policy: SearchPolicy, *, alone: bool
+) -> EffectImportance:
     """Return the importance of an effect from the model ``without`` it.
 
     ``alone`` means that no other effect was left out together with this effect.
     """
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
-    compared = comparison(without, after, refit.effect)
+    compared = comparison(without, after, refit.effect, policy)
     # if the effect was added last, the search has already compared these models
     if refit.fitted is after and alone and refit.prediction is not None:
         gain_and_t, prediction = (refit.validation_gain, refit.t), refit.prediction

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from seatrial.ident.data import Record
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.engine import NOWHERE, apply_rows, padded
 from seatrial.ident.estimation import FilterResult
 from seatrial.ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
@@ -29,11 +30,6 @@ from seatrial.ident.numerics import Array, scaled_eigen
 BLOCK = 5.0  # s, block length of the block-robust version
 N_COLUMNS = 96  # columns propagated at once; they fit the cache of the processor
 WHOLE, PART = 8192, 2048  # rows: a record longer than the first is processed in parts of at least the second
-ALPHA = 0.05  # family-wise false-alarm probability of the score tests
-P_BLOCK = 0.01  # significance level of the block-robust version
-# Few blocks limit the block-robust statistic. Overwhelming evidence therefore passes at a weaker level, and the
-# validation decides.
-P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
 
 
 @dataclass(frozen=True)
@@ -166,10 +162,13 @@ class Score:
     blocks: float = float("inf")
     tolerance: float = 1.0
 
-    @property
-    def least_blocks(self) -> int:
-        """Smallest number of blocks with which the block-robust test can reject."""
-        return int(np.ceil(stats.chi2.isf(P_BLOCK, self.df)))
+    def least_blocks(self, policy: SearchPolicy = DEFAULT_POLICY) -> int:
+        """Return the smallest number of blocks of time with which the block-robust test can pass.
+
+        The block-robust statistic cannot exceed the number of blocks. It has to exceed the quantile of chi-squared with
+        ``df`` degrees of freedom at the significance level ``policy.block_level``.
+        """
+        return int(np.ceil(stats.chi2.isf(policy.block_level, self.df)))
 
     @property
     def nonparametric(self) -> bool:
@@ -498,21 +497,40 @@ def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
     return shared + [replace(p, segment=i) for i in range(n_records) for p in mean if p.per_record]
 
 
-def score_threshold(score: Score, among: Sequence[Score]) -> float:
-    """Return the critical value of the statistic (chi-squared).
+def score_threshold(score: Score, among: Sequence[Score], policy: SearchPolicy = DEFAULT_POLICY) -> float:
+    """Return the critical value of a score test: the quantile of chi-squared with ``score.df`` degrees of freedom.
 
-    `ALPHA` is split equally between parametric and nonparametric candidates. All tests of one kind in ``among`` share
-    it (Bonferroni).
+    Parameters
+    ----------
+    score
+        Score of the candidate.
+    among
+        All scores of the same model, with ``score``. One half of ``policy.false_alarm_probability`` is for the
+        parametric candidates and one half for the nonparametric ones. All tests of one half share it equally
+        (Bonferroni).
+    policy
+        Thresholds of the score tests.
     """
     n_tests = sum(s.nonparametric == score.nonparametric for s in among)
-    return float(stats.chi2.isf(ALPHA / 2 / n_tests, score.df))
+    return float(stats.chi2.isf(policy.false_alarm_probability / 2 / n_tests, score.df))
 
 
-def score_test_passes(score: Score, among: Sequence[Score]) -> bool:
-    """Return whether the statistic exceeds `score_threshold` and the block-robust version is significant.
+def score_test_passes(score: Score, among: Sequence[Score], policy: SearchPolicy = DEFAULT_POLICY) -> bool:
+    """Return whether a candidate passes its score test.
 
-    Overwhelming evidence passes with a weaker level of the block-robust version.
+    Both of these have to hold: the statistic exceeds `score_threshold`, and the p value of the block-robust statistic
+    is below ``policy.block_level``. Overwhelming evidence (a p value below ``policy.overwhelming_p``) passes with the
+    weaker level ``policy.overwhelming_block_level``.
+
+    Parameters
+    ----------
+    score
+        Score of the candidate.
+    among
+        All scores of the same model, with ``score``.
+    policy
+        Thresholds of the score tests.
     """
-    if score.p < P_OVERWHELMING and score.p_block < P_BLOCK_OVERWHELMING:
+    if score.p < policy.overwhelming_p and score.p_block < policy.overwhelming_block_level:
         return True
-    return score.lm > score_threshold(score, among) and score.p_block < P_BLOCK
+    return score.lm > score_threshold(score, among, policy) and score.p_block < policy.block_level

@@ -25,12 +25,18 @@ import numpy as np
 
 from seatrial.daq.errors import counted
 from seatrial.ident.data import ORIGIN, LogSegment, Record, far_apart, make_record
-from seatrial.ident.diagnosis.acceptance import Comparison, comparison, validation_mismatches
+from seatrial.ident.diagnosis.acceptance import (
+    Comparison,
+    comparison,
+    is_accepted,
+    is_validated,
+    refit_outcome,
+    should_be_removed,
+    validation_mismatches,
+)
 from seatrial.ident.diagnosis.adequacy import assess_alternatives
 from seatrial.ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
-from seatrial.ident.diagnosis.importance import effect_importance, fit_without
-from seatrial.ident.diagnosis.results import (
-    T_VALIDATION,
+from seatrial.ident.diagnosis.findings import (
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -40,8 +46,9 @@ from seatrial.ident.diagnosis.results import (
     Round,
     ShortData,
     UntestedCandidate,
-    helps,
 )
+from seatrial.ident.diagnosis.importance import effect_importance, fit_without
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
     Score,
     fitted_parameters,
@@ -139,23 +146,6 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
     )
 
 
-N_REFITS, N_NONPARAMETRIC = 4, 2  # parametric and nonparametric candidates that are refitted in a round
-N_BATCHES = 2  # batches of parametric candidates; the second is tried if the first has no accepted refit
-INDISTINGUISHABLE = 2.0  # in BIC; a smaller difference is "not worth more than a bare mention" (Kass and Raftery 1995)
-MAX_LOSS = 1.0  # in 2 ln L, loss of a larger model by rounding of the search
-MIN_BLOCKS = 20  # blocks of estimation data (100 s for a boat); with fewer no effect is identified
-# Blocks of validation data (40 s for a boat). Two of them are one block of the gain; with fewer, t > 2 is often chance.
-MIN_VALIDATION_BLOCKS = 8
-MIN_SCORE_RATIO = 0.05  # of the best score: a refit gains up to ten times its score, not twenty times
-# The difference between the true form of an effect and that of the catalogue resembles other, much smaller effects.
-# Those are not added.
-MIN_GAIN_RATIO = 0.02  # of the largest gain so far; an effect that improves the prediction enough needs no such gain
-MAX_RATIO_OF_SMALL = 0.98  # ratio of the prediction errors with to without a small effect, for this exception
-# The difference between a true curve and its spline gains up to a fifteenth of the curve. Most other missing effects
-# gain a third or more.
-MIN_GAIN_RATIO_AFTER_CURVE = 0.1  # of the largest gain so far
-
-
 def diagnose(
     model: Model,
     estimation: Sequence[LogSegment],
@@ -165,6 +155,7 @@ def diagnose(
     max_effects: int = 3,
     rate: float = 10.0,
     reporter: Reporter = QUIET,
+    policy: SearchPolicy = DEFAULT_POLICY,
 ) -> Diagnosis:
     """Find effects that a model lacks.
 
@@ -184,6 +175,8 @@ def diagnose(
         Rate of the records' rows [Hz].
     reporter
         Receiver of progress messages.
+    policy
+        Thresholds of the score tests, the search, the acceptance and the attribution.
 
     Returns
     -------
@@ -221,7 +214,7 @@ def diagnose(
     # user-defined effects keep their priors
     candidates = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
     candidates |= between_runs(before.fit)
-    search = _Search(records, validation_data, candidates, reporter)
+    search = _Search(records, validation_data, candidates, reporter, policy)
     current, passed = search.forward(before, max_effects)
     reporter.progress("computing the importance of the effects found")
     current, weights, removed = search.backward_elimination(before, current)
@@ -231,8 +224,8 @@ def diagnose(
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
     judgements = assess_alternatives(
-        kept, passed, search.n, untested, weights, _reservations(before, current), current,
-        search.rounds[0].scores if search.rounds else (),
+        kept, passed, search.n, untested, weights, _reservations(before, current, policy), current,
+        search.rounds[0].scores if search.rounds else (), policy,
     )  # fmt: skip
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _shapes(before, kept, judgements, records)
@@ -246,12 +239,13 @@ def diagnose(
         importances=weights,
         removed=tuple(removed),
         failed_runs=(*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
-        mismatches=validation_mismatches(current),
-        short_data=_short_data(search.scores, before),
+        mismatches=validation_mismatches(current, policy),
+        short_data=_short_data(search.scores, before, policy),
         curve_failure=undrawn,
         untestable=_refused(full, requested, [*estimation, *usable]),
         scores=tuple(search.scores),
         untried_scores=tuple(search.untried),
+        policy=policy,
     )
 
 
@@ -284,12 +278,14 @@ def _refused(
     return tuple(found)
 
 
-def _short_data(scores: Sequence[Score], fitted: FittedModel) -> ShortData | None:
+def _short_data(
+    scores: Sequence[Score], fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY
+) -> ShortData | None:
     """Return the number of candidates that could not pass for any size because of too few blocks of time."""
-    short = [s for s in scores if s.blocks < s.least_blocks]
+    short = [s for s in scores if s.blocks < s.least_blocks(policy)]
     if not short:
         return None
-    needed = max(s.least_blocks for s in short) * fitted.model.block
+    needed = max(s.least_blocks(policy) for s in short) * fitted.model.block
     return ShortData(sum(r.duration for r in fitted.records), needed, len(short), len(scores))
 
 
@@ -305,7 +301,7 @@ def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[
     return cross_validated(fitted, blocks), blocks
 
 
-def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
+def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy) -> list[str]:
     """Return the reasons why no effect can be identified on these data."""
     reasons = [
         f"the fit {which} it did not converge"
@@ -313,16 +309,19 @@ def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
         if not s.fit.converged
     ]
     seconds = sum(r.duration for r in after.records)
-    if seconds < MIN_BLOCKS * after.model.block:
+    if seconds < policy.min_estimation_blocks * after.model.block:
         reasons.append(f"the estimation data are short ({seconds:.0f} s)")
     validation_data = sum(v.record.duration for v in after.validation)
-    if validation_data < MIN_VALIDATION_BLOCKS * after.model.block:
+    if validation_data < policy.min_validation_blocks * after.model.block:
         reasons.append(f"the validation data are short ({validation_data:.0f} s)")
     return reasons
 
 
 def score_all(
-    fitted: FittedModel, records: Sequence[Record], candidates: Mapping[str, Effect]
+    fitted: FittedModel,
+    records: Sequence[Record],
+    candidates: Mapping[str, Effect],
+    policy: SearchPolicy = DEFAULT_POLICY,
 ) -> tuple[list[Score], list[Score]]:
     """Compute all score tests on a fitted model.
 
@@ -347,15 +346,15 @@ def score_all(
     normal, places = normal_equations(fitted, records, list(candidates.values()), free_parameters)
     at = np.array([fitted.fit.estimate(p.name, p.segment or 0)[0] for p in free_parameters])
     scores = score_tests(normal, prior_terms(free_parameters, at), places)
-    waves = wave_peak_score(fitted) if "waves" in candidates else None
+    waves = wave_peak_score(fitted, policy) if "waves" in candidates else None
     scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)
     scores.sort(key=lambda s: -s.criterion(n))
     first: dict[str, Score] = {}
     for s in scores:
         first.setdefault(s.name, s)
-    best = [replace(s, threshold=score_threshold(s, scores)) for s in first.values()]
-    return best, [s for s in best if score_test_passes(s, scores)]
+    best = [replace(s, threshold=score_threshold(s, scores, policy)) for s in first.values()]
+    return best, [s for s in best if score_test_passes(s, scores, policy)]
 
 
 class _Search:
@@ -367,13 +366,10 @@ class _Search:
         validation_data: ValidationData,
         candidates: Mapping[str, Effect],
         reporter: Reporter,
+        policy: SearchPolicy = DEFAULT_POLICY,
     ) -> None:
-        self.records, self.validation_data, self.candidates, self.reporter = (
-            records,
-            validation_data,
-            dict(candidates),
-            reporter,
-        )
+        self.records, self.validation_data, self.candidates = records, validation_data, dict(candidates)
+        self.reporter, self.policy = reporter, policy
         self.rounds: list[Round] = []
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # of all candidates on the last model
@@ -389,7 +385,7 @@ class _Search:
             If the residuals of the model cannot be tested.
         """
         try:
-            self.scores, passed = score_all(fitted, self.records, self.candidates)
+            self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy)
             return self.scores, passed
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
@@ -402,7 +398,7 @@ class _Search:
         while True:
             scores, passed = self.scored(current)
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
-            least = MIN_GAIN_RATIO_AFTER_CURVE * largest
+            least = self.policy.min_gain_ratio_after_curve * largest
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
             if len(self.rounds) >= max_effects or not tried:
                 self.untried = tried
@@ -430,15 +426,22 @@ class _Search:
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
-            weights = effect_importance(before, current, chosen, self.rounds, self.records, self.validation_data)
+            weights = effect_importance(
+                before, current, chosen, self.rounds, self.records, self.validation_data, self.policy
+            )
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
             curves = {c.effect.name for c in chosen if c.nonparametric}
-            idle_curves = {w.effect for w in tested if not (w.improves_prediction or helps(w.prediction))} & curves
-            idle = min(
-                (w for w in tested if not w.supported or w.effect in idle_curves), key=lambda w: w.t, default=None
-            )
-            if idle is None and removed and chosen and Comparison(before, current).prediction.verdict == "rose":
+            removable = [
+                w for w in tested if should_be_removed(w, nonparametric=w.effect in curves, policy=self.policy)
+            ]
+            idle = min(removable, key=lambda w: w.t, default=None)
+            if (
+                idle is None
+                and removed
+                and chosen
+                and Comparison(before, current, self.policy).prediction.verdict == "rose"
+            ):
                 idle = next((w for w in tested if w.effect == chosen[-1].effect.name), None)
             if idle is None:
                 return current, weights, removed
@@ -461,21 +464,24 @@ class _Search:
         specific = [s for s in passed if not s.nonparametric]
         # If the best criterion is negative, no candidate is dropped: a refit can gain more than its score.
         if specific and (best := specific[0].criterion(self.n)) > 0:
-            specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * best]
+            specific = [s for s in specific if s.criterion(self.n) > self.policy.min_score_ratio * best]
         refits: list[Refit] = []
         untested: list[UntestedCandidate] = []
-        for first in range(0, N_REFITS * N_BATCHES, N_REFITS):
-            batch = specific[first : first + N_REFITS]
+        size = self.policy.n_refits
+        for first in range(0, size * self.policy.n_batches, size):
+            batch = specific[first : first + size]
             self._refit_all(current, [(self.candidates[s.name], s) for s in batch], refits, untested)
-            if any(r.accepted for r in refits):
+            if any(is_accepted(r, self.policy) for r in refits):
                 break
-        leading = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
+        leading = max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
         most, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
         # A nonparametric candidate competes only if its score is high compared with the best accepted parametric
         # refit, or if that effect is one form of the same curve.
-        least = max(0.5 * most, most - 50)
+        least = max(self.policy.nonparametric_score_share * most, most - self.policy.nonparametric_score_distance)
         generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.nonparametric]
-        unknown = [s for s, same_curve in generic if s.criterion(self.n) > least or same_curve][:N_NONPARAMETRIC]
+        unknown = [s for s, same_curve in generic if s.criterion(self.n) > least or same_curve][
+            : self.policy.n_nonparametric
+        ]
         self._refit_all(current, [(_unknown(s, current), s) for s in unknown], refits, untested)
         names = tuple(s.name for s in passed)
         refits, chosen = self._choose(current, refits, untested)
@@ -493,9 +499,13 @@ class _Search:
         judged: list[Refit] = []
         chosen: Refit | None = None
         for r in sorted(refits, key=lambda r: (r.effect.kind is EffectKind.BETWEEN_RUNS, -r.criterion)):
-            if not r.validated:
-                r = replace(r, outcome=Outcome.NOT_SUPPORTED if r.criterion <= 0 else Outcome.NOT_VALIDATED)
-            elif chosen is None or _tied(r, chosen) or (r.criterion > chosen.criterion and _explains_more(r, chosen)):
+            if not is_validated(r, self.policy):
+                r = replace(r, outcome=refit_outcome(r, (), self.policy))
+            elif (
+                chosen is None
+                or self._tied(r, chosen)
+                or (r.criterion > chosen.criterion and self._explains_more(r, chosen))
+            ):
                 try:
                     r = self._exact(current, r)
                 except FIT_ERRORS as problem:
@@ -503,13 +513,38 @@ class _Search:
                     continue
                 if r.outcome is not Outcome.ADDED:
                     pass  # the outcome has the reason
-                elif chosen is not None and _tied(r, chosen) and not _predicts_better(r, chosen):
+                elif chosen is not None and self._tied(r, chosen) and not _predicts_better(r, chosen):
                     r = replace(r, outcome=Outcome.OUTRANKED)
                 else:
                     judged = [replace(q, outcome=Outcome.OUTRANKED) if q is chosen else q for q in judged]
                     chosen = r
             judged.append(r)
         return sorted(judged, key=lambda r: -r.criterion), chosen
+
+    def _tied(self, first: Refit, second: Refit) -> bool:
+        """Return whether the likelihood cannot distinguish two parametric effects.
+
+        The criteria of both refits differ by less than ``policy.indistinguishable``. False if one of the effects is
+        nonparametric, or if ``first`` is a difference between runs.
+        """
+        parametric = not (first.nonparametric or second.nonparametric or first.effect.kind is EffectKind.BETWEEN_RUNS)
+        return parametric and abs(first.criterion - second.criterion) < self.policy.indistinguishable
+
+    def _explains_more(self, difference: Refit, other: Refit) -> bool:
+        """Return whether a difference between runs explains the validation data significantly better than an effect.
+
+        The gain in log-likelihood over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``,
+        and the prediction over the horizon is not significantly worse. False if ``difference`` is another kind of
+        effect, or if the models cannot be compared.
+        """
+        if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
+            return False
+        try:
+            compared = comparison(other.fitted, difference.fitted, difference.effect, self.policy)
+            gain, t = compared.gain
+        except FIT_ERRORS:
+            return False
+        return gain > 0 and t > self.policy.min_t and compared.prediction.verdict != "rose"
 
     def _exact(self, current: FittedModel, rough: Refit) -> Refit:
         """Fit a validated refit exactly and judge it by its prediction.
@@ -524,19 +559,22 @@ class _Search:
         for begin in (rough.fitted.fit.model, again, again.with_values(_half_values(rough.effect))):
             try:
                 fitted = fit_and_evaluate(begin, self.records, self.validation_data)
-                compared = comparison(current, fitted, rough.effect)
+                compared = comparison(current, fitted, rough.effect, self.policy)
                 (gain, t), prediction = compared.gain, compared.prediction
             except FIT_ERRORS as problem:
                 reason = str(problem)
                 continue
             if fitted.fit.converged or not current.fit.converged:
                 assert self.nominal is not None
-                total = prediction if current is self.nominal else Comparison(self.nominal, fitted).prediction
+                total = (
+                    prediction if current is self.nominal else Comparison(self.nominal, fitted, self.policy).prediction
+                )
                 exact = replace(
                     rough, fitted=fitted, validation_gain=gain, t=t, prediction=prediction, total=total,
                     by_inputs=compared.by_inputs if rough.nonparametric else None,
                 )  # fmt: skip
-                return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
+                added = [r.chosen for r in self.rounds if r.chosen is not None]
+                return replace(exact, outcome=refit_outcome(exact, added, self.policy))
             reason = f"the fit with it did not converge: it {fitted.fit.message}"
         raise ValueError(reason)
 
@@ -574,42 +612,16 @@ class _Search:
                     current.fit.model + start, self.records, self.validation_data, settings=ROUGH_SEARCH
                 )
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
-                total, t = comparison(current, fitted, effect).gain
+                total, t = comparison(current, fitted, effect, self.policy).gain
             except FIT_ERRORS as problem:
                 reason = reason or str(problem)
                 continue
             df = sum(_degrees(effect, p, len(self.records)) for p in effect.parameters if p.free)
             found = Refit(effect, fitted, gain, df, gain - df * float(np.log(self.n)), total, t)
             best = found if best is None or found.gain > best.gain else best
-            if best.gain > -MAX_LOSS:
+            if best.gain > -self.policy.max_loss:
                 break
         return UntestedCandidate(effect, reason) if best is None else best
-
-
-def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
-    """Return the outcome of an exact refit after the effects that were ``added``.
-
-    A small effect is left out with two exceptions: the prediction needs the effect, or the effect and a strong effect
-    are declared alternatives. In the latter case the strong effect may not explain all.
-    """
-    assert exact.prediction is not None
-    if not exact.validated:
-        return Outcome.NOT_VALIDATED
-    if not exact.accepted:
-        worse = "rose" in {p.verdict for p in (exact.prediction, exact.total) if p is not None}
-        return Outcome.WORSE_PREDICTION if worse else Outcome.NO_BETTER_PREDICTION
-    needed = exact.prediction.verdict == "fell" and exact.prediction.ratio < MAX_RATIO_OF_SMALL
-    alternative = any(
-        exact.effect.name in r.effect.alternatives or r.effect.name in exact.effect.alternatives for r in added
-    )
-    largest = max((r.criterion for r in added), default=0.0)
-    return Outcome.ADDED if needed or alternative or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
-
-
-def _tied(first: Refit, second: Refit) -> bool:
-    """Return whether the likelihood cannot distinguish two effects."""
-    parametric = not (first.nonparametric or second.nonparametric or first.effect.kind is EffectKind.BETWEEN_RUNS)
-    return parametric and abs(first.criterion - second.criterion) < INDISTINGUISHABLE
 
 
 def _predicts_better(first: Refit, second: Refit) -> bool:
@@ -617,18 +629,6 @@ def _predicts_better(first: Refit, second: Refit) -> bool:
     assert first.prediction is not None
     assert second.prediction is not None
     return first.prediction.ratio < second.prediction.ratio
-
-
-def _explains_more(difference: Refit, other: Refit) -> bool:
-    """Return whether a difference between runs explains the validation data significantly better than an effect."""
-    if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
-        return False
-    try:
-        compared = comparison(other.fitted, difference.fitted, difference.effect)
-        gain, t = compared.gain
-    except FIT_ERRORS:
-        return False
-    return gain > 0 and t > T_VALIDATION and compared.prediction.verdict != "rose"
 
 
 def _half_values(effect: Effect) -> dict[str, float]:

@@ -15,7 +15,9 @@ from seatrial.ident.diagnosis import (
     Refit,
     RemovedEffect,
     Round,
+    SearchPolicy,
     ValidationMismatch,
+    is_immaterial,
     recommended_experiment,
 )
 from seatrial.ident.effects import catalogue
@@ -40,7 +42,6 @@ from seatrial.ident.results.tables import (
     calibration_tables,
     cross_correlations,
     error_tables,
-    failed_runs,
     finite,
     fit_summary,
     prediction_change,
@@ -108,7 +109,7 @@ def diagnosis_result(
             *calibration_notes(calibration, after.horizon),
         ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
-        failed_runs=failed_runs(diagnosis.failed_runs),
+        failed_runs=diagnosis.failed_runs,
         cross_validated=diagnosis.cross_validated,
         mismatches=tuple(_mismatch(m) for m in reported_mismatches(diagnosis)),
         removed_effects=tuple(
@@ -186,7 +187,7 @@ def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> s
     if diagnosis.untested:
         titles = _listed([u.effect.title for u in diagnosis.untested])
         return f"No effect is confirmed, but candidates that may be missing could not be fitted: {titles}."
-    if immaterial := [r.effect.title for r in diagnosis.removed if r.immaterial]:
+    if immaterial := [r.effect.title for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
         return (
             f"No effect is missing that matters to the prediction: {_listed(immaterial)} {do} a part of the residuals "
@@ -500,9 +501,9 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
     ]
 
 
-def _removal_reason(removed: RemovedEffect) -> str:
+def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
     """Return why an effect was removed by backward elimination."""
-    if removed.immaterial:
+    if is_immaterial(removed, policy):
         return "the prediction is as good without it"
     return "with the other effects in the model, the validation data do not support it"
 
@@ -524,8 +525,8 @@ def _notes(diagnosis: Diagnosis) -> list[str]:
         why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [
-        f"{r.effect.title} was added and removed again: {_removal_reason(r)} (d ln L of the validation data "
-        f"{r.validation_gain:.0f}, t = {r.t:.1f})."
+        f"{r.effect.title} was added and removed again: {_removal_reason(r, diagnosis.policy)} "
+        f"(d ln L of the validation data {r.validation_gain:.0f}, t = {r.t:.1f})."
         for r in diagnosis.removed
     ]
     if diagnosis.effects:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
+from seatrial.ident.data import FrameOrigin
+from seatrial.ident.estimation import FailedRun
 from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-result 2"
@@ -31,8 +33,6 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     docs/formats/result.md.
     """
 
-    exact: ClassVar[bool] = False  # True: the numbers of the table keep all digits in a file
-
 
 def same_length(part: Part, *names: str) -> None:
     """Raise ValueError if the named arrays of a table, which are plotted over each other, differ in length."""
@@ -51,15 +51,6 @@ class LogFinding(Part, frozen=True, kw_only=True):
     text: str
     advice: Annotated[str, Meta(description="what to do about it")] = ""
     spoils: Annotated[bool, Meta(description="a fit to this log is meaningless (`--despite-faults`)")] = False
-
-
-class FrameOrigin(Part, frozen=True, kw_only=True):
-    """Origin of the NED frame, where x = y = 0."""
-
-    exact: ClassVar[bool] = True  # seven digits of a latitude are 10 m
-    latitude: Annotated[float, Meta(description="[deg]")]
-    longitude: Annotated[float, Meta(description="[deg]")]
-    log: Annotated[str, Meta(description="name of the log whose first fix is the origin")] = ""
 
 
 class LogSummary(Part, frozen=True, kw_only=True):
@@ -523,13 +514,6 @@ class Homogeneity(Part, frozen=True, kw_only=True):
     left_out: Annotated[
         tuple[str, ...], Meta(description="logs that do not inform the parameter; `df` does not count them")
     ] = ()
-
-
-class FailedRun(Part, frozen=True, kw_only=True):
-    """Validation run that could not be evaluated."""
-
-    record: str
-    reason: str
 
 
 class FitResult(Result, frozen=True, kw_only=True):

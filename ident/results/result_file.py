@@ -1,7 +1,7 @@
 """Reader and writer of result.json.
 
 A result is a frozen ``Result`` that a workflow fills once. ``read_result`` inverts ``write_result``. Arrays become
-lists, and NaN and infinity become null. Numbers keep seven significant digits, except in tables that are ``exact``. A
+lists, and NaN and infinity become null. Numbers keep seven significant digits, except in the types of ``EXACT``. A
 missing, misspelt or mistyped key is an error that names its path.
 """
 
@@ -16,11 +16,13 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
+from seatrial.ident.data import FrameOrigin
 from seatrial.ident.numerics import Array
 from seatrial.ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
 from seatrial.ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
 
 DIGITS = 7  # significant digits of a number in a file
+EXACT = (FrameOrigin,)  # types whose numbers keep all digits: seven digits of a latitude are 10 m
 EXACT_POWER = 22  # powers of ten up to this exponent are exact in float64
 
 AnyResult = (
@@ -95,9 +97,9 @@ def _plain(value: Any) -> Any:
     Tables become objects and arrays become lists. Numbers are rounded to ``DIGITS`` significant digits. NaN and
     infinity become None.
     """
-    if isinstance(value, Part) and value.exact:
+    if isinstance(value, EXACT):
         return msgspec.structs.asdict(value)
-    if isinstance(value, Part):
+    if isinstance(value, msgspec.Struct):
         config = type(value).__struct_config__
         kind = {} if config.tag is None else {str(config.tag_field): config.tag}
         return kind | {name: _plain(getattr(value, name)) for name in value.__struct_fields__}

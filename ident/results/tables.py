@@ -11,7 +11,7 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
-from seatrial.ident import estimation, validation
+from seatrial.ident import validation
 from seatrial.ident.data import LoadedLog, Record
 from seatrial.ident.estimation import Fit, HomogeneityTest, Profile, ReportedEstimates
 from seatrial.ident.model import Model, ModelKind, segment_name
@@ -26,7 +26,6 @@ from seatrial.ident.results.parts import (
     ErrorComparison,
     Errors,
     ErrorTable,
-    FailedRun,
     FitSummary,
     ForceScale,
     Homogeneity,
@@ -434,11 +433,6 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
         mean_error=k * a.mean_error,
         interval=(k * low, k * high),
     )
-
-
-def failed_runs(failed: Sequence[estimation.FailedRun]) -> tuple[FailedRun, ...]:
-    """Return the validation runs that could not be evaluated, with the reasons."""
-    return tuple(FailedRun(record=f.record, reason=f.reason) for f in failed)
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:

@@ -14,8 +14,9 @@ import pytest
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from seatrial.ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
-from seatrial.ident.diagnosis.results import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
+from seatrial.ident.diagnosis.adequacy import assess_alternatives
+from seatrial.ident.diagnosis.findings import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.standard_errors import AT_BOUND
@@ -92,7 +93,11 @@ def test_larger_form_of_an_effect_competes_only_if_it_explains_more() -> None:
 
 
 @pytest.mark.parametrize(
-    ("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")]
+    ("worth", "attribution"),
+    [
+        (DEFAULT_POLICY.max_remaining_criterion - 1, "identified"),
+        (DEFAULT_POLICY.max_remaining_criterion + 1, "ambiguous"),
+    ],
 )
 def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: float, attribution: str) -> None:
     (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
@@ -109,7 +114,8 @@ def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -
 
 
 @pytest.mark.parametrize(
-    ("n_left", "attribution"), [(MAX_REMAINING_TESTS, "identified"), (MAX_REMAINING_TESTS + 1, "ambiguous")]
+    ("n_left", "attribution"),
+    [(DEFAULT_POLICY.max_remaining_tests, "identified"), (DEFAULT_POLICY.max_remaining_tests + 1, "ambiguous")],
 )
 def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attribution: str) -> None:
     """If a lag is fitted in place of a delay, many tests find a small remaining effect. No test finds a large one."""
@@ -281,7 +287,9 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
     ],
 )
 def test_remaining_score_is_described_in_words(name: str, description: str) -> None:
-    (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
+    (found,) = attributions_of(
+        one_round(refit("lever-arm", 500.0)), left=(score(name, DEFAULT_POLICY.max_remaining_criterion + 1),)
+    )
     assert found.reasons[0].startswith(f"with it the score tests still find {description} (")
 
 

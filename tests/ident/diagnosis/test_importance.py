@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from seatrial.ident.diagnosis import importance
+from seatrial.ident.diagnosis.findings import EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.importance import by_importance, effect_importance
-from seatrial.ident.diagnosis.results import EffectImportance, Refit, Round
 from seatrial.ident.model.structure import Effect, ForceCurve
 from tests.ident.unlisted import kind_of
 

@@ -10,7 +10,8 @@ import pytest
 
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
-from seatrial.ident.diagnosis.results import (
+from seatrial.ident.diagnosis.acceptance import is_immaterial, refit_outcome
+from seatrial.ident.diagnosis.findings import (
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -72,7 +73,7 @@ def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
         if isinstance(found, Exception):
             raise found
         exact_refit = replace(rough, prediction=found)
-        return replace(exact_refit, outcome=search._outcome(exact_refit, []))
+        return replace(exact_refit, outcome=refit_outcome(exact_refit, []))
 
     return exact
 
@@ -167,7 +168,7 @@ def test_data_too_short_for_the_tests_are_reported() -> None:
     )
     assert answer.endswith("too short to test 2 of 3 candidates: give 105 s or more.")
     assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
-    assert [scores[k].least_blocks for k in range(3)] == [7, 14, 21]
+    assert [scores[k].least_blocks() for k in range(3)] == [7, 14, 21]
 
 
 @pytest.mark.parametrize("fell", [True, False])
@@ -224,7 +225,7 @@ def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
         names = [c.effect.name for c in chosen]
         return tuple(EffectImportance(n, 10.0, 1.1, 20.0, 0.3 if n == "hump" else 6.0, FELL) for n in names)
 
-    def compared(_before: Any, after: Any) -> Any:
+    def compared(_before: Any, after: Any, *_: Any) -> Any:
         left.append(after.name)
         return blank(prediction=ROSE if after.name == "without hump" else FELL)
 
@@ -271,7 +272,7 @@ def test_effect_with_a_small_likelihood_gain_may_matter(
     name: str, criterion: float, prediction: PredictionChange, outcome: Outcome
 ) -> None:
     compass = replace(refit("compass", 10_000.0), effect=catalogue()["compass"])
-    assert search._outcome(replace(refit(name, criterion), prediction=prediction), [compass]) is outcome
+    assert refit_outcome(replace(refit(name, criterion), prediction=prediction), [compass]) is outcome
 
 
 SCANNED = Effect(
@@ -471,8 +472,8 @@ def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> No
         removed=(gone,),
     )
     assert "lag of filtered velocities" in diagnosis_answer(found, None, 10.0)
-    assert not replace(gone, t=1.0).immaterial
-    assert not replace(gone, prediction=ROSE).immaterial
+    assert not is_immaterial(replace(gone, t=1.0))
+    assert not is_immaterial(replace(gone, prediction=ROSE))
 
 
 # -- on missions of simulated boats

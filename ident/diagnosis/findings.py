@@ -1,4 +1,7 @@
-"""Results of a diagnosis: rounds of the search, refits, attribution and importance of the selected effects."""
+"""Findings of a diagnosis: rounds of the search, refits, attribution and importance of the selected effects.
+
+The classes hold data only. Whether an effect is accepted is decided in ``seatrial.ident.diagnosis.acceptance``.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects import NonparametricForce
 from seatrial.ident.estimation import FailedRun, FittedModel, ParameterShift
 from seatrial.ident.model import Effect
 from seatrial.ident.validation import PredictionChange
 
-T_VALIDATION = 2.0  # smallest t statistic of the gain on validation data
-T_PREDICTING = 1.0  # the same for a selected effect that improves the prediction
-# Smallest ratio of the error three seconds ahead without an effect to that with it. It decides if the interval over
-# the horizon shows no change. In the recovery study one of 153 correct effects and all wrong effects are below 1.011.
-MIN_ERROR_RATIO = 1.015
-MATERIAL_ERROR_RATIO = 1.005  # below this ratio the prediction is as good without the effect
 Attribution = Literal["identified", "ambiguous", "nonparametric"]
 
 
@@ -75,33 +73,6 @@ class Refit:
     outcome: Outcome = Outcome.OUTRANKED
     total: PredictionChange | None = None
     by_inputs: PredictionChange | None = None
-
-    @property
-    def validated(self) -> bool:
-        """Return whether both sets of data support the effect.
-
-        The gain on the estimation data exceeds the penalty of the parameters, and the gain on the validation data is
-        positive and significant.
-        """
-        return self.criterion > 0 and self.validation_gain > 0 and self.t > T_VALIDATION
-
-    @property
-    def accepted(self) -> bool:
-        """Return whether the refit is validated and the prediction with it is good enough.
-
-        The prediction may not be significantly worse than without the effect, nor than that of the nominal model. A
-        nonparametric effect has no physical explanation, so the prediction with it has to be better. One of these is
-        enough:
-
-        - the prediction is significantly better over the horizon, or by inputs alone;
-        - the point estimate is better, and the effects together make the prediction significantly better.
-        """
-        worse = any(p is not None and p.verdict == "rose" for p in (self.prediction, self.total))
-        better = self.prediction is None or self.prediction.verdict == "fell"
-        better = better or (self.by_inputs is not None and self.by_inputs.verdict == "fell" and helps(self.by_inputs))
-        if self.total is not None and self.total.verdict == "fell":
-            better = better or helps(self.prediction)
-        return self.validated and not worse and (better or not self.nonparametric)
 
     @property
     def nonparametric(self) -> bool:
@@ -202,11 +173,6 @@ class RemovedEffect:
     t: float
     prediction: PredictionChange
 
-    @property
-    def immaterial(self) -> bool:
-        """Return whether the validation data support the effect, and the prediction is as good without it."""
-        return self.validation_gain > 0 and self.t > T_VALIDATION and self.prediction.verdict == "unchanged"
-
 
 @dataclass(frozen=True)
 class EffectAttribution:
@@ -261,46 +227,6 @@ class EffectImportance:
     t: float = float("nan")
     prediction: PredictionChange | None = None
     untested: str | None = None
-
-    @property
-    def supported(self) -> bool:
-        """Return whether the effect is worth its parameters beside the other effects.
-
-        The validation data support the effect, either significantly or with a better prediction. The prediction is not
-        worse with the effect, and its size matters.
-        """
-        worse = self.prediction is not None and self.prediction.verdict == "rose"
-        matters = self.improves_prediction or helps(self.prediction) or self.error_ratio > MATERIAL_ERROR_RATIO
-        supported = self.validation_gain > 0 and self.t > (T_PREDICTING if self.improves_prediction else T_VALIDATION)
-        return supported and matters and not worse
-
-    @property
-    def improves_prediction(self) -> bool:
-        """Return whether the prediction is better with the effect.
-
-        The interval of the change over the horizon decides. If it shows no change, the error three seconds ahead by
-        inputs alone decides.
-        """
-        return predicts(self.prediction, self.error_ratio)
-
-
-def helps(prediction: PredictionChange | None) -> bool:
-    """Return whether the point estimate of a change of the prediction errors is a fall that matters."""
-    return prediction is not None and prediction.ratio < 1 / MIN_ERROR_RATIO
-
-
-def predicts(prediction: PredictionChange | None, error: float) -> bool:
-    """Return whether a prediction is better.
-
-    Parameters
-    ----------
-    prediction
-        Change over the horizon. Its interval decides.
-    error
-        Ratio of the errors three seconds ahead, before over after. It decides if the interval shows no change.
-    """
-    verdict = "unchanged" if prediction is None else prediction.verdict
-    return verdict == "fell" or (verdict == "unchanged" and error > MIN_ERROR_RATIO)
 
 
 @dataclass(frozen=True)
@@ -381,6 +307,8 @@ class Diagnosis:
         Last scores of all candidates.
     untried_scores
         Scores that passed when the largest number of effects had been added.
+    policy
+        Thresholds that the diagnosis was made with.
     """
 
     before: FittedModel
@@ -398,6 +326,7 @@ class Diagnosis:
     untestable: tuple[UntestedCandidate, ...] = ()
     scores: tuple[Score, ...] = ()
     untried_scores: tuple[Score, ...] = ()
+    policy: SearchPolicy = DEFAULT_POLICY
 
     @property
     def effects(self) -> tuple[Refit, ...]:
