@@ -1,6 +1,7 @@
 """Acceptance of an effect: support by the validation data, and change of the prediction.
 
-Two models are compared on the same validation records by three measures:
+This file has the whole rule by which an effect is accepted in a round or removed later. The thresholds are in
+``seatrial.ident.diagnosis.policy``. Two models are compared on the same validation records by three measures:
 
 1. The log-likelihood. Its gain, summed in blocks of time, has to be positive and significant.
 2. The prediction errors of all channels over the horizon (`prediction_change_by_record`).
@@ -41,12 +42,14 @@ from seatrial.ident.validation import (
 class Comparison:
     """Comparison of two models on the validation records that both could be evaluated on.
 
+    The measures are computed at their first use and cached.
+
     Attributes
     ----------
     before, after
-        The fitted models.
+        The fitted models. A gain or a fall of the errors is in favour of ``after``.
     policy
-        Thresholds, of which the horizon of the prediction by inputs alone is used [blocks of the model].
+        Thresholds of the comparison: the horizon of the prediction by inputs alone, and the number of blocks.
     """
 
     before: FittedModel
@@ -55,25 +58,26 @@ class Comparison:
 
     @cached_property
     def gain(self) -> tuple[float, float]:
-        """d ln L on all validation data, and its t statistic over blocks of time."""
+        """Gain d ln L on all validation data, and its t statistic; both are 0 without common records."""
         return validation_gain(self.before, self.after, self.policy)
 
     @cached_property
     def prediction(self) -> PredictionChange:
-        """Change of the prediction errors over the horizon of the model, on the validation data."""
+        """Change of the prediction errors over the horizon of the model on the validation data (10 s for a boat)."""
         seconds = self.before.model.horizon
         before, after = (
             {v.record.name: horizon_errors(s.model, v.record, v.values, v.run.x_filt, seconds) for v in views}
-            for s, views in self._common
+            for s, views in self._on_common_records
         )
         return prediction_change_by_record(before, after, seconds)
 
     @cached_property
     def error_ratio(self) -> float:
-        """Ratio of the prediction error by inputs alone of the first model to that of the second.
+        """Ratio of the RMS prediction error by inputs alone of the first model to that of the second.
 
-        The prediction is ``HORIZON`` blocks ahead. The ratio is the geometric mean over the channels of the validation
-        data, or of the estimation data if there are no common validation records.
+        The prediction is ``policy.input_horizon`` blocks ahead (3 s for a boat). The ratio is the geometric mean over
+        the channels of the validation data, or of the estimation data if there are no common validation records. It is
+        above 1 if the second model is better.
         """
         before, after = (
             np.mean([np.log(e.rms) for e in pooled_errors(list(of.values())).values()]) for of in self._errors_by_inputs
@@ -82,21 +86,24 @@ class Comparison:
 
     @cached_property
     def by_inputs(self) -> PredictionChange:
-        """Change of the prediction errors by inputs alone, with its interval."""
+        """Change of the prediction errors by inputs alone, from the first model to the second, with its 95 % interval.
+
+        The data are those of ``error_ratio``.
+        """
         before, after = self._errors_by_inputs
         return prediction_change_by_record(before, after, self.policy.input_horizon * self.before.model.block)
 
     @cached_property
     def _errors_by_inputs(self) -> list[dict[str, dict[str, PredictionErrors]]]:
-        """Prediction errors by inputs alone of both models, by record."""
+        """Prediction errors by inputs alone: one dict by record and channel for each model."""
         return [
             {v.record.name: _errors_by_inputs(s.model, v, self.policy.input_horizon) for v in views or s.estimation}
-            for s, views in self._common
+            for s, views in self._on_common_records
         ]
 
     @property
-    def _common(self) -> list[tuple[FittedModel, list[RecordEvaluation]]]:
-        """Both models with their validation records, restricted to the records that both could be evaluated on."""
+    def _on_common_records(self) -> list[tuple[FittedModel, list[RecordEvaluation]]]:
+        """Both models, each with its evaluations of the validation records that both models could be evaluated on."""
         stages = (self.before, self.after)
         common = set.intersection(*({v.record.name for v in s.validation} for s in stages))
         return [(s, [v for v in s.validation if v.record.name in common]) for s in stages]
@@ -105,9 +112,10 @@ class Comparison:
 def comparison(
     before: FittedModel, after: FittedModel, effect: Effect, policy: SearchPolicy = DEFAULT_POLICY
 ) -> Comparison:
-    """Compare two models of which the second has ``effect``.
+    """Return the comparison of two models of which only the second has an effect.
 
-    Effects with per-record parameters are compared on blocks in time of the validation runs.
+    The comparison is on the validation records. If the effect has per-record parameters, both models are first
+    evaluated on blocks in time of the validation runs.
 
     Parameters
     ----------
@@ -115,6 +123,8 @@ def comparison(
         Fitted models without and with the effect.
     effect
         The effect.
+    policy
+        Thresholds that the comparison keeps.
 
     Raises
     ------
@@ -133,18 +143,25 @@ def comparison(
 def validation_gain(
     before: FittedModel, after: FittedModel, policy: SearchPolicy = DEFAULT_POLICY
 ) -> tuple[float, float]:
-    """Return the gain in log-likelihood on the validation data, and its t statistic.
+    """Return the gain in log-likelihood on the common validation records of two models, and its t statistic.
 
     Parameters
     ----------
     before, after
         Fitted models to compare.
+    policy
+        Thresholds, of which the smallest number of blocks of double length is used.
 
     Returns
     -------
-    tuple of float
-        Sum of the gains, and t over blocks of ten seconds (four on the bench). The blocks are half as long if there are
-        fewer than ``FEW``. Both are 0 without common validation records.
+    gain
+        Sum of the gains d ln L from ``before`` to ``after``.
+    t
+        t statistic of the gain over blocks of time of 10 s (4 s on the bench), as the normal deviate of the same
+        probability. The blocks are half as long if the data are shorter than ``policy.min_double_blocks`` of them. 0
+        for fewer than two blocks.
+
+        Both are 0 without common validation records.
 
     Raises
     ------
@@ -163,7 +180,7 @@ def validation_gain(
     per_block: Array = np.concatenate(gains).astype(np.float64)
     if not np.isfinite(per_block).all():
         raise ValueError("the likelihood of the validation data is not finite with it")
-    return float(per_block.sum()), _t(per_block)
+    return float(per_block.sum()), _t_as_normal_deviate(per_block)
 
 
 def is_validated(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
@@ -297,8 +314,10 @@ def is_immaterial(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY)
 def validation_mismatches(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> tuple[ValidationMismatch, ...]:
     """Return the validation runs whose one-step errors are larger than the model claims.
 
-    The lower end of the 95 % interval of the ratio has to exceed ``MISMATCH``. The channel with the largest lower end
-    is reported, and the parameter change that would explain the errors.
+    A run is listed if the lower end of the 95 % interval of a channel's ratio, actual over claimed error, exceeds
+    ``policy.min_mismatch``. Of its channels the one with the largest lower end is reported. The parameter whose change
+    would explain the errors is estimated from the run. Empty if the model was cross-validated, because there are no
+    validation runs.
     """
     found = []
     for v in () if fitted.cross_validated else fitted.validation:
@@ -310,10 +329,11 @@ def validation_mismatches(fitted: FittedModel, policy: SearchPolicy = DEFAULT_PO
     return tuple(found)
 
 
-def _t(x: Array) -> float:
+def _t_as_normal_deviate(x: Array) -> float:
     """Return the t statistic of the mean of x (n,), converted to the normal deviate of the same probability.
 
-    The conversion (Wallace 1959) allows for few blocks, with which a large t occurs by chance.
+    The conversion (Wallace 1959) allows for few blocks, with which a large t occurs by chance. 0 for fewer than two
+    values.
     """
     if x.size < 2:
         return 0.0
@@ -322,7 +342,10 @@ def _t(x: Array) -> float:
 
 
 def _errors_by_inputs(model: Model, evaluation: RecordEvaluation, blocks: float) -> dict[str, PredictionErrors]:
-    """Return the errors ``HORIZON`` blocks ahead, with the disturbance forces set to zero."""
+    """Return the errors of a record by channel, predicted ``blocks`` blocks ahead without disturbance forces.
+
+    The disturbance states of the filter are set to zero in a copy before each prediction.
+    """
     forces = [i for i, s in enumerate(model.states) if s.name in {r.state for r in residuals_of(model)}]
     x = evaluation.run.x_filt.copy()
     x[:, forces] = 0.0

@@ -34,10 +34,10 @@ from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
 def assess_alternatives(
     rounds: Sequence[Round],
-    left: Sequence[Score],
+    remaining: Sequence[Score],
     n: int,
     untested: Collection[str] = (),
-    weights: Sequence[EffectImportance] = (),
+    importances: Sequence[EffectImportance] = (),
     reservations: Sequence[str] = (),
     after: FittedModel | None = None,
     nominal: Sequence[Score] = (),
@@ -48,29 +48,32 @@ def assess_alternatives(
     Parameters
     ----------
     rounds
-        Rounds of the search.
-    left
-        Scores that still pass after the last effect.
+        Rounds of the search. Rounds without a chosen effect are left out.
+    remaining
+        Scores that still pass after the last effect, best first.
     n
-        Number of rows of the estimation data.
+        Number of rows of the estimation data, for the penalty ``df ln n`` of a score.
     untested
         Names of catalogue effects that were not tested because the data lack one of their inputs.
-    weights
-        Importance of each effect.
+    importances
+        Importance of each effect. The prediction is not judged for an effect without an entry.
     reservations
-        Reasons why no effect can be identified on these data.
+        Reasons, as clauses, why no effect can be identified on these data.
     after
-        Last model, whose estimates are reported, by default that of each round.
+        Last model, whose estimates are judged, by default the model of the effect's own round.
     nominal
-        Scores on the model without effects.
+        Scores on the model without effects, for effects that the estimated parameters explain.
+    policy
+        Thresholds of the attribution.
 
     Returns
     -------
     tuple of EffectAttribution
-        Attribution of each selected effect, with the reasons if it is ambiguous.
+        Attribution of each selected effect, in the order of the rounds. An effect is ambiguous if there is at least one
+        reason.
     """
-    taken_up = {s.name for s in nominal if s.tolerance < policy.min_tolerance}
-    importance = {w.effect: w for w in weights}
+    explained = {s.name for s in nominal if s.tolerance < policy.min_tolerance}
+    importance = {w.effect: w for w in importances}
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     total = sum(max(c.criterion, 0.0) for c in chosen)
     limit = max(policy.max_remaining_criterion, policy.max_remaining_share * total)
@@ -84,12 +87,12 @@ def assess_alternatives(
             continue
         # the remaining criterion has to be small compared with all effects and with this effect
         own_limit = max(policy.max_remaining_criterion, search_round.chosen.criterion)
-        rest = [s for s in left if s.criterion(n) > min(limit, own_limit)]
+        strong = [s for s in remaining if s.criterion(n) > min(limit, own_limit)]
         fitted = search_round.chosen.fitted if after is None else after
         reasons = [
-            *_strong_remaining_test_reasons(rest, n),
-            *_many_remaining_tests_reasons(left, policy),
-            *_remaining_alternative_reasons(search_round.chosen.effect, left, len(chosen)),
+            *_strong_remaining_test_reasons(strong, n),
+            *_many_remaining_tests_reasons(remaining, policy),
+            *_remaining_alternative_reasons(search_round.chosen.effect, remaining, len(chosen)),
             *_nonparametric_curve_reasons(chosen, search_round, policy),
         ]
         reasons += [
@@ -103,14 +106,14 @@ def assess_alternatives(
         reasons += [
             *_untested_alternative_reasons(search_round.chosen.effect, untested),
             *_failed_candidate_reasons(search_round),
-            *_explained_by_parameters_reasons(search_round.chosen.effect, taken_up),
+            *_explained_by_parameters_reasons(search_round.chosen.effect, explained),
         ]
         reasons += [
             *_no_better_prediction_reasons(importance.get(search_round.chosen.effect.name), policy),
             *reservations,
         ]
         others = [q.effect.name for q in _competing_refits(search_round, policy)]
-        unexamined = {*untested, *taken_up}
+        unexamined = {*untested, *explained}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in unexamined and name not in others
         ]
@@ -119,35 +122,44 @@ def assess_alternatives(
     return tuple(found)
 
 
-def _strong_remaining_test_reasons(rest: Sequence[Score], n: int) -> list[str]:
-    """Return the reason that a remaining score test finds much, if any does."""
-    if not rest:
+def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]:
+    """Return the reason for ambiguity that remaining score tests find much; empty if ``strong`` is empty.
+
+    ``strong`` are the remaining scores beyond the limit, of which the one with the largest criterion is named. ``n`` is
+    the number of rows of the estimation data.
+    """
+    if not strong:
         return []
-    best = max(rest, key=lambda s: s.criterion(n))
+    best = max(strong, key=lambda s: s.criterion(n))
     return [f"with it the score tests still find {_finding_in_words(best)} ({best.criterion(n):.0f} more in 2 ln L)"]
 
 
-def _many_remaining_tests_reasons(left: Sequence[Score], policy: SearchPolicy) -> list[str]:
-    """Return the reason that many score tests still pass, if they do."""
-    if len(left) <= policy.max_remaining_tests:
-        return []
-    return [f"with it {len(left)} score tests still pass; the strongest finds {_finding_in_words(left[0])}"]
+def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that more score tests still pass than the policy allows; it names the first one.
 
-
-def _remaining_alternative_reasons(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
-    """Return the reason that a declared alternative of this effect still passes, however small.
-
-    It applies only if several effects were added, because one effect may then explain all of them.
+    Empty if there are not more.
     """
-    alternatives = [s.name for s in left if s.name in effect.alternatives] if n_added > 1 else []
+    if len(remaining) <= policy.max_remaining_tests:
+        return []
+    return [f"with it {len(remaining)} score tests still pass; the strongest finds {_finding_in_words(remaining[0])}"]
+
+
+def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
+    """Return the reason for ambiguity that a declared alternative of this effect still passes, however small its score.
+
+    It applies only if several effects were added (``n_added`` > 1), because one effect may then explain all of them.
+    Otherwise, or if no alternative passes, the list is empty.
+    """
+    alternatives = [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
     return [f"with it the score tests still find its alternative {alternatives[0]}"] if alternatives else []
 
 
 def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[str]:
-    """Return the reason that this effect is a small alternative of a strong effect, if it is.
+    """Return the reason for ambiguity that this effect is a small alternative of a strong effect; empty if it is not.
 
-    The difference between the true form of the strong effect and that of the catalogue resembles the nearest
-    alternative.
+    The criterion of the effect is below ``policy.form_share`` of that of the strong effect, and one of both effects
+    declares the other one as its alternative. The difference between the true form of the strong effect and that of the
+    catalogue resembles the nearest alternative.
     """
     strong = [c.effect for c in chosen if refit.criterion < policy.form_share * c.criterion]
     related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
@@ -155,7 +167,11 @@ def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: Sear
 
 
 def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
-    """Return the reason that a parameter of the effect is at its bound, or that its size is not significant."""
+    """Return the reason for ambiguity that a parameter of the effect is at its bound, or its size is not significant.
+
+    A size is a free parameter whose initial value is 0. All sizes together have to be ``policy.min_significance``
+    standard errors from zero. Only the first reason is returned; empty if there is none.
+    """
     fit = fitted.fit
     by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
     for p in effect.parameters:
@@ -175,17 +191,22 @@ def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: Sear
 
 
 def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
-    """Return name, value, standard error and unit of a parameter, over the thrust if the force scale is unknown."""
+    """Return name, value, standard error and unit of a parameter as they are reported.
+
+    If the force scale is unknown, they are those of the ratio to the thrust (`m_u/T`, kg/N).
+    """
     reported = ReportedEstimates(fit)
     estimate = reported.estimate(p, p.segment or 0)
     return reported.scale.name(p.full_name, p.unit), *estimate, reported.scale.unit(p.unit)
 
 
 def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
-    """Return the reason that the position of an effect (for example the fixed end of a line) is not determined.
+    """Return the reason for ambiguity that the position of an effect is not determined (the fixed end of a line).
 
-    A small track determines the direction to the position. The prior determines its distance, so all positions along
-    that direction fit equally well.
+    The position is undetermined if ``policy.position_reach`` joint standard errors are not less than its RMS distance
+    from the boat. Empty for an effect without a scanned position, or if a coordinate is not free. A small track
+    determines the direction to the position. The prior determines its distance, so all positions along that direction
+    fit equally well.
     """
     fit, scan = fitted.fit, effect.scan
     points = [p for p in effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
@@ -202,7 +223,10 @@ def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: 
 
 
 def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
-    """Return the joint distance of correlated estimates from zero in standard errors (Wald)."""
+    """Return the joint distance of correlated estimates from zero in standard errors (Wald).
+
+    ``sizes`` are indices of the fitted parameters. 0 if their covariance is not finite.
+    """
     values = fit.values[list(sizes)]
     covariance = fit.covariance[np.ix_(sizes, sizes)]
     if not np.isfinite(covariance).all():
@@ -211,7 +235,10 @@ def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
 
 
 def _finding_in_words(score: Score) -> str:
-    """Return the effect or dependence that a score test finds, in words."""
+    """Return what a score test finds as a text for reports.
+
+    The text is the name of a parametric effect, or for example "that X depends on u and v" for a nonparametric one.
+    """
     curve = score.curve
     if curve is None:
         return score.name
@@ -225,7 +252,12 @@ def _finding_in_words(score: Score) -> str:
 
 
 def _nonparametric_curve_reasons(chosen: Sequence[Refit], search_round: Round, policy: SearchPolicy) -> list[str]:
-    """Return the reasons that a nonparametric curve was added beside the effect, or would gain more than the effect."""
+    """Return the reasons for ambiguity that nonparametric effects give.
+
+    There is one reason for each nonparametric effect that was added beside the effect, unless it is the curve of which
+    the effect is one form. There is another reason if an accepted nonparametric refit of the same round has a larger
+    criterion.
+    """
     assert search_round.chosen is not None
     curve = search_round.chosen.effect.nonparametric_of
     beside = [c.effect for c in chosen if c.nonparametric and not c.effect.is_table_of(curve)]
@@ -239,11 +271,12 @@ def _nonparametric_curve_reasons(chosen: Sequence[Refit], search_round: Round, p
 
 
 def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
-    """Return the competing models of a round, best first.
+    """Return the refits of the competing models of a round, the largest criterion first.
 
-    They are the other effects whose criterion is close to that of the chosen effect.
-
-    An effect that nests the chosen effect competes only if its further parameters increase the criterion.
+    They are the other parametric effects whose criterion is close to that of the chosen effect: it is positive, and
+    lower by less than the larger of ``policy.max_distance`` and ``policy.max_distance_share`` of it. An effect that
+    nests the chosen effect competes only if its further parameters increase the criterion. The refits need not be
+    accepted.
     """
     assert search_round.chosen is not None
     name, best = search_round.chosen.effect.name, search_round.chosen.criterion
@@ -259,7 +292,10 @@ def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
 
 
 def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[str]:
-    """Return the reason that a competing model comes close, for the best of them."""
+    """Return the reason for ambiguity that a competing model comes close, for the one with the largest criterion.
+
+    Empty if there is no competing model.
+    """
     assert search_round.chosen is not None
     return [
         _comparison_in_words(q, search_round.chosen.criterion - q.criterion, policy)
@@ -268,7 +304,11 @@ def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[
 
 
 def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
-    """Return a comparison with a competing model in words; its criterion is lower by ``behind``."""
+    """Return a clause that compares a competing model with the chosen effect.
+
+    ``behind`` is the criterion of the chosen effect less that of the competitor [2 ln L]. It is negative if the
+    competitor explains the estimation data better.
+    """
     title = competitor.effect.title
     if behind < 0:
         better = "significantly better" if is_validated(competitor, policy) else "better"
@@ -278,27 +318,27 @@ def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy)
 
 
 def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:
-    """Return the reasons that alternatives of the effect could not be tested."""
+    """Return one reason for ambiguity for each declared alternative of the effect whose name is in ``untested``."""
     lost = [name for name in effect.alternatives if name in untested]
     return [f"its alternative {name} could not be tested on these data" for name in lost]
 
 
-def _explained_by_parameters_reasons(effect: Effect, taken_up: Collection[str]) -> list[str]:
-    """Return the reasons that the estimated parameters explain the effect or its alternatives.
+def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[str]:
+    """Return the reasons for ambiguity that the estimated parameters explain the effect, or else its alternatives.
 
-    The part of such an effect that the parameters do not explain is only a difference of form. It looks like the
-    alternatives of the effect.
+    ``explained`` has the names of the effects that the parameters of the nominal model explain. The rest of such an
+    effect is only a difference of form, which looks like the alternatives of the effect.
     """
-    if effect.name in taken_up:
+    if effect.name in explained:
         return ["the model's estimated parameters explain nearly all of it"]
-    names = [name for name in effect.alternatives if name in taken_up]
+    names = [name for name in effect.alternatives if name in explained]
     return [f"the model's estimated parameters explain nearly all of its alternative {name}" for name in names]
 
 
 def _failed_candidate_reasons(search_round: Round) -> list[str]:
-    """Return the reason that a candidate of the same round passed the score test and could not be fitted.
+    """Return the reason for ambiguity that a candidate of the same round passed the score test and could not be fitted.
 
-    Such a candidate may be the right one.
+    Such a candidate may be the right one. Only the first is named; empty if there is none.
     """
     return [
         f"{u.effect.title} passes the test too and could not be fitted: {u.reason}" for u in search_round.untested[:1]
@@ -306,7 +346,10 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
 
 
 def _no_better_prediction_reasons(weight: EffectImportance | None, policy: SearchPolicy) -> list[str]:
-    """Return the reason that the prediction is no better with the effect, or that this could not be tested."""
+    """Return the reason for ambiguity that the prediction is no better with the effect, or could not be tested.
+
+    Empty if the prediction is better, or if there is no importance (None).
+    """
     if weight is not None and weight.untested is not None:
         return [f"the prediction without it could not be tested: {weight.untested}"]
     if weight is None or improves_prediction(weight, policy):
@@ -326,13 +369,15 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     Returns
     -------
     str or None
-        Sentences for reports. ``MODEL`` in a command stands for the diagnosed model.
+        Sentences for reports, joined by spaces. ``MODEL`` in a command stands for the file of the diagnosed model.
 
     Notes
     -----
-    - An effect with competing models: its experiment, and the command that designs the discriminating mission.
+    - An effect with competing models: its experiment, and the command that designs the discriminating mission. The
+      command is left out if one of both effects is not of the catalogue, or if no mission can be designed for the
+      model.
     - An ambiguous effect without competing models: its experiment.
-    - Tests passed and no candidate was confirmed on the validation data: the experiment of the best candidate.
+    - No effect was selected, although candidates were fitted: the experiment of the best refit of each round.
     """
     lines = []
     by_name = {j.effect: j for j in diagnosis.attributions}

@@ -20,16 +20,37 @@ Attribution = Literal["identified", "ambiguous", "nonparametric"]
 
 
 class Outcome(StrEnum):
-    """Outcome of a refit, or of a round of the search."""
+    """Outcome of a refit, or of a round of the search.
+
+    Attributes
+    ----------
+    ADDED
+        The effect was added to the model.
+    OUTRANKED
+        The refit is accepted, but another effect of the round explains more. This is also the value before the choice.
+    SMALL
+        The refit is accepted, but its gain is small compared with the effects added before, and the prediction is not
+        better enough.
+    NOT_SUPPORTED
+        The gain on the estimation data is not above the penalty of the added parameters.
+    NOT_VALIDATED
+        The gain on the validation data is not positive, or its t statistic is too small.
+    WORSE_PREDICTION
+        The prediction is significantly worse than without the effect, or than that of the nominal model.
+    NO_BETTER_PREDICTION
+        The effect is nonparametric, and the prediction with it is not better.
+    UNTESTED
+        Only of a round: there is no refit, because every fit failed.
+    """
 
     ADDED = "added"
-    OUTRANKED = "outranked"  # accepted, but another effect explains more
-    SMALL = "small"  # accepted, but small compared with the effects found before, and the prediction is no better
-    NOT_SUPPORTED = "not-supported"  # the gain on the estimation data is below the penalty of its parameters
-    NOT_VALIDATED = "not-validated"  # the gain on the validation data is not positive, or not significant
-    WORSE_PREDICTION = "worse-prediction"  # significantly worse than with the last model or the nominal model
-    NO_BETTER_PREDICTION = "no-better-prediction"  # a nonparametric effect without a better prediction
-    UNTESTED = "untested"  # of a round: every refit failed
+    OUTRANKED = "outranked"
+    SMALL = "small"
+    NOT_SUPPORTED = "not-supported"
+    NOT_VALIDATED = "not-validated"
+    WORSE_PREDICTION = "worse-prediction"
+    NO_BETTER_PREDICTION = "no-better-prediction"
+    UNTESTED = "untested"
 
 
 @dataclass(frozen=True)
@@ -41,25 +62,27 @@ class Refit:
     effect
         The added effect.
     fitted
-        The fitted model.
+        The fitted model. It is the result of a rough search, or of an exact fit if the refit was validated.
     gain
-        Gain on the estimation data, 2 d ln L with priors.
+        Gain 2 d ln L of the rough search on the estimation data, with the priors of the parameters.
     df
         Number of added parameters.
     criterion
-        ``gain - df ln n``, with n rows of estimation data.
+        ``gain - df ln n``, with n rows of estimation data (Delta BIC); larger is better.
     validation_gain
-        d ln L on all validation data.
+        Gain d ln L in log-likelihood on all validation data; 0 without validation data.
     t
-        t statistic of the validation gain over blocks of time.
+        t statistic of ``validation_gain`` over blocks of time, as the normal deviate of the same probability.
     prediction
-        Change of the prediction errors over the horizon on the validation data, None if it was not computed.
+        Change of the prediction errors over the horizon on the validation data, from the model without the effect to
+        that with it. None before the exact fit.
     outcome
         Outcome of the refit in its round.
     total
-        Change of the prediction errors from the nominal model, None if it was not computed.
+        Like ``prediction``, from the nominal model (without any added effect) to this model.
     by_inputs
-        Change of the errors three seconds ahead by inputs alone (``Comparison.by_inputs``), for a nonparametric effect.
+        Change of the prediction errors three seconds ahead (1.2 s on the bench) by inputs alone. None for a parametric
+        effect, or before the exact fit.
     """
 
     effect: Effect
@@ -76,16 +99,23 @@ class Refit:
 
     @property
     def nonparametric(self) -> bool:
-        """Return whether the effect is nonparametric."""
+        """Return whether the effect is nonparametric: a curve, or a lagged or resonant response, without a formula."""
         return self.effect.kind.nonparametric
 
 
 @dataclass(frozen=True)
 class UntestedCandidate:
-    """A candidate that could not be tested, and the reason.
+    """Candidate that could not be tested.
 
     Either the candidate passed the score test and could not be fitted from any initial values, or it could not have a
-    score test. The latter is reported for user-defined effects and for effects at a fixed point.
+    score test. The latter is reported for user-defined effects and for effects at a fixed point only.
+
+    Attributes
+    ----------
+    effect
+        The candidate.
+    reason
+        Reason as a text for reports, without a full stop.
     """
 
     effect: Effect
@@ -94,20 +124,21 @@ class UntestedCandidate:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of the search.
+    """Round of the search: the score tests on one model, the refits, and the choice.
 
     Attributes
     ----------
     scores
-        Scores of all candidates.
+        Scores of all candidates on the model before the round, best first.
     passed
-        Names of the candidates that pass the score test.
+        Names of the candidates that pass the score test. After a nonparametric effect was added, only the parametric
+        ones with a large score.
     refits
-        Refits of the best candidates, sorted by their criterion.
+        Refits of the best candidates, the largest criterion first.
     chosen
-        The refit that was added, None if no refit was accepted.
+        The refit that was added, None if no refit was added.
     untested
-        Candidates that could not be fitted.
+        Candidates that passed and could not be fitted.
     """
 
     scores: tuple[Score, ...]
@@ -118,7 +149,7 @@ class Round:
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the refit that came closest to being added."""
+        """Outcome of the refit that came closest to being added; ``UNTESTED`` if there is no refit."""
         if self.chosen is not None:
             return Outcome.ADDED
         found = {r.outcome for r in self.refits}
@@ -133,7 +164,7 @@ class Round:
 
     @property
     def explanation(self) -> str:
-        """Sentence for reports: why an effect was added, or why no effect was added."""
+        """Clause for reports: why an effect was added, or why no effect was added."""
         if self.chosen is not None:
             gain, t = self.chosen.validation_gain, self.chosen.t
             return f"the log-likelihood of the validation data rises by {gain:.0f} (t = {t:.1f})"
@@ -154,18 +185,20 @@ class Round:
 
 @dataclass(frozen=True)
 class RemovedEffect:
-    """An effect that the search added and backward elimination removed.
+    """Effect that the search added and backward elimination removed.
 
-    Without the effect the validation data lose no likelihood, or the prediction is better.
+    The validation data did not support the effect beside the others, or the prediction was as good without it.
 
     Attributes
     ----------
     effect
         The effect.
-    validation_gain, t
-        Gain d ln L on the validation data with the effect, and its t statistic.
+    validation_gain
+        Gain d ln L in log-likelihood on the validation data by adding the effect to the other effects.
+    t
+        t statistic of ``validation_gain`` over blocks of time.
     prediction
-        Change of the prediction errors by adding the effect.
+        Change of the prediction errors over the horizon by adding the effect to the other effects.
     """
 
     effect: Effect
@@ -176,7 +209,7 @@ class RemovedEffect:
 
 @dataclass(frozen=True)
 class EffectAttribution:
-    """Attribution of a selected effect.
+    """Attribution of a selected effect: whether the data determine which effect it is.
 
     Attributes
     ----------
@@ -187,9 +220,10 @@ class EffectAttribution:
         effect leaves a residual that it should explain, or a competing model comes close. ``nonparametric``: a curve
         without a formula.
     reasons
-        Reasons for an ambiguous attribution, as texts for reports.
+        Reasons for an ambiguous attribution, as clauses for reports; empty for the other attributions.
     not_excluded
-        Names of the competing models that the data do not exclude, closest first.
+        Names of the competing models that the data do not exclude, closest first, then declared alternatives that could
+        not be tested.
     """
 
     effect: str
@@ -200,24 +234,27 @@ class EffectAttribution:
 
 @dataclass(frozen=True)
 class EffectImportance:
-    """Importance of a selected effect.
+    """Importance of a selected effect: what is lost if only this effect is left out and the model is fitted again.
 
     Attributes
     ----------
     effect
         Name of the effect.
     gain
-        2 d ln L on the estimation data if the effect is added last.
+        Gain 2 d ln L on the estimation data if the effect is added last, with priors. NaN if unknown.
     error_ratio
-        Ratio of the prediction error three seconds ahead without the effect to that with it
-        (``seatrial.ident.diagnosis.importance``). It is the geometric mean over the channels of the validation data, or
-        of the estimation data if there are no validation data.
-    validation_gain, t
-        d ln L on the validation data by adding the effect to the others, and its t statistic over blocks.
+        Ratio of the RMS prediction error three seconds ahead (1.2 s on the bench) by inputs alone, without the effect
+        over with it; above 1 if the effect helps. It is the geometric mean over the channels of the validation data, or
+        of the estimation data if there are no validation data. NaN if unknown.
+    validation_gain
+        Gain d ln L on the validation data by adding the effect to the others; NaN if unknown.
+    t
+        t statistic of ``validation_gain`` over blocks of time; NaN if unknown.
     prediction
-        Change of the prediction errors over the horizon by adding the effect to the others.
+        Change of the prediction errors over the horizon by adding the effect to the others, None if unknown.
     untested
-        Reason why the model without the effect could not be fitted. Its importance is then unknown.
+        Reason why the importance is unknown: the model without the effect could not be fitted or compared. None if the
+        importance is known.
     """
 
     effect: str
@@ -231,18 +268,18 @@ class EffectImportance:
 
 @dataclass(frozen=True)
 class ValidationMismatch:
-    """A validation run with larger prediction errors than the model claims.
+    """Validation run whose one-step prediction errors are larger than the model claims.
 
     Attributes
     ----------
     record
-        Name of the record.
+        Name of the run's record.
     channel
-        Channel whose one-step errors exceed the claimed ones most.
+        Name of the measured channel whose errors exceed the claimed errors most.
     scale
-        Factor between actual and claimed errors of this channel.
+        RMS of one-step error over claimed standard deviation of this channel; larger than 1.
     shift
-        Parameter change that would explain the errors, None if there is none.
+        Change of one parameter in this run that would explain the errors best, None if no parameter would.
     """
 
     record: str
@@ -253,7 +290,10 @@ class ValidationMismatch:
 
 @dataclass(frozen=True)
 class ShortData:
-    """Estimation data too short for some score tests, which could not pass for any size of the effect.
+    """Estimation data that are too short for some score tests.
+
+    The block-robust statistic cannot exceed the number of blocks of time. With few blocks, a candidate with many
+    parameters cannot pass for any size of the effect.
 
     Attributes
     ----------
@@ -275,38 +315,41 @@ class ShortData:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of a diagnosis.
+    """Findings of a diagnosis: models, rounds of the search, and judgement of the selected effects.
+
+    A *selected* effect was added in a round and was not removed by the backward elimination.
 
     Attributes
     ----------
     before, after
-        Fitted model without and with the effects.
+        Fitted model without added effects, and with the selected effects. Equal if no effect is selected.
     rounds
-        Rounds of the search.
+        Rounds of the search, in their order; empty if no candidate passed.
     remaining
-        Scores that still pass at the end, best first.
+        Scores that pass the score test on ``after``, best first.
     curves
         Curves of the nonparametric effects, and of the residual in place of the first ambiguous effect.
     attributions
-        Attribution of each effect, the most important first.
+        Attribution of each selected effect, the most important first.
     importances
-        Importance of each effect, the most important first.
+        Importance of each selected effect, the most important first.
     removed
         Effects that were added and removed again.
     failed_runs
         Validation runs that could not be evaluated.
     mismatches
-        Validation runs with larger errors than the model claims.
+        Validation runs with larger one-step errors than the model claims.
     short_data
-        Candidates that could not pass because the data are short, None if all could.
+        Number of candidates that could not pass because the data are short, None if all could.
     curve_failure
-        Reason why the curve of the first ambiguous effect could not be fitted, None if there is no such failure.
+        Title of the first ambiguous effect and the reason why no curve could be fitted in its place, None if there is
+        no such failure.
     untestable
-        User-defined candidates and candidates at a fixed point that could not be tested.
+        User-defined candidates and candidates at a fixed point that could not have a score test.
     scores
-        Last scores of all candidates.
+        Scores of all candidates on the last model that was tested, best first.
     untried_scores
-        Scores that passed when the largest number of effects had been added.
+        Scores that passed and were not tried, because the largest number of effects had been added. Empty otherwise.
     policy
         Thresholds that the diagnosis was made with.
     """
@@ -336,17 +379,17 @@ class Diagnosis:
 
     @property
     def untested(self) -> tuple[UntestedCandidate, ...]:
-        """Candidates that could not be fitted in any round."""
+        """Candidates that passed a score test and could not be fitted in any round, each once with its last reason."""
         tested = {q.effect.name for r in self.rounds for q in r.refits}
         failed = {u.effect.name: u for r in self.rounds for u in r.untested}
         return tuple(u for name, u in failed.items() if name not in tested)
 
     @property
     def cross_validated(self) -> bool:
-        """Return whether blocks in time of the estimation runs took the place of validation runs."""
+        """Return whether blocks in time of the estimation runs took the place of missing validation runs."""
         return self.after.cross_validated
 
     @property
     def converged(self) -> bool:
-        """Return whether the fit of the last model converged."""
+        """Return whether the fit of the last model (``after``) converged. The fit of ``before`` is not considered."""
         return self.after.fit.converged

@@ -14,7 +14,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.samples import Ahrs, Esc, Gnss
 from seatrial.ident.data.loading import FrameOrigin, LoadedLog, load_all, load_run, share_frame
 from seatrial.ident.data.record import LogSegment, make_record
-from seatrial.ident.diagnosis.search import _refused
+from seatrial.ident.diagnosis.search import _untestable_candidates
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal_model
 from seatrial.ident.estimation.likelihood import Likelihood
@@ -139,10 +139,10 @@ def test_distant_logs_keep_their_own_origins_and_reject_a_common_point(tmp_path:
     require_one_frame(plain, logs)
     with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, but mooring has one position"):
         require_one_frame(moored, logs)
-    untested = _refused(nominal_model(plain), catalogue(), [one.run for one in logs])
+    untested = _untestable_candidates(nominal_model(plain), catalogue(), [one.run for one in logs])
     assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
     assert "fixed point over ground" in untested[0].reason
-    assert not _refused(nominal_model(plain), catalogue(), [logs[0].run])
+    assert not _untestable_candidates(nominal_model(plain), catalogue(), [logs[0].run])
 
 
 def test_positions_without_latitude_and_longitude_are_assumed_in_one_frame_with_a_warning(tmp_path: Path) -> None:

@@ -215,13 +215,13 @@ def test_effect_without_influence_on_the_prediction_is_ambiguous(error: float, a
     """
     unchanged = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
     weight = EffectImportance("current-drift", 4000.0, error, 300.0, 9.0, unchanged)
-    (found,) = assess_alternatives([one_round(refit("current-drift", 4000.0))], (), N, weights=[weight])
+    (found,) = assess_alternatives([one_round(refit("current-drift", 4000.0))], (), N, importances=[weight])
     assert found.attribution == attribution
 
 
 def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
-    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, weights=[weight])
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, importances=[weight])
     assert found.attribution == "ambiguous"
     assert found.reasons == ("the prediction without it could not be tested: x0",)
 

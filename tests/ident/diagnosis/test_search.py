@@ -24,7 +24,7 @@ from seatrial.ident.diagnosis.findings import (
     ValidationMismatch,
 )
 from seatrial.ident.diagnosis.score_test import Score
-from seatrial.ident.diagnosis.search import _Search, _starts, diagnose, evaluate_diagnosis
+from seatrial.ident.diagnosis.search import _Search, _with_initial_values, diagnose, evaluate_diagnosis
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blocks
 from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
@@ -91,10 +91,10 @@ def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
 def test_best_accepted_candidate_is_chosen(
     monkeypatch: pytest.MonkeyPatch, by_name: Any, outcomes: list[Outcome], untested: list[tuple[str, str]]
 ) -> None:
-    monkeypatch.setattr(_Search, "_exact", exactly(by_name))
+    monkeypatch.setattr(_Search, "_fit_exactly", exactly(by_name))
     refused = [refit(name, 1000.0 - k, gain=-5.0, t=-1.0) for k, name in enumerate("abcd")]
     lost: list[UntestedCandidate] = []
-    judged, chosen = a_search()._choose(blank(), [refit("f", 90.0), *refused, refit("e", 100.0)], lost)
+    judged, chosen = a_search()._choose_refit(blank(), [refit("f", 90.0), *refused, refit("e", 100.0)], lost)
     assert [r.outcome for r in judged] == outcomes
     added = [r for r in judged if r.outcome is Outcome.ADDED]
     assert [chosen] == (added or [None])
@@ -114,8 +114,8 @@ def test_best_accepted_candidate_is_chosen(
 def test_better_prediction_decides_between_equally_likely_effects(
     monkeypatch: pytest.MonkeyPatch, behind: float, by_name: Any, chosen: str
 ) -> None:
-    monkeypatch.setattr(_Search, "_exact", exactly(by_name))
-    judged, found = a_search()._choose(blank(), [refit("lift", 100.0), refit("wind", 100.0 - behind)], [])
+    monkeypatch.setattr(_Search, "_fit_exactly", exactly(by_name))
+    judged, found = a_search()._choose_refit(blank(), [refit("lift", 100.0), refit("wind", 100.0 - behind)], [])
     assert found is not None
     worse = [r.effect.name for r in judged if r.outcome is Outcome.WORSE_PREDICTION]
     assert worse == [name for name, change in by_name.items() if change is ROSE]
@@ -129,11 +129,11 @@ def test_better_prediction_decides_between_equally_likely_effects(
 def test_parameter_difference_between_runs_is_chosen_only_if_it_explains_significantly_more(
     monkeypatch: pytest.MonkeyPatch, gain: float, t: float, chosen: str
 ) -> None:
-    monkeypatch.setattr(_Search, "_exact", exactly({}))
+    monkeypatch.setattr(_Search, "_fit_exactly", exactly({}))
     monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(gain, t), prediction=SAME))
     between = refit(f"{BETWEEN}payload", 500.0)
     between = replace(between, effect=replace(between.effect, kind=EffectKind.BETWEEN_RUNS))
-    judged, found = a_search()._choose(blank(), [between, refit("lift", 90.0), refit("wind", 100.0)], [])
+    judged, found = a_search()._choose_refit(blank(), [between, refit("lift", 90.0), refit("wind", 100.0)], [])
     assert found is not None
     assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
     assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
@@ -147,7 +147,7 @@ def test_candidate_with_a_negative_score_criterion_is_still_refitted(monkeypatch
     alone.n = 5000
     score = Score("compass", 28.0, 4, 20.0, {}, {})
     assert score.criterion(alone.n) < 0
-    alone._round(blank(), [score], [score])
+    alone._run_round(blank(), [score], [score])
     assert tried == ["compass"]
 
 
@@ -286,7 +286,7 @@ SCORE = Score("scanned", 100.0, 1, 50.0, {"A": 5.0}, {"w": 1.0})
 
 
 def test_initial_values_of_a_refit_start_at_the_score_test_and_end_at_zero() -> None:
-    assert [tuple(p.value for p in e.parameters) for e in _starts(SCANNED, SCORE)] == [
+    assert [tuple(p.value for p in e.parameters) for e in _with_initial_values(SCANNED, SCORE)] == [
         (1.0, 1.0),
         (0.6, 1.0),
         (1.0, 0.5),
@@ -386,8 +386,8 @@ def test_curve_of_an_ambiguous_effect_is_omitted_if_it_cannot_be_fitted(monkeypa
     table = Score("X(u)", 100.0, 1, 0.0, {}, {}, EffectKind.NONPARAMETRIC, ForceCurve("X", "u"))
     chosen = refit("hump", 900.0)
     rounds = [Round((table,), ("X(u)",), (chosen,), chosen)]
-    monkeypatch.setattr(search, "_unknown", fails)
-    drawn, undrawn = search._shapes(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [])
+    monkeypatch.setattr(search, "_nonparametric_effect_of", fails)
+    drawn, undrawn = search._reported_curves(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [])
     assert (drawn, undrawn) == ([], "hump: x0")
     judged = (EffectAttribution("hump", "ambiguous"),)
     found = Diagnosis(
@@ -416,7 +416,7 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
     twice = Effect("twice", "a mass", {}, (Parameter("m_u", 1.0),))
     fine = Effect("fine", "a fine one", {}, (Parameter("own", 0.0),))
     candidates = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
-    refused = search._refused(model, candidates, runs)
+    refused = search._untestable_candidates(model, candidates, runs)
     assert [(u.effect.name, u.reason) for u in refused] == [
         ("tide", "tue/run lacks its input tide"),
         ("sail", f"it needs the signal 'sail_area', which model {model.name} does not have"),
