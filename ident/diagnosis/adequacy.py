@@ -131,7 +131,10 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
     if not strong:
         return []
     best = max(strong, key=lambda s: s.criterion(n))
-    return [f"with it the score tests still find {_finding_in_words(best)} ({best.criterion(n):.0f} more in 2 ln L)"]
+    return [
+        f"with this effect the score tests still find {_finding_in_words(best)} "
+        f"({best.criterion(n):.0f} more in 2 ln L)"
+    ]
 
 
 def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPolicy) -> list[str]:
@@ -141,7 +144,10 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPoli
     """
     if len(remaining) <= policy.max_remaining_tests:
         return []
-    return [f"with it {len(remaining)} score tests still pass; the strongest finds {_finding_in_words(remaining[0])}"]
+    return [
+        f"with this effect {len(remaining)} score tests still pass; "
+        f"the strongest finds {_finding_in_words(remaining[0])}"
+    ]
 
 
 def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
@@ -151,7 +157,7 @@ def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n
     Otherwise, or if no alternative passes, the list is empty.
     """
     alternatives = [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
-    return [f"with it the score tests still find its alternative {alternatives[0]}"] if alternatives else []
+    return [f"with this effect the score tests still find its alternative {alternatives[0]}"] if alternatives else []
 
 
 def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[str]:
@@ -261,7 +267,7 @@ def _nonparametric_curve_reasons(chosen: Sequence[Refit], search_round: Round, p
     assert search_round.chosen is not None
     curve = search_round.chosen.effect.nonparametric_of
     beside = [c.effect for c in chosen if c.nonparametric and not c.effect.is_table_of(curve)]
-    reasons = [f"{effect.title} had to be added beside it" for effect in beside]
+    reasons = [f"{effect.title} had to be added beside this effect" for effect in beside]
     better = [
         q
         for q in search_round.refits
@@ -330,7 +336,7 @@ def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str])
     effect is only a difference of form, which looks like the alternatives of the effect.
     """
     if effect.name in explained:
-        return ["the model's estimated parameters explain nearly all of it"]
+        return ["the model's estimated parameters explain nearly all of this effect"]
     names = [name for name in effect.alternatives if name in explained]
     return [f"the model's estimated parameters explain nearly all of its alternative {name}" for name in names]
 
@@ -351,11 +357,11 @@ def _no_better_prediction_reasons(weight: EffectImportance | None, policy: Searc
     Empty if the prediction is better, or if there is no importance (None).
     """
     if weight is not None and weight.untested is not None:
-        return [f"the prediction without it could not be tested: {weight.untested}"]
+        return [f"the prediction without this effect could not be tested: {weight.untested}"]
     if weight is None or improves_prediction(weight, policy):
         return []
     horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
-    return [f"the prediction{horizon} is no better with it"]
+    return [f"the prediction{horizon} is no better with this effect"]
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:

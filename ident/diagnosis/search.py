@@ -326,7 +326,7 @@ def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy)
     validation data are short. Empty if none applies.
     """
     reasons = [
-        f"the fit {which} it did not converge"
+        f"the fit {which} the effects did not converge"
         for which, s in (("without", before), ("with", after))
         if not s.fit.converged
     ]
@@ -672,7 +672,7 @@ class _Search:
                 )  # fmt: skip
                 added = [r.chosen for r in self.rounds if r.chosen is not None]
                 return replace(exact, outcome=refit_outcome(exact, added, self.policy))
-            reason = f"the fit with it did not converge: it {fitted.fit.message}"
+            reason = f"the fit with the effect did not converge: it {fitted.fit.message}"
         raise ValueError(reason)
 
     def _refit_all(

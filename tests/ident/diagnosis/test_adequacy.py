@@ -103,7 +103,9 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
     (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
     assert found.attribution == attribution
     if found.reasons:
-        assert found.reasons == ("with it the score tests still find that N depends on u and r (21 more in 2 ln L)",)
+        assert found.reasons == (
+            "with this effect the score tests still find that N depends on u and r (21 more in 2 ln L)",
+        )
 
 
 def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -> None:
@@ -127,7 +129,7 @@ def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attri
 def test_nonparametric_effect_added_beside_an_effect_makes_it_ambiguous() -> None:
     wind, table = attributions_of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
     assert (wind.attribution, table.attribution) == ("ambiguous", "nonparametric")
-    assert "unknown Y(psi) had to be added beside it" in wind.reasons
+    assert "unknown Y(psi) had to be added beside this effect" in wind.reasons
 
 
 def test_validated_nonparametric_effect_that_explains_more_makes_an_effect_ambiguous() -> None:
@@ -169,7 +171,7 @@ def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> Non
     why = "the model's estimated parameters explain nearly all of its alternative reverse-thrust"
     assert found.reasons == (why,)
     (itself,) = assess_alternatives([one_round(refit("reverse-thrust", 90.0))], (), N, nominal=[hidden])
-    assert itself.reasons == ("the model's estimated parameters explain nearly all of it",)
+    assert itself.reasons == ("the model's estimated parameters explain nearly all of this effect",)
     (seen,) = assess_alternatives([one_round(linear)], (), N, nominal=[replace(hidden, tolerance=2e-3)])
     assert seen.attribution == "identified"
 
@@ -223,7 +225,7 @@ def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
     (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, importances=[weight])
     assert found.attribution == "ambiguous"
-    assert found.reasons == ("the prediction without it could not be tested: x0",)
+    assert found.reasons == ("the prediction without this effect could not be tested: x0",)
 
 
 def test_reservation_about_the_data_makes_every_effect_ambiguous() -> None:
@@ -290,7 +292,7 @@ def test_remaining_score_is_described_in_words(name: str, description: str) -> N
     (found,) = attributions_of(
         one_round(refit("lever-arm", 500.0)), left=(score(name, DEFAULT_POLICY.max_remaining_criterion + 1),)
     )
-    assert found.reasons[0].startswith(f"with it the score tests still find {description} (")
+    assert found.reasons[0].startswith(f"with this effect the score tests still find {description} (")
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:
