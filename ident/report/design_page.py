@@ -29,13 +29,13 @@ def write_design_page(result: DesignResult, path: Path) -> None:
         If ``path`` cannot be written.
     """
     canvas = Canvas(Budget.for_traces(12))
-    opening = Section("top", "", [Prose(_lead(result), "lead"), Facts(_facts(result))])
+    opening = Section("top", "", [Prose(_introduction(result), "lead"), Facts(_labelled_facts(result))])
     body = [
-        _errors(result),
-        _inputs(canvas, result),
-        _track(canvas, result.track),
-        _baselines(canvas, result),
-        _made(result),
+        _errors_section(result),
+        _commands_section(canvas, result),
+        _track_section(canvas, result.track),
+        _baselines_section(canvas, result),
+        _provenance_section(result),
     ]
     page = compose(
         "Mission design",
@@ -50,7 +50,7 @@ def write_design_page(result: DesignResult, path: Path) -> None:
     write_output(path, page)
 
 
-def _lead(result: DesignResult) -> str:
+def _introduction(result: DesignResult) -> str:
     """Return the introduction of the page: the criterion, and the kind of information."""
     form = (
         "with process noise (prediction error)"
@@ -64,7 +64,7 @@ def _lead(result: DesignResult) -> str:
     )
 
 
-def _facts(result: DesignResult) -> list[tuple[str, str]]:
+def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
     """Return the labelled facts of a design: criterion of the design and of the baselines, sensors, T values."""
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
@@ -80,7 +80,7 @@ def _facts(result: DesignResult) -> list[tuple[str, str]]:
     return found
 
 
-def _errors(result: DesignResult) -> Section:
+def _errors_section(result: DesignResult) -> Section:
     """Return the table of standard errors before and after the mission."""
     columns = (
         ("parameter", ""),
@@ -115,7 +115,7 @@ def _errors(result: DesignResult) -> Section:
     )
 
 
-def _inputs(canvas: Canvas, result: DesignResult) -> Section:
+def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
     """Return the commands of each thruster over time."""
     panels = [
         Panel(
@@ -131,7 +131,7 @@ def _inputs(canvas: Canvas, result: DesignResult) -> Section:
     return Section("inputs", "Thruster commands", [Grid([canvas.plot(figure, height, "Commands over time")], 600)])
 
 
-def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
+def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
     """Return the plot of the predicted track, of sampled boats and of the area; no blocks without a track."""
     if track is None:
         return Section("track", "", [])
@@ -143,7 +143,7 @@ def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
             | {"opacity": 0.35, "showlegend": k == 0, "hoverinfo": "skip"}
         )
     traces.append(line_trace(track.y, track.x, "nominal boat", 400) | {"showlegend": True})
-    traces.append(_dot(track.y[:1], track.x[:1]))
+    traces.append(_start_marker(track.y[:1], track.x[:1]))
     current = track.current
     water = (
         f"; the sampled boats meet currents of up to {formatting.plain(current)} m/s"
@@ -182,7 +182,7 @@ def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
     )
 
 
-def _dot(x: Array, y: Array) -> Trace:
+def _start_marker(x: Array, y: Array) -> Trace:
     """Return the marker of the start."""
     return {
         "type": "scatter",
@@ -195,7 +195,7 @@ def _dot(x: Array, y: Array) -> Trace:
     }
 
 
-def _baselines(canvas: Canvas, result: DesignResult) -> Section:
+def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
     """Return the histograms of the criterion over parameter samples, for the design and the baseline signals."""
     samples = result.samples
     if not samples:
@@ -235,6 +235,6 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
     return trace | {"fill": "tozeroy", "opacity": 0.8, "showlegend": True}
 
 
-def _made(result: DesignResult) -> Section:
+def _provenance_section(result: DesignResult) -> Section:
     facts = [("command", result.command), ("simulations", str(result.evaluations))]
     return Section("made", "How it was made", [Facts(facts, "made")])

@@ -124,17 +124,17 @@ def line_trace(
     """
     at = thinned(y, limit)
     style = {"color": color, "width": 1.6, "dash": dash}
-    return _scatter(*_broken(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
+    return _scatter(*_with_gaps_at_jumps(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
 
 
-def _jumps(y: Array, turn: float | None) -> Index:
+def _indices_after_jumps(y: Array, turn: float | None) -> Index:
     """Return the indices of the points just after a jump of a wrapped angle; empty without ``turn``."""
     return np.flatnonzero(np.abs(np.diff(y)) > turn / 2) + 1 if turn else np.zeros(0, dtype=np.intp)
 
 
-def _broken(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
+def _with_gaps_at_jumps(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
     """Return x and y with a NaN inserted at each jump of a wrapped angle."""
-    at = _jumps(y, turn)
+    at = _indices_after_jumps(y, turn)
     return np.insert(x, at, x[at]), np.insert(y, at, np.nan)
 
 
@@ -150,7 +150,7 @@ def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, tu
     x, y = np.insert(x, gap + 1, x[gap]), np.insert(y, gap + 1, np.nan)
     at = thinned(y, limit)
     at = np.union1d(at, gap + 1 + np.arange(gap.size)) if gap.size < limit // 4 else at
-    return _scatter(*_broken(x[at], y[at], turn), name, mode="lines", line={"color": color, "width": 0.9})
+    return _scatter(*_with_gaps_at_jumps(x[at], y[at], turn), name, mode="lines", line={"color": color, "width": 0.9})
 
 
 def band(
@@ -169,7 +169,7 @@ def band(
     """
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(middle) & np.isfinite(half))
     at = good[strided(good.size, max(limit // 2, 100))]
-    ends = _jumps(middle[at], turn)
+    ends = _indices_after_jumps(middle[at], turn)
     return between(x[at], middle[at] - half[at], middle[at] + half[at], color=color, opacity=opacity, ends=ends)
 
 

@@ -90,7 +90,7 @@ def compose(
     warnings : sequence of str
         Sentences shown above the headline.
     """
-    scripts = [_asset(PLOTLY), _asset("report.js")] if figures else [_asset("report.js")]
+    scripts = [_template_file(PLOTLY), _template_file("report.js")] if figures else [_template_file("report.js")]
     return (
         _environment()
         .get_template("report.html.j2")
@@ -102,10 +102,10 @@ def compose(
             version=version,
             opening=opening,
             sections=body,
-            style=Markup(_asset("style.css")),
+            style=Markup(_template_file("style.css")),
             scripts=[Markup(script) for script in scripts],
-            policy=_policy(scripts),
-            figures=Markup(_embedded({"template": TEMPLATE, "figures": figures})),
+            policy=_content_security_policy(scripts),
+            figures=Markup(_script_safe_json({"template": TEMPLATE, "figures": figures})),
         )
     )
 
@@ -128,7 +128,7 @@ def _count_traces(result: Result) -> int:
     return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
 
 
-def _embedded(value: Any) -> str:
+def _script_safe_json(value: Any) -> str:
     """Return JSON whose characters cannot end the surrounding script element."""
     written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
@@ -136,13 +136,13 @@ def _embedded(value: Any) -> str:
     return written
 
 
-def _policy(scripts: list[str]) -> str:
+def _content_security_policy(scripts: list[str]) -> str:
     """Return a content security policy: only these scripts run, and the page loads nothing from the network."""
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
     return f"default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; script-src {allowed}"
 
 
-def _asset(name: str) -> str:
+def _template_file(name: str) -> str:
     """Return the text of a file of the templates folder."""
     return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8").strip()

@@ -65,8 +65,8 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
         If ``path`` cannot be written.
     """
     canvas = Canvas(Budget())
-    body = [_study(canvas, study, aims) for study in result.studies]
-    opening = Section("top", "", [Prose(_lead(aims), "lead")])
+    body = [_study_section(canvas, study, aims) for study in result.studies]
+    opening = Section("top", "", [Prose(_introduction(aims), "lead")])
     made = Section(
         "made",
         "How it was made",
@@ -84,7 +84,7 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     write_output(path, page)
 
 
-def _lead(aims: Aims) -> str:
+def _introduction(aims: Aims) -> str:
     """Return the introduction of the page: the aims in words."""
     bias, (low, high), coverage = aims["bias"][1], aims["ratio"], aims["coverage"]
     return (
@@ -95,7 +95,7 @@ def _lead(aims: Aims) -> str:
     )
 
 
-def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
+def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
     """Return the section of one model: facts, three plots and the table of its parameters."""
     found, name = study.parameters, study.model
     if not found:
@@ -105,7 +105,7 @@ def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
         ("ratio", "variance / least possible variance", 1.0),
         ("coverage", "coverage of 95 % intervals [%]", 100.0),
     )
-    plots = [_forest(canvas, found, key, title, factor, aims[key]) for key, title, factor in kinds]
+    plots = [_statistic_plot(canvas, found, key, title, factor, aims[key]) for key, title, factor in kinds]
     key = Key(
         [
             ("after", "within the aim; with 95 % interval of the study, the band is the aim"),
@@ -116,17 +116,17 @@ def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
         f"study-{name}",
         f"{name}: {study.about}",
         [
-            Facts(_facts(study)),
+            Facts(_labelled_facts(study)),
             Heading("Comparison with the aims"),
             key,
             Grid(plots, 290),
             Heading("Table"),
-            Table(COLUMNS, [_row(row) for row in found]),
+            Table(COLUMNS, [_table_cells(row) for row in found]),
         ],
     )
 
 
-def _facts(study: ModelStudy) -> list[tuple[str, str]]:
+def _labelled_facts(study: ModelStudy) -> list[tuple[str, str]]:
     """Return the labelled facts of a study: estimator, replicates, failures, CPU time."""
     facts = [
         ("estimator", study.estimator),
@@ -139,7 +139,7 @@ def _facts(study: ModelStudy) -> list[tuple[str, str]]:
     return [*facts, *([("CPU time", ", ".join(times))] if times else [])]
 
 
-def _forest(
+def _statistic_plot(
     canvas: Canvas, found: Sequence[ParameterStudy], key: Number, title: str, factor: float, aim: tuple[float, float]
 ) -> Plot:
     """Return the plot of one statistic of every parameter with its 95 % interval; a band marks the aim.
@@ -216,13 +216,13 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
     return "chance" if all("chance" in miss for miss in misses) else "miss"
 
 
-def _row(row: ParameterStudy) -> list[Cell | str]:
+def _table_cells(row: ParameterStudy) -> list[Cell | str]:
     """Return the cells of one parameter in the order of ``COLUMNS``."""
     shown = [
         formatting.with_error(row.bias, row.bias_error),
         formatting.plain(row.ratio),
-        _between(row, "ratio", 1.0, 2),
-        f"{_between(row, 'coverage', 100.0, 1)} %",
+        _value_and_interval(row, "ratio", 1.0, 2),
+        f"{_value_and_interval(row, 'coverage', 100.0, 1)} %",
         str(row.at_bound),
     ]
     value = f"{formatting.short(formatting.plain(row.truth, 4))} {formatting.typeset_unit(row.unit)}".strip()
@@ -235,7 +235,7 @@ def _row(row: ParameterStudy) -> list[Cell | str]:
     ]
 
 
-def _between(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
+def _value_and_interval(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
     """Return ``value (low to high)``: a statistic times ``factor`` with its 95 % interval."""
     middle, low, high = (factor * value for value in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
@@ -262,18 +262,18 @@ def picture(study: ModelStudy, aims: Aims) -> str:
     ]
     for k, row in enumerate(found):
         name = escape(row.name)
-        parts.append(f'<text x="{NAMES_PX - 8}" y="{_middle(k) + 4}" text-anchor="end">{name}</text>')
+        parts.append(f'<text x="{NAMES_PX - 8}" y="{_row_middle(k) + 4}" text-anchor="end">{name}</text>')
     for k, (key, title, factor) in enumerate(PANELS):
         left = NAMES_PX + k * (PANEL_PX + GAP_PX)
-        parts += _panel(found, key, factor, aims[key], left, bottom)
+        parts += _svg_panel(found, key, factor, aims[key], left, bottom)
         parts.append(f'<text x="{left + PANEL_PX / 2:g}" y="18" text-anchor="middle">{title}</text>')
     for k, (verdict, words) in enumerate(KEY):
         x, y = NAMES_PX + (0, 120, 370)[k], height - 10
-        parts.append(f'{_mark(x, y - 4, verdict)}<text x="{x + 12}" y="{y}">{words}</text>')
+        parts.append(f'{_svg_symbol(x, y - 4, verdict)}<text x="{x + 12}" y="{y}">{words}</text>')
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 
-def _panel(
+def _svg_panel(
     found: Sequence[ParameterStudy], key: Number, factor: float, aim: tuple[float, float], left: int, bottom: int
 ) -> list[str]:
     """Return the SVG elements of one statistic of every parameter, with intervals, aim and chance limits.
@@ -281,7 +281,7 @@ def _panel(
     ``factor`` converts the statistic to the unit of the axis; ``left`` and ``bottom`` are in px.
     """
     table = factor * np.array([interval(row, key) for row in found])
-    edges, chance = factor * np.array(aim), factor * np.array(by_chance(key, _n(found)))
+    edges, chance = factor * np.array(aim), factor * np.array(by_chance(key, _median_count(found)))
     least, most = np.nanmin([*table[:, 1], *edges, *chance]), np.nanmax([*table[:, 2], *edges, *chance])
     room = 0.04 * (most - least)
 
@@ -300,13 +300,13 @@ def _panel(
             'stroke-dasharray="4 3"/>'
         )
     parts.append(f'<rect x="{left}" width="{PANEL_PX}" {size} fill="none" stroke="{drawing.GRID}"/>')
-    parts += _axis(float(least), float(most), x, bottom)
+    parts += _svg_axis(float(least), float(most), x, bottom)
     for k, (row, (value, low, high)) in enumerate(zip(found, table.tolist(), strict=True)):
         if np.isfinite([value, low, high]).all():
-            y = _middle(k)
+            y = _row_middle(k)
             parts.append(
                 f'<line x1="{x(low)}" x2="{x(high)}" y1="{y}" y2="{y}" stroke="{drawing.MEASURED}" '
-                f'stroke-width="1.4"/>{_mark(float(x(value)), y, verdict_of(row, key))}'
+                f'stroke-width="1.4"/>{_svg_symbol(float(x(value)), y, verdict_of(row, key))}'
             )
     return parts
 
@@ -326,17 +326,17 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _n(found: Sequence[ParameterStudy]) -> int:
+def _median_count(found: Sequence[ParameterStudy]) -> int:
     """Return the median number of estimates of a parameter."""
     return int(np.median([row.n for row in found]))
 
 
-def _middle(k: int) -> int:
+def _row_middle(k: int) -> int:
     """Return the vertical middle [px] of row ``k`` of the picture."""
     return TOP_PX + PICTURE_ROW_PX * k + PICTURE_ROW_PX // 2
 
 
-def _mark(x: float, y: float, verdict: str) -> str:
+def _svg_symbol(x: float, y: float, verdict: str) -> str:
     """Return the SVG symbol of a verdict: a circle within the aim, otherwise a diamond (open: perhaps by chance)."""
     if verdict == "fine":
         return f'<circle cx="{x:g}" cy="{y:g}" r="4" fill="{drawing.MODEL}"/>'
@@ -344,7 +344,7 @@ def _mark(x: float, y: float, verdict: str) -> str:
     return f'<path d="M{x:g} {y - 6:g}l6 6-6 6-6-6z" fill="{fill}" stroke="{drawing.BEFORE}" stroke-width="1.6"/>'
 
 
-def _axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> list[str]:
+def _svg_axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> list[str]:
     """Return the SVG ticks and labels below a panel, at round numbers."""
     raw = (most - least) / N_TICKS
     step = float(10.0 ** np.floor(np.log10(raw)))
@@ -378,10 +378,10 @@ def _picture_path(study: ModelStudy) -> str:
 
 def table(study: ModelStudy) -> list[tuple[str, ...]]:
     """Return the table of a study as rows of text, the header first."""
-    return [HEAD, *(_line(r) for r in study.parameters)]
+    return [HEAD, *(_text_cells(r) for r in study.parameters)]
 
 
-def _line(r: ParameterStudy) -> tuple[str, ...]:
+def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
     """Return the cells of one parameter in the order of ``HEAD``."""
     return (
         r.name,
@@ -444,8 +444,8 @@ def page(result: StudyResult) -> str:
             f"## {study.model}, {study.method}",
             "",
             f"{study.about}; {study.estimator}; {study.replicates} replicates, {study.failed} failed, "
-            f"{study.unconverged} did not converge; {_ms(study.cpu_fit)} ms CPU per fit, "
-            f"{_ms(study.cpu_simulation)} ms per simulation.",
+            f"{study.unconverged} did not converge; {_milliseconds(study.cpu_fit)} ms CPU per fit, "
+            f"{_milliseconds(study.cpu_simulation)} ms per simulation.",
             "",
             *([f"![bias, variance and coverage of every parameter]({_picture_path(study)})", ""] if rows else []),
             "| " + " | ".join(head) + " |",
@@ -455,6 +455,6 @@ def page(result: StudyResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _ms(seconds: float | None) -> str:
+def _milliseconds(seconds: float | None) -> str:
     """Return a time [s] in whole milliseconds, a dash for None."""
     return "–" if seconds is None else f"{1e3 * seconds:.0f}"

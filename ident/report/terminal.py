@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from seatrial.ident.report import formatting
-from seatrial.ident.report.sections.parameters import interval, place
+from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
     DiagnosisResult,
@@ -104,8 +104,8 @@ def parameter_table(result: InformationResult) -> Table:
         factor, unit = formatting.degrees_for(p.unit)
         shown, segment, growth = "no information", "", "–"
         if p.se is not None:
-            shown, segment = formatting.with_error(factor * p.value, factor * p.se), place(p)
-            growth = _growth(math.inf if p.weight is None else p.weight)
+            shown, segment = formatting.with_error(factor * p.value, factor * p.se), segment_in_words(p)
+            growth = _growth_text(math.inf if p.weight is None else p.weight)
         table.add_row(Text(p.name, style="bold"), Text(shown), Text(unit), Text(segment), Text(growth))
     return table
 
@@ -124,12 +124,12 @@ def segment_table(result: InformationResult) -> Table:
         table.add_column(name, justify="right", no_wrap=True, min_width=4)
     for row in found[:MAX_SEGMENTS]:
         values: Sequence[float] = row.weight[: len(shown)].tolist()
-        cells = [Text(_growth(v), style="dim" if v < MIN_GROWTH else "bold green") for v in values]
-        table.add_row(Text(place(row)), *cells)
+        cells = [Text(_growth_text(v), style="dim" if v < MIN_GROWTH else "bold green") for v in values]
+        table.add_row(Text(segment_in_words(row)), *cells)
     return table
 
 
-def _growth(factor: float) -> str:
+def _growth_text(factor: float) -> str:
     """Return the growth of a standard error as text.
 
     ``all``: only this segment informs the parameter. A dash: no segment does. A dot: the growth is negligible.
@@ -152,27 +152,27 @@ def print_result(result: Result, console: Console) -> None:
     console.print(Padding(answer, (0, 1)))
     if isinstance(result, DiagnosisResult) and result.caveat:
         console.print(Padding(Text(result.caveat, style="yellow"), (0, 1)))
-    for table in _tables(result):
+    for table in _all_tables(result):
         if table is not None:
             console.print()
             console.print(Padding(table, (0, 0, 0, 1)))
     console.print()
 
 
-def _tables(result: Result) -> Sequence[Table | None]:
+def _all_tables(result: Result) -> Sequence[Table | None]:
     """Return the tables of any result in the order of printing, None for a table without rows."""
     if not isinstance(result, FitResult):
         return tables_of(result)
     diagnosis = result if isinstance(result, DiagnosisResult) else None
     return [
-        _parameters(result.fit, diagnosis.effects if diagnosis else ()),
-        _profiles(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
-        _candidates(diagnosis) if diagnosis else None,
-        _errors(result.errors, result.horizon_seconds),
+        _parameters_table(result.fit, diagnosis.effects if diagnosis else ()),
+        _profiles_table(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
+        _candidates_table(diagnosis) if diagnosis else None,
+        _errors_table(result.errors, result.horizon_seconds),
     ]
 
 
-def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
+def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
     """Return the table of free parameters: those of the added effects first, then those of the dynamics.
 
     Noise parameters and fixed parameters are left out; the report contains them.
@@ -206,7 +206,7 @@ def error_title(scale: ForceScale) -> str:
     return "value ± s.e. (statistical only)" if scale.statistical_only else "value ± s.e."
 
 
-def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
+def _profiles_table(found: Sequence[ProfileCurve]) -> Table | None:
     """Return the table of profile-likelihood intervals; the report shows their curves."""
     if not found:
         return None
@@ -226,7 +226,7 @@ def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
     return table
 
 
-def _candidates(result: DiagnosisResult) -> Table | None:
+def _candidates_table(result: DiagnosisResult) -> Table | None:
     """Return the table of the best candidates of the first round that tested any, with their score tests."""
     found = [row for row in result.rounds if row.candidates]
     if not found:
@@ -251,7 +251,7 @@ def _candidates(result: DiagnosisResult) -> Table | None:
     return table
 
 
-def _errors(errors: Errors, seconds: float) -> Table | None:
+def _errors_table(errors: Errors, seconds: float) -> Table | None:
     """Return the table of RMS prediction errors, from validation data if the result has any."""
     role, data = by_role(errors.validation, errors.estimation)[0]
     kinds = [(title, table) for title, table in horizons(data, seconds) if table]

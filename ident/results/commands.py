@@ -62,14 +62,14 @@ from seatrial.ident.validation import PredictionEvaluation
 
 @dataclass(frozen=True)
 class FitContext:
-    """Context of a fit: what is reported with the estimates but was fixed before the fit.
+    """Context of a fit: facts that are reported with the estimates but were fixed before the fit.
 
     Attributes
     ----------
     start
-        Initial values of the parameters.
+        Initial value of each parameter by name.
     notes
-        Lines that precede the other notes of the result.
+        Sentences that precede the other notes of the result.
     unused
         Signals of the logs that the model does not use.
     length
@@ -92,10 +92,20 @@ def vehicle_result(
 ) -> VehicleResult:
     """Return the result of a vehicle fit and its evaluation.
 
+    If the fit did not converge, the answer says only that.
+
     Parameters
     ----------
+    fitted : FittedModel
+        The fit and its evaluation on each record.
+    evaluation : PredictionEvaluation
+        Predictions, residuals and calibration of the fitted model.
     made : Provenance
         Logs, command line, time and software version.
+    profiles : sequence of Profile
+        Profile likelihoods; empty without `--profile`.
+    homogeneity : sequence of HomogeneityTest
+        Tests of one value for all logs; empty without `--test-homogeneity`.
     posed : FitContext
         Initial values, notes and unused signals from before the fit.
     """
@@ -146,10 +156,18 @@ def thruster_result(
 ) -> ThrusterResult:
     """Return the result of a thruster fit and its evaluation.
 
+    If the fit did not converge, the answer says only that.
+
     Parameters
     ----------
+    fitted : FittedModel
+        The fit and its evaluation on each record.
+    evaluation : PredictionEvaluation
+        Predictions, residuals and calibration of the fitted model.
     made : Provenance
         Logs, command line, time and software version.
+    profiles : sequence of Profile
+        Profile likelihoods; empty without `--profile`.
     static : StaticForce or None
         Measured and fitted static thrust; None if the logs have no force.
     posed : FitContext
@@ -184,7 +202,7 @@ def thruster_result(
 
 
 def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
-    """Return the notes of a fit: those from before the fit, outliers, and wrong prediction intervals."""
+    """Return the notes of a fit: first those from before the fit, then outliers, then wrong prediction intervals."""
     outliers = outlier_lines(evaluation.residuals, evaluation.model)
     return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))
 
@@ -516,13 +534,13 @@ class ModelStudy(Part, frozen=True, kw_only=True):
 
     @property
     def left_out(self) -> str:
-        """Replicates that the statistics leave out, in words; empty if there are none."""
+        """Number of replicates that the statistics leave out, with the reasons; an empty text if there are none."""
         counts = ((self.failed, "failed"), (self.unconverged, "did not converge"))
         return " and ".join(f"{n} {reason}" for n, reason in counts if n)
 
     @property
     def too_many_left_out(self) -> bool:
-        """Return whether so many replicates are left out that the others are a biased sample."""
+        """Return whether more than 5 % of the replicates are left out, so that the others are a biased sample."""
         return self.failed + self.unconverged > MOST_LOST * self.replicates
 
 

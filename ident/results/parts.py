@@ -35,7 +35,13 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def same_length(part: Part, *names: str) -> None:
-    """Raise ValueError if the named arrays of a table, which are plotted over each other, differ in length."""
+    """Compare the shapes of the named arrays of a table, which are plotted over each other; None is left out.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+    """
     sizes = {name: array.shape for name in names if (array := getattr(part, name)) is not None}
     if len(set(sizes.values())) > 1:
         raise ValueError(f"{' and '.join(sizes)} must be of one length, not {sizes}")
@@ -770,6 +776,7 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
 
     @property
     def converged(self) -> bool:
+        """Return whether the fits without and with the effects converged."""
         return self.fit.converged and self.converged_before
 
     caveat: Annotated[

@@ -39,12 +39,16 @@ AnyResult = (
 
 
 def to_json(result: Part) -> bytes:
-    """Return a result as JSON in UTF-8."""
-    return msgspec.json.encode(_plain(result))
+    """Return a result as JSON in UTF-8.
+
+    Keys are in the order of the fields. NaN and infinity become null, and numbers keep seven significant digits except
+    in the types of ``EXACT``.
+    """
+    return msgspec.json.encode(_as_json_types(result))
 
 
 def write_result(result: Part, path: Path) -> None:
-    """Write a result as JSON.
+    """Write a result as JSON to a file. An existing file is replaced.
 
     Raises
     ------
@@ -65,7 +69,7 @@ def from_json(content: bytes) -> AnyResult:
     msgspec.DecodeError
         If a key is missing, misspelt or mistyped; the message contains its path.
     """
-    found: AnyResult = msgspec.json.decode(content, type=AnyResult, dec_hook=_decode)
+    found: AnyResult = msgspec.json.decode(content, type=AnyResult, dec_hook=_decode_array)
     return found
 
 
@@ -84,32 +88,36 @@ def read_result(path: Path | str) -> AnyResult:
         raise SeatrialError(f"{path}: {problem}") from problem
 
 
-def _decode(kind: Any, value: Any) -> Any:
-    """Decode an array, the only type that msgspec does not decode itself; null becomes NaN."""
+def _decode_array(kind: Any, value: Any) -> Any:
+    """Return a list of numbers as a float64 array, in which null becomes NaN.
+
+    An array is the only type that msgspec does not decode itself. ``kind`` is that type and is not used. ValueError for
+    other JSON values.
+    """
     if not isinstance(value, list):
         raise ValueError(f"expected a list of numbers, got {type(value).__name__}")
     return np.array(value, dtype=np.float64)
 
 
-def _plain(value: Any) -> Any:
+def _as_json_types(value: Any) -> Any:
     """Convert a value to JSON types.
 
-    Tables become objects and arrays become lists. Numbers are rounded to ``DIGITS`` significant digits. NaN and
-    infinity become None.
+    Tables become objects, with their tag first, and arrays become lists. Numbers are rounded to ``DIGITS`` significant
+    digits, except in the types of ``EXACT``. NaN and infinity become None. Other values are returned unchanged.
     """
     if isinstance(value, EXACT):
         return msgspec.structs.asdict(value)
     if isinstance(value, msgspec.Struct):
         config = type(value).__struct_config__
         kind = {} if config.tag is None else {str(config.tag_field): config.tag}
-        return kind | {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
+        return kind | {name: _as_json_types(getattr(value, name)) for name in value.__struct_fields__}
     if isinstance(value, np.ndarray):
         # Encoded here, because a list of Python numbers takes three times the memory.
         return msgspec.Raw(msgspec.json.encode(_rounded(value)))
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: _as_json_types(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [_as_json_types(v) for v in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):

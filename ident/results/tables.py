@@ -56,7 +56,7 @@ NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # of a channel without a
 
 
 def finite(value: float | None) -> float | None:
-    """Return the value, or None for NaN and infinity."""
+    """Return the value as a float, or None for None, NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
@@ -67,7 +67,7 @@ def format_number(value: float) -> str:
 
 
 def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
-    """Return the provenance of a result: time, software version, command line and logs."""
+    """Return the provenance of a result: the present UTC time, software version, command line and logs."""
     return Provenance(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seatrial=version("seatrial"),
@@ -79,12 +79,18 @@ def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
 def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None = None) -> FitSummary:
     """Return the summary of a fit: parameters with standard errors, correlation and convergence.
 
+    Values are in reported units: ratios to the thrust if its scale is unknown. A free per-record parameter has one row
+    for each record.
+
     Parameters
     ----------
+    fit : Fit
+        The fit.
     start : mapping of str to float
-        Initial values of the parameters.
+        Initial values of the parameters by name.
     calibration : float, optional
-        On the bench: relative standard uncertainty of the measured force. It is added to the standard errors.
+        On the bench: relative standard uncertainty of the measured force. It is added to the standard errors. None: not
+        given, so that the standard errors are called statistical only.
     """
     flags, reported, rows = dict(fit.flags), ReportedEstimates(fit), []
     scale = reported.scale
@@ -142,14 +148,16 @@ def error_tables(
     before: PredictionEvaluation | None = None,
     changes: Mapping[str, validation.PredictionChange] | None = None,
 ) -> Errors:
-    """Return the RMS prediction errors of a model.
+    """Return the RMS prediction errors of a model for each set of data, kind of prediction and channel.
 
     Parameters
     ----------
+    after : PredictionEvaluation
+        Evaluation of the model.
     before : PredictionEvaluation, optional
         Evaluation of another model, whose errors are reported beside those of ``after``.
     changes : mapping, optional
-        Changes of the errors over the horizon, for each role.
+        Changes of the errors over the horizon, by role of the data (``estimation``, ``validation``).
     """
     units = {o.name: o.unit for o in after.model.outputs}
 
@@ -186,7 +194,8 @@ def error_tables(
 def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
     """Return the fit over the horizon on the validation data, or on the estimation data if there are no others.
 
-    None if no channel is predicted over the horizon.
+    The fit is 1 less the geometric mean of RMS error over standard deviation. None if no channel is predicted over the
+    horizon.
     """
     found = evaluation.sets[evaluation.headline_set].explained
     if not found.channels:
@@ -196,7 +205,7 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
 
 
 def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChange | None:
-    """Return the change of the errors over the horizon; None if no channel can be compared."""
+    """Return the change of the errors over the horizon on the data of a role; None if no channel can be compared."""
     if not found.channels:
         return None
     return PredictionChange(
@@ -211,7 +220,7 @@ def prediction_change(found: validation.PredictionChange, role: Role) -> Predict
 
 
 def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
-    """Return the calibration of the prediction intervals on each set of data."""
+    """Return the calibration of the prediction intervals for each set of data, kind of prediction and channel."""
 
     def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
         return {
@@ -242,9 +251,10 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
 
 
 def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Trace, ...]:
-    """Return each measured channel with its prediction over the horizon and its simulation.
+    """Return each measured channel of each record with its prediction over the horizon and its simulation.
 
-    ``before`` is the evaluation of another model, whose predictions are added.
+    Rows without a measurement are left out, and so are channels without any. ``before`` is the evaluation of another
+    model, whose predictions are added.
     """
     return tuple(
         Trace(
@@ -264,7 +274,7 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             sd_horizon=far.sd,
             horizon_before=None if then is None else then.horizon.get(o.name, NO_PREDICTION).y,
         )
-        for role, now, then in _pairs(after, before)
+        for role, now, then in _predictions_of_both(after, before)
         for j, o in enumerate(after.model.outputs)
         if (seen := np.isfinite(now.record.y[:, j])).any()
         for far in [now.horizon.get(o.name, NO_PREDICTION)]
@@ -272,9 +282,9 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
 
 
 def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Track, ...]:
-    """Return the measured and the simulated track of each record with positions.
+    """Return the measured and the simulated track of each record with positions; empty for a model without positions.
 
-    ``before`` is the evaluation of another model, whose tracks are added.
+    ``before`` is the evaluation of another model, whose simulated tracks are added.
     """
     names = [o.name for o in after.model.outputs]
     if "x" not in names:
@@ -291,15 +301,18 @@ def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             x_before=None if then is None else then.simulation.y[seen, i],
             y_before=None if then is None else then.simulation.y[seen, j],
         )
-        for role, now, then in _pairs(after, before)
+        for role, now, then in _predictions_of_both(after, before)
         if (seen := np.isfinite(now.record.y[:, i])).any()
     )
 
 
-def _pairs(
+def _predictions_of_both(
     after: PredictionEvaluation, before: PredictionEvaluation | None
 ) -> list[tuple[Role, RecordPrediction, RecordPrediction | None]]:
-    """Return each record with the predictions of both models, estimation records first."""
+    """Return the role of each record and its predictions by both models, estimation records first.
+
+    The second prediction is None without another model (``before``).
+    """
     found: list[tuple[Role, RecordPrediction, RecordPrediction | None]] = []
     roles: tuple[Role, ...] = ("estimation", "validation")
     for role in roles:
@@ -310,7 +323,7 @@ def _pairs(
 
 
 def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
-    """Return the inputs of a record as the model uses them."""
+    """Return the inputs of a record as the model uses them, one trace for each input that reports show."""
     return tuple(
         InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
         for j, name, unit in shown_inputs(model)
@@ -318,7 +331,7 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 
 
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
-    """Return the inputs of all records."""
+    """Return the inputs of all records of an evaluation."""
     return tuple(
         row
         for data in evaluation.sets.values()
@@ -328,18 +341,18 @@ def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
 
 
 def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | None = None) -> tuple[ResidualTests, ...]:
-    """Return the whiteness tests of all channels.
+    """Return the whiteness tests of all records and channels.
 
-    ``after`` is the evaluation of another model, whose tests are added.
+    ``after`` is the evaluation of another model, whose tests are added to those of the same record and channel.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
 
 
 def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> ResidualTests:
-    """Return the whiteness tests of one channel; ``after``: residuals of another model, whose tests are added."""
+    """Return the whiteness tests of one channel of a record, and those of another model (``after``) if it is given."""
     return ResidualTests(
-        **msgspec.structs.asdict(_whiteness(r)),
+        **msgspec.structs.asdict(_whiteness_tests(r)),
         record=r.record,
         channel=r.channel,
         unit=r.unit,
@@ -347,12 +360,12 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
         lags=r.lags,
         band=r.tests.band,
         frequency=r.tests.frequency,
-        after=None if after is None else _whiteness(after),
+        after=None if after is None else _whiteness_tests(after),
     )
 
 
-def _whiteness(r: ChannelResiduals) -> WhitenessTests:
-    """Return the whiteness tests of one channel, without its record and lags."""
+def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
+    """Return the whiteness tests of one channel, without its record, lags and frequencies."""
     return WhitenessTests(
         e=r.e,
         acf=r.tests.acf,
@@ -369,7 +382,7 @@ def _whiteness(r: ChannelResiduals) -> WhitenessTests:
 def cross_correlations(
     before: PredictionEvaluation, after: PredictionEvaluation | None = None
 ) -> tuple[CrossCorrelation, ...]:
-    """Return the correlations of the residuals with the inputs.
+    """Return the correlations of the residuals with the inputs, one for each record, channel and input.
 
     ``after`` is the evaluation of another model, whose correlations are added.
     """
@@ -378,7 +391,7 @@ def cross_correlations(
 
 
 def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelation]:
-    """Return the correlations of one channel with each input; ``after``: residuals of another model, to be added."""
+    """Return the correlations of one channel with each input, and those of another model (``after``) if it is given."""
     later = {
         c.input: CorrelationTest(z=c.z, p=finite(c.p), largest=finite(c.largest))
         for c in (() if after is None else after.inputs)
@@ -436,7 +449,7 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
-    """Return the table row of a homogeneity test."""
+    """Return the table row of a homogeneity test, whose values are already in reported units."""
     return Homogeneity(
         name=a.name,
         unit=a.unit,

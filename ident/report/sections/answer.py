@@ -66,10 +66,10 @@ def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
     ratios = [(row.after or 0.0) / max(row.before or 0.0, 1e-300) for _, row in items]
     widest = max([1.0, *ratios, *(row.high or 0.0 for _, row in items)])
     scale = 96.0 / min(widest, 2.5)  # per cent of the track's width for a ratio of one
-    return [_dumbbell(name, row, ratio, scale) for (name, row), ratio in zip(items, ratios, strict=True)]
+    return [_channel_dumbbell(name, row, ratio, scale) for (name, row), ratio in zip(items, ratios, strict=True)]
 
 
-def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Dumbbell:
+def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Dumbbell:
     """Return one channel's row; ``scale`` is the length of a ratio of one, in per cent of the track's width."""
     factor, unit = formatting.degrees_for(row.unit)
     before, after = (factor * (value or 0.0) for value in (row.before, row.after))
@@ -88,7 +88,7 @@ def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Du
     )
 
 
-def _behind(criterion: float) -> str:
+def _criterion_in_words(criterion: float) -> str:
     """Return how much worse or better the criterion (BIC) of a competing model is."""
     if criterion < 0:  # the effect was still preferred, because validation data do not support the competing model
         return f"{formatting.plain(-criterion)} better, but worse on the validation data"
@@ -102,7 +102,7 @@ def effect_card(effect: EffectRow) -> EffectCard:
         factor, unit = formatting.degrees_for(row.unit)
         value, se = formatting.scaled(factor, row.value, row.se)
         parameters.append((row.name, formatting.with_error(value, se, unit), row.meaning))
-    alternatives = [f"{row.name} ({_behind(row.criterion_behind)})" for row in effect.alternatives]
+    alternatives = [f"{row.name} ({_criterion_in_words(row.criterion_behind)})" for row in effect.alternatives]
     facts = (
         ("Acts on", effect.place),
         ("Source", effect.source),
@@ -116,11 +116,11 @@ def effect_card(effect: EffectRow) -> EffectCard:
         effect.formula,
         parameters,
         [(label, value) for label, value in facts if value],
-        *_importance(effect.error_ratio_without),
+        *_importance_in_words(effect.error_ratio_without),
     )
 
 
-def _importance(factor: float | None) -> tuple[str, str]:
+def _importance_in_words(factor: float | None) -> tuple[str, str]:
     """Return how much larger the prediction error is without the effect: the number, and the words after it.
 
     ``factor`` is the error without the effect over the error with it (seatrial.ident.diagnosis.importance).
@@ -155,7 +155,7 @@ def key_parameters(fit: FitSummary) -> list[Any]:
         factor, unit = formatting.degrees_for(row.unit)
         title = row.meaning or row.name
         title += f" (⚠ {row.flag})" if row.flag else ""
-        found.append((title, _symbol(row, factor * value, factor * se, unit)))
+        found.append((title, _symbol_and_value(row, factor * value, factor * se, unit)))
     if not found:
         return []
     caption = ["± one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
@@ -163,7 +163,7 @@ def key_parameters(fit: FitSummary) -> list[Any]:
     return [Facts(found[:MAX_KEY_PARAMETERS], "cards"), Prose("; ".join(caption), "caption")]
 
 
-def _symbol(row: ParameterRow, value: float, se: float, unit: str) -> str:
+def _symbol_and_value(row: ParameterRow, value: float, se: float, unit: str) -> str:
     return f"{row.name} = {formatting.with_error(value, se, unit)}"
 
 

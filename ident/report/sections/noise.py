@@ -22,15 +22,15 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
         ("predictable share", "num"),
         ("p", "num"),
     )
-    blocks: list[Any] = [Table(columns, [_row(c) for c in result.noise])] if result.noise else []
-    plots = [plot for c in result.noise if (plot := _density(canvas, c)) is not None]
+    blocks: list[Any] = [Table(columns, [_noise_cells(c) for c in result.noise])] if result.noise else []
+    plots = [plot for c in result.noise if (plot := _density_plot(canvas, c)) is not None]
     if plots:
         lines = [("measured", "measured power spectral density, with averages over bands and their 95 % intervals")]
         blocks += [Key([*lines, ("after", "power spectral density of the fitted model")]), Grid(plots, 320)]
     return Section("noise", "Noise of each channel", blocks)
 
 
-def _row(c: ChannelNoise) -> list[Cell | str]:
+def _noise_cells(c: ChannelNoise) -> list[Cell | str]:
     """Return the cells of one channel."""
     factor, unit = formatting.degrees_for(c.unit)
     cells: list[Cell | str] = [formatting.named(c.channel)]
@@ -44,7 +44,7 @@ def _row(c: ChannelNoise) -> list[Cell | str]:
     return [*cells, verdict, share, Cell(formatting.probability(c.p), "num")]
 
 
-def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
+def _density_plot(canvas: Canvas, c: ChannelNoise) -> Plot | None:
     """Return the plot of a channel's measured and modelled power spectral density, None without finite values."""
     factor, unit = formatting.degrees_for(c.unit)
     traces = []
@@ -62,16 +62,18 @@ def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
     if not traces:
         return None
     if c.bands is not None:
-        traces.append(_averages(c.bands, factor**2))
+        traces.append(_band_averages_trace(c.bands, factor**2))
     log = {"type": "log", "exponentformat": "power", "nticks": 6}
     square = f"({unit})²" if not unit.isalpha() else f"{unit}²"
     title = formatting.named(c.channel)
     shown = f"{title} [{square}/Hz]" if unit else f"{title} [1/Hz]"
-    figure = drawing.single(traces, "frequency [Hz]", xaxis=_ticks(c.frequency), yaxis=log | {"automargin": True})
+    figure = drawing.single(
+        traces, "frequency [Hz]", xaxis=_frequency_axis(c.frequency), yaxis=log | {"automargin": True}
+    )
     return canvas.plot(figure, 230, f"Power spectral density of {title}", shown)
 
 
-def _averages(bands: SpectrumBands, factor: float) -> drawing.Trace:
+def _band_averages_trace(bands: SpectrumBands, factor: float) -> drawing.Trace:
     """Return the averages over frequency bands with their 95 % intervals, which the reader can compare to the model.
 
     ``factor`` converts the density to the shown unit.
@@ -82,7 +84,7 @@ def _averages(bands: SpectrumBands, factor: float) -> drawing.Trace:
     return drawing.dots(bands.frequency, y, "average", y.size) | {"error_y": bars}
 
 
-def _ticks(frequency: Array) -> dict[str, Any]:
+def _frequency_axis(frequency: Array) -> dict[str, Any]:
     """Return a logarithmic axis with ticks at powers of ten, and at 2 and 5 if it spans less than 2.5 decades."""
     positive = frequency[frequency > 0]
     if not positive.size:

@@ -51,8 +51,8 @@ def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[Parame
         extra = (("prior_share", "from prior", "num"), ("record", "record", ""), ("flag", "note", ""))
         used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
         columns += [(title, style) for _, title, style in used]
-        blocks.append(Table(columns, [_row(row, [key for key, _, _ in used]) for row in table]))
-    blocks += _changes(changes) + _correlation(canvas, fit.correlation)
+        blocks.append(Table(columns, [_parameter_cells(row, [key for key, _, _ in used]) for row in table]))
+    blocks += _change_blocks(changes) + _correlation_blocks(canvas, fit.correlation)
     return Section("parameters", "Parameters", blocks)
 
 
@@ -76,7 +76,7 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
     return [Facts(found)] if found else []
 
 
-def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
+def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
     """Return the cells of one parameter; ``extra`` names the optional columns of the table."""
     factor, unit = formatting.degrees_for(row.unit)
     value, se = formatting.scaled(factor, row.value, row.se)
@@ -96,16 +96,16 @@ def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
     return cells + [more[key] for key in extra]
 
 
-def _changes(table: Sequence[ParameterChange]) -> list[Any]:
+def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
     """Return the table of the parameters before and after the effects were added."""
     if not table:
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
     note = "change in standard errors of the value before"
-    return [Heading("Before and after the effects", note), Table(columns, [_change_row(row) for row in table])]
+    return [Heading("Before and after the effects", note), Table(columns, [_change_cells(row) for row in table])]
 
 
-def _change_row(row: ParameterChange) -> list[Cell | str]:
+def _change_cells(row: ParameterChange) -> list[Cell | str]:
     """Return the cells of one parameter; a change beyond the 95 % interval is in bold."""
     factor, unit = formatting.degrees_for(row.unit)
     before, before_se, after, after_se = formatting.scaled(factor, row.before, row.before_se, row.after, row.after_se)
@@ -119,7 +119,7 @@ def _change_row(row: ParameterChange) -> list[Cell | str]:
     return [Cell(row.name, "symbol"), *(Cell(words, "num") for words in texts), Cell(unit, "nowrap"), shift]
 
 
-def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
+def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
     """Return the heat map of the correlation of the estimates; no blocks for fewer than two parameters."""
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
@@ -150,12 +150,12 @@ def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
         layout[axis]["tickfont"] = {"size": 10 if len(names) <= 20 else 8}
     height = min(190 + 22 * len(names), 720)
     plot = canvas.plot({"data": [heat], "layout": layout}, height, "Correlation of the estimates")
-    strong = _strongest(names, table)
+    strong = _strongest_pairs(names, table)
     lead = [Prose(f"Strongest: {strong}.", "quiet")] if strong else []
     return [Heading("Correlation of the estimates"), *lead, Grid([plot], 320, "narrow" if len(names) > 7 else "small")]
 
 
-def _strongest(names: Sequence[str], table: Array, n: int = 4) -> str:
+def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:
     """Return the ``n`` most correlated pairs with their correlation; pairs below 0.5 are left out."""
     i, j = np.triu_indices(len(names), 1)
     size = np.nan_to_num(np.abs(table[i, j]))
@@ -173,9 +173,9 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
         return Section("profiles", "Profile likelihoods", [])
     columns = [("parameter", ""), ("value", "num"), ("95 % by profile", "num"), ("95 % by s.e.", "num"), ("unit", "")]
     noted = any(row.notes for row in table)
-    shown = Table([*columns, ("note", "")] if noted else columns, [_profile_row(row, noted) for row in table])
+    shown = Table([*columns, ("note", "")] if noted else columns, [_profile_cells(row, noted) for row in table])
     blocks: list[Any] = [shown]
-    plots = [plot for row in table if (plot := _curve(canvas, row)) is not None]
+    plots = [plot for row in table if (plot := _profile_plot(canvas, row)) is not None]
     if plots:
         blocks += [
             Key(
@@ -194,7 +194,7 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
     return Section("profiles", "Profile likelihoods", blocks, lead)
 
 
-def _profile_row(row: ProfileCurve, noted: bool) -> list[Cell | str]:
+def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
     """Return the cells of one parameter: value, both intervals, unit, and its notes if the table has a note column."""
     factor, unit = formatting.degrees_for(row.unit)
     ends = ((row.low, row.high), (row.wald_low, row.wald_high))
@@ -215,7 +215,7 @@ def interval(low: float | None, high: float | None) -> str:
     return f"{ends[0]} to {ends[1]}"
 
 
-def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
+def _profile_plot(canvas: Canvas, row: ProfileCurve) -> Plot | None:
     """Return the plot of a profile likelihood, None if it has fewer than three points."""
     value = row.value
     if row.grid.size < 3 or drawing.drawable(row.drop) is None:
@@ -283,13 +283,13 @@ def _information_row(p: InformedParameter) -> list[Cell | str]:
         name,
         shown,
         Cell(formatting.plain(se), "num"),
-        place(p),
+        segment_in_words(p),
         Cell(without, "num"),
         Cell(formatting.plain(alone), "num"),
     ]
 
 
-def place(segment: LogSpan) -> str:
+def segment_in_words(segment: LogSpan) -> str:
     """Return record, interval and manoeuvre of a segment: ``run, 30 to 60 s (zigzag)``."""
     words = f"{segment.record}, {segment.t_from:.0f} to {segment.t_to:.0f} s"
     return f"{words} ({segment.what})" if segment.what else words
@@ -301,7 +301,7 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
     for record in dict.fromkeys(row.record for row in result.information.segments):
         found = [row for row in result.information.segments if row.record == record]
         inputs = [row for row in result.inputs if row.record == record]
-        tabs.append((record, _record(canvas, result.information.names, found, inputs)))
+        tabs.append((record, _record_blocks(canvas, result.information.names, found, inputs)))
     if not any(blocks for _, blocks in tabs):
         return Section("segments", "", [])
     lead = (
@@ -312,7 +312,7 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
     return Section("segments", "Segment by segment", tabbed(tabs), lead)
 
 
-def _record(
+def _record_blocks(
     canvas: Canvas, names: Sequence[str], found: Sequence[SegmentInformation], inputs: Sequence[InputTrace]
 ) -> list[Any]:
     """Return the map of one log and its inputs over the same time axis; no blocks without information."""
@@ -322,10 +322,10 @@ def _record(
     record = good[0].record
     edges = np.array([good[0].t_from, *(row.t_to for row in good)])
     z = np.clip(np.column_stack([row.lost for row in good]), 0.0, 1.0)
-    words = [[place(row) for row in good]] * len(names)
+    words = [[segment_in_words(row) for row in good]] * len(names)
     parameter_axis = {"autorange": "reversed", "type": "category", "dtick": 1}
     figure = drawing.single(
-        [_map(edges, z, names, words)],
+        [_lost_information_map(edges, z, names, words)],
         TIME,
         yaxis=parameter_axis,
         hovermode="closest",
@@ -347,7 +347,9 @@ def _record(
     return blocks
 
 
-def _map(edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]) -> drawing.Trace:
+def _lost_information_map(
+    edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]
+) -> drawing.Trace:
     """Return a heat map of the shares ``z`` (n_parameters, n_segments) between the times ``edges`` [s].
 
     ``words`` describes the segment of each cell on hover.

@@ -71,15 +71,15 @@ def errors_section(errors: Errors, seconds: float) -> Section:
 def _before_after_table(kinds: Kinds) -> list[Any]:
     """Return the table of errors before and after, with their ratio."""
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
-    return _grouped(kinds, columns, _before_after_cells)
+    return _grouped_table(kinds, columns, _before_after_cells)
 
 
 def _error_table(kinds: Kinds) -> list[Any]:
     """Return the table of the errors of one model, with the fit in per cent."""
-    return _grouped(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _error_cells)
+    return _grouped_table(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _error_cells)
 
 
-def _grouped(
+def _grouped_table(
     kinds: Kinds,
     columns: tuple[tuple[str, str], ...],
     cells: Callable[[str, ErrorComparison], list[Cell | str]],
@@ -191,8 +191,8 @@ def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, secon
     lines: list[list[Cell | str]] = []
     plots = []
     for title, found in zip(titles(seconds), (data.one_step, data.horizon, data.simulation), strict=True):
-        lines += [[Cell(title, "group")], *(_line(n, row) for n, row in found.items())] if found else []
-        plot = _reliability(canvas, f"{title}, {role} data", found)
+        lines += [[Cell(title, "group")], *(_calibration_cells(n, row) for n, row in found.items())] if found else []
+        plot = _reliability_plot(canvas, f"{title}, {role} data", found)
         plots += [plot] if plot is not None else []
     if not lines:
         return []
@@ -204,7 +204,7 @@ def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, secon
     return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(axes, "quiet"), Grid(plots, 220)] if plots else [])]
 
 
-def _line(channel: str, row: CalibrationRow) -> list[Cell | str]:
+def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
     """Return the cells of one channel in the order of ``COLUMNS``."""
     low, high = row.low, row.high
     return [
@@ -218,7 +218,7 @@ def _line(channel: str, row: CalibrationRow) -> list[Cell | str]:
     ]
 
 
-def _reliability(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:
+def _reliability_plot(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:
     """Return the reliability plot: empirical over nominal coverage of the central 20, 40, ... 100 % intervals.
 
     The coverage is summed from the histogram of the probability integral transform, which has ten bins.

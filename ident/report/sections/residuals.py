@@ -27,7 +27,14 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     tabs = []
     for tab in record_tabs([*result.residuals, *result.cross], roles_of(result.logs, result.traces)):
         rows, cross = of_record(result.residuals, tab), of_record(result.cross, tab)
-        tabs.append((tab.title, _verdicts(rows) + _channels(canvas, rows, tab) + _cross(canvas, cross, tab)))
+        tabs.append(
+            (
+                tab.title,
+                _whiteness_table(rows)
+                + _channel_plots(canvas, rows, tab)
+                + _cross_correlation_blocks(canvas, cross, tab),
+            )
+        )
     if not any(blocks for _, blocks in tabs):
         return Section("residuals", "", [])
     lead = (
@@ -41,24 +48,24 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     return Section("residuals", "Residuals", [*key, *tabbed(tabs)], lead)
 
 
-def _versions(row: T, after: T | None) -> list[tuple[str, T, str]]:
+def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:
     """Return name, values and colour of the models before and after effects were added, or of the only model."""
     if after is not None:
         return [("before", row, drawing.BEFORE), ("after", after, drawing.MODEL)]
     return [("residual", row, drawing.MODEL)]
 
 
-def _verdicts(found: Sequence[ResidualTests]) -> list[Any]:
+def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
     """Return the table of the whiteness tests of a record."""
     columns = (
         ("channel", ""),
         ("white", ""),
         *((title, "num") for title in ("Ljung–Box p", "periodogram p", "normal p", "beyond 6 σ", "largest")),
     )
-    return [Table(columns, [_verdict(row) for row in found])] if found else []
+    return [Table(columns, [_whiteness_cells(row) for row in found])] if found else []
 
 
-def _verdict(row: ResidualTests) -> list[Cell | str]:
+def _whiteness_cells(row: ResidualTests) -> list[Cell | str]:
     """Return the cells of one channel: verdict, p values, number of outliers, largest residual."""
     versions: list[WhitenessTests] = [row] if row.after is None else [row, row.after]
     verdict = " → ".join("✓" if v.white else "✗" for v in versions)
@@ -73,21 +80,21 @@ def _verdict(row: ResidualTests) -> list[Cell | str]:
     return [*cells, Cell(" → ".join(str(v.outliers) for v in versions), style), Cell(f"{largest} σ", "num")]
 
 
-def _channels(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab) -> list[Any]:
+def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab) -> list[Any]:
     """Return a heading and three plots for each channel."""
     blocks: list[Any] = []
     for row in rows:
-        makers = (_over_time, _autocorrelation, _periodogram)
+        makers = (_innovations_plot, _autocorrelation_plot, _periodogram_plot)
         plots = [plot for make in makers if (plot := make(canvas, row, tab))]
         if plots:
             blocks += [Heading(formatting.titled(row.channel)), Grid(plots, 250)]
     return blocks
 
 
-def _over_time(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
     """Return the plot of the standardised innovations over time, None without finite values."""
     traces = []
-    for name, values, color in _versions(row, row.after):
+    for name, values, color in _before_and_after(row, row.after):
         t, e = row.t, values.e
         if drawing.drawable(e) is None or t.size != e.size:
             continue
@@ -96,28 +103,28 @@ def _over_time(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | Non
         traces.append({**points, "name": name, "marker": {"color": color, "size": 2.6, "opacity": 0.55}})
     if not traces:
         return None
-    band = [_level(level) for level in (-drawing.Z95, drawing.Z95)]
+    band = [_horizontal_line(level) for level in (-drawing.Z95, drawing.Z95)]
     figure = drawing.single(traces, "time since the start of the record [s]", shapes=band, hovermode="closest")
-    return canvas.plot(figure, 210, _label("Innovations over time", row, tab), "Standardised innovations")
+    return canvas.plot(figure, 210, _plot_label("Innovations over time", row, tab), "Standardised innovations")
 
 
-def _level(y: float) -> dict[str, Any]:
+def _horizontal_line(y: float) -> dict[str, Any]:
     """Return a dotted horizontal line at ``y``."""
     line = {"color": drawing.FAINT, "width": 1, "dash": "dot"}
     return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
 
 
-def _level_band(half: float) -> dict[str, Any]:
+def _horizontal_band(half: float) -> dict[str, Any]:
     """Return a grey horizontal band from ``-half`` to ``half``."""
     style = {"fillcolor": "#8a93a0", "opacity": 0.22, "line": {"width": 0}, "layer": "below"}
     return {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half, **style}
 
 
-def _label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
+def _plot_label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
     return f"{plot}, {formatting.named(row.channel)}, {tab.title}"
 
 
-def _stems(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
+def _stem_trace(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
     """Return a trace of markers joined by a thin line; the trace named "before" is open and dotted."""
     marker = {"color": color, "size": 5, "symbol": "circle-open" if name == "before" else "circle"}
     line = {"color": color, "width": 1, "dash": "dot" if name == "before" else "solid"}
@@ -125,22 +132,22 @@ def _stems(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
     return {"type": "scatter", "mode": "lines+markers", "name": name, "marker": marker, "line": line, **coordinates}
 
 
-def _autocorrelation(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+def _autocorrelation_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
     """Return the plot of the autocorrelation over the lag [s], None without finite values."""
     traces = []
-    for name, values, color in _versions(row, row.after):
+    for name, values, color in _before_and_after(row, row.after):
         if drawing.drawable(values.acf) is not None and values.acf.size == row.lags.size:
-            traces.append(_stems(row.lags, values.acf, name, color))
+            traces.append(_stem_trace(row.lags, values.acf, name, color))
     if not traces:
         return None
-    figure = drawing.single(traces, "lag [s]", shapes=[_level_band(row.band)])
-    return canvas.plot(figure, 210, _label("Autocorrelation", row, tab), "Autocorrelation")
+    figure = drawing.single(traces, "lag [s]", shapes=[_horizontal_band(row.band)])
+    return canvas.plot(figure, 210, _plot_label("Autocorrelation", row, tab), "Autocorrelation")
 
 
-def _periodogram(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
     """Return the plot of the cumulative periodogram with its 95 % band, None without finite values."""
     traces, top = [], 0.0
-    for name, values, color in _versions(row, row.after):
+    for name, values, color in _before_and_after(row, row.after):
         x, y = row.frequency, values.cumulative
         if drawing.drawable(y) is not None and x.size == y.size:
             dash = "dot" if name == "before" else "solid"
@@ -153,20 +160,20 @@ def _periodogram(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | N
     ends, low, high = np.array([0.0, top]), np.array([-half, 1 - half]), np.array([half, 1 + half])
     traces.insert(0, drawing.between(ends, low, high, color=drawing.FAINT, opacity=0.22))
     figure = drawing.single(traces, "frequency [Hz]", yaxis={"range": [-0.05, 1.05]}, xaxis={"range": [0, top]})
-    return canvas.plot(figure, 210, _label("Cumulative periodogram", row, tab), "Cumulative periodogram")
+    return canvas.plot(figure, 210, _plot_label("Cumulative periodogram", row, tab), "Cumulative periodogram")
 
 
-def _cross(canvas: Canvas, rows: Sequence[CrossCorrelation], tab: RecordTab) -> list[Any]:
+def _cross_correlation_blocks(canvas: Canvas, rows: Sequence[CrossCorrelation], tab: RecordTab) -> list[Any]:
     """Return a plot of the cross-correlation for each pair of channel and input."""
     plots = []
     for row in rows:
         traces, p = [], []
-        for name, values, color in _versions(row, row.after):
+        for name, values, color in _before_and_after(row, row.after):
             if drawing.drawable(values.z) is not None and values.z.size == row.lags.size:
-                traces.append(_stems(row.lags, values.z, name, color))
+                traces.append(_stem_trace(row.lags, values.z, name, color))
                 p.append(formatting.probability(values.p))
         if traces:
-            figure = drawing.single(traces, "lag [s]", shapes=[_level_band(drawing.Z95)])
+            figure = drawing.single(traces, "lag [s]", shapes=[_horizontal_band(drawing.Z95)])
             channel, name = (formatting.symbol(word) for word in (row.channel, row.input))
             title = f"{channel} × {name}"
             shown = f"{title} · p {' → '.join(p)}"

@@ -26,9 +26,9 @@ OUTCOMES = {
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     """Return the section of the search: a tab per round, then residual forces and nonparametric curves."""
     found, removed = result.rounds, {row.name for row in result.removed_effects}
-    rounds = [(_round_title(i, row, removed), _round(row, removed)) for i, row in enumerate(found, 1)]
+    rounds = [(_round_title(i, row, removed), _round_blocks(row, removed)) for i, row in enumerate(found, 1)]
     blocks: list[Any] = tabbed(rounds)
-    blocks += _forces(canvas, result) + _curves(canvas, result.nonparametric_effects)
+    blocks += _residual_force_blocks(canvas, result) + _curve_blocks(canvas, result.nonparametric_effects)
     lead = (
         "Each round tests all candidates on the residuals (score test) and refits the model with the best of them. "
         "Validation data decide whether an effect is added."
@@ -40,14 +40,14 @@ def _round_title(i: int, row: Round, removed: Collection[str]) -> str:
     return f"Round {i}: {row.chosen or 'nothing added'}{', removed again' if row.chosen in removed else ''}"
 
 
-def _round(row: Round, removed: Collection[str]) -> list[Any]:
+def _round_blocks(row: Round, removed: Collection[str]) -> list[Any]:
     """Return the blocks of one round; ``removed`` names the effects that were removed later."""
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
         words = "This effect was removed again: with the other effects in the model it adds too little; see the notes."
         blocks.append(Prose(words, "why"))
     chosen = None if row.chosen in removed else row.chosen
-    return blocks + ranking(row, chosen) + _refits(row, chosen)
+    return blocks + ranking(row, chosen) + _refits_table(row, chosen)
 
 
 def ranking(row: Round, chosen: str | None) -> list[Any]:
@@ -72,7 +72,7 @@ def ranking(row: Round, chosen: str | None) -> list[Any]:
         """Return the position of a statistic on the axis, in per cent of the track's width."""
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
-    bars = [_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
+    bars = [_candidate_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
     decades = range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
     caption = (
@@ -83,7 +83,7 @@ def ranking(row: Round, chosen: str | None) -> list[Any]:
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
 
-def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
+def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
     """Return the bar of one candidate; ``width`` and ``limit`` are positions in per cent of the track's width."""
     p, p_block = (formatting.probability(value) for value in (candidate.p, candidate.p_block))
     numbers = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df, p {p}, block-robust {p_block}"
@@ -100,7 +100,7 @@ def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -
     )
 
 
-def _refits(row: Round, chosen: str | None) -> list[Any]:
+def _refits_table(row: Round, chosen: str | None) -> list[Any]:
     """Return the table of the refits of a round."""
     found = row.refits
     columns = (
@@ -114,10 +114,10 @@ def _refits(row: Round, chosen: str | None) -> list[Any]:
         ("outcome", ""),
     )
     heading = Heading("Refits with the best candidates")
-    return [heading, Table(columns, [_refit(r, chosen) for r in found])] if found else []
+    return [heading, Table(columns, [_refit_cells(r, chosen) for r in found])] if found else []
 
 
-def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
+def _refit_cells(row: Refit, chosen: str | None) -> list[Cell | str]:
     """Return the cells of one refit."""
     parameters = []
     for p in row.parameters:
@@ -139,7 +139,7 @@ def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
     ]
 
 
-def _forces(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
+def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
     """Return the residual forces over time, one tab per record; no blocks if no force has finite values."""
     forces = result.residual_forces
     found = record_tabs(forces, roles_of(result.logs, result.traces))
@@ -178,7 +178,7 @@ def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
     return drawing.Panel(title, traces) if traces else None
 
 
-def _curves(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
+def _curve_blocks(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
     """Return a plot of each nonparametric curve: residual force or sensor error over one variable."""
     plots = []
     for row in curves:

@@ -35,7 +35,7 @@ from seatrial.ident.reporter import QUIET
 from seatrial.ident.results import parts
 from seatrial.ident.results.diagnosis import (
     _blocks_note,
-    _mismatch,
+    _mismatch_row,
     _notes,
     _quiet_round,
     _untested_warnings,
@@ -451,7 +451,7 @@ def test_payload_has_no_kilograms_if_the_thrust_is_unknown() -> None:
     found = Diagnosis(blank(), after, (), (), (), mismatches=(ValidationMismatch("tue/run", "r", 2.0, shift),))
     answer = diagnosis_answer(found, None, 10.0)
     assert "The best explanation is m_payload/T = 0.2 ± 0.01 kg/N in that run, instead of 0." in answer
-    (row,) = map(_mismatch, reported_mismatches(found))
+    (row,) = map(_mismatch_row, reported_mismatches(found))
     assert (row.parameter, row.unit) == ("m_payload/T", "kg/N")
     assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
 
