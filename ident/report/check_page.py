@@ -30,16 +30,16 @@ PanelMaker = Callable[[CheckEvidence, int], Sequence[Panel]]  # from a log and t
 def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command: str, path: Path) -> None:
     """Write the findings of a check, the curves of its logs and its dry run as one HTML page.
 
-    The page opens without a network.
+    The page opens without a network. An existing file is replaced.
 
     Parameters
     ----------
     report : CheckReport
         Findings, and the dry run of a rig's mission.
     logs : sequence of CheckEvidence
-        Curves of each log.
+        Curves of each log; may be empty.
     command : str
-        Command line of the check.
+        Command line of the check; without it the page has no section of provenance.
     path : Path
         File to write.
 
@@ -69,7 +69,11 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
 
 
 def check_answer(report: CheckReport) -> str:
-    """Return the answer of a check in one sentence: ready or not, and the first fault or the warnings."""
+    """Return the answer of a check in one or two sentences: ready or not, and the first fault or the warnings.
+
+    A rig is called ready, a log in order. With faults, the first is given in full and the others by place and check.
+    Without any finding the answer says that no check applies.
+    """
     found, subject, rig = report.findings, report.subject, report.rig is not None
     faults, warnings = ([f for f in found if f.level == level] for level in ("fault", "warning"))
     if faults:
@@ -86,7 +90,7 @@ def check_answer(report: CheckReport) -> str:
 
 
 def _finding_phrase(finding: Finding) -> str:
-    """Return the text of a finding, preceded by its place unless the text contains the place."""
+    """Return the text of a finding, preceded by its place and a comma unless the text contains the place as a word."""
     where, text = finding.where, finding.text
     # whole words only: the letter of a signal such as `r` is in most texts
     named = re.search(rf"(?<!\w){re.escape(where.rsplit(': ', 1)[-1])}(?!\w)", text)
@@ -94,12 +98,15 @@ def _finding_phrase(finding: Finding) -> str:
 
 
 def _with_full_stop(phrase: str) -> str:
-    """Return a phrase with a full stop unless it is a question."""
+    """Return a text with a full stop, or unchanged if it ends with a question mark."""
     return phrase if phrase.endswith("?") else f"{phrase}."
 
 
 def _findings_in_words(found: Sequence[Finding]) -> str:
-    """Return the places and checks of findings in a sentence: ``gnss (rate), left (delay) and 3 more``."""
+    """Return the places and checks of findings: ``gnss (rate), left (delay) and 3 more``.
+
+    Of more than four findings, the first three are named. ``found`` must not be empty.
+    """
     shown = [f"{f.where} ({f.check})" for f in found]
     if len(shown) > MAX_NAMED:
         shown = [*shown[: MAX_NAMED - 1], f"{len(shown) - MAX_NAMED + 1} more"]
@@ -107,11 +114,12 @@ def _findings_in_words(found: Sequence[Finding]) -> str:
 
 
 def _findings_block(found: Sequence[Finding]) -> Verdicts:
+    """Return the block with the list of findings."""
     return Verdicts([Verdict(f.level, f.where, f.check, f.text, f.advice) for f in found])
 
 
 def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
-    """Return the labelled facts of a check: rig, durations of the logs, number of findings of each level."""
+    """Return the labelled facts of a check: rig, duration of each log, and number of findings of each level."""
     levels = [f.level for f in report.findings]
     facts = [] if report.rig is None else [("rig", report.rig)]
     for log in logs:
@@ -121,12 +129,16 @@ def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[
 
 
 def _trace_count(log: CheckEvidence) -> int:
-    """Return the approximate number of traces that the curves of a log need."""
+    """Return the approximate number of traces that the curves of a log need, for the budget of points."""
     return sum(len(rows) for rows in (log.intervals, log.shafts, log.thrust_response, log.sensors, log.signals)) + 2
 
 
 def _evidence_sections(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
-    """Return one section for each kind of curve, with a tab per log; a single log has no tabs."""
+    """Return one section for each kind of curve, with a tab per log; a single log has no tabs.
+
+    The kinds are thrust response, shafts, pairs of sensors, signals and time between samples. Sections without curves
+    have no blocks.
+    """
     measured = ("measured", "measured")
     return [
         _curve_section(
@@ -188,12 +200,12 @@ def _curve_section(
     legend: Sequence[tuple[str, str]] = (),
     lead: str = "",
 ) -> Section:
-    """Return the section of one kind of curve.
+    """Return the section of one kind of curve; it has no blocks if no log has such a curve.
 
     Parameters
     ----------
     canvas : Canvas
-        Collector of the figures.
+        Collector of the figures, to which the figures are added.
     logs : sequence of CheckEvidence
         Curves of each log.
     key : str
@@ -201,13 +213,13 @@ def _curve_section(
     title : str
         Title of the section.
     make_panels : callable
-        Function that draws the panels of one log.
+        Function that returns the panels of one log, given the largest number of points of a trace.
     height : int
         Height of a panel [px].
     legend : sequence
-        Pairs of style and meaning.
+        Pairs of CSS class and meaning; may be empty.
     lead : str
-        Introduction of the section.
+        Introduction of the section; may be empty.
     """
     found = []
     for log in logs:
@@ -221,7 +233,10 @@ def _curve_section(
 
 
 def _thrust_response_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each motion: measured, and expected from the thrust."""
+    """Return one panel for each motion: measured, and expected from the thrust.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.thrust_response:
         factor, unit = formatting.degrees_for(row.unit)
@@ -234,7 +249,10 @@ def _thrust_response_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _shaft_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each shaft: command and measured speed."""
+    """Return one panel for each shaft: command and measured speed.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.shafts:
         commanded = _staircase(row.t_command, row.n_command, row.end, limit)
@@ -249,7 +267,7 @@ def _shaft_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 def _staircase(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]:
     """Return times and values of a staircase: each command is held until the next one, the last until ``end`` [s].
 
-    If the corners are more than ``limit`` points, return the held values at equidistant times instead.
+    If the corners are more than ``limit`` points, return ``limit`` held values at equidistant times instead.
     """
     # line_trace would thin more corners, and join the remaining ones by slopes
     end = max(end, float(t[-1]))
@@ -260,7 +278,10 @@ def _staircase(t: Array, value: Array, end: float, limit: int) -> tuple[Array, A
 
 
 def _sensor_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each motion that two sensors measure."""
+    """Return one panel for each motion that two sensors measure, with both curves.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.sensors:
         factor, unit = formatting.degrees_for(row.unit)
@@ -271,7 +292,10 @@ def _sensor_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _signal_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each signal; angles in degrees are unwrapped."""
+    """Return one panel for each signal. Angles are shown in degrees without jumps of a full turn.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.signals:
         factor, unit = formatting.degrees_for(row.unit)
@@ -283,7 +307,10 @@ def _signal_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _interval_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each device: time between its samples [ms], and the expected time if the rig has a rate."""
+    """Return one panel for each device: time between its samples [ms], and the expected time if the rig has a rate.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.intervals:
         t, interval = row.t, 1e3 * row.interval
@@ -296,7 +323,10 @@ def _interval_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _mission_section(canvas: Canvas, mission: DryRun | None) -> Section:
-    """Return the section of the dry run: commands of the mission and predicted track of the boat."""
+    """Return the section of the dry run: commands of the mission and predicted track of the boat.
+
+    Without a mission (None) the section has no blocks, and without a predicted track only the commands.
+    """
     if mission is None:
         return Section("mission", "", [])
     panels = []
@@ -327,7 +357,7 @@ def _mission_section(canvas: Canvas, mission: DryRun | None) -> Section:
 def _track_traces(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
     """Return the traces of the predicted track, its outermost 95 % circle, the geofence and the start.
 
-    ``fence`` is the radius of the geofence [m].
+    ``fence`` is the radius of the geofence [m]. The circle and the geofence are left out if they are unknown (None).
     """
     x, y = track.x - track.x[0], track.y - track.y[0]
     traces = [line_trace(y, x, "predicted track", 4000)]
@@ -346,4 +376,5 @@ def _track_traces(track: PredictedTrack, fence: float | None) -> list[drawing.Tr
 
 
 def _capitalised(words: str) -> str:
+    """Return a text with a capital first letter; an empty text stays empty."""
     return words[:1].upper() + words[1:]

@@ -21,7 +21,7 @@ N_BINS = 60
 
 
 def write_design_page(result: DesignResult, path: Path) -> None:
-    """Write a design as one HTML page that opens without a network.
+    """Write a design as one HTML page that opens without a network. An existing file is replaced.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def write_design_page(result: DesignResult, path: Path) -> None:
 
 
 def _introduction(result: DesignResult) -> str:
-    """Return the introduction of the page: the criterion, and the kind of information."""
+    """Return the introductory paragraph of the page: the criterion, its parameters, and the kind of information."""
     form = (
         "with process noise (prediction error)"
         if result.form == "prediction error"
@@ -65,7 +65,11 @@ def _introduction(result: DesignResult) -> str:
 
 
 def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
-    """Return the labelled facts of a design: criterion of the design and of the baselines, sensors, T values."""
+    """Return the labelled facts of a design.
+
+    The facts are the model, the criterion of the design and of the baseline signals, the share of samples won, the
+    rates of the sensors, and the discrimination of two effects if it was asked for.
+    """
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
     found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
@@ -81,7 +85,7 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
 
 
 def _errors_section(result: DesignResult) -> Section:
-    """Return the table of standard errors before and after the mission."""
+    """Return the section with the table of standard errors before and after the mission, one row for each parameter."""
     columns = (
         ("parameter", ""),
         ("value", "num"),
@@ -116,7 +120,7 @@ def _errors_section(result: DesignResult) -> Section:
 
 
 def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the commands of each thruster over time."""
+    """Return the section with the commands of each thruster over time; no blocks without inputs."""
     panels = [
         Panel(
             f"command {row.name}, -1..1",
@@ -132,7 +136,7 @@ def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
 
 
 def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
-    """Return the plot of the predicted track, of sampled boats and of the area; no blocks without a track."""
+    """Return the section with the predicted track, sampled boats and the area; no blocks without a track."""
     if track is None:
         return Section("track", "", [])
     traces: list[Trace] = []
@@ -183,7 +187,7 @@ def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
 
 
 def _start_marker(x: Array, y: Array) -> Trace:
-    """Return the marker of the start."""
+    """Return the trace of the square marker at the start, at x and y (1,) of the figure [m]."""
     return {
         "type": "scatter",
         "mode": "markers",
@@ -196,7 +200,10 @@ def _start_marker(x: Array, y: Array) -> Trace:
 
 
 def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the histograms of the criterion over parameter samples, for the design and the baseline signals."""
+    """Return the section with histograms of the criterion over parameter samples.
+
+    There is one histogram for the design and one for each baseline signal. Without samples the section has no blocks.
+    """
     samples = result.samples
     if not samples:
         return Section("baselines", "", [])
@@ -219,14 +226,20 @@ def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
 
 
 def edges_of(samples: Mapping[str, Array]) -> Array:
-    """Return the common bin edges (N_BINS + 1,) of all histograms, from the 0.2 % to the 99.8 % quantile."""
+    """Return the common bin edges (N_BINS + 1,) of all histograms, from the 0.2 % to the 99.8 % quantile.
+
+    ``samples`` has the criterion at each sample by signal. Values that are not finite are left out.
+    """
     values = np.concatenate(list(samples.values()))
     low, high = np.quantile(values[np.isfinite(values)], [0.002, 0.998])
     return np.linspace(low, max(high, low + 1e-6), N_BINS + 1)
 
 
 def _histogram(name: str, values: Array, edges: Array) -> Trace:
-    """Return the outline of a histogram; values beyond the edges count in the first or last bin."""
+    """Return the outline of a histogram as a filled line; values beyond the edges count in the first or last bin.
+
+    ``name`` is that of the signal, and chooses colour and dash.
+    """
     count = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].astype(float)
     outline_x, outline_y = np.repeat(edges, 2)[1:-1], np.repeat(count, 2)
     trace = line_trace(
@@ -236,5 +249,6 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
 
 
 def _provenance_section(result: DesignResult) -> Section:
+    """Return the section of provenance: command line and number of simulations."""
     facts = [("command", result.command), ("simulations", str(result.evaluations))]
     return Section("made", "How it was made", [Facts(facts, "made")])

@@ -47,7 +47,7 @@ PICTURES = "pictures"  # folder beside the Markdown page
 
 
 def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
-    """Write a study's result as one HTML page that opens without a network.
+    """Write a study's result as one HTML page that opens without a network. An existing file is replaced.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
 
 
 def _introduction(aims: Aims) -> str:
-    """Return the introduction of the page: the aims in words."""
+    """Return the introductory paragraph of the page: the aims in words."""
     bias, (low, high), coverage = aims["bias"][1], aims["ratio"], aims["coverage"]
     return (
         f"Aims: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the least possible "
@@ -96,7 +96,10 @@ def _introduction(aims: Aims) -> str:
 
 
 def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
-    """Return the section of one model: facts, three plots and the table of its parameters."""
+    """Return the section of one model: facts, three plots and the table of its parameters.
+
+    Without parameters the section says that no replicate can be evaluated.
+    """
     found, name = study.parameters, study.model
     if not found:
         return Section(f"study-{name}", name, [Prose("No replicate can be evaluated.")])
@@ -127,7 +130,7 @@ def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
 
 
 def _labelled_facts(study: ModelStudy) -> list[tuple[str, str]]:
-    """Return the labelled facts of a study: estimator, replicates, failures, CPU time."""
+    """Return the labelled facts of a study: estimator, replicates, failures, and CPU times if they are known."""
     facts = [
         ("estimator", study.estimator),
         ("replicates", str(study.replicates)),
@@ -142,9 +145,22 @@ def _labelled_facts(study: ModelStudy) -> list[tuple[str, str]]:
 def _statistic_plot(
     canvas: Canvas, found: Sequence[ParameterStudy], key: Number, title: str, factor: float, aim: tuple[float, float]
 ) -> Plot:
-    """Return the plot of one statistic of every parameter with its 95 % interval; a band marks the aim.
+    """Return the plot of one statistic of every parameter with its 95 % interval; a shaded band marks the aim.
 
-    ``factor`` converts the statistic to the unit of the axis.
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figure is added.
+    found
+        Parameters from top to bottom; at least one.
+    key
+        Name of the statistic.
+    title
+        Title of the axis.
+    factor
+        Factor from the statistic to the unit of the axis.
+    aim
+        Lower and upper limit of the aim, in the unit of the statistic.
     """
     value, low, high = factor * np.array([interval(row, key) for row in found]).T
     place = np.arange(len(found))[::-1]
@@ -198,7 +214,11 @@ def _statistic_plot(
 
 
 def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
-    """Return bias, variance ratio or coverage of a parameter, and the ends of its 95 % interval."""
+    """Return a statistic of a parameter, and the lower and upper end of its 95 % interval.
+
+    The statistic is the bias [standard deviations], the ratio of the variance to the Cramér-Rao bound, or the coverage
+    (0 to 1).
+    """
     if key == "bias":
         half = drawing.Z95 * row.bias_error
         return row.bias, row.bias - half, row.bias + half
@@ -208,7 +228,10 @@ def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
 
 
 def verdict_of(row: ParameterStudy, key: Number) -> str:
-    """Return ``fine`` (within the aim), ``chance`` (beyond the aim, perhaps by chance) or ``miss`` (beyond)."""
+    """Return the verdict on a statistic of a parameter, from the missed aims that the study lists.
+
+    ``fine``: within the aim. ``chance``: beyond the aim, perhaps by chance. ``miss``: beyond the aim.
+    """
     word = {"bias": "bias", "ratio": "variance", "coverage": "coverage"}[key]
     misses = [miss for miss in row.misses if miss.startswith(word)]
     if not misses:
@@ -217,7 +240,7 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
 
 
 def _table_cells(row: ParameterStudy) -> list[Cell | str]:
-    """Return the cells of one parameter in the order of ``COLUMNS``."""
+    """Return the table cells of one parameter in the order of ``COLUMNS``."""
     shown = [
         formatting.with_error(row.bias, row.bias_error),
         formatting.plain(row.ratio),
@@ -236,7 +259,7 @@ def _table_cells(row: ParameterStudy) -> list[Cell | str]:
 
 
 def _value_and_interval(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
-    """Return ``value (low to high)``: a statistic times ``factor`` with its 95 % interval."""
+    """Return ``value (low to high)``: a statistic times ``factor`` with its 95 % interval, with ``digits`` decimals."""
     middle, low, high = (factor * value for value in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
@@ -247,9 +270,10 @@ def picture(study: ModelStudy, aims: Aims) -> str:
     Parameters
     ----------
     study : ModelStudy
-        Study of one model.
+        Study of one model, with at least one parameter.
     aims : mapping
-        Lower and upper limit of the aim for ``bias``, ``ratio`` and ``coverage``.
+        Lower and upper limit of the aim for ``bias`` [standard deviations], ``ratio`` (of variances) and
+        ``coverage`` (0..1).
     """
     found = study.parameters
     bottom = TOP_PX + PICTURE_ROW_PX * len(found)
@@ -278,7 +302,20 @@ def _svg_panel(
 ) -> list[str]:
     """Return the SVG elements of one statistic of every parameter, with intervals, aim and chance limits.
 
-    ``factor`` converts the statistic to the unit of the axis; ``left`` and ``bottom`` are in px.
+    A parameter whose statistic or interval is not finite has no mark.
+
+    Parameters
+    ----------
+    found
+        Parameters from top to bottom.
+    key
+        Name of the statistic.
+    factor
+        Factor from the statistic to the unit of the axis.
+    aim
+        Lower and upper limit of the aim, in the unit of the statistic.
+    left, bottom
+        Left and lower edge of the panel in the picture [px].
     """
     table = factor * np.array([interval(row, key) for row in found])
     edges, chance = factor * np.array(aim), factor * np.array(by_chance(key, _median_count(found)))
@@ -327,17 +364,21 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
 
 def _median_count(found: Sequence[ParameterStudy]) -> int:
-    """Return the median number of estimates of a parameter."""
+    """Return the median over the parameters of the number of their estimates."""
     return int(np.median([row.n for row in found]))
 
 
 def _row_middle(k: int) -> int:
-    """Return the vertical middle [px] of row ``k`` of the picture."""
+    """Return the vertical middle [px] of the parameter with index ``k`` (from 0) in the picture."""
     return TOP_PX + PICTURE_ROW_PX * k + PICTURE_ROW_PX // 2
 
 
 def _svg_symbol(x: float, y: float, verdict: str) -> str:
-    """Return the SVG symbol of a verdict: a circle within the aim, otherwise a diamond (open: perhaps by chance)."""
+    """Return the SVG symbol of a verdict at ``x``, ``y`` [px].
+
+    It is a circle within the aim, otherwise a diamond, which is open if the statistic is beyond the aim perhaps by
+    chance.
+    """
     if verdict == "fine":
         return f'<circle cx="{x:g}" cy="{y:g}" r="4" fill="{drawing.MODEL}"/>'
     fill = drawing.BEFORE if verdict == "miss" else "#ffffff"
@@ -345,7 +386,10 @@ def _svg_symbol(x: float, y: float, verdict: str) -> str:
 
 
 def _svg_axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> list[str]:
-    """Return the SVG ticks and labels below a panel, at round numbers."""
+    """Return the SVG ticks and labels below a panel, at round numbers from ``least`` to ``most``.
+
+    ``x`` converts a value to its horizontal position [px], and ``bottom`` is the lower edge of the panel [px].
+    """
     raw = (most - least) / N_TICKS
     step = float(10.0 ** np.floor(np.log10(raw)))
     step *= next(s for s in (1, 2, 5, 10) if s * step >= raw)
@@ -360,6 +404,8 @@ def _svg_axis(least: float, most: float, x: Callable[[float], str], bottom: int)
 def write_study_docs(result: StudyResult, path: Path) -> None:
     """Write a study's result as a Markdown page (``docs/study.md``) and its SVG pictures into a folder beside it.
 
+    The folder ``pictures`` is made if it is missing. A study without parameters has no picture.
+
     Raises
     ------
     OSError
@@ -373,16 +419,17 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
 
 
 def _picture_path(study: ModelStudy) -> str:
+    """Return the path of the picture of a study, relative to the Markdown page."""
     return f"{PICTURES}/study-{study.model}.svg"
 
 
 def table(study: ModelStudy) -> list[tuple[str, ...]]:
-    """Return the table of a study as rows of text, the header first."""
+    """Return the table of a study as tuples of text in the order of ``HEAD``, the header first."""
     return [HEAD, *(_text_cells(r) for r in study.parameters)]
 
 
 def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
-    """Return the cells of one parameter in the order of ``HEAD``."""
+    """Return the cells of one parameter as texts in the order of ``HEAD``."""
     return (
         r.name,
         str(r.n),

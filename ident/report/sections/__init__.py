@@ -25,10 +25,12 @@ def opening(result: Result) -> Section:
 def body(canvas: Canvas, result: Result) -> list[Section]:
     """Return the sections of a result that have blocks, in the order of the page.
 
+    Figures are added to ``canvas``.
+
     Raises
     ------
     TypeError
-        If there is no page for this type of result.
+        If there is no page for this type of result (designs and studies have their own pages).
     """
     if isinstance(result, FitResult):
         found = _fit(canvas, result)
@@ -50,7 +52,7 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
 
 
 def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
-    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis."""
+    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis, including those without blocks."""
     static = result.static if isinstance(result, ThrusterResult) else None
     profiled = result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()
     diagnosis = result if isinstance(result, DiagnosisResult) else None

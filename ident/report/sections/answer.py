@@ -27,7 +27,9 @@ MAX_KEY_PARAMETERS = 9
 def section(result: Result) -> Section:
     """Return the untitled section that follows the headline.
 
-    A fit that did not converge has no blocks, as its estimates are not valid.
+    A diagnosis has its caveat, the chart of prediction errors and a card for each effect. Another fit has its key
+    parameters. A fit that did not converge has no such blocks, as its estimates are not valid, and neither has any
+    other result.
     """
     caveat = [result.caveat] if isinstance(result, DiagnosisResult) and result.caveat else []
     blocks: list[Any] = [Prose(line, "callout") for line in caveat]
@@ -43,7 +45,8 @@ def section(result: Result) -> Section:
 def headline(result: DiagnosisResult) -> list[Any]:
     """Return the chart of prediction errors over the horizon, before and after the effects were added.
 
-    The errors are from validation data if the result has any, otherwise from estimation data.
+    The errors are from validation data if the result has any, otherwise from estimation data. Channels that diverged
+    are named in the caption. No block if no channel was compared.
     """
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
@@ -62,7 +65,7 @@ def headline(result: DiagnosisResult) -> list[Any]:
 
 
 def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
-    """Return the rows of the chart on a common scale: the largest ratio, at most 2.5, is near the right end."""
+    """Return one dumbbell for each channel on a common scale: the largest ratio, at most 2.5, is near the right end."""
     ratios = [(row.after or 0.0) / max(row.before or 0.0, 1e-300) for _, row in items]
     widest = max([1.0, *ratios, *(row.high or 0.0 for _, row in items)])
     scale = 96.0 / min(widest, 2.5)  # per cent of the track's width for a ratio of one
@@ -70,7 +73,19 @@ def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
 
 
 def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Dumbbell:
-    """Return one channel's row; ``scale`` is the length of a ratio of one, in per cent of the track's width."""
+    """Return the dumbbell of one channel.
+
+    Parameters
+    ----------
+    name
+        Name of the channel.
+    row
+        Errors before and after.
+    ratio
+        Error after over error before.
+    scale
+        Length of a ratio of one, in per cent of the track's width. Positions beyond 100 are drawn at 100.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     before, after = (factor * (value or 0.0) for value in (row.before, row.after))
     low, high = row.low, row.high
@@ -89,7 +104,10 @@ def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: floa
 
 
 def _criterion_in_words(criterion: float) -> str:
-    """Return how much worse or better the criterion (BIC) of a competing model is."""
+    """Return by how much the criterion (BIC) of a competing model is worse, or better if ``criterion`` is negative.
+
+    ``criterion`` is that of the added effect less that of the competing model.
+    """
     if criterion < 0:  # the effect was still preferred, because validation data do not support the competing model
         return f"{formatting.plain(-criterion)} better, but worse on the validation data"
     return f"{formatting.plain(criterion)} worse"
@@ -123,7 +141,8 @@ def effect_card(effect: EffectRow) -> EffectCard:
 def _importance_in_words(factor: float | None) -> tuple[str, str]:
     """Return how much larger the prediction error is without the effect: the number, and the words after it.
 
-    ``factor`` is the error without the effect over the error with it (seatrial.ident.diagnosis.importance).
+    ``factor`` is the error without the effect over the error with it (seatrial.ident.diagnosis.importance). Both texts
+    are empty if it is unknown (None). From 2 on the number is a factor, otherwise a percentage.
     """
     if factor is None:
         return "", ""
@@ -134,7 +153,7 @@ def _importance_in_words(factor: float | None) -> tuple[str, str]:
 
 
 def attribution_words(effect: EffectRow) -> str:
-    """Return how far the name of an effect can be trusted, with the reasons if it is ambiguous."""
+    """Return a text on how far the name of an effect can be trusted, with the reasons if it is ambiguous."""
     if effect.attribution == "ambiguous":
         alternatives = [formatting.titled(name) for name in effect.not_excluded]
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
@@ -146,7 +165,10 @@ def attribution_words(effect: EffectRow) -> str:
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:
-    """Return the facts of the free dynamic parameters that all runs share; noise parameters are left out."""
+    """Return up to nine facts of the free dynamic parameters that all runs share, and a caption.
+
+    Noise parameters and parameters without a standard error are left out. No blocks if no parameter is left.
+    """
     found = []
     for row in fit.parameters:
         value, se = row.value, row.se
@@ -164,11 +186,15 @@ def key_parameters(fit: FitSummary) -> list[Any]:
 
 
 def _symbol_and_value(row: ParameterRow, value: float, se: float, unit: str) -> str:
+    """Return ``NAME = value ± standard error unit`` of a parameter, whose numbers are in the shown unit."""
     return f"{row.name} = {formatting.with_error(value, se, unit)}"
 
 
 def static_section(canvas: Canvas, static: StaticForce) -> Section:
-    """Return the section of a thruster's static curve: steady force over shaft speed, measured and fitted."""
+    """Return the section of a thruster's static curve, measured and fitted.
+
+    The curve is the steady force [N] over shaft speed or command, which are fractions of full.
+    """
     traces = [
         drawing.band(static.n_model, static.force_model, drawing.Z95 * static.force_sd, 600),
         drawing.line_trace(static.n_model, static.force_model, "model", 600),

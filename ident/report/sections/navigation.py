@@ -18,7 +18,11 @@ ELLIPSE_ANGLES = np.linspace(0.0, 2 * np.pi, 73)  # rad
 
 
 def outages_section(result: NavigationResult) -> Section:
-    """Return the table of outages: predicted position error at the end of each, and the distance from the next fix."""
+    """Return the section with the table of outages, with no blocks if there are none.
+
+    The table has the predicted position error at the end of each outage, and the distance from the next fix. If fixes
+    were withheld on purpose, it also has the RMS errors at these fixes.
+    """
     found = result.outages
     if not found:
         return Section("outages", "", [])
@@ -45,7 +49,7 @@ def outages_section(result: NavigationResult) -> Section:
 
 
 def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
-    """Return the row of one outage; ``withheld`` adds the RMS errors on withheld fixes."""
+    """Return the table cells of one outage; ``withheld`` adds the RMS errors on withheld fixes."""
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[o.inside]
     cells: list[Cell | str] = [
         o.record,
@@ -61,11 +65,15 @@ def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
 
 
 def _metres_cell(value: float | None) -> Cell:
+    """Return the table cell of a length [m]; a dash for None."""
     return Cell("–" if value is None else f"{formatting.plain(value)} m", "num")
 
 
 def states_section(canvas: Canvas, result: NavigationResult) -> Section:
-    """Return the section of estimated states: one tab per record with the track and all states over time."""
+    """Return the section of estimated states: one tab per record with the track and all states over time.
+
+    Without finite states the section has no blocks.
+    """
     tabs = []
     for row in result.navigation:
         outages, origin = [o for o in result.outages if o.record == row.record], origin_words(result.logs, row.record)
@@ -77,7 +85,10 @@ def states_section(canvas: Canvas, result: NavigationResult) -> Section:
 
 
 def _record_blocks(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> list[Any]:
-    """Return the blocks of one record; ``origin`` ends the titles of the track's axes."""
+    """Return the legend, the track and the states over time of one record.
+
+    ``origin`` ends the titles of the track's axes, for example `` of its first fix``.
+    """
     blocks: list[Any] = []
     track = _track_plot(canvas, row, outages, origin)
     if track is not None:
@@ -96,7 +107,10 @@ def _record_blocks(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssO
 
 
 def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOutage]) -> drawing.Panel | None:
-    """Return the panel of one state over time ``t`` (n_rows,) [s], None without finite values."""
+    """Return the panel of one state over time ``t`` (n_rows,) [s] with its 95 % band, None without finite values.
+
+    Measurements are added if there are any. Outages are shaded.
+    """
     if not np.isfinite(state.value).any():
         return None
     factor, unit = formatting.degrees_for(state.unit)
@@ -121,7 +135,10 @@ def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[
 
 
 def _track_plot(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> Plot | None:
-    """Return the plot of the track with fixes and outage ellipses, None for a model without position."""
+    """Return the plot of the track with fixes and outage ellipses, None for a model without position.
+
+    Outages before the first fix have no ellipse. ``origin`` ends the titles of the axes.
+    """
     values = {s.name: s.value for s in row.states}
     if not {"x", "y"} <= set(values):
         return None
@@ -147,7 +164,10 @@ def _track_plot(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOuta
 
 
 def _fix_traces(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
-    """Return the traces of used and withheld fixes, each of at most ``limit`` points."""
+    """Return the traces of used and withheld fixes, each of at most ``limit`` points.
+
+    A trace without points is left out.
+    """
     traces = []
     for used, name, color in ((1.0, "fix", drawing.MEASURED), (0.0, "withheld", drawing.BEFORE)):
         chosen = np.flatnonzero(fixes.used == used)

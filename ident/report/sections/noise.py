@@ -31,7 +31,7 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
 
 
 def _noise_cells(c: ChannelNoise) -> list[Cell | str]:
-    """Return the cells of one channel."""
+    """Return the table cells of one channel: noise levels in the shown unit, verdict, predictable share and p value."""
     factor, unit = formatting.degrees_for(c.unit)
     cells: list[Cell | str] = [formatting.named(c.channel)]
     walk_unit = f"{unit}/√s" if unit else "1/√s"
@@ -45,7 +45,10 @@ def _noise_cells(c: ChannelNoise) -> list[Cell | str]:
 
 
 def _density_plot(canvas: Canvas, c: ChannelNoise) -> Plot | None:
-    """Return the plot of a channel's measured and modelled power spectral density, None without finite values."""
+    """Return the plot of a channel's measured and modelled power spectral density, None without finite values.
+
+    Both axes are logarithmic; frequencies and densities that are not positive are left out.
+    """
     factor, unit = formatting.degrees_for(c.unit)
     traces = []
     for values, name in ((c.psd, "measured"), (c.psd_model, "model")):
@@ -74,7 +77,7 @@ def _density_plot(canvas: Canvas, c: ChannelNoise) -> Plot | None:
 
 
 def _band_averages_trace(bands: SpectrumBands, factor: float) -> drawing.Trace:
-    """Return the averages over frequency bands with their 95 % intervals, which the reader can compare to the model.
+    """Return the trace of averages over frequency bands with their 95 % intervals, for comparison with the model.
 
     ``factor`` converts the density to the shown unit.
     """
@@ -85,7 +88,10 @@ def _band_averages_trace(bands: SpectrumBands, factor: float) -> drawing.Trace:
 
 
 def _frequency_axis(frequency: Array) -> dict[str, Any]:
-    """Return a logarithmic axis with ticks at powers of ten, and at 2 and 5 if it spans less than 2.5 decades."""
+    """Return the layout of a logarithmic axis with ticks at powers of ten, and at 2 and 5 below 2.5 decades.
+
+    Without a positive frequency [Hz] the ticks are those of Plotly.
+    """
     positive = frequency[frequency > 0]
     if not positive.size:
         return {"type": "log"}

@@ -34,14 +34,16 @@ MAX_NUMBERED = 14  # parameters; larger correlation matrices show their numbers 
 def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[ParameterChange] = ()) -> Section:
     """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
 
+    The columns for prior, record and note are shown only if a parameter has such an entry.
+
     Parameters
     ----------
     canvas : Canvas
-        Collector of the figures.
+        Collector of the figures, to which the figure is added.
     fit : FitSummary
         The last fit.
     changes : sequence of ParameterChange
-        Parameters before and after the effects of a diagnosis were added.
+        Parameters before and after the effects of a diagnosis were added; empty for other fits.
     """
     blocks: list[Any] = _fit_facts(fit)
     table = fit.parameters
@@ -57,7 +59,10 @@ def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[Parame
 
 
 def _fit_facts(fit: FitSummary) -> list[Any]:
-    """Return the facts of a fit: model, method, convergence, likelihood, kind of standard errors, time."""
+    """Return the labelled facts of a fit: model, method, convergence, likelihood, kind of standard errors, CPU time.
+
+    Facts without a value are left out.
+    """
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
     log_likelihood = fit.log_likelihood
@@ -77,7 +82,11 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
 
 
 def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
-    """Return the cells of one parameter; ``extra`` names the optional columns of the table."""
+    """Return the table cells of one parameter.
+
+    ``extra`` has the names of the optional columns of the table: ``prior_share``, ``record``, ``flag``. In place of a
+    missing standard error, a fixed parameter has the provenance of its value.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     value, se = formatting.scaled(factor, row.value, row.se)
     shown, error = formatting.pair(value, se)
@@ -97,7 +106,7 @@ def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
 
 
 def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
-    """Return the table of the parameters before and after the effects were added."""
+    """Return the heading and table of the parameters before and after the effects were added; no blocks without any."""
     if not table:
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
@@ -106,7 +115,10 @@ def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
 
 
 def _change_cells(row: ParameterChange) -> list[Cell | str]:
-    """Return the cells of one parameter; a change beyond the 95 % interval is in bold."""
+    """Return the table cells of one parameter before and after; a change beyond 1.96 standard errors is in bold.
+
+    The change is in standard errors of the value before, or of the value after if the former is unknown.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     before, before_se, after, after_se = formatting.scaled(factor, row.before, row.before_se, row.after, row.after_se)
     se = before_se or after_se
@@ -120,7 +132,10 @@ def _change_cells(row: ParameterChange) -> list[Cell | str]:
 
 
 def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
-    """Return the heat map of the correlation of the estimates; no blocks for fewer than two parameters."""
+    """Return the heat map of the correlation of the estimates, and its strongest pairs.
+
+    No blocks for fewer than two parameters. Numbers are printed in the map for up to 14 parameters.
+    """
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
         return []
@@ -156,7 +171,10 @@ def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
 
 
 def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:
-    """Return the ``n`` most correlated pairs with their correlation; pairs below 0.5 are left out."""
+    """Return the ``n`` most correlated pairs with their correlation as a text; pairs below 0.5 are left out.
+
+    ``table`` is the correlation matrix (names, names); NaN counts as no correlation. Empty if no pair is left.
+    """
     i, j = np.triu_indices(len(names), 1)
     size = np.nan_to_num(np.abs(table[i, j]))
     order = [k for k in np.argsort(-size)[:n] if size[k] >= 0.5]
@@ -168,7 +186,10 @@ MAX_DROP = 2.6  # upper end of the plots
 
 
 def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
-    """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter."""
+    """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter.
+
+    No blocks without profiles.
+    """
     if not table:
         return Section("profiles", "Profile likelihoods", [])
     columns = [("parameter", ""), ("value", "num"), ("95 % by profile", "num"), ("95 % by s.e.", "num"), ("unit", "")]
@@ -195,7 +216,10 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
 
 
 def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
-    """Return the cells of one parameter: value, both intervals, unit, and its notes if the table has a note column."""
+    """Return the table cells of one parameter: value, interval by profile, interval by standard error, and unit.
+
+    ``noted`` adds the cell of notes.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     ends = ((row.low, row.high), (row.wald_low, row.wald_high))
     cells: list[Cell | str] = [
@@ -208,7 +232,10 @@ def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """Return an interval as text, ``1.2 to 3.4``; an end that the data do not bound is ``open``."""
+    """Return an interval as text, ``1.2 to 3.4``; an end that the data do not bound (None) is ``open``.
+
+    A dash if both ends are None.
+    """
     if low is None and high is None:
         return "–"
     ends = ["open" if end is None else formatting.plain(end) for end in (low, high)]
@@ -216,7 +243,10 @@ def interval(low: float | None, high: float | None) -> str:
 
 
 def _profile_plot(canvas: Canvas, row: ProfileCurve) -> Plot | None:
-    """Return the plot of a profile likelihood, None if it has fewer than three points."""
+    """Return the plot of a profile likelihood with its 95 % interval, None if it has fewer than three points.
+
+    The parabola of the standard error is added if its interval is known.
+    """
     value = row.value
     if row.grid.size < 3 or drawing.drawable(row.drop) is None:
         return None
@@ -253,7 +283,10 @@ ROW_PX, AXES_PX, LEFT_PX = 26, 104, 74  # height of a row, height of colour bar 
 
 
 def information_section(result: InformationResult) -> Section:
-    """Return the table of standard errors that the logs give, and of the most informative segment per parameter."""
+    """Return the section with the table of standard errors from the logs, and of the most informative segment of each.
+
+    No blocks without parameters.
+    """
     found = result.information.parameters
     columns = [
         ("parameter", ""),
@@ -272,7 +305,7 @@ def information_section(result: InformationResult) -> Section:
 
 
 def _information_row(p: InformedParameter) -> list[Cell | str]:
-    """Return the cells of one parameter."""
+    """Return the table cells of one parameter; without information (no standard error) most of them are dashes."""
     factor, unit = formatting.degrees_for(p.unit)
     name, shown = f"{p.name}  {p.meaning}{formatting.bracket(unit)}", Cell(formatting.plain(factor * p.value), "num")
     if p.se is None:
@@ -290,13 +323,19 @@ def _information_row(p: InformedParameter) -> list[Cell | str]:
 
 
 def segment_in_words(segment: LogSpan) -> str:
-    """Return record, interval and manoeuvre of a segment: ``run, 30 to 60 s (zigzag)``."""
+    """Return record, interval and manoeuvre of a segment of a log: ``run, 30 to 60 s (zigzag)``.
+
+    The manoeuvre is left out if it is unknown.
+    """
     words = f"{segment.record}, {segment.t_from:.0f} to {segment.t_to:.0f} s"
     return f"{words} ({segment.what})" if segment.what else words
 
 
 def segments_section(canvas: Canvas, result: InformationResult) -> Section:
-    """Return the map of lost information over time: one tab per log, with the inputs below the map."""
+    """Return the map of lost information over time: one tab per log, with the inputs below the map.
+
+    No blocks if no segment has information.
+    """
     tabs = []
     for record in dict.fromkeys(row.record for row in result.information.segments):
         found = [row for row in result.information.segments if row.record == record]
@@ -315,7 +354,19 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
 def _record_blocks(
     canvas: Canvas, names: Sequence[str], found: Sequence[SegmentInformation], inputs: Sequence[InputTrace]
 ) -> list[Any]:
-    """Return the map of one log and its inputs over the same time axis; no blocks without information."""
+    """Return the map of one log and its inputs over the same time axis; no blocks without information.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    names
+        Names of the parameters, from top to bottom.
+    found
+        Segments of the log in the order of time.
+    inputs
+        Inputs of the log.
+    """
     good = [row for row in found if np.isfinite(row.lost).any()]
     if not good:
         return []
@@ -350,9 +401,10 @@ def _record_blocks(
 def _lost_information_map(
     edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]
 ) -> drawing.Trace:
-    """Return a heat map of the shares ``z`` (n_parameters, n_segments) between the times ``edges`` [s].
+    """Return a heat map of the share of information that is lost without each segment of a log.
 
-    ``words`` describes the segment of each cell on hover.
+    ``z`` has the shares (n_parameters, n_segments) between the times ``edges`` (n_segments + 1,) [s], and ``words`` the
+    text of each cell on hover. A share that is not finite has no colour.
     """
     shown = [[None if not np.isfinite(v) else round(float(v), 4) for v in line] for line in z]
     texts = [[drawing.escaped(word) for word in line] for line in words]

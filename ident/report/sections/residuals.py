@@ -20,7 +20,7 @@ KOLMOGOROV_95 = 1.358
 
 
 def section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of residuals: one tab per record.
+    """Return the section of residuals: one tab per record, no blocks without residuals.
 
     A tab has the table of whiteness tests, three plots per channel, and the correlations with the inputs.
     """
@@ -49,14 +49,18 @@ def section(canvas: Canvas, result: FitResult) -> Section:
 
 
 def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:
-    """Return name, values and colour of the models before and after effects were added, or of the only model."""
+    """Return name, values and colour of the models before and after effects were added, or of the only model.
+
+    ``row`` has the values of the model before, and ``after`` those of the model with the effects, None if there is
+    none.
+    """
     if after is not None:
         return [("before", row, drawing.BEFORE), ("after", after, drawing.MODEL)]
     return [("residual", row, drawing.MODEL)]
 
 
 def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
-    """Return the table of the whiteness tests of a record."""
+    """Return the table of the whiteness tests of a record, one row for each channel; no block without channels."""
     columns = (
         ("channel", ""),
         ("white", ""),
@@ -66,7 +70,10 @@ def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
 
 
 def _whiteness_cells(row: ResidualTests) -> list[Cell | str]:
-    """Return the cells of one channel: verdict, p values, number of outliers, largest residual."""
+    """Return the table cells of one channel: verdict, p values, number of outliers, largest residual.
+
+    With effects, each cell has the values before and after, joined by an arrow.
+    """
     versions: list[WhitenessTests] = [row] if row.after is None else [row, row.after]
     verdict = " → ".join("✓" if v.white else "✗" for v in versions)
     cells: list[Cell | str] = [
@@ -81,7 +88,7 @@ def _whiteness_cells(row: ResidualTests) -> list[Cell | str]:
 
 
 def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab) -> list[Any]:
-    """Return a heading and three plots for each channel."""
+    """Return a heading and up to three plots for each channel: innovations, autocorrelation, cumulative periodogram."""
     blocks: list[Any] = []
     for row in rows:
         makers = (_innovations_plot, _autocorrelation_plot, _periodogram_plot)
@@ -109,18 +116,19 @@ def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
 
 
 def _horizontal_line(y: float) -> dict[str, Any]:
-    """Return a dotted horizontal line at ``y``."""
+    """Return the layout shape of a dotted horizontal line at ``y``."""
     line = {"color": drawing.FAINT, "width": 1, "dash": "dot"}
     return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
 
 
 def _horizontal_band(half: float) -> dict[str, Any]:
-    """Return a grey horizontal band from ``-half`` to ``half``."""
+    """Return the layout shape of a grey horizontal band from ``-half`` to ``half``."""
     style = {"fillcolor": "#8a93a0", "opacity": 0.22, "line": {"width": 0}, "layer": "below"}
     return {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half, **style}
 
 
 def _plot_label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
+    """Return the description of a plot for screen readers: kind of plot, channel, and role and name of the record."""
     return f"{plot}, {formatting.named(row.channel)}, {tab.title}"
 
 
@@ -164,7 +172,10 @@ def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
 
 
 def _cross_correlation_blocks(canvas: Canvas, rows: Sequence[CrossCorrelation], tab: RecordTab) -> list[Any]:
-    """Return a plot of the cross-correlation for each pair of channel and input."""
+    """Return a plot of the cross-correlation for each pair of channel and input of a record.
+
+    No blocks without finite values.
+    """
     plots = []
     for row in rows:
         traces, p = [], []

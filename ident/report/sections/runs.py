@@ -18,7 +18,7 @@ TIME = "time since the start of the record [s]"
 
 
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
-    """Return the section of the logs (role, duration, rig, mission, warnings) and of their inputs over time."""
+    """Return the section of the logs (role, duration, rig, mission, origin, warnings) and of their inputs over time."""
     columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
     blocks: list[Any] = [Table(columns, [_log_cells(row) for row in logs])] if logs else []
     if places := origin_lines(logs):
@@ -32,10 +32,12 @@ def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[Inp
 
 
 def _log_name(row: LogSummary) -> str:
+    """Return the name of a log, or else the last part of its path, or else ``log``."""
     return row.name or row.path.replace("\\", "/").rsplit("/", 1)[-1] or "log"
 
 
 def _log_cells(row: LogSummary) -> list[Cell | str]:
+    """Return the table cells of one log: name, role, duration, rig, mission, and ten digits of the SHA-256."""
     role = row.role
     return [
         Cell(_log_name(row), "strong"),
@@ -48,7 +50,7 @@ def _log_cells(row: LogSummary) -> list[Cell | str]:
 
 
 def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the inputs of one record: one panel for each unit."""
+    """Return the figure of the inputs of one record: one panel for each unit; no blocks without finite values."""
     by_unit: dict[str, list[InputTrace]] = {}
     for row in inputs:
         by_unit.setdefault(row.unit, []).append(row)
@@ -74,7 +76,7 @@ def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) 
 def prediction_section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of channels measured and predicted over the horizon, one tab per record.
 
-    The errors of the headline are those of these predictions.
+    The errors of the headline are those of these predictions. No blocks without predictions.
     """
     seconds = result.horizon_seconds
     found = record_tabs(result.traces, roles_of(result.logs, result.traces))
@@ -91,7 +93,10 @@ def prediction_section(canvas: Canvas, result: FitResult) -> Section:
 
 
 def traces_section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of channels measured and simulated, and of the track, one tab per record."""
+    """Return the section of channels measured and simulated, and of the track, one tab per record.
+
+    No blocks without simulations.
+    """
     tabs = [
         (
             tab.title,
@@ -110,14 +115,29 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
 
 
 def _legend(model: str, compared: bool) -> Key:
-    """Return the legend of measured and model curves; ``compared`` adds the model before the effects."""
+    """Return the legend of measured and model curves; ``compared`` adds the model before the effects.
+
+    ``model`` is the text for the model's curve, for example ``simulated``.
+    """
     items = [("measured", "measured"), ("after", f"{model}, with 95 % interval")]
     return Key([*items, ("before", f"{model}, before the effects were added")] if compared else items)
 
 
 @dataclass(frozen=True)
 class _Curves:
-    """Model curves of one channel; all arrays are (n,), NaN for gaps."""
+    """Model curves of one channel. Gaps are NaN.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s].
+    model : Array (n,)
+        Prediction or simulation, in the unit of the channel.
+    sd : Array (n,)
+        Standard deviation of the prediction.
+    before : Array (n,) or None
+        Curve of the model before the effects were added.
+    """
 
     t: Array  # s
     model: Array
@@ -126,7 +146,7 @@ class _Curves:
 
 
 def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the predictions over the horizon for one record."""
+    """Return the figure of the predictions over the horizon for one record, with the fit in the panel titles."""
     panels = []
     for row in rows:
         curves = _Curves(row.t_horizon, row.horizon, row.sd_horizon, row.horizon_before)
@@ -137,7 +157,10 @@ def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
 
 
 def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the simulations of one record; a diverged simulation is cut at its divergence."""
+    """Return the figure of the simulations of one record, with the fit in the panel titles.
+
+    A diverged simulation is cut at its divergence, and the title says so.
+    """
     panels = []
     for row in rows:
         note, model, sd = _fit_note(_errors_of(result, row.role).simulation.get(row.channel)), row.model, row.sd
@@ -150,12 +173,16 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
 
 
 def _errors_of(result: FitResult, role: str) -> ErrorTable:
+    """Return the errors on the data of a role; those of the estimation data if there are no validation data."""
     estimation, validation = result.errors.estimation, result.errors.validation
     return validation if role == "validation" and validation is not None else estimation
 
 
 def _fit_note(row: ErrorComparison | None) -> str:
-    """Return the fit in per cent, before and after if both are known; empty if the output is constant."""
+    """Return the fit in per cent, before and after if both are known; empty if the output is constant.
+
+    A prediction without a finite error is called diverged.
+    """
     if row is None or not row.spread:
         return ""
     errors = (row.after,) if row.before is None else (row.before, row.after)
@@ -163,7 +190,10 @@ def _fit_note(row: ErrorComparison | None) -> str:
 
 
 def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> list[Any]:
-    """Return the figure of the panels, with a caption if the vertical range of any is limited."""
+    """Return the figure of the panels above each other; no blocks without panels.
+
+    A caption is added if the vertical range of any panel is limited, except that of an angle.
+    """
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
@@ -174,7 +204,11 @@ def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> lis
 
 
 def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
-    """Return the panel of one channel: measurements, model with 95 % band, and model before; None without values."""
+    """Return the panel of one channel, None without finite values.
+
+    The panel has the measurements, the model with its 95 % band, and the model before. Angles are wrapped to half a
+    turn about zero. ``note`` follows the title.
+    """
     limit = canvas.budget.points
     factor, unit = formatting.degrees_for(row.unit)
     found = (drawing.drawable(a) for a in (row.measured, curves.model, curves.sd, curves.before))
@@ -203,14 +237,15 @@ def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> dr
 
 
 def _wrapped_angle(angle: Array | None, turn: float | None) -> Array | None:
-    """Return an angle wrapped to half a ``turn`` about zero; other signals are returned unchanged."""
+    """Return an angle wrapped to half a ``turn`` about zero; None, or other signals (``turn`` None), unchanged."""
     return angle if angle is None or turn is None else np.mod(angle + turn / 2, turn) - turn / 2
 
 
 def _axis_limits(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
     """Return limits of the vertical axis that keep the curves ``shown`` readable, None if none are needed.
 
-    Limits are needed if the curves ``wide`` exceed the span of the others by more than that span on a side.
+    Limits are needed if the curves ``wide`` exceed the span of ``shown`` by more than that span on a side. The limits
+    then leave half of that span on each side.
     """
     least, most = _finite_span(shown)
     margin = 0.5 * (most - least)
@@ -221,14 +256,17 @@ def _axis_limits(shown: list[Array | None], wide: list[Array | None]) -> list[fl
 
 
 def _finite_span(curves: list[Array | None]) -> tuple[float, float]:
-    """Return the smallest and largest finite value of all curves, NaN without any."""
+    """Return the smallest and largest finite value of all curves, NaN without any; None is no curve."""
     finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
     every = np.concatenate(finite) if finite else np.empty(0)
     return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
 def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
-    """Return the plot of the track of a record: measured, simulated, and simulated before the effects."""
+    """Return the plot of the track of a record: measured, simulated, and simulated before the effects.
+
+    No blocks without finite positions.
+    """
     plots, origin = [], origin_words(result.logs, tab.name)
     for row in of_record(result.track, tab):
         styles = (
@@ -245,7 +283,10 @@ def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any
 
 
 def _path_traces(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
-    """Return the trace of a path [m] and a marker at its start; ``style`` is measured, before or model."""
+    """Return the trace of a path [m] of at most ``limit`` points, and a marker at its start.
+
+    ``style`` is ``measured``, ``before`` or ``model``. Empty without finite positions.
+    """
     if north is None or east is None:
         return []
     good = np.isfinite(north) & np.isfinite(east)

@@ -37,11 +37,15 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
 
 
 def _round_title(i: int, row: Round, removed: Collection[str]) -> str:
+    """Return the title of the tab of round ``i`` (from 1), with the name of the added effect."""
     return f"Round {i}: {row.chosen or 'nothing added'}{', removed again' if row.chosen in removed else ''}"
 
 
 def _round_blocks(row: Round, removed: Collection[str]) -> list[Any]:
-    """Return the blocks of one round; ``removed`` names the effects that were removed later."""
+    """Return the blocks of one round: reason, candidates and refits.
+
+    ``removed`` has the names of the effects that were removed later; the block of the reason says so.
+    """
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
         words = "This effect was removed again: with the other effects in the model it adds too little; see the notes."
@@ -51,12 +55,14 @@ def _round_blocks(row: Round, removed: Collection[str]) -> list[Any]:
 
 
 def ranking(row: Round, chosen: str | None) -> list[Any]:
-    """Return the bar chart of the best candidates of a round on a logarithmic axis.
+    """Return the bar chart of up to 14 candidates of a round on a logarithmic axis, with a heading.
+
+    Candidates with a statistic of zero are left out; no blocks if none is left.
 
     Parameters
     ----------
     row : Round
-        Round with its candidates in order.
+        Round with its candidates, best first.
     chosen : str, optional
         Name of the effect that was added.
     """
@@ -101,7 +107,10 @@ def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str
 
 
 def _refits_table(row: Round, chosen: str | None) -> list[Any]:
-    """Return the table of the refits of a round."""
+    """Return the heading and table of the refits of a round; no blocks without refits.
+
+    ``chosen`` is the name of the effect that was added, None if there is none.
+    """
     found = row.refits
     columns = (
         ("refitted with", ""),
@@ -118,7 +127,10 @@ def _refits_table(row: Round, chosen: str | None) -> list[Any]:
 
 
 def _refit_cells(row: Refit, chosen: str | None) -> list[Cell | str]:
-    """Return the cells of one refit."""
+    """Return the table cells of one refit; up to three parameters of its effect are printed.
+
+    ``chosen`` is the name of the effect that was added, None if there is none.
+    """
     parameters = []
     for p in row.parameters:
         factor, unit = formatting.degrees_for(p.unit)
@@ -153,7 +165,7 @@ def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]
 
 
 def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) -> list[Any]:
-    """Return the figure of the residual forces of one record."""
+    """Return the figure of the residual forces of one record; no blocks without finite values."""
     panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
@@ -179,7 +191,10 @@ def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
 
 
 def _curve_blocks(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
-    """Return a plot of each nonparametric curve: residual force or sensor error over one variable."""
+    """Return a plot of each nonparametric curve: residual force or sensor error over one variable.
+
+    Curves without finite values are left out.
+    """
     plots = []
     for row in curves:
         if drawing.drawable(row.value) is None:
