@@ -27,9 +27,9 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Model
 from seatrial.ident.results.parts import (
     Calibrations,
-    CrossCorrelation,
+    CrossCorrelationRow,
     Errors,
-    PredictionChange,
+    PredictionChangeRow,
     PredictionFit,
     Provenance,
     ResidualTests,
@@ -64,7 +64,7 @@ RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
-def change_sentence(change: PredictionChange, horizon: float) -> str:
+def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
     """Return the sentence on the change of the prediction errors of all channels over the horizon [s].
 
     The sentence claims a fall or a rise only if ``change.verdict`` does, and a rise by three times or more is a factor
@@ -113,7 +113,7 @@ def vehicle_answer(
     errors: Errors,
     horizon: float,
     residuals: Sequence[ResidualTests],
-    cross: Sequence[CrossCorrelation],
+    cross: Sequence[CrossCorrelationRow],
     *,
     searchable: bool,
 ) -> str:
@@ -129,7 +129,7 @@ def vehicle_answer(
         Prediction horizon [s].
     residuals : sequence of ResidualTests
         Whiteness tests of each record and channel.
-    cross : sequence of CrossCorrelation
+    cross : sequence of CrossCorrelationRow
         Correlations of the residuals with each input.
     searchable : bool
         Whether `seatrial ident diagnose` can search this model for missing effects.
@@ -158,7 +158,7 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
 
 
 def _whiteness_sentence(
-    errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelation], searchable: bool
+    errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
 ) -> str:
     """Return the sentence on whiteness and on correlation with the inputs, each tested at 1 % over all channels.
 
@@ -191,7 +191,7 @@ def _whiteness_sentence(
     return f"{end}{how}."
 
 
-def _largest_correlation(significant: Sequence[CrossCorrelation]) -> str:
+def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:
     """Return the largest of the significant correlations and its channel in brackets; empty if there is none.
 
     The size matters, because in a long record even negligible correlations are significant.

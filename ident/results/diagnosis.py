@@ -119,7 +119,7 @@ def diagnosis_result(
         cross_validated=diagnosis.cross_validated,
         mismatches=tuple(_mismatch_row(m) for m in reported_mismatches(diagnosis)),
         removed_effects=tuple(
-            parts.RemovedEffect(
+            parts.RemovedEffectRow(
                 name=r.effect.name,
                 title=r.effect.title,
                 validation_gain=r.validation_gain,
@@ -162,7 +162,7 @@ def diagnosis_result(
     )
 
 
-def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | None, horizon: float) -> str:
+def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float) -> str:
     """Return the answer: the missing effects, the change of the prediction errors, and the kind of validation.
 
     Parameters
@@ -185,7 +185,7 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | 
     return " ".join(sentences)
 
 
-def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> str:
+def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
     """Return one or two sentences on the missing effects, or on why no effect was found."""
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
@@ -268,12 +268,12 @@ def mismatch_sentence(m: ValidationMismatch) -> str:
     return f"{mismatch}. The best explanation is {shift.name} = {value} in that run, instead of {shift.fitted:.4g}."
 
 
-def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatch:
+def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
     """Return the table row of a validation run with larger errors than predicted.
 
     ``m`` is already in reported units. Its parameter change is left out of the row if there is none.
     """
-    found = parts.ValidationMismatch(record=m.record, channel=m.channel, scale=m.scale)
+    found = parts.ValidationMismatchRow(record=m.record, channel=m.channel, scale=m.scale)
     if m.shift is None:
         return found
     return msgspec.structs.replace(
@@ -372,7 +372,7 @@ def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) 
     )
 
 
-def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
+def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
     """Return the table of a round in which no candidate passed, with all its score tests and the reason."""
     tested = _round_row(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
@@ -381,7 +381,7 @@ def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
     return msgspec.structs.replace(tested, why=why)
 
 
-def _round_row(search_round: Round) -> parts.Round:
+def _round_row(search_round: Round) -> parts.RoundRow:
     """Return the table of one round: the best 24 candidates and all that passed, the refits and the choice.
 
     The best candidates have the largest statistic per degree of freedom.
@@ -389,7 +389,7 @@ def _round_row(search_round: Round) -> parts.Round:
     titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
     ranked = sorted(search_round.scores, key=lambda s: -s.lm / max(s.df, 1))
     best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in search_round.passed]
-    return parts.Round(
+    return parts.RoundRow(
         candidates=tuple(
             parts.Candidate(
                 name=s.name,
@@ -408,7 +408,7 @@ def _round_row(search_round: Round) -> parts.Round:
         passed=len(search_round.passed),
         refits=tuple(_refit_row(r) for r in search_round.refits),
         untested=tuple(
-            parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason)
+            parts.UntestedCandidateRow(name=u.effect.name, title=u.effect.title, reason=u.reason)
             for u in search_round.untested
         ),
         chosen=search_round.chosen.effect.name if search_round.chosen else None,
@@ -416,9 +416,9 @@ def _round_row(search_round: Round) -> parts.Round:
     )
 
 
-def _refit_row(r: Refit) -> parts.Refit:
+def _refit_row(r: Refit) -> parts.RefitRow:
     """Return the table row of one refit, with the parameters of its effect."""
-    return parts.Refit(
+    return parts.RefitRow(
         name=r.effect.name,
         title=r.effect.title,
         gain=r.gain,

@@ -355,7 +355,7 @@ class CorrelationTest(Part, frozen=True, kw_only=True):
     largest: Annotated[float | None, Meta(description="largest absolute correlation coefficient over all lags")] = None
 
 
-class CrossCorrelation(CorrelationTest, frozen=True, kw_only=True):
+class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
     """Correlation of the residuals of a channel with an input."""
 
     record: Annotated[str, Meta(description="name of the record")]
@@ -409,7 +409,7 @@ class PredictionFit(Part, frozen=True, kw_only=True):
     high: Annotated[float | None, Meta(description="upper end of the interval")] = None
 
 
-class PredictionChange(Part, frozen=True, kw_only=True):
+class PredictionChangeRow(Part, frozen=True, kw_only=True):
     """Prediction change: effect of the added effects on the prediction errors over the horizon.
 
     The ratio is the geometric mean over all channels of RMS error after / before.
@@ -548,7 +548,7 @@ class FitResult(Result, frozen=True, kw_only=True):
     inputs: Annotated[tuple[InputTrace, ...], Meta(description="one for each record and input")]
     residuals: Annotated[tuple[ResidualTests, ...], Meta(description="one for each estimation record and channel")]
     cross: Annotated[
-        tuple[CrossCorrelation, ...], Meta(description="one for each estimation record, channel and input")
+        tuple[CrossCorrelationRow, ...], Meta(description="one for each estimation record, channel and input")
     ]
     unused_signals: Annotated[
         tuple[UnusedSignal, ...], Meta(description="signals of the logs that the model does not use, with the reason")
@@ -611,7 +611,7 @@ class Candidate(Part, frozen=True, kw_only=True):
     passed: Annotated[bool, Meta(description="whether the candidate passed the score test")]
 
 
-class Refit(Part, frozen=True, kw_only=True):
+class RefitRow(Part, frozen=True, kw_only=True):
     """Refit: the model of a round with one more effect, all parameters estimated again."""
 
     name: Annotated[str, Meta(description="name of the added effect")]
@@ -622,7 +622,7 @@ class Refit(Part, frozen=True, kw_only=True):
     validation_gain: Annotated[float, Meta(description="d ln L on the validation data")]
     t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
     prediction: Annotated[
-        PredictionChange | None, Meta(description="null: the refit was rejected before its prediction was compared")
+        PredictionChangeRow | None, Meta(description="null: the refit was rejected before its prediction was compared")
     ] = None
     outcome: Annotated[
         RefitOutcome,
@@ -637,7 +637,7 @@ class Refit(Part, frozen=True, kw_only=True):
     ]
 
 
-class UntestedCandidate(Part, frozen=True, kw_only=True):
+class UntestedCandidateRow(Part, frozen=True, kw_only=True):
     """Candidate that passed the score test but could not be fitted."""
 
     name: Annotated[str, Meta(description="name of the candidate")]
@@ -645,7 +645,7 @@ class UntestedCandidate(Part, frozen=True, kw_only=True):
     reason: Annotated[str, Meta(description="reason in words why no fit succeeded")]
 
 
-class RemovedEffect(Part, frozen=True, kw_only=True):
+class RemovedEffectRow(Part, frozen=True, kw_only=True):
     """Effect that was added and removed again by backward elimination: the validation data do not support it."""
 
     name: Annotated[str, Meta(description="name of the effect")]
@@ -655,12 +655,12 @@ class RemovedEffect(Part, frozen=True, kw_only=True):
     ]
     t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
     prediction: Annotated[
-        PredictionChange | None,
+        PredictionChangeRow | None,
         Meta(description="change of the prediction errors by adding the effect; null: no channel can be compared"),
     ]
 
 
-class ValidationMismatch(Part, frozen=True, kw_only=True):
+class ValidationMismatchRow(Part, frozen=True, kw_only=True):
     """Validation run whose prediction errors are larger than the model predicts."""
 
     record: Annotated[str, Meta(description="name of the validation run")]
@@ -673,17 +673,17 @@ class ValidationMismatch(Part, frozen=True, kw_only=True):
     se: Annotated[float | None, Meta(description="standard error of `value`; null: unknown")] = None
 
 
-class Round(Part, frozen=True, kw_only=True):
+class RoundRow(Part, frozen=True, kw_only=True):
     """Round of the search for missing effects."""
 
     tested: Annotated[int, Meta(description="number of candidates")] = 0
     passed: Annotated[int, Meta(description="number of candidates that passed the score test")] = 0
     candidates: Annotated[tuple[Candidate, ...], Meta(description="the best 24, best first")] = ()
     refits: Annotated[
-        tuple[Refit, ...], Meta(description="refits of the best candidates, the largest criterion first")
+        tuple[RefitRow, ...], Meta(description="refits of the best candidates, the largest criterion first")
     ] = ()
     untested: Annotated[
-        tuple[UntestedCandidate, ...], Meta(description="candidates that passed and could not be fitted")
+        tuple[UntestedCandidateRow, ...], Meta(description="candidates that passed and could not be fitted")
     ] = ()
     chosen: Annotated[str | None, Meta(description="name of the added effect")] = None
     why: Annotated[str, Meta(description="reason for the choice, or for the end of the search")]
@@ -800,7 +800,7 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         Meta(description="why a name in the answer is uncertain, and whether --max-effects ended the search"),
     ] = None
     converged_before: Annotated[bool, Meta(description="whether the fit without the effects converged")]
-    prediction: Annotated[PredictionChange | None, Meta(description="null: no effect was added")] = None
+    prediction: Annotated[PredictionChangeRow | None, Meta(description="null: no effect was added")] = None
     cross_validated: Annotated[
         bool,
         Meta(
@@ -808,12 +808,12 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         ),
     ] = False
     mismatches: Annotated[
-        tuple[ValidationMismatch, ...],
+        tuple[ValidationMismatchRow, ...],
         Meta(description="validation runs whose errors are larger than the model predicts"),
     ] = ()
-    rounds: Annotated[tuple[Round, ...], Meta(description="rounds of the search, in their order")]
+    rounds: Annotated[tuple[RoundRow, ...], Meta(description="rounds of the search, in their order")]
     removed_effects: Annotated[
-        tuple[RemovedEffect, ...], Meta(description="effects that were added and removed again")
+        tuple[RemovedEffectRow, ...], Meta(description="effects that were added and removed again")
     ] = ()
     effects: Annotated[tuple[EffectRow, ...], Meta(description="added effects, the most important first")] = ()
     remaining_candidates: Annotated[

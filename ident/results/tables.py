@@ -22,7 +22,7 @@ from seatrial.ident.results.parts import (
     CalibrationTable,
     Correlation,
     CorrelationTest,
-    CrossCorrelation,
+    CrossCorrelationRow,
     ErrorComparison,
     Errors,
     ErrorTable,
@@ -32,7 +32,7 @@ from seatrial.ident.results.parts import (
     InputTrace,
     LogSummary,
     ParameterRow,
-    PredictionChange,
+    PredictionChangeRow,
     PredictionFit,
     ProfileCurve,
     Provenance,
@@ -204,11 +204,11 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
     return PredictionFit(role=evaluation.headline_set, fit=1 - found.ratio, low=low, high=high)
 
 
-def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChange | None:
+def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChangeRow | None:
     """Return the change of the errors over the horizon on the data of a role; None if no channel can be compared."""
     if not found.channels:
         return None
-    return PredictionChange(
+    return PredictionChangeRow(
         role=role,
         ratio=found.ratio,
         low=finite(found.low),
@@ -381,7 +381,7 @@ def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
 
 def cross_correlations(
     before: PredictionEvaluation, after: PredictionEvaluation | None = None
-) -> tuple[CrossCorrelation, ...]:
+) -> tuple[CrossCorrelationRow, ...]:
     """Return the correlations of the residuals with the inputs, one for each record, channel and input.
 
     ``after`` is the evaluation of another model, whose correlations are added.
@@ -390,14 +390,14 @@ def cross_correlations(
     return tuple(row for r in before.residuals for row in cross_rows(r, later.get((r.record, r.channel))))
 
 
-def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelation]:
+def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelationRow]:
     """Return the correlations of one channel with each input, and those of another model (``after``) if it is given."""
     later = {
         c.input: CorrelationTest(z=c.z, p=finite(c.p), largest=finite(c.largest))
         for c in (() if after is None else after.inputs)
     }
     return [
-        CrossCorrelation(
+        CrossCorrelationRow(
             record=r.record,
             channel=r.channel,
             input=c.input,

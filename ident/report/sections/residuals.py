@@ -11,7 +11,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from seatrial.ident.results import CorrelationTest, CrossCorrelation, FitResult, ResidualTests, WhitenessTests
+from seatrial.ident.results import CorrelationTest, CrossCorrelationRow, FitResult, ResidualTests, WhitenessTests
 
 T = TypeVar("T", WhitenessTests, CorrelationTest)
 # 95 % quantile of sqrt(m) times the largest distance of the cumulative periodogram of white noise from the diagonal,
@@ -171,7 +171,7 @@ def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
     return canvas.plot(figure, 210, _plot_label("Cumulative periodogram", row, tab), "Cumulative periodogram")
 
 
-def _cross_correlation_blocks(canvas: Canvas, rows: Sequence[CrossCorrelation], tab: RecordTab) -> list[Any]:
+def _cross_correlation_blocks(canvas: Canvas, rows: Sequence[CrossCorrelationRow], tab: RecordTab) -> list[Any]:
     """Return a plot of the cross-correlation for each pair of channel and input of a record.
 
     No blocks without finite values.

@@ -9,7 +9,7 @@ from typing import Any
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from seatrial.ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
+from seatrial.ident.results import Candidate, DiagnosisResult, NonparametricCurve, RefitRow, ResidualForce, RoundRow
 
 MAX_BARS = 14
 OUTCOMES = {
@@ -36,12 +36,12 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     return Section("search", "Search for missing effects", blocks, lead if found else "")
 
 
-def _round_title(i: int, row: Round, removed: Collection[str]) -> str:
+def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:
     """Return the title of the tab of round ``i`` (from 1), with the name of the added effect."""
     return f"Round {i}: {row.chosen or 'nothing added'}{', removed again' if row.chosen in removed else ''}"
 
 
-def _round_blocks(row: Round, removed: Collection[str]) -> list[Any]:
+def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
     """Return the blocks of one round: reason, candidates and refits.
 
     ``removed`` has the names of the effects that were removed later; the block of the reason says so.
@@ -54,14 +54,14 @@ def _round_blocks(row: Round, removed: Collection[str]) -> list[Any]:
     return blocks + ranking(row, chosen) + _refits_table(row, chosen)
 
 
-def ranking(row: Round, chosen: str | None) -> list[Any]:
+def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
     """Return the bar chart of up to 14 candidates of a round on a logarithmic axis, with a heading.
 
     Candidates with a statistic of zero are left out; no blocks if none is left.
 
     Parameters
     ----------
-    row : Round
+    row : RoundRow
         Round with its candidates, best first.
     chosen : str, optional
         Name of the effect that was added.
@@ -106,7 +106,7 @@ def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str
     )
 
 
-def _refits_table(row: Round, chosen: str | None) -> list[Any]:
+def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
     """Return the heading and table of the refits of a round; no blocks without refits.
 
     ``chosen`` is the name of the effect that was added, None if there is none.
@@ -126,7 +126,7 @@ def _refits_table(row: Round, chosen: str | None) -> list[Any]:
     return [heading, Table(columns, [_refit_cells(r, chosen) for r in found])] if found else []
 
 
-def _refit_cells(row: Refit, chosen: str | None) -> list[Cell | str]:
+def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
     """Return the table cells of one refit; up to three parameters of its effect are printed.
 
     ``chosen`` is the name of the effect that was added, None if there is none.

@@ -179,7 +179,7 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
         blank(), blank(cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
         (EffectAttribution(curve.name, "nonparametric"),), (EffectImportance(curve.name, 90.0, 1.02),),
     )  # fmt: skip
-    change = parts.PredictionChange(
+    change = parts.PredictionChangeRow(
         role="validation", ratio=0.98, low=0.96, high=0.99 if fell else 1.01, verdict="fell" if fell else "unchanged",
         better=(), worse=(),
     )  # fmt: skip
