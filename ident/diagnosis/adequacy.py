@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,23 +32,12 @@ from seatrial.ident.model import Effect, EffectKind, Parameter
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
 
-def assess_alternatives(
-    rounds: Sequence[Round],
-    remaining: Sequence[Score],
-    n: int,
-    untested: Collection[str] = (),
-    importances: Sequence[EffectImportance] = (),
-    reservations: Sequence[str] = (),
-    after: FittedModel | None = None,
-    nominal: Sequence[Score] = (),
-    policy: SearchPolicy = DEFAULT_POLICY,
-) -> tuple[EffectAttribution, ...]:
-    """Attribute each selected effect: identified, ambiguous or nonparametric.
+@dataclass(frozen=True)
+class AttributionEvidence:
+    """Evidence for the attribution of effects, beside the rounds of the search.
 
-    Parameters
+    Attributes
     ----------
-    rounds
-        Rounds of the search. Rounds without a chosen effect are left out.
     remaining
         Scores that still pass after the last effect, best first.
     n
@@ -60,9 +49,31 @@ def assess_alternatives(
     reservations
         Reasons, as clauses, why no effect can be identified on these data.
     after
-        Last model, whose estimates are judged, by default the model of the effect's own round.
+        Last model, whose estimates are judged. None: the model of the effect's own round.
     nominal
-        Scores on the model without effects, for effects that the estimated parameters explain.
+        Scores on the model without effects, which show the effects that the estimated parameters explain.
+    """
+
+    remaining: Sequence[Score]
+    n: int
+    untested: Collection[str] = ()
+    importances: Sequence[EffectImportance] = ()
+    reservations: Sequence[str] = ()
+    after: FittedModel | None = None
+    nominal: Sequence[Score] = ()
+
+
+def assess_alternatives(
+    rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy = DEFAULT_POLICY
+) -> tuple[EffectAttribution, ...]:
+    """Attribute each selected effect: identified, ambiguous or nonparametric.
+
+    Parameters
+    ----------
+    rounds
+        Rounds of the search. Rounds without a chosen effect are left out.
+    evidence
+        Remaining scores, importances, and weaknesses of data and fit.
     policy
         Thresholds of the attribution.
 
@@ -72,8 +83,8 @@ def assess_alternatives(
         Attribution of each selected effect, in the order of the rounds. An effect is ambiguous if there is at least one
         reason.
     """
-    explained = {s.name for s in nominal if s.tolerance < policy.min_tolerance}
-    importance = {w.effect: w for w in importances}
+    explained = {s.name for s in evidence.nominal if s.tolerance < policy.min_tolerance}
+    importance = {w.effect: w for w in evidence.importances}
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     total = sum(max(c.criterion, 0.0) for c in chosen)
     limit = max(policy.max_remaining_criterion, policy.max_remaining_share * total)
@@ -87,12 +98,12 @@ def assess_alternatives(
             continue
         # the remaining criterion has to be small compared with all effects and with this effect
         own_limit = max(policy.max_remaining_criterion, search_round.chosen.criterion)
-        strong = [s for s in remaining if s.criterion(n) > min(limit, own_limit)]
-        fitted = search_round.chosen.fitted if after is None else after
+        strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
+        fitted = search_round.chosen.fitted if evidence.after is None else evidence.after
         reasons = [
-            *_strong_remaining_test_reasons(strong, n),
-            *_many_remaining_tests_reasons(remaining, policy),
-            *_remaining_alternative_reasons(search_round.chosen.effect, remaining, len(chosen)),
+            *_strong_remaining_test_reasons(strong, evidence.n),
+            *_many_remaining_tests_reasons(evidence.remaining, policy),
+            *_remaining_alternative_reasons(search_round.chosen.effect, evidence.remaining, len(chosen)),
             *_nonparametric_curve_reasons(chosen, search_round, policy),
         ]
         reasons += [
@@ -104,16 +115,16 @@ def assess_alternatives(
             *_undetermined_position_reasons(search_round.chosen.effect, fitted, policy),
         ]
         reasons += [
-            *_untested_alternative_reasons(search_round.chosen.effect, untested),
+            *_untested_alternative_reasons(search_round.chosen.effect, evidence.untested),
             *_failed_candidate_reasons(search_round),
             *_explained_by_parameters_reasons(search_round.chosen.effect, explained),
         ]
         reasons += [
             *_no_better_prediction_reasons(importance.get(search_round.chosen.effect.name), policy),
-            *reservations,
+            *evidence.reservations,
         ]
         others = [q.effect.name for q in _competing_refits(search_round, policy)]
-        unexamined = {*untested, *explained}
+        unexamined = {*evidence.untested, *explained}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in unexamined and name not in others
         ]

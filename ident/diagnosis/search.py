@@ -34,7 +34,7 @@ from seatrial.ident.diagnosis.acceptance import (
     should_be_removed,
     validation_mismatches,
 )
-from seatrial.ident.diagnosis.adequacy import assess_alternatives
+from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
 from seatrial.ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
 from seatrial.ident.diagnosis.findings import (
     Diagnosis,
@@ -228,10 +228,16 @@ def diagnose(
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
-    judgements = assess_alternatives(
-        kept, passed, search.n, untested, weights, _reservations(before, current, policy), current,
-        search.rounds[0].scores if search.rounds else (), policy,
-    )  # fmt: skip
+    evidence = AttributionEvidence(
+        remaining=passed,
+        n=search.n,
+        untested=untested,
+        importances=weights,
+        reservations=_reservations(before, current, policy),
+        after=current,
+        nominal=search.rounds[0].scores if search.rounds else (),
+    )
+    judgements = assess_alternatives(kept, evidence, policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _reported_curves(before, kept, judgements, records)
     return Diagnosis(

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from seatrial.ident.diagnosis.adequacy import assess_alternatives
+from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
 from seatrial.ident.diagnosis.findings import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
@@ -74,7 +74,7 @@ def score(name: str, criterion: float) -> Score:
 def attributions_of(
     *rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()
 ) -> tuple[EffectAttribution, ...]:
-    return assess_alternatives(rounds, left, N, untested)
+    return assess_alternatives(rounds, AttributionEvidence(left, N, untested))
 
 
 def test_effect_that_leaves_no_unexplained_score_is_identified() -> None:
@@ -166,13 +166,17 @@ def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> Non
     """
     linear = refit("thrust-linearity", 90.0, alternatives=("dead-band", "reverse-thrust"))
     hidden = replace(score("reverse-thrust", 5.0), tolerance=4e-4)
-    (found,) = assess_alternatives([one_round(linear)], (), N, nominal=[hidden])
+    (found,) = assess_alternatives([one_round(linear)], AttributionEvidence((), N, nominal=[hidden]))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("reverse-thrust",))
     why = "the model's estimated parameters explain nearly all of its alternative reverse-thrust"
     assert found.reasons == (why,)
-    (itself,) = assess_alternatives([one_round(refit("reverse-thrust", 90.0))], (), N, nominal=[hidden])
+    (itself,) = assess_alternatives(
+        [one_round(refit("reverse-thrust", 90.0))], AttributionEvidence((), N, nominal=[hidden])
+    )
     assert itself.reasons == ("the model's estimated parameters explain nearly all of this effect",)
-    (seen,) = assess_alternatives([one_round(linear)], (), N, nominal=[replace(hidden, tolerance=2e-3)])
+    (seen,) = assess_alternatives(
+        [one_round(linear)], AttributionEvidence((), N, nominal=[replace(hidden, tolerance=2e-3)])
+    )
     assert seen.attribution == "identified"
 
 
@@ -217,20 +221,22 @@ def test_effect_without_influence_on_the_prediction_is_ambiguous(error: float, a
     """
     unchanged = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
     weight = EffectImportance("current-drift", 4000.0, error, 300.0, 9.0, unchanged)
-    (found,) = assess_alternatives([one_round(refit("current-drift", 4000.0))], (), N, importances=[weight])
+    (found,) = assess_alternatives(
+        [one_round(refit("current-drift", 4000.0))], AttributionEvidence((), N, importances=[weight])
+    )
     assert found.attribution == attribution
 
 
 def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
-    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, importances=[weight])
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, importances=[weight]))
     assert found.attribution == "ambiguous"
     assert found.reasons == ("the prediction without this effect could not be tested: x0",)
 
 
 def test_reservation_about_the_data_makes_every_effect_ambiguous() -> None:
     short = "the estimation data are short (60 s)"
-    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, reservations=[short])
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, reservations=[short]))
     assert (found.attribution, found.reasons) == ("ambiguous", (short,))
 
 
@@ -398,8 +404,8 @@ def test_attribution_uses_the_estimates_of_the_final_model() -> None:
         return SimpleNamespace(fit=a_fit(("F",), [value], np.eye(1)))
 
     wind = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
-    (alone,) = assess_alternatives([one_round(wind)], (), N)
-    (beside,) = assess_alternatives([one_round(wind)], (), N, after=stage(1.5))
+    (alone,) = assess_alternatives([one_round(wind)], AttributionEvidence((), N))
+    (beside,) = assess_alternatives([one_round(wind)], AttributionEvidence((), N, after=stage(1.5)))
     assert (alone.attribution, beside.attribution) == ("identified", "ambiguous")
 
 
