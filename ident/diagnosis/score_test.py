@@ -373,6 +373,7 @@ def propagate_sensitivities(
     waiting, width = [SensitivityColumns("fitted", fitted)], fitted.shape[2]
 
     def done() -> None:
+        """Propagate the waiting columns as one batch; append the results to ``parts`` and ``ends``."""
         parts.append(carrier(waiting, carried[len(ends)] if carried else None))
         ends.append(carrier.end)
 

@@ -695,6 +695,7 @@ class _Search:
         """
 
         def refit(pair: tuple[Effect, Score]) -> Refit | UntestedCandidate:
+            """Refit the current model with one pair of candidate and score."""
             return self._refit(current, *pair)
 
         with ThreadPoolExecutor(2) as pool, quick_compilation(self.n):

@@ -227,8 +227,11 @@ class Correlation(Part, frozen=True, kw_only=True):
     matrix: Annotated[Array, Meta(description="(names, names)")]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the matrix has another size than the names."""
         if self.matrix.shape != (len(self.names), len(self.names)):
-            raise ValueError(f"matrix must be of {len(self.names)} names, not {self.matrix.shape}")
+            raise ValueError(
+                f"the correlation matrix has the shape {self.matrix.shape}, but there are {len(self.names)} names"
+            )
 
 
 class FitSummary(Part, frozen=True, kw_only=True):
@@ -280,6 +283,7 @@ class Trace(Part, frozen=True, kw_only=True):
     ] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if arrays that are plotted over each other differ in length."""
         same_length(self, "t", "measured", "model", "sd", "before")
         same_length(self, "t_horizon", "horizon", "sd_horizon", "horizon_before")
 
@@ -297,6 +301,7 @@ class Track(Part, frozen=True, kw_only=True):
     y_before: Annotated[Array | None, Meta(description="diagnosis: simulated without the effects, east [m]")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
         same_length(self, "x_measured", "y_measured", "x_model", "y_model", "x_before", "y_before")
 
 
@@ -310,6 +315,7 @@ class InputTrace(Part, frozen=True, kw_only=True):
     value: Annotated[Array, Meta(description="values of the input at `t`")]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if times and values differ in length."""
         same_length(self, "t", "value")
 
 
@@ -342,6 +348,7 @@ class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     after: Annotated[WhitenessTests | None, Meta(description="diagnosis: the same with the effects")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if arrays that are plotted over each other differ in length."""
         same_length(self, "t", "e")
         same_length(self, "lags", "acf")
         same_length(self, "frequency", "cumulative")
@@ -365,6 +372,7 @@ class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
     after: Annotated[CorrelationTest | None, Meta(description="diagnosis: the same with the effects")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if lags and correlations differ in length."""
         same_length(self, "lags", "z")
 
 
@@ -451,8 +459,9 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
     ]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if there are not ten shares."""
         if self.pit.shape != (10,):
-            raise ValueError(f"pit must have ten shares, not {self.pit.shape}")
+            raise ValueError(f"pit must have ten shares, one for each tenth of the distribution, not {self.pit.shape}")
 
 
 class CalibrationTable(Part, frozen=True, kw_only=True):
@@ -499,6 +508,7 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
     ] = ()
 
     def __post_init__(self) -> None:
+        """Raise ValueError if grid and drop differ in length."""
         same_length(self, "grid", "drop")
 
 
@@ -568,6 +578,7 @@ class StaticForce(Part, frozen=True, kw_only=True):
     abscissa: Annotated[str, Meta(description="quantity of `n`")] = "shaft speed n"
 
     def __post_init__(self) -> None:
+        """Raise ValueError if arrays of the points, or those of the curve, differ in length."""
         same_length(self, "n", "force", "sd")
         same_length(self, "n_model", "force_model", "force_sd", "force_quadratic")
 
@@ -754,6 +765,7 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
     ]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
         same_length(self, "grid", "value", "sd", "band")
 
 
@@ -770,6 +782,7 @@ class ResidualForce(Part, frozen=True, kw_only=True):
     after_sd: Annotated[Array | None, Meta(description="standard deviation of `after_mean`")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
         same_length(self, "t", "mean", "sd", "after_mean", "after_sd")
 
 

@@ -58,7 +58,9 @@ def write_result(result: Part, path: Path) -> None:
     try:
         write_output(path, to_json(result))
     except OSError as problem:
-        raise SeatrialError(f"{path}: {problem.strerror}; the result was not saved") from problem
+        raise SeatrialError(
+            f"{path}: {problem.strerror}; the result was not saved, check that the folder exists and is writable"
+        ) from problem
 
 
 def from_json(content: bytes) -> AnyResult:
@@ -85,7 +87,9 @@ def read_result(path: Path | str) -> AnyResult:
     try:
         return from_json(path.read_bytes())
     except (msgspec.DecodeError, OSError) as problem:
-        raise SeatrialError(f"{path}: {problem}") from problem
+        raise SeatrialError(
+            f"{path}: {problem}; give a result.json that this version of seatrial has written"
+        ) from problem
 
 
 def _decode_array(kind: Any, value: Any) -> Any:

@@ -166,6 +166,7 @@ def error_tables(
         old: Mapping[str, PredictionErrors],
         change: validation.PredictionChange | None = None,
     ) -> dict[str, ErrorComparison]:
+        """Return the errors by channel of one kind of prediction; the interval only if ``change`` is given."""
         spans = {} if change is None else change.channels
         return {
             name: ErrorComparison(
@@ -223,6 +224,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
     """Return the calibration of the prediction intervals for each set of data, kind of prediction and channel."""
 
     def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
+        """Return the calibration by channel of one kind of prediction."""
         return {
             name: CalibrationRow(
                 n=c.n,
