@@ -188,6 +188,13 @@ def is_validated(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
 
     The criterion of the estimation data (gain less the penalty of the parameters) is positive. The gain on the
     validation data is positive, and its t statistic exceeds ``policy.min_t``.
+
+    Parameters
+    ----------
+    refit
+        Refit of a round, rough or exact.
+    policy
+        Thresholds, of which the smallest t statistic is used.
     """
     return refit.criterion > 0 and refit.validation_gain > 0 and refit.t > policy.min_t
 
@@ -205,6 +212,13 @@ def is_accepted(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
     - the prediction by inputs alone is significantly better, by an amount that matters (`falls_materially`);
     - the effects together make the prediction significantly better than that of the nominal model, and the point
       estimate of the change by this effect is a fall that matters.
+
+    Parameters
+    ----------
+    refit
+        Refit of a round. Before the exact fit its prediction changes are None.
+    policy
+        Thresholds of the validation and of a change of the prediction that matters.
     """
     prediction, by_inputs, total = refit.prediction, refit.by_inputs, refit.total
     worse = any(p is not None and p.verdict == "rose" for p in (prediction, total))
@@ -259,6 +273,13 @@ def falls_materially(prediction: PredictionChange | None, policy: SearchPolicy =
 
     The fall matters if the ratio of the errors, after over before, is below ``1 / policy.min_error_ratio``. The
     interval of the change is not considered. False for None.
+
+    Parameters
+    ----------
+    prediction
+        Change of the prediction errors by an effect; None if it is unknown.
+    policy
+        Thresholds, of which the smallest error ratio that matters is used.
     """
     return prediction is not None and prediction.ratio < 1 / policy.min_error_ratio
 
@@ -269,6 +290,13 @@ def improves_prediction(importance: EffectImportance, policy: SearchPolicy = DEF
     The 95 % interval of the change over the horizon decides. If it shows no change, or if there is no such change
     (None), the error three seconds ahead by inputs alone decides: without the effect it has to be more than
     ``policy.min_error_ratio`` times that with the effect.
+
+    Parameters
+    ----------
+    importance
+        Importance of the effect beside the other effects.
+    policy
+        Thresholds, of which the smallest error ratio that matters is used.
     """
     verdict = "unchanged" if importance.prediction is None else importance.prediction.verdict
     return verdict == "fell" or (verdict == "unchanged" and importance.error_ratio > policy.min_error_ratio)
@@ -281,6 +309,13 @@ def is_worth_its_parameters(importance: EffectImportance, policy: SearchPolicy =
     ``policy.min_t``, or ``policy.min_t_if_predicting`` if the effect improves the prediction. The prediction over the
     horizon is not significantly worse with the effect. The prediction changes by an amount that matters. False if the
     importance is unknown (NaN).
+
+    Parameters
+    ----------
+    importance
+        Importance of the effect beside the other effects.
+    policy
+        Thresholds of the validation and of a change of the prediction that matters.
     """
     improves = improves_prediction(importance, policy)
     worse = importance.prediction is not None and importance.prediction.verdict == "rose"
@@ -300,13 +335,30 @@ def should_be_removed(
 
     An effect should be removed if it is not worth its parameters. A nonparametric effect should also be removed if the
     prediction with it is neither better nor, by the point estimate, lower by an amount that matters.
+
+    Parameters
+    ----------
+    importance
+        Importance of the effect beside the other effects. It must be known.
+    nonparametric
+        Whether the effect is a curve or a response without a formula.
+    policy
+        Thresholds of the validation and of a change of the prediction that matters.
     """
     helps = improves_prediction(importance, policy) or falls_materially(importance.prediction, policy)
     return not is_worth_its_parameters(importance, policy) or (nonparametric and not helps)
 
 
 def is_immaterial(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
-    """Return whether the validation data support a removed effect, and the prediction is as good without it."""
+    """Return whether the validation data support a removed effect, and the prediction is as good without it.
+
+    Parameters
+    ----------
+    removed
+        Effect that backward elimination removed.
+    policy
+        Thresholds, of which the smallest t statistic is used.
+    """
     supported = removed.validation_gain > 0 and removed.t > policy.min_t
     return supported and removed.prediction.verdict == "unchanged"
 
@@ -318,6 +370,13 @@ def validation_mismatches(fitted: FittedModel, policy: SearchPolicy = DEFAULT_PO
     ``policy.min_mismatch``. Of its channels the one with the largest lower end is reported. The parameter whose change
     would explain the errors is estimated from the run. Empty if the model was cross-validated, because there are no
     validation runs.
+
+    Parameters
+    ----------
+    fitted
+        Last fitted model, with its evaluation of the validation runs.
+    policy
+        Thresholds, of which the smallest reported ratio of the errors is used.
     """
     found = []
     for v in () if fitted.cross_validated else fitted.validation:

@@ -102,6 +102,13 @@ def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
 
     A chosen nonparametric curve of the same force and variable is left out too, because the curve would take the place
     of the effect.
+
+    Parameters
+    ----------
+    effect
+        Effect that is left out.
+    chosen
+        Refits of all chosen effects.
     """
     curve = effect.nonparametric_of or effect.parametric_form_of
     return {effect.name, *(c.effect.name for c in chosen if c.effect.is_table_of(curve))}

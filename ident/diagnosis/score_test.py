@@ -409,6 +409,13 @@ def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
     """Return the prior terms of parameters at their values (n_parameters,), in the units of the parameters.
 
     Both terms are 0 for a parameter without a prior.
+
+    Parameters
+    ----------
+    parameters
+        Fitted parameters, of which some have a prior.
+    values
+        Estimate of each parameter.
     """
     gradient, information = np.zeros(len(parameters)), np.zeros(len(parameters))
     for k, (p, value) in enumerate(zip(parameters, values.tolist(), strict=True)):
@@ -566,6 +573,13 @@ def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
     """Return the fitted parameters except those of the noise: the shared ones, then those of each record.
 
     A per-record parameter is listed once for each record, with the index of the record as its ``segment``.
+
+    Parameters
+    ----------
+    model
+        Fitted model.
+    n_records
+        Number of estimation records.
     """
     noise = model.noises  # their score is uncorrelated with that of the other parameters
     mean = [p for p in model.parameters if p.free and p.name not in noise]

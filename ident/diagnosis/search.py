@@ -460,6 +460,13 @@ class _Search:
         The search ends after ``max_effects`` rounds, after a round without an added effect, or if no score passes.
         After a nonparametric effect, only parametric effects with a large score are tried. ``rounds``, ``nominal``,
         ``untried`` and ``candidates`` are changed.
+
+        Parameters
+        ----------
+        before
+            Fitted model without added effects.
+        max_effects
+            Largest number of rounds.
         """
         self.nominal, current, unknown = before, before, False
         while True:

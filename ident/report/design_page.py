@@ -23,6 +23,13 @@ N_BINS = 60
 def write_design_page(result: DesignResult, path: Path) -> None:
     """Write a design as one HTML page that opens without a network. An existing file is replaced.
 
+    Parameters
+    ----------
+    result
+        Designed mission with its expected standard errors.
+    path
+        File to write.
+
     Raises
     ------
     OSError

@@ -64,7 +64,15 @@ class Budget:
 
     @classmethod
     def for_traces(cls, n_traces: int, total: int = 220_000) -> Budget:
-        """Return the budget of a page of about ``total`` points; each trace may have 200 to 3000 points."""
+        """Return the budget of a page of about ``total`` points; each trace may have 200 to 3000 points.
+
+        Parameters
+        ----------
+        n_traces
+            Number of traces on the page.
+        total
+            Number of points that all traces together should have.
+        """
         return cls(int(np.clip(total / max(n_traces, 1), 200, 3000)))
 
 
@@ -132,8 +140,22 @@ def line_trace(
 ) -> Trace:
     """Return a line through x and y (n,) of at most ``limit`` points, with gaps at NaN.
 
-    ``turn`` is a full turn in the unit of a wrapped angle; the line then has gaps where the angle jumps. None: no
-    angle.
+    The line also has gaps where a wrapped angle jumps.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates (n,) of the points.
+    name
+        Text in the legend and on hover.
+    limit
+        Largest number of points.
+    color
+        Colour, for example ``#0072B2``.
+    dash
+        Dash of the line in the words of Plotly.
+    turn
+        A full turn in the unit of a wrapped angle, None for other signals.
     """
     at = thinned(y, limit)
     style = {"color": color, "width": 1.6, "dash": dash}
@@ -158,7 +180,20 @@ def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, tu
     """Return measured values as dots, or as a thin line with gaps if there are more than 700.
 
     Values of y (n,) that are not finite are left out. The line has a gap where samples are more than eight median
-    intervals apart. ``turn`` is a full turn in the unit of a wrapped angle, None for other signals.
+    intervals apart.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates (n,) of the values.
+    name
+        Text in the legend and on hover.
+    limit
+        Largest number of points of the thin line; up to 700 dots are not thinned.
+    color
+        Colour, for example ``#5b6470``.
+    turn
+        A full turn in the unit of a wrapped angle, None for other signals.
     """
     x, y = x[np.isfinite(y)], y[np.isfinite(y)]
     if x.size <= 700:
@@ -182,8 +217,25 @@ def band(
 ) -> Trace:
     """Return the filled band from ``middle - half`` to ``middle + half``, all arrays (n,).
 
-    Points that are not finite are left out, and about half of ``limit`` points are kept. ``turn`` is a full turn in the
-    unit of a wrapped angle; the band is then split where the angle jumps.
+    Points that are not finite are left out, and about half of ``limit`` points are kept. The band is split where a
+    wrapped angle jumps.
+
+    Parameters
+    ----------
+    x
+        Horizontal coordinates.
+    middle
+        Curve in the middle of the band.
+    half
+        Half height of the band.
+    limit
+        Largest number of points of a trace on the page.
+    color
+        Colour, for example ``#0072B2``.
+    opacity
+        Opacity of the filling, 0 to 1.
+    turn
+        A full turn in the unit of a wrapped angle, None for other signals.
     """
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(middle) & np.isfinite(half))
     at = good[strided(good.size, max(limit // 2, 100))]
@@ -198,6 +250,19 @@ def between(
 
     The area is split before the points with the indices ``ends``. ``color`` is a hexadecimal colour such as
     ``#0072B2``.
+
+    Parameters
+    ----------
+    x
+        Horizontal coordinates (n,).
+    low, high
+        Lower and upper curve.
+    color
+        Colour in hexadecimal digits, for example ``#0072B2``.
+    opacity
+        Opacity of the filling, 0 to 1.
+    ends
+        Indices of the first point of each further piece, None for one piece.
     """
     pieces = [np.split(a, [] if ends is None else ends) for a in (x, low, high)]
     around = [(np.append(t, t[::-1]), np.append(b, a[::-1])) for t, a, b in zip(*pieces, strict=True)]
@@ -286,6 +351,17 @@ def single(traces: list[Trace], x_title: str, y_title: str = "", **layout: Any) 
 
     Keyword arguments update the layout; ``xaxis`` and ``yaxis`` are merged with the titles. Without ``y_title`` the
     left margin is smaller.
+
+    Parameters
+    ----------
+    traces
+        Plotly traces.
+    x_title
+        Title of the horizontal axis.
+    y_title
+        Title of the vertical axis; may be empty.
+    **layout
+        Entries of the Plotly layout.
     """
     x = {"title": {"text": escaped(x_title)}, **layout.pop("xaxis", {})}
     y = {"title": {"text": escaped(y_title)}, **layout.pop("yaxis", {})} if y_title else layout.pop("yaxis", {})

@@ -142,6 +142,15 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
 
     The precision is that of two significant digits of the standard error; without standard error, four digits and no ±.
     A common power of ten follows a bracket. A dash for a value of None.
+
+    Parameters
+    ----------
+    value
+        Estimate, None if it is unknown.
+    se
+        Standard error in the same unit, None if it is unknown.
+    unit
+        Unit, which follows the numbers; may be empty.
     """
     value_text, se_text = pair(value, se)
     joined = f"{value_text} ± {se_text}" if se_text else value_text
@@ -154,6 +163,19 @@ def noise_level(value: float, se: float | None, limit: float | None, factor: flo
     """Return a noise times a factor with its standard error, or its upper limit (``< 0.0021 deg``).
 
     The limit is used if there is a limit and no standard error, which means that the noise is zero.
+
+    Parameters
+    ----------
+    value
+        Standard deviation or intensity of the noise.
+    se
+        Standard error of the noise, None if no noise was found.
+    limit
+        95 % upper limit if no noise was found, otherwise None.
+    factor
+        Factor to the shown unit.
+    unit
+        Shown unit, which follows the numbers; may be empty.
     """
     if se is None and limit is not None:
         return f"< {plain(factor * limit, 2)} {unit}".strip()

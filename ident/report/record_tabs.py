@@ -43,7 +43,15 @@ class RecordTab:
 
 
 def roles_of(logs: Sequence[LogSummary], traces: Sequence[Trace] = ()) -> dict[str, str]:
-    """Return the role of each record by its name; the role in a trace takes precedence over that of a log."""
+    """Return the role of each record by its name; the role in a trace takes precedence over that of a log.
+
+    Parameters
+    ----------
+    logs
+        Logs of the result, each with the name of its record.
+    traces
+        Channels of the records.
+    """
     return {log.name: log.role for log in logs} | {row.record: row.role for row in traces}
 
 
@@ -51,6 +59,13 @@ def origin_words(logs: Sequence[LogSummary], record: str) -> str:
     """Return the origin of a record's x and y as the end of an axis title; empty if the log has no origin.
 
     The texts are `` of its first fix`` and `` of the first fix of NAME``, with a leading space.
+
+    Parameters
+    ----------
+    logs
+        Logs of the result.
+    record
+        Name of the record.
     """
     found = next((log.origin for log in logs if log.name == record), None)
     if found is None:
@@ -81,6 +96,13 @@ def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[Reco
     """Return a tab for each record that has table rows.
 
     Validation records come first, then estimation records, then records of unknown role, each in the order of the rows.
+
+    Parameters
+    ----------
+    rows
+        Table rows that belong to records.
+    roles
+        Role of each record by its name; may lack records.
     """
     names = list(dict.fromkeys(row.record for row in rows))
     order = {role: i for i, role in enumerate(ROLES)}

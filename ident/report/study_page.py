@@ -218,6 +218,13 @@ def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
 
     The statistic is the bias [standard deviations], the ratio of the variance to the Cramér-Rao bound, or the coverage
     (0 to 1).
+
+    Parameters
+    ----------
+    row
+        Statistics of a parameter.
+    key
+        ``bias``, ``ratio`` or ``coverage``.
     """
     if key == "bias":
         half = drawing.Z95 * row.bias_error
@@ -231,6 +238,13 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
     """Return the verdict on a statistic of a parameter, from the missed aims that the study lists.
 
     ``fine``: within the aim. ``chance``: beyond the aim, perhaps by chance. ``miss``: beyond the aim.
+
+    Parameters
+    ----------
+    row
+        Statistics of a parameter.
+    key
+        ``bias``, ``ratio`` or ``coverage``.
     """
     word = {"bias": "bias", "ratio": "variance", "coverage": "coverage"}[key]
     misses = [miss for miss in row.misses if miss.startswith(word)]
@@ -353,6 +367,13 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
     The ideal estimator is unbiased, attains the Cramér-Rao bound and reports its variance exactly. Bias is in
     standard deviations, coverage in 0..1.
+
+    Parameters
+    ----------
+    key
+        ``bias``, ``ratio`` or ``coverage``.
+    n
+        Number of replicates.
     """
     if key == "bias":
         return -drawing.Z95 / float(np.sqrt(n)), drawing.Z95 / float(np.sqrt(n))
@@ -405,6 +426,13 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
     """Write a study's result as a Markdown page (``docs/study.md``) and its SVG pictures into a folder beside it.
 
     The folder ``pictures`` is made if it is missing. A study without parameters has no picture.
+
+    Parameters
+    ----------
+    result
+        Studies of one or more models.
+    path
+        Markdown file to write.
 
     Raises
     ------

@@ -70,6 +70,13 @@ def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
     The sentence claims a fall or a rise only if ``change.verdict`` does, and a rise by three times or more is a factor
     instead of per cent. Up to four better channels and all worse channels are named. Without an interval the sentence
     says that the data are too short.
+
+    Parameters
+    ----------
+    change
+        Change of the errors over the horizon, with its 95 % interval and verdict.
+    horizon
+        Prediction horizon [s].
     """
     begin = f"{horizon:g} s ahead on {change.role} data, all channels: "
     if change.low is None or change.high is None:
@@ -215,6 +222,13 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 
     The kinds are one step ahead, over the horizon [s] and simulated. The sentences are about the validation data, or
     about the estimation data if there are no validation data. Empty if all intervals are right.
+
+    Parameters
+    ----------
+    calibration
+        Calibration of each channel by set of data and kind of prediction.
+    horizon
+        Prediction horizon [s].
     """
     role, table = ("validation", calibration.validation)
     if table is None:
@@ -339,6 +353,13 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
     """Return one sentence with advice for each record and channel that has outliers among its innovations.
 
     Channels that are already estimated robustly have no sentence.
+
+    Parameters
+    ----------
+    residuals
+        Innovations of each record and channel, with their tests.
+    model
+        Model, of which the outputs that are estimated robustly are left out.
     """
     robust = {o.name for o in model.outputs if o.robust}
     lines = []
@@ -372,6 +393,13 @@ def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
 
     Only delays that `seatrial check` calls a fault count. Empty if no free parameter is a mass, damping, time constant
     or gain.
+
+    Parameters
+    ----------
+    made
+        Provenance of the result, with the findings of `seatrial check` for each log.
+    model
+        Fitted model, whose free parameters may be biased.
     """
     logs = [log.path for log in made.logs if any(f.code in LATE_CODES and f.level == FAULT for f in log.findings)]
     biased = [p.name for p in model.parameters if p.free and p.name.partition("_")[0] in DELAY_BIASED]
@@ -559,7 +587,17 @@ def curve_warnings(levels: Levels) -> list[ResultWarning]:
 
 
 def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> list[str]:
-    """Return the notes of a static thrust curve: zero, quadratic fit, standard errors, calibration, pooled levels."""
+    """Return the notes of a static thrust curve: zero, quadratic fit, standard errors, calibration, pooled levels.
+
+    Parameters
+    ----------
+    levels
+        Levels of held command with their mean forces [N].
+    measured
+        Thrust curve through the levels, and the uncertainty of the load cell's calibration.
+    quadratic
+        Quadratic fit c1 n|n| + c2 n^2 to the levels.
+    """
     curve, calibration = measured.curve, measured.calibration
     errors = np.sqrt(np.diag(quadratic.covariance))
     c2 = (

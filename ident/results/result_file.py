@@ -50,6 +50,13 @@ def to_json(result: Part) -> bytes:
 def write_result(result: Part, path: Path) -> None:
     """Write a result as JSON to a file. An existing file is replaced.
 
+    Parameters
+    ----------
+    result
+        Result or table.
+    path
+        File to write, in a folder that exists.
+
     Raises
     ------
     SeatrialError

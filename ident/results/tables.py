@@ -67,7 +67,15 @@ def format_number(value: float) -> str:
 
 
 def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
-    """Return the provenance of a result: the present UTC time, software version, command line and logs."""
+    """Return the provenance of a result: the present UTC time, software version, command line and logs.
+
+    Parameters
+    ----------
+    loaded
+        Logs, with their description: path, hash, role, name, duration, rig, mission.
+    command
+        Command line.
+    """
     return Provenance(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seatrial=version("seatrial"),
@@ -206,7 +214,15 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
 
 
 def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChangeRow | None:
-    """Return the change of the errors over the horizon on the data of a role; None if no channel can be compared."""
+    """Return the change of the errors over the horizon on the data of a role; None if no channel can be compared.
+
+    Parameters
+    ----------
+    found
+        Change of the errors from the model without the effects to that with them.
+    role
+        Role of the data, `estimation` or `validation`.
+    """
     if not found.channels:
         return None
     return PredictionChangeRow(
@@ -257,6 +273,13 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
 
     Rows without a measurement are left out, and so are channels without any. ``before`` is the evaluation of another
     model, whose predictions are added.
+
+    Parameters
+    ----------
+    after
+        Evaluation of the model.
+    before
+        Evaluation of another model on the same records, or None.
     """
     return tuple(
         Trace(
@@ -287,6 +310,13 @@ def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = No
     """Return the measured and the simulated track of each record with positions; empty for a model without positions.
 
     ``before`` is the evaluation of another model, whose simulated tracks are added.
+
+    Parameters
+    ----------
+    after
+        Evaluation of the model.
+    before
+        Evaluation of another model on the same records, or None.
     """
     names = [o.name for o in after.model.outputs]
     if "x" not in names:
@@ -346,6 +376,13 @@ def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | No
     """Return the whiteness tests of all records and channels.
 
     ``after`` is the evaluation of another model, whose tests are added to those of the same record and channel.
+
+    Parameters
+    ----------
+    before
+        Evaluation of the model, or in a diagnosis of the model without effects.
+    after
+        Evaluation of the model with effects, or None.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
@@ -387,6 +424,13 @@ def cross_correlations(
     """Return the correlations of the residuals with the inputs, one for each record, channel and input.
 
     ``after`` is the evaluation of another model, whose correlations are added.
+
+    Parameters
+    ----------
+    before
+        Evaluation of the model, or in a diagnosis of the model without effects.
+    after
+        Evaluation of the model with effects, or None.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(row for r in before.residuals for row in cross_rows(r, later.get((r.record, r.channel))))
@@ -414,7 +458,15 @@ def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> li
 
 
 def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
-    """Return a profile likelihood in the units in which the estimates are reported."""
+    """Return a profile likelihood in the units in which the estimates are reported.
+
+    Parameters
+    ----------
+    found
+        Profile likelihood in the units of the parameters.
+    reported
+        Converter to reported units: ratios to the thrust if its scale is unknown.
+    """
     scale, factor = reported.scale, reported.factor(found.unit)
     return ProfileCurve(
         name=scale.name(found.name, found.unit),
@@ -431,7 +483,15 @@ def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
 
 
 def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> HomogeneityTest:
-    """Convert a homogeneity test to the units in which the estimates are reported."""
+    """Convert a homogeneity test to the units in which the estimates are reported.
+
+    Parameters
+    ----------
+    a
+        Homogeneity test in the units of the parameters.
+    reported
+        Converter to reported units: ratios to the thrust if its scale is unknown.
+    """
     k = reported.factor(a.unit)
     low, high = a.interval
     return replace(

@@ -194,6 +194,13 @@ def static_section(canvas: Canvas, static: StaticForce) -> Section:
     """Return the section of a thruster's static curve, measured and fitted.
 
     The curve is the steady force [N] over shaft speed or command, which are fractions of full.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figure is added.
+    static
+        Measured points and fitted curve.
     """
     traces = [
         drawing.band(static.n_model, static.force_model, drawing.Z95 * static.force_sd, 600),

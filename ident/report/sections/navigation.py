@@ -73,6 +73,13 @@ def states_section(canvas: Canvas, result: NavigationResult) -> Section:
     """Return the section of estimated states: one tab per record with the track and all states over time.
 
     Without finite states the section has no blocks.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Estimated states and GNSS outages of each log.
     """
     tabs = []
     for row in result.navigation:

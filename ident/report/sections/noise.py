@@ -13,7 +13,15 @@ from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
-    """Return the section of sensor noise: a table of all channels and a power spectral density plot of each."""
+    """Return the section of sensor noise: a table of all channels and a power spectral density plot of each.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the plots are added.
+    result
+        Noise of each channel.
+    """
     columns = (
         ("channel", ""),
         ("white noise", "num"),

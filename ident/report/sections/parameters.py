@@ -189,6 +189,13 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
     """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter.
 
     No blocks without profiles.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the plots are added.
+    table
+        Profile likelihood of each parameter.
     """
     if not table:
         return Section("profiles", "Profile likelihoods", [])
@@ -335,6 +342,13 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
     """Return the map of lost information over time: one tab per log, with the inputs below the map.
 
     No blocks if no segment has information.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the maps are added.
+    result
+        Information of each segment of each log about each parameter.
     """
     tabs = []
     for record in dict.fromkeys(row.record for row in result.information.segments):

@@ -152,7 +152,15 @@ def next_section(words: str | None) -> Section:
 
 
 def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> Section:
-    """Return the section of the notes of a result and of the signals that the model does not use, with the reasons."""
+    """Return the section of the notes of a result and of the signals that the model does not use, with the reasons.
+
+    Parameters
+    ----------
+    lines
+        Notes, each a sentence.
+    unused
+        Signals that the model does not use.
+    """
     blocks: list[Any] = [Lines(list(lines))] if lines else []
     if unused:
         blocks += [Heading("Signals that are not used", ""), Lines([f"{s.signal}: {s.reason}" for s in unused])]

@@ -23,6 +23,13 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of residuals: one tab per record, no blocks without residuals.
 
     A tab has the table of whiteness tests, three plots per channel, and the correlations with the inputs.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the plots are added.
+    result
+        Result of a fit, with whiteness tests and correlations.
     """
     tabs = []
     for tab in record_tabs([*result.residuals, *result.cross], roles_of(result.logs, result.traces)):

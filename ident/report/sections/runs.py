@@ -18,7 +18,17 @@ TIME = "time since the start of the record [s]"
 
 
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
-    """Return the section of the logs (role, duration, rig, mission, origin, warnings) and of their inputs over time."""
+    """Return the section of the logs (role, duration, rig, mission, origin, warnings) and of their inputs over time.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    logs
+        Logs of the result.
+    inputs
+        Inputs of the model, one for each record and input; may be empty.
+    """
     columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
     blocks: list[Any] = [Table(columns, [_log_cells(row) for row in logs])] if logs else []
     if places := origin_lines(logs):
@@ -77,6 +87,13 @@ def prediction_section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of channels measured and predicted over the horizon, one tab per record.
 
     The errors of the headline are those of these predictions. No blocks without predictions.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Result of a fit, with predictions over the horizon.
     """
     seconds = result.horizon_seconds
     found = record_tabs(result.traces, roles_of(result.logs, result.traces))
@@ -96,6 +113,13 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of channels measured and simulated, and of the track, one tab per record.
 
     No blocks without simulations.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Result of a fit, with simulations and tracks.
     """
     tabs = [
         (

@@ -24,7 +24,15 @@ OUTCOMES = {
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
-    """Return the section of the search: a tab per round, then residual forces and nonparametric curves."""
+    """Return the section of the search: a tab per round, then residual forces and nonparametric curves.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Result of a diagnosis.
+    """
     found, removed = result.rounds, {row.name for row in result.removed_effects}
     rounds = [(_round_title(i, row, removed), _round_blocks(row, removed)) for i, row in enumerate(found, 1)]
     blocks: list[Any] = tabbed(rounds)
