@@ -15,6 +15,7 @@ from seatrial.ident.diagnosis.acceptance import (
     is_accepted,
     is_validated,
     is_worth_its_parameters,
+    refit_outcome,
     validation_gain,
 )
 from seatrial.ident.diagnosis.findings import EffectImportance, Outcome, Refit, Round
@@ -129,6 +130,13 @@ def refit(
 )
 def test_refit_is_accepted_only_if_every_condition_holds(values: dict[str, Any], accepted: bool) -> None:
     assert is_accepted(refit(**values)) is accepted
+
+
+def test_thresholds_of_the_policy_decide() -> None:
+    strict = replace(DEFAULT_POLICY, min_t=5.0)
+    assert is_validated(refit(t=4.0))
+    assert not is_validated(refit(t=4.0), strict)
+    assert refit_outcome(refit(t=4.0, prediction=SAME), (), strict) is Outcome.NOT_VALIDATED
 
 
 @pytest.mark.parametrize(
