@@ -145,9 +145,10 @@ class TrajectoryLinearisation:
     def effect(self, effect: Effect) -> Iterator[SensitivityColumns]:
         """Yield the sensitivities of one parametric candidate, once for each combination of its scanned parameters.
 
-        The columns are the derivatives by the size parameters of the effect: those that are not scanned, not on a log
-        scale, and zero in the effect (the first parameter may have another value). The other parameters describe the
-        form and keep their values. The states of the effect at the last row are stored for the next `part`.
+        The columns are the derivatives by the size parameters of the effect. A size parameter is not scanned and not on
+        a log scale, and its value in the effect is zero (the first parameter may have another value). The other
+        parameters describe the form and keep their values. The states of the effect at the last row are stored for the
+        next `part`.
         """
         key, n, m = (effect.name, effect.curve), len(self.model.states), len(effect.states)
         if key not in self._larger:
@@ -444,7 +445,7 @@ def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
 def all_columns(
     path: TrajectoryLinearisation, effects: Iterable[Effect], among: Mapping[str, SplineBasis] | None = None
 ) -> Iterator[SensitivityColumns]:
-    """Yield the sensitivities of every candidate along one record, first of the parametric ones.
+    """Yield the sensitivities of every candidate along one record; the parametric candidates come first.
 
     The order is the same for each record. Effects are left out if the model does not accept them or if the record lacks
     one of their inputs.
@@ -456,7 +457,7 @@ def all_columns(
     effects
         Parametric candidates.
     among
-        Spline bases by the name of their variable, by default those of this record.
+        Spline bases by the name of their variable, by default the bases of this record.
     """
     chosen = [e for e in effects if path.model.accepts(e) and _has_inputs(path, e)]
     for e in chosen:
@@ -465,7 +466,7 @@ def all_columns(
 
 
 def _has_inputs(path: TrajectoryLinearisation, effect: Effect) -> bool:
-    """Return whether the record has all inputs of an effect."""
+    """Return whether the record of a linearisation has all inputs of an effect."""
     return all(i.name in path.record.inputs for i in effect.inputs)
 
 

@@ -439,7 +439,14 @@ class _Search:
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
-        """Compute all scores on a model and keep them in ``scores``; return them, and those that pass.
+        """Compute the scores of all candidates on a model and keep them in ``scores``.
+
+        Returns
+        -------
+        scores
+            Scores of all candidates, best first.
+        passing
+            The scores that pass, in the same order.
 
         Raises
         ------

@@ -274,7 +274,10 @@ def between(
 
 
 def _scatter(x: Array, y: Array, name: str, **style: Any) -> Trace:
-    """Return a scatter trace with packed coordinates and an escaped name."""
+    """Return a Plotly scatter trace through x and y (n,), with packed coordinates and an escaped name.
+
+    ``style`` has further entries of the trace, for example its mode and colour.
+    """
     return {"type": "scatter", "x": packed(x), "y": packed(y), "name": escaped(name), **style}
 
 

@@ -254,7 +254,11 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
 
 
 def _table_cells(row: ParameterStudy) -> list[Cell | str]:
-    """Return the table cells of one parameter in the order of ``COLUMNS``."""
+    """Return the table cells of one parameter.
+
+    They are name, true value, bias, variance over reported variance, variance over bound, coverage, number of estimates
+    at a bound, and missed aims.
+    """
     shown = [
         formatting.with_error(row.bias, row.bias_error),
         formatting.plain(row.ratio),
@@ -452,12 +456,16 @@ def _picture_path(study: ModelStudy) -> str:
 
 
 def table(study: ModelStudy) -> list[tuple[str, ...]]:
-    """Return the table of a study as tuples of text in the order of ``HEAD``, the header first."""
+    """Return the table of a study as tuples of text, one for each parameter, with the header first."""
     return [HEAD, *(_text_cells(r) for r in study.parameters)]
 
 
 def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
-    """Return the cells of one parameter as texts in the order of ``HEAD``."""
+    """Return the cells of one parameter as texts.
+
+    They are name, number of estimates, number at a bound, bias, variance over reported variance, variance over bound,
+    coverage, and missed aims.
+    """
     return (
         r.name,
         str(r.n),

@@ -202,7 +202,11 @@ def thruster_result(
 
 
 def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
-    """Return the notes of a fit: first those from before the fit, then outliers, then wrong prediction intervals."""
+    """Return the notes of a fit.
+
+    The order is: ``first`` (notes from before the fit), channels with outliers, and prediction intervals that are too
+    narrow or too wide.
+    """
     outliers = outlier_lines(evaluation.residuals, evaluation.model)
     return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))
 

@@ -186,7 +186,12 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow
 
 
 def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
-    """Return one or two sentences on the missing effects, or on why no effect was found."""
+    """Return one or two sentences on the missing effects, or on why no effect was found.
+
+    Without effects the first of these applies: validation runs that the model does not fit; no candidate passed
+    (perhaps because the data are short); candidates could not be fitted; effects were removed as immaterial; the
+    residuals may differ from white noise by chance (no p value below 1e-6); no candidate explains the residuals.
+    """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
     if diagnosis.mismatches:
@@ -222,7 +227,10 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
 
 
 def _short_data_sentence(diagnosis: Diagnosis) -> str:
-    """Return the sentence on data that are too short to test all candidates; empty if all were tested."""
+    """Return the sentence on estimation data that are too short to test some candidates, with the needed length.
+
+    Empty if all candidates could be tested.
+    """
     short = diagnosis.short_data
     return (
         ""
@@ -255,7 +263,11 @@ def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> Param
 
 
 def mismatch_sentence(m: ValidationMismatch) -> str:
-    """Return the sentence on a run with larger errors than predicted, and on the parameter change that explains it."""
+    """Return the sentence on a validation run with larger errors than predicted.
+
+    A second sentence has the parameter change that explains the errors best, if there is one. ``m`` is in reported
+    units.
+    """
     name = NAMES.get(m.channel, m.channel)
     mismatch = (
         f"The model does not hold in {m.record}: its errors one step ahead are {m.scale:.2g} times the predicted ones "
@@ -373,7 +385,10 @@ def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) 
 
 
 def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
-    """Return the table of a round in which no candidate passed, with all its score tests and the reason."""
+    """Return the table of a round in which no candidate passed: its best 24 score tests, and the reason.
+
+    The reason also says so if the data were too short to test some candidates.
+    """
     tested = _round_row(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
     if (short := diagnosis.short_data) is not None:
@@ -500,7 +515,10 @@ def _effect_rows(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
 
 
 def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
-    """Return the estimates of the shared free parameters before and after the effects were added, in reported units."""
+    """Return the estimates of the shared free parameters before and after the effects were added, in reported units.
+
+    The parameters are those of the model without effects. Per-record parameters are left out.
+    """
     before, after = (ReportedEstimates(fitted.fit) for fitted in (diagnosis.before, diagnosis.after))
     scale, rows = before.scale, []
     for p in before.fit.model.parameters:
@@ -537,7 +555,10 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
 
 
 def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
-    """Return the note on validation runs that are predicted in blocks, because effects have per-record parameters."""
+    """Return the note that validation runs are predicted in blocks of time, because effects have per-record parameters.
+
+    The list is empty if there are no such effects.
+    """
     if not evaluation.in_blocks:
         return []
     titles = [e.title for e in evaluation.in_blocks]
@@ -561,7 +582,11 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:
-    """Return the notes on remaining candidates, removed effects, mismatches and flagged parameters."""
+    """Return the notes of a diagnosis.
+
+    The notes are about candidates that still pass the score test, the reason why the search ended, removed effects,
+    validation runs that the model does not fit, and flagged parameters.
+    """
     notes = []
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:

@@ -235,7 +235,11 @@ def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, secon
 
 
 def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
-    """Return the cells of one channel in the order of ``COLUMNS``."""
+    """Return the table cells of one channel.
+
+    They are the channel, the shares inside the 50 % and 95 % interval, error over predicted standard deviation, its 95
+    % interval, the number of independent samples, and the verdict.
+    """
     low, high = row.low, row.high
     return [
         formatting.named(channel),

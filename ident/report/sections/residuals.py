@@ -106,7 +106,10 @@ def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab
 
 
 def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the standardised innovations over time, None without finite values."""
+    """Return the plot of the standardised innovations over time, None without finite values.
+
+    Lines at ±1.96 contain 95 % of white innovations. ``tab`` gives the record's title for the description of the plot.
+    """
     traces = []
     for name, values, color in _before_and_after(row, row.after):
         t, e = row.t, values.e
@@ -140,7 +143,10 @@ def _plot_label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
 
 
 def _stem_trace(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
-    """Return a trace of markers joined by a thin line; the trace named "before" is open and dotted."""
+    """Return a trace of markers at x and y (n,), joined by a thin line.
+
+    The markers of the trace with the name "before" are open, and its line is dotted.
+    """
     marker = {"color": color, "size": 5, "symbol": "circle-open" if name == "before" else "circle"}
     line = {"color": color, "width": 1, "dash": "dot" if name == "before" else "solid"}
     coordinates = {"x": drawing.packed(x), "y": drawing.packed(y)}
@@ -148,7 +154,10 @@ def _stem_trace(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
 
 
 def _autocorrelation_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the autocorrelation over the lag [s], None without finite values."""
+    """Return the plot of the autocorrelation over the lag [s] with its 95 % band, None without finite values.
+
+    ``tab`` gives the record's title for the description of the plot.
+    """
     traces = []
     for name, values, color in _before_and_after(row, row.after):
         if drawing.drawable(values.acf) is not None and values.acf.size == row.lags.size:
@@ -160,7 +169,10 @@ def _autocorrelation_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) ->
 
 
 def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the cumulative periodogram with its 95 % band, None without finite values."""
+    """Return the plot of the cumulative periodogram with its 95 % band, None without finite values.
+
+    ``tab`` gives the record's title for the description of the plot.
+    """
     traces, top = [], 0.0
     for name, values, color in _before_and_after(row, row.after):
         x, y = row.frequency, values.cumulative

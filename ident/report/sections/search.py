@@ -98,7 +98,17 @@ def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
 
 
 def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
-    """Return the bar of one candidate; ``width`` and ``limit`` are positions in per cent of the track's width."""
+    """Return the bar of one candidate.
+
+    Parameters
+    ----------
+    candidate
+        Candidate with its score test.
+    width, limit
+        Positions of the statistic and of its critical value, in per cent of the track's width.
+    chosen
+        Name or title of the effect that was added, None if there is none.
+    """
     p, p_block = (formatting.probability(value) for value in (candidate.p, candidate.p_block))
     numbers = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df, p {p}, block-robust {p_block}"
     name = candidate.name
@@ -160,7 +170,10 @@ def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
 
 
 def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
-    """Return the residual forces over time, one tab per record; no blocks if no force has finite values."""
+    """Return the heading, legend and plots of the residual forces over time, one tab per record.
+
+    No blocks if no force has finite values.
+    """
     forces = result.residual_forces
     found = record_tabs(forces, roles_of(result.logs, result.traces))
     tabs = [(tab.title, _force_tab(canvas, of_record(forces, tab), tab)) for tab in found]
@@ -182,7 +195,10 @@ def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) 
 
 
 def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
-    """Return the panel of one force before and after the effects were added, None without finite values."""
+    """Return the panel of one force over time with its 95 % band, None without finite values.
+
+    The curve after the effects were added is drawn too, if there is one.
+    """
     limit, traces = canvas.budget.points, []
     mean, sd, after_mean, after_sd = map(drawing.drawable, (row.mean, row.sd, row.after_mean, row.after_sd))
     for middle, half, name, color, dash in (
