@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -103,7 +104,7 @@ def test_logs_of_one_command_use_the_first_fix_of_the_first_log(tmp_path: Path) 
             there, here = shared.run.channels[n].value, own.run.channels[n].value
             assert there - there[0] == pytest.approx(here - here[0], abs=1e-9)
             assert shared.own_channels[n].value == pytest.approx(here, abs=1e-9)
-        assert shared.about["origin"] == asdict(estimation[0].origin)
+        assert shared.about["origin"] == msgspec.structs.asdict(estimation[0].origin)
     origin = estimation[0].origin
     assert origin is not None
     assert origin.log == "log0"
